@@ -99,9 +99,9 @@ def compare_command(
     """
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-    from dds_trace.analyzer.verdicts.compared.ignoring import match_without
     from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
     from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
+    from dds_trace.analyzer.verdicts.ignoring import match_without
     from dds_trace.reports.comparison import comparison_info, terminal
 
     for path, where, limit in (

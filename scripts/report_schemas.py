@@ -24,14 +24,15 @@ from dds_trace.analyzer.model.columns import SUMMARY_COLUMNS
 from dds_trace.analyzer.model.finding import Finding, Source
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, PARAMETER_NAMES
+from dds_trace.analyzer.run_statistics.change import DetectableChange
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.analyzer.verdicts.compare import MATCH_COLUMNS, CompareOptions
-from dds_trace.analyzer.verdicts.compared import ignoring, sight
-from dds_trace.analyzer.verdicts.compared.rows import ChangeRow, DeliveryRow
+from dds_trace.analyzer.verdicts.comparison_rows import ChangeRow, DeliveryRow
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import GateResult
+from dds_trace.analyzer.verdicts.ignoring import IGNORABLE_COLUMNS
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Recommendation
 from dds_trace.reports import document
@@ -355,7 +356,7 @@ def comparison_schema() -> Schema:
     }
     gate |= {name: result[name] for name in ("outcome", "measured", "low", "high", "reason")}
     gate |= {"smallest_ratio": number, "smallest_drop": number}
-    ignored = [name for name in PARAMETER_NAMES if name in ignoring.IGNORABLE_COLUMNS]
+    ignored = [name for name in PARAMETER_NAMES if name in IGNORABLE_COLUMNS]
     options = of_record(CompareOptions)
     options["properties"]["match"]["items"] = {"enum": list(PARAMETER_NAMES)}
     alone = {"$ref": "#/$defs/alone"}
@@ -365,7 +366,7 @@ def comparison_schema() -> Schema:
         "seen": {**text, "description": words["seen"]},
         "outcome": {"enum": [*of_hint(GateOutcome)["enum"], None], "description": words["outcome"]},
         "options": {**options, "description": "how the sides were compared"},
-        "sights": a_list(of_record(SIGHT), words["sights"]),
+        "sights": a_list(of_record(DetectableChange), words["sights"]),
         "groups": a_list(an_object(group), words["groups"]),
         "only_base": a_list(alone, words["only_base"]),
         "only_new": a_list(alone, words["only_new"]),
@@ -389,8 +390,6 @@ def comparison_schema() -> Schema:
         },
     }
 
-
-SIGHT: Any = sight.Sight
 
 SCHEMAS = {
     "reports/report.schema.json": report_schema,

@@ -14,9 +14,8 @@ from ..statistics.power import (
 )
 from .between_runs import interval_of_runs, interval_within
 from .change import Change, Verdict, change_of_runs
-from .delivery import DeliveryChange, change_of_received
 from .modes import Modes, Trend, WarmUp, find_modes, find_trend, find_warm_up
-from .received import received_interval
+from .received import DeliveryChange, change_of_received, received_interval
 from .runs import MEAN, Run, Statistic
 from .spread import Spread, runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 

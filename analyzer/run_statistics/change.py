@@ -4,6 +4,8 @@ With three runs a side the runs decide: Welch's test of the logarithms of the ru
 differences repeat by repeat where a sweep measured both sides in the same repeats. With fewer runs there is an interval
 within one run, and no verdict.
 
+`detectable_changes` returns the smallest change that these verdicts would have detected.
+
 Pairs pay where the machine drifts and both sides of a repeat share that: of 5 repeats with a spread of 5 %, a difference of
 10 % is detected in 88 % against 78 % by Welch's test where the sides correlate by 0.5, in 74 % with both at 0.25, and in
 62 % against 72 % where they do not. Both are false in at most 5 %.
@@ -18,13 +20,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..statistics.distributions import shift_for_power, student_quantile
 from ..statistics.intervals import Basis, Interval
-from ..statistics.power import smallest_shift
+from ..statistics.power import POWER, smallest_shift
 from .between_runs import Scale, estimates_of_runs, scale_of
 from .two_samples import fieller_ends, mover_ends, paired_test, welch_test
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from .between_runs import Estimate, Units
     from .runs import Run, Runs, Statistic, Values
@@ -276,3 +279,74 @@ def _finite_ends(side: Interval) -> Ends | None:
 
 def _logarithms(ends: Ends) -> Ends:
     return math.log(ends[0]), math.log(ends[1]), math.log(ends[2])
+
+
+@dataclass(frozen=True, slots=True)
+class DetectableChange:
+    """The smallest change of one statistic of one metric that the verdicts of a comparison would have detected.
+
+    Attributes:
+        metric: the metric.
+        statistic: its statistic.
+        groups: groups in common.
+        told: groups whose runs allow a verdict and an estimate of the smallest change.
+        smallest_ratio: a group that became slower by this much or more, whichever it is and though no other did, would
+            have been called slower with a probability of at least 80 %; None if `told` is 0.
+    """
+
+    metric: str
+    statistic: str
+    groups: int
+    told: int
+    smallest_ratio: float | None
+
+
+def detectable_changes(
+    changes: Iterable[tuple[str, str, Change]], confidence: float, same_within: float
+) -> tuple[DetectableChange, ...]:
+    """Return the smallest detectable change of each metric and statistic.
+
+    Args:
+        changes: metric and statistic of each change of a group.
+        confidence: of a verdict.
+        same_within: a ratio wholly within `1 +- same_within` is the same.
+    """
+    families: dict[tuple[str, str], list[Change]] = {}
+    for metric, statistic, change in changes:
+        families.setdefault((metric, statistic), []).append(change)
+    detectable = []
+    for (metric, statistic), family in families.items():
+        tests = sum(change.p_value is not None for change in family)
+        ratios = [
+            ratio
+            for change in family
+            if (ratio := smallest_detectable_ratio(change, tests, confidence, same_within)) is not None
+        ]
+        detectable.append(
+            DetectableChange(metric, statistic, len(family), len(ratios), max(ratios, default=None))
+        )
+    return tuple(detectable)
+
+
+def smallest_detectable_ratio(
+    change: Change, tests: int, confidence: float, same_within: float
+) -> float | None:
+    """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %.
+
+    A single slower group has the hardest test: Benjamini and Hochberg require a p value of alpha divided by the number of
+    groups, and its interval has to leave the band of "the same".
+
+    Args:
+        change: None is returned unless its runs have logarithms.
+        tests: p values that are adjusted together.
+        confidence: of a verdict.
+        same_within: a ratio wholly within `1 +- same_within` is the same.
+    """
+    if change.smallest_ratio is None or change.degrees is None:
+        return None
+    degrees = max(1.0, math.floor(change.degrees * 4) / 4)  # as in `power.smallest_shift`
+    error = math.log(change.smallest_ratio) / shift_for_power(degrees, confidence)
+    shift = error * shift_for_power(degrees, 1 - (1 - confidence) / max(1, tests))
+    reach = student_quantile((1 + confidence) / 2, degrees)
+    beyond = math.log1p(same_within) + error * (student_quantile(POWER, degrees) - reach)
+    return math.exp(max(shift, beyond))

@@ -1,21 +1,25 @@
-"""The received ratio of a group with its interval: losses come in episodes, and runs differ.
+"""The received ratio of a group with its interval, and its change between two sides: losses come in episodes, and runs differ.
 
-What is rarer, losses or replies, carries the information. Where it came in few episodes, their number is Poisson and
-decides (F. Garwood, "Fiducial limits for the Poisson distribution", Biometrika 28, 1936); where in many, the share
-is asymptotically normal, and E. B. Wilson's interval (1927) holds for as many independent messages as its variance
-says, measured between the runs or, for one or two, within them.
+The rarer of losses and replies carries the information. If it came in few episodes, their number is Poisson and decides
+(F. Garwood, "Fiducial limits for the Poisson distribution", Biometrika 28, 1936); if in many, the share is asymptotically
+normal, and E. B. Wilson's interval (1927) holds for as many independent messages as its variance implies, measured between
+the runs or, for one or two, within them.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..statistics.distributions import poisson_limits, student_quantile
 from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
+from ..statistics.power import smallest_shift
 from .bursts import COSINES, episode_sizes, share_inflation
+from .change import Verdict
+from .two_samples import mover_ends
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,40 +36,49 @@ LEAST_VARIANCE_SHARE = 0.25
 def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> Interval:
     """Return the share of messages whose reply came back, of a group of runs, with its interval.
 
-    `episodes` counts the episodes of what is rarer, losses or replies. Where nothing was lost the lower end supposes
-    that losses come singly (`episodes` is 0): that outages are rarer than that, no run without one can tell.
+    `episodes` counts the episodes of the rarer of losses and replies. Where nothing was lost the lower end assumes that
+    losses come singly (`episodes` is 0): that outages are rarer, no run without one can show.
 
     Args:
         received: for each run a bool for each message in the order of time, False for a lost or never sent one.
         confidence: between 0 and 1, both excluded.
     """
-    held = [run for run in received if len(run)]
-    basis = Basis.BETWEEN_RUNS if len(held) >= MIN_RUNS else Basis.WITHIN_RUN
-    n = sum(len(run) for run in held)
+    runs = [run for run in received if len(run)]
+    basis = Basis.BETWEEN_RUNS if len(runs) >= MIN_RUNS else Basis.WITHIN_RUN
+    n = sum(map(len, runs))
     if not n:
         return Interval(None, None, None, confidence, 0, 0, basis, len(received), 0, None)
-    came = sum(int(np.count_nonzero(run)) for run in held)
-    replies_are_rare = 2 * came < n
-    events = held if replies_are_rare else [~run for run in held]
+    replies = sum(int(np.count_nonzero(run)) for run in runs)
+    replies_are_rare = 2 * replies < n
+    events = runs if replies_are_rare else [~run for run in runs]
     sizes = np.concatenate([episode_sizes(np.flatnonzero(run), len(run)) for run in events])
-    share = (came if replies_are_rare else n - came) / n
+    share = (replies if replies_are_rare else n - replies) / n
     independent = _independent(events, share, n)
     if len(sizes) < MIN_EPISODES:
         low, high = _few_episodes(sizes, n, confidence)
     else:
-        degrees = len(held) - 1 if basis is Basis.BETWEEN_RUNS else COSINES
+        degrees = len(runs) - 1 if basis is Basis.BETWEEN_RUNS else COSINES
         low, high = wilson_ends(share, independent, student_quantile((1 + confidence) / 2, degrees))
     low, high = (low, high) if replies_are_rare else (1 - high, 1 - low)
-    units = len(held) if basis is Basis.BETWEEN_RUNS else 0
+    units = len(runs) if basis is Basis.BETWEEN_RUNS else 0
     return Interval(
-        came / n, low, high, confidence, n, max(1, int(independent)), basis, len(received), units, len(sizes)
+        replies / n,
+        low,
+        high,
+        confidence,
+        n,
+        max(1, int(independent)),
+        basis,
+        len(received),
+        units,
+        len(sizes),
     )
 
 
 def _independent(events: Sequence[Bools], share: float, n: int) -> float:
     """Return the independent messages whose share of events would vary as much as that of these runs."""
-    of_independent = share * (1 - share) / n
-    if of_independent == 0:
+    variance_of_independent = share * (1 - share) / n
+    if variance_of_independent == 0:
         return n
     if len(events) >= MIN_RUNS:
         # The share of all messages is a ratio of two sums over runs (W. G. Cochran, "Sampling Techniques", 1977, 6.3).
@@ -73,15 +86,15 @@ def _independent(events: Sequence[Bools], share: float, n: int) -> float:
         apart = weights * (np.array([run.mean() for run in events]) - share)
         variance = float(np.square(apart).sum()) * len(events) / (len(events) - 1)
     else:
-        variance = of_independent * share_inflation(np.flatnonzero(np.concatenate(events)), n)
-    return n * of_independent / max(variance, LEAST_VARIANCE_SHARE * of_independent)
+        variance = variance_of_independent * share_inflation(np.flatnonzero(np.concatenate(events)), n)
+    return n * variance_of_independent / max(variance, LEAST_VARIANCE_SHARE * variance_of_independent)
 
 
 def _few_episodes(sizes: Int64, n: int, confidence: float) -> tuple[float, float]:
     """Return the ends of the share of messages in episodes whose number is Poisson.
 
-    The upper end takes an episode to be as long as the one that a message of an episode is in, on average; the
-    lower end as the mean one. Without an episode the events are supposed to come singly.
+    The upper end takes an episode to be as long as the one that an average message of an episode is in, the lower end as the
+    mean one. Without an episode the events are assumed to come singly.
     """
     fewest, most = poisson_limits(len(sizes), confidence)
     if not len(sizes):
@@ -95,12 +108,80 @@ def wilson_ends(share: float, independent: float, quantile: float) -> tuple[floa
     """Return the ends of the interval of a share (E. B. Wilson, JASA 22, 1927).
 
     Args:
-        share: the one that was seen.
-        independent: independent observations it is worth.
-        quantile: how many standard errors it reaches; the normal's or Student's quantile.
+        share: the observed one.
+        independent: how many independent observations it is worth.
+        quantile: how many standard errors the interval reaches; the normal's or Student's quantile.
     """
     squared = quantile * quantile
     centre = share + squared / (2 * independent)
     reach = quantile * math.sqrt(share * (1 - share) / independent + squared / (4 * independent**2))
     scale = 1 + squared / independent
     return max(0.0, (centre - reach) / scale), min(1.0, (centre + reach) / scale)
+
+
+@dataclass(frozen=True, slots=True)
+class DeliveryChange:
+    """Received ratios of both sides; what the samples do not support is None.
+
+    Attributes:
+        base: interval of the base's received ratio.
+        new: the same of the new side.
+        difference: new - base, with `difference_low` and `difference_high`, between -1 and 1.
+        basis: between runs only if both sides have three.
+        smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %, above 0; None
+            within one run. The reach of the interval below the difference is taken as Student's t.
+    """
+
+    base: Interval
+    new: Interval
+    difference: float | None
+    difference_low: float | None
+    difference_high: float | None
+    basis: Basis
+    smallest_drop: float | None = None
+
+    def verdict(self, same_within: float = 0.0) -> Verdict:
+        """Return the verdict; always `INCONCLUSIVE` within one run.
+
+        Args:
+            same_within: a difference wholly within `+- same_within` is the same.
+        """
+        low, high = self.difference_low, self.difference_high
+        if self.basis is Basis.WITHIN_RUN or low is None or high is None:
+            return Verdict.INCONCLUSIVE
+        if -same_within <= low and high <= same_within:
+            return Verdict.SAME
+        if high < 0:
+            return Verdict.WORSE
+        return Verdict.BETTER if low > 0 else Verdict.INCONCLUSIVE
+
+
+def change_of_received(
+    base: Sequence[NDArray[np.bool_]], new: Sequence[NDArray[np.bool_]], confidence: float = 0.95
+) -> DeliveryChange:
+    """Return the change of the received ratio, its ends by R. Newcombe (Statistics in Medicine 17, 1998, method 10).
+
+    Args:
+        base: for each run of the base a bool for each message in the order of time, False for a lost one.
+        new: the same of the new side.
+        confidence: of every interval.
+    """
+    sides = [received_interval(side, confidence) for side in (base, new)]
+    is_between = all(side.basis is Basis.BETWEEN_RUNS for side in sides)
+    basis = Basis.BETWEEN_RUNS if is_between else Basis.WITHIN_RUN
+    before, after = sides
+    ends = [
+        (side.value, side.lower, side.upper)
+        for side in sides
+        if side.value is not None and side.lower is not None and side.upper is not None
+    ]
+    if len(ends) < len(sides):
+        return DeliveryChange(before, after, None, None, None, basis)
+    low, high = mover_ends(*ends)
+    difference = ends[1][0] - ends[0][0]
+    smallest = None
+    if is_between:
+        degrees = min(side.runs for side in sides) - 1
+        error = (difference - low) / student_quantile((1 + confidence) / 2, degrees)
+        smallest = smallest_shift(error, degrees, confidence)
+    return DeliveryChange(before, after, difference, low, high, basis, smallest)

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 MANIFEST = "analysis.json"
 FORMAT = "dds-trace analysis"
-VERSION = 5
+VERSION = 6
 """Version 1: first version (2026). Version 2: `setting`, `runs`, `planned`, `unsent` and `environment` in the summary, runs and
 episodes of the intervals, and the unsent messages of each run, without which no report and no verdict of today can be made.
 Version 3: both percentiles of each contender and their leaders, which the first sentence and the table below it are made of.
-Version 4: the UTC columns of the round trips. Version 5: one row for each run.
+Version 4: the UTC columns of the round trips. Version 5: one row for each run. Version 6: value and metric of each candidate.
 """
 
 _FILE_NAME = re.compile(r"[a-z_]+-[0-9a-f]{8}\.(json|parquet)")

@@ -1,10 +1,10 @@
-"""Answers: which vendor and bridge is fastest for which kind of message, and where the traces cannot tell.
+"""Answers: which middleware and bridge is fastest for which kind of message, and where the traces are inconclusive.
 
-For each kind of message (link, domain mode, data type, size, rate, devices) the contenders' p99, or p50 where not all have an interval
-for p99, is compared. The run is the unit: one contender leads if it is faster than each of the others by the test of
-their runs (`run_statistics.change`), adjusted by Holm over the others; with fewer than three runs a contender nothing is
-said. Lost messages count as infinitely late, and a contender that receives significantly less than another one never
-leads. Plain sockets are no middleware, and no contender where a middleware was measured.
+For each kind of message (link, domain mode, data type, size, rate, device pair) the setups' p99, or p50 where not all have an
+interval for p99, is compared. The run is the unit: one setup leads if it is faster than each of the others by the test of
+their runs (`run_statistics.change`), adjusted by Holm over the others; with fewer than three runs of a setup there is no
+verdict. Lost messages count as infinitely late, and a setup that receives significantly less than another one never leads.
+Plain sockets are no middleware, and left out where a middleware was measured.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import polars as pl
 
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from ..model.runs import passes_of
-from ..run_statistics.between_runs import interval_of_runs
-from ..run_statistics.change import Verdict, change_of_runs
-from ..run_statistics.delivery import change_of_received
+from ..run_statistics.between_runs import estimates_of_runs
+from ..run_statistics.change import Verdict, change_of_estimates
+from ..run_statistics.received import change_of_received
 from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis
 from ..statistics.power import holm_adjusted
@@ -39,6 +39,7 @@ from .matching import MatchedGroup
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from ..run_statistics.between_runs import Estimate
     from .cases import ContenderNames, GroupRows, Setting
 
 T = TypeVar("T")
@@ -58,24 +59,24 @@ class Clarity(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CaseAnswer:
-    """The fastest contenders for one kind of message.
+    """The fastest setups for one kind of message.
 
     Attributes:
-        connectivity: the link, as the ping was told.
+        connectivity: the link, an option of the ping.
         domain_mode: `same` or `different`.
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message.
-        rate_hz: rate that the schedule asked for.
+        rate_hz: planned rate.
         percentile: the compared one, `p99` or `p50`.
         clarity: whether one of them leads.
-        contenders: best first.
-        leaders: contenders that cannot be told apart from the best, which is the first of them.
+        contenders: setups, best first.
+        leaders: setups that cannot be ranked below the best, which is the first of them.
         ping_device: device of the ping.
         relay_device: device of the relay, None without its trace.
         conditions: what surrounded the runs, as in `setting` (values of an emulated link, concurrent runs ...).
-        basis: `between runs`, or `within one run` where a contender has fewer than three: then nothing is told apart.
-        fewest_runs: runs of the contender that has the fewest.
-        leader_p50: name of the contender whose median is clearly below that of each of the others; empty if none is.
+        basis: `between runs`, or `within one run` where a setup has fewer than three: then there is no verdict.
+        fewest_runs: runs of the setup that has the fewest.
+        leader_p50: name of the setup whose median is clearly below that of each of the others; empty if none is.
         leader_p99: the same of the p99; empty also where `percentile` is p50, because not all have an interval for p99.
     """
 
@@ -98,7 +99,7 @@ class CaseAnswer:
 
 
 class Mapper(Protocol):
-    """What `map` does with one sequence, perhaps by other processes."""
+    """`map` over one sequence, perhaps in other processes."""
 
     def __call__(self, function: Callable[[T], R], items: Sequence[T], /) -> Iterable[R]:
         """Return the function's results in the order of the items."""
@@ -110,29 +111,57 @@ def find_answers(
     passes: Mapping[int, int] | None = None,
     mapper: Mapper = map,
 ) -> tuple[CaseAnswer, ...]:
-    """Answer each kind of message, sorted by `CASE_COLUMNS`; one setting's round trips are in memory at a time.
+    """Answer each kind of message, sorted by `CASE_COLUMNS`; the round trips of one kind are in memory at a time.
 
     A kind with more than `cases.MOST_COMPARED_ROWS` round trips has no answer.
 
     Args:
         rows: the round trips; without any there is no answer.
         confidence: of the intervals.
-        passes: run_id -> pass of the sweep: contenders are compared pass by pass where all runs have one.
+        passes: run_id -> repeat of the sweep: setups are compared repeat by repeat where all runs have one.
         mapper: answers the kinds.
     """
     if not rows.has_rows:
         return ()
-    contending = without_floor(rows.groups)
-    names = contender_names(contending)
-    cases = partition_groups(with_conditions(contending), (*CASE_COLUMNS, CONDITIONS))
+    groups = without_sockets(rows.groups)
+    names = contender_names(groups)
+    cases = partition_groups(with_conditions(groups), (*CASE_COLUMNS, CONDITIONS))
     answer = partial(_answer_case, rows=rows, names=names, confidence=confidence, passes=passes or {})
     return tuple(mapper(answer, [case for case in cases if not is_too_large(case)]))
 
 
-def without_floor(groups: pl.DataFrame) -> pl.DataFrame:
+def without_sockets(groups: pl.DataFrame) -> pl.DataFrame:
     """Leave out groups of plain sockets, unless there are no others."""
     middlewares = groups.filter(pl.col("backend") != "socket")
     return groups if middlewares.is_empty() else middlewares
+
+
+_STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Setup:
+    """What was measured of a setup: its round trips, and the estimates of `_STATISTICS`."""
+
+    setting: Setting
+    group: MatchedGroup
+    estimates: Mapping[str, Estimate]
+
+    @classmethod
+    def of(cls, setting: Setting, group: MatchedGroup, confidence: float) -> _Setup:
+        estimates = estimates_of_runs(group.delivered("latency"), list(_STATISTICS.values()), confidence)
+        return cls(setting, group, dict(zip(_STATISTICS, estimates, strict=True)))
+
+    def contender(self, name: str, percentile: str, confidence: float) -> Contender:
+        return Contender(
+            name=name,
+            setting=self.setting,
+            latency=self.estimates[percentile].interval,
+            received=self.group.received_ratio(confidence),
+            survivors_ns=self.group.of_survivors("latency", _STATISTICS[percentile]),
+            p50_ns=self.estimates["p50"].interval.value,
+            p99_ns=self.estimates["p99"].interval.value,
+        )
 
 
 def _answer_case(
@@ -142,30 +171,26 @@ def _answer_case(
     confidence: float,
     passes: Mapping[int, int],
 ) -> CaseAnswer:
-    """Rank the contenders of one kind of message, whose groups are `case`."""
-    measured = {}
+    """Rank the setups of one kind of message, whose groups are `case`."""
+    setups: dict[str, _Setup] = {}
     for groups in partition_groups(case, CONTENDER_COLUMNS):
-        first = groups.row(0, named=True)
-        setting = {name: first[name] for name in CONTENDER_COLUMNS}
-        measured[names[tuple(setting.values())]] = setting, MatchedGroup(rows.frame(groups, _ROW_COLUMNS))
-    percentile, quantile, contenders = _contenders(measured, confidence)
-    groups_of = {name: group for name, (_, group) in measured.items()}
-    ranked = sorted(_with_losses(contenders, groups_of, confidence), key=Contender.order)
-    beaten = _beaten_by(ranked[0], ranked[1:], groups_of, quantile, confidence, passes)
+        setting = groups.select(CONTENDER_COLUMNS).row(0, named=True)
+        group = MatchedGroup(rows.frame(groups, _ROW_COLUMNS))
+        setups[names[tuple(setting.values())]] = _Setup.of(setting, group, confidence)
+    has_tails = all(setup.estimates["p99"].interval.is_two_sided for setup in setups.values())
+    percentile = "p99" if has_tails else "p50"
+    contenders = [setup.contender(name, percentile, confidence) for name, setup in setups.items()]
+    ranked = sorted(_with_losses(contenders, setups, confidence), key=Contender.order)
     by_median = sorted(ranked, key=_median_order)
-    below_median = (
-        beaten
-        if percentile == "p50"
-        else _beaten_by(by_median[0], by_median[1:], groups_of, 0.5, confidence, passes)
-    )
+    beaten_at_p50 = _beaten(by_median if has_tails else ranked, setups, "p50", confidence, passes)
+    beaten = _beaten(ranked, setups, "p99", confidence, passes) if has_tails else beaten_at_p50
     if len(ranked) == 1:
         clarity = Clarity.ONLY_ONE
     else:
         clarity = Clarity.CLEAR if len(beaten) == len(ranked) - 1 else Clarity.INCONCLUSIVE
     is_between = all(one.latency.basis is Basis.BETWEEN_RUNS for one in ranked)
-    of_case = case.row(0, named=True)
     return CaseAnswer(
-        **{name: of_case[name] for name in (*CASE_COLUMNS, CONDITIONS)},
+        **case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True),
         percentile=percentile,
         clarity=clarity,
         contenders=tuple(ranked),
@@ -174,13 +199,13 @@ def _answer_case(
         ),
         basis=(Basis.BETWEEN_RUNS if is_between else Basis.WITHIN_RUN).value,
         fewest_runs=min(one.latency.runs for one in ranked),
-        leader_p50=_leader(ranked if percentile == "p50" else by_median, below_median),
-        leader_p99=_leader(ranked, beaten) if percentile == "p99" else "",
+        leader_p50=_leader(by_median if has_tails else ranked, beaten_at_p50),
+        leader_p99=_leader(ranked, beaten) if has_tails else "",
     )
 
 
 def _leader(ranked: Sequence[Contender], beaten: set[str]) -> str:
-    """Return the name of the first of several contenders if it beats all others; empty otherwise."""
+    """Return the name of the first of several setups if it beats all others; empty otherwise."""
     return ranked[0].name if len(ranked) > 1 and len(beaten) == len(ranked) - 1 else ""
 
 
@@ -189,86 +214,58 @@ def _median_order(contender: Contender) -> tuple[bool, float, str]:
     return contender.loses_more, median_ns, contender.name
 
 
-def _contenders(
-    measured: Mapping[str, tuple[Setting, MatchedGroup]], confidence: float
-) -> tuple[str, float, list[Contender]]:
-    """Return the percentile that can be compared, its quantile, and the contenders with it."""
-    medians, tails = (
-        {
-            name: interval_of_runs(group.delivered("latency"), Statistic(quantile), confidence)
-            for name, (_, group) in measured.items()
-        }
-        for quantile in (0.5, 0.99)
-    )
-    has_tails = all(tail.is_two_sided for tail in tails.values())
-    percentile, quantile, latencies = ("p99", 0.99, tails) if has_tails else ("p50", 0.5, medians)
-    contenders = [
-        Contender(
-            name=name,
-            setting=setting,
-            latency=latencies[name],
-            received=group.received_ratio(confidence),
-            survivors_ns=group.of_survivors("latency", Statistic(quantile)),
-            p50_ns=medians[name].value,
-            p99_ns=tails[name].value,
-        )
-        for name, (setting, group) in measured.items()
-    ]
-    return percentile, quantile, contenders
-
-
 def _with_losses(
-    contenders: Sequence[Contender], groups: Mapping[str, MatchedGroup], confidence: float
+    contenders: Sequence[Contender], setups: Mapping[str, _Setup], confidence: float
 ) -> list[Contender]:
-    """Mark contenders that receive significantly less than the one that receives most."""
+    """Mark setups that receive significantly less than the one that receives most."""
     most = max(contenders, key=lambda one: (one.received.value or 0.0, one.name))
-    return [
-        replace(
-            one,
-            loses_more=one is not most
-            and change_of_received(
-                groups[most.name].received, groups[one.name].received, confidence
-            ).verdict()
-            is Verdict.WORSE,
-        )
-        for one in contenders
-    ]
+
+    def loses_more(one: Contender) -> bool:
+        base, new = (setups[name].group.received for name in (most.name, one.name))
+        return one is not most and change_of_received(base, new, confidence).verdict() is Verdict.WORSE
+
+    return [replace(one, loses_more=loses_more(one)) for one in contenders]
 
 
-def _beaten_by(
-    best: Contender,
-    others: Sequence[Contender],
-    groups: Mapping[str, MatchedGroup],
-    quantile: float,
+def _beaten(
+    ranked: Sequence[Contender],
+    setups: Mapping[str, _Setup],
+    percentile: str,
     confidence: float,
     passes: Mapping[int, int],
 ) -> set[str]:
-    """Return the names of the contenders that the best is faster than, by tests adjusted by Holm over all others."""
-    statistic = Statistic(quantile)
+    """Return the names of the setups that the first one is faster than, by tests adjusted by Holm over all others.
+
+    Args:
+        ranked: best first.
+        setups: by name.
+        percentile: the compared one.
+        confidence: of the verdicts.
+        passes: run_id -> repeat.
+    """
+    best, *others = (setups[one.name] for one in ranked)
     changes = [
-        change_of_runs(
-            groups[best.name].delivered("latency"),
-            groups[other.name].delivered("latency"),
-            statistic,
-            confidence,
-            passes_of(groups[best.name].runs, groups[other.name].runs, passes),
+        change_of_estimates(
+            best.estimates[percentile],
+            other.estimates[percentile],
+            passes_of(best.group.runs, other.group.runs, passes),
         )
         for other in others
     ]
     adjusted = holm_adjusted([1.0 if change.p_value is None else change.p_value for change in changes])
     return {
         other.name
-        for other, change, p in zip(others, changes, adjusted.tolist(), strict=True)
+        for other, change, p in zip(ranked[1:], changes, adjusted.tolist(), strict=True)
         if change.verdict(0.0) is Verdict.WORSE and p <= 1 - confidence
     }
 
 
 @dataclass(frozen=True, slots=True)
 class Lead:
-    """A contender that leads clearly in some cases of a headline.
+    """A setup that leads clearly in some cases of a headline.
 
     Attributes:
-        name: the contender's name.
+        name: the setup's name.
         cases: number of cases that it leads.
     """
 
@@ -278,20 +275,20 @@ class Lead:
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """The answers for one pair of devices, link, set of conditions, domain mode and data type in one line.
+    """The answers for one device pair, link, set of conditions, domain mode and data type in one line.
 
     Attributes:
         connectivity: the link.
         domain_mode: `same` or `different`.
         data_type: `binary`, `string`, `imu` or another payload's name.
-        cases: sizes and rates with at least two contenders.
-        leads: contenders that lead clearly somewhere, most cases first.
+        cases: sizes and rates with at least two setups.
+        leads: setups that lead clearly somewhere, most cases first.
         inconclusive: cases without a clear leader.
-        only_one: cases with one contender only, not among `cases`.
+        only_one: cases with a single setup, not among `cases`.
         ping_device: device of the ping.
         relay_device: device of the relay, None without its trace.
         conditions: what surrounded the runs, as in `setting`.
-        within_one_run: inconclusive cases in which a contender has fewer than three runs.
+        within_one_run: inconclusive cases in which a setup has fewer than three runs.
     """
 
     connectivity: str
@@ -308,22 +305,19 @@ class Headline:
 
 
 def find_headlines(answers: Sequence[CaseAnswer]) -> tuple[Headline, ...]:
-    """Summarize answers, each pair of devices and link for itself, in the order of the answers."""
-    of_key: dict[tuple[str | None, ...], list[CaseAnswer]] = {}
+    """Summarize answers, each device pair and link for itself, in the order of the answers."""
+    by_key: dict[tuple[str | None, ...], list[CaseAnswer]] = {}
     for answer in answers:
-        of_key.setdefault(_headline_key(answer), []).append(answer)
-    return tuple(_headline(cases) for cases in of_key.values())
-
-
-def _headline_key(answer: CaseAnswer) -> tuple[str | None, ...]:
-    return (
-        answer.connectivity,
-        answer.domain_mode,
-        answer.data_type,
-        answer.ping_device,
-        answer.relay_device,
-        answer.conditions,
-    )
+        key = (
+            answer.connectivity,
+            answer.domain_mode,
+            answer.data_type,
+            answer.ping_device,
+            answer.relay_device,
+            answer.conditions,
+        )
+        by_key.setdefault(key, []).append(answer)
+    return tuple(map(_headline, by_key.values()))
 
 
 def _headline(cases: Sequence[CaseAnswer]) -> Headline:

@@ -1,10 +1,10 @@
 """Two sets of round trips against each other: per group and statistic the change, its interval, a verdict.
 
-The run is the unit: with three runs a side the change has an interval from the runs (`analyzer/run_statistics/change.py`),
-with fewer the interval holds within one run and no verdict follows. A lost message is an infinitely late one; the
-survivors' figure stands beside. Of many groups a few verdicts are chance: `better` and `worse` are said only where the
-p value, adjusted by Benjamini and Hochberg over the groups of a metric and statistic, stays below 1 - confidence. The
-effect is the probability of superiority (R. McGraw and S. Wong, 1992; Cliff's delta, 1993, is twice that less one).
+The run is the unit: with three runs a side the change has an interval from the runs (`run_statistics.change`), with fewer the
+interval holds within one run and no verdict follows. A lost message is an infinitely late one; the figure of the received
+messages is given next to it. Of many groups a few verdicts are chance: `better` and `worse` require that the p value,
+adjusted by Benjamini and Hochberg over the groups of a metric and statistic, stays below 1 - confidence. The effect is the
+probability of superiority (R. McGraw and S. Wong, 1992; Cliff's delta, 1993, is twice that less one).
 """
 
 from __future__ import annotations
@@ -17,13 +17,19 @@ import polars as pl
 from ..model.parameters import MATCH_COLUMNS
 from ..model.runs import pass_numbers, passes_of
 from ..run_statistics.between_runs import estimates_of_runs
-from ..run_statistics.change import Change, Verdict, change_of_estimates, probability_of_superiority
-from ..run_statistics.delivery import DeliveryChange, change_of_received
+from ..run_statistics.change import (
+    Change,
+    DetectableChange,
+    Verdict,
+    change_of_estimates,
+    detectable_changes,
+    probability_of_superiority,
+)
+from ..run_statistics.received import DeliveryChange, change_of_received
 from ..run_statistics.runs import MEAN, Statistic
 from ..statistics.percentiles import PERCENTILES
 from ..statistics.power import benjamini_hochberg_adjusted
-from .compared.ignoring import check_match, ignored_sentences
-from .compared.rows import (
+from .comparison_rows import (
     COMPARISON_SCHEMA,
     DELIVERY_SCHEMA,
     DISTRIBUTION_SCHEMA,
@@ -32,8 +38,19 @@ from .compared.rows import (
     DistributionRow,
     at_levels,
 )
-from .compared.sight import Sight, sights
-from .matching import known_key, match_groups, pair_keys, replaced_devices, unmatched, with_devices
+from .ignoring import check_match, ignored_sentences
+from .matching import (
+    completed_key,
+    interleaved_keys,
+    match_groups,
+    pair_keys,
+    partner_differences,
+    partner_groups,
+    replaced_devices,
+    unmatched,
+    with_devices,
+    with_partners,
+)
 from .sides import (
     UNKNOWN,
     SideError,
@@ -43,10 +60,9 @@ from .sides import (
     errors_of,
     recorded_apart,
 )
-from .turns import asked_differences, own_groups, partner_keys, with_partners
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from dds_trace.tracefile.format.descriptions import Run, Session
 
@@ -54,10 +70,15 @@ if TYPE_CHECKING:
     from ..model.parameters import ParameterValue
     from .matching import Key, MatchedGroup
 
+    Label = dict[str, ParameterValue]
+
 STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PERCENTILES}}
 
 COMPARED_STATISTICS = tuple(STATISTIC_BY_NAME)
 """Statistics of a metric that can be compared."""
+
+FAMILY = "Benjamini-Hochberg over groups"
+"""How p values of the verdicts are adjusted, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +89,11 @@ class CompareOptions:
         metrics: columns `<metric>_ns` to compare.
         statistics: those of `COMPARED_STATISTICS` to compare.
         match: columns that make two groups the same experiment; fewer than `MATCH_COLUMNS` (`ignoring.match_without`)
-            pair groups that differ in the others, refused where that makes one of two groups of a side.
+            pair groups that differ in the others, refused where that merges two groups of a side.
         confidence: of every interval.
         same_within: a ratio wholly within `1 +- same_within` counts as the same.
-        paired: whether both sides were measured in the same passes of one sweep, so that they are compared pass by
-            pass (label `pass` of a run).
+        paired: whether both sides were measured in the same repeats of one sweep, so that they are compared repeat by
+            repeat (label `pass` of a run).
     """
 
     metrics: tuple[str, ...] = ("latency", "rtt")
@@ -81,10 +102,6 @@ class CompareOptions:
     confidence: float = 0.95
     same_within: float = 0.05
     paired: bool = False
-
-
-FAMILY = "Benjamini-Hochberg over groups"
-"""How p values of the verdicts are adjusted, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,16 +115,16 @@ class Comparison:
         only_base: groups (match columns) that the new side does not have.
         only_new: groups that the base does not have.
         options: how the sides were compared.
-        changes: of each row of `rows`, with what gates judge by.
+        changes: of each row of `rows`, for the gates.
         deliveries: of each row of `delivery`, likewise.
         environment: differences between the environments of the two sides, a sentence each.
-        asked: in what groups that were measured in turns were asked for unlike things, a sentence for each.
+        errors: findings of severity error of either side.
+        barred: groups (match columns) of either side in which a setting was not applied; every gate is inconclusive there.
+        interleaved: how the parameters of groups that were interleaved differ, a sentence for each.
         ignored: what each side has in the columns that were not matched, a sentence each.
         order: a sentence if one side was recorded wholly before the other, else an empty text.
-        errors: findings of severity error of either side.
-        barred: groups (match columns) of either side in which a setting was not applied; no gate passes or fails on one.
-        known: group (match columns) of either side -> the match columns of its rows above, in which a relay without a
-            trace has what the other side knows.
+        row_keys: group (match columns) of either side -> the match columns of its rows above, in which a relay without a
+            trace has the other side's values.
     """
 
     rows: pl.DataFrame
@@ -121,16 +138,16 @@ class Comparison:
     environment: tuple[str, ...] = ()
     errors: tuple[SideError, ...] = ()
     barred: frozenset[Key] = frozenset()
-    asked: tuple[str, ...] = ()
+    interleaved: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
     order: str = ""
-    known: Mapping[Key, Key] = field(default_factory=dict)
+    row_keys: Mapping[Key, Key] = field(default_factory=dict)
 
-    def sights(self) -> tuple[Sight, ...]:
-        """Return which changes the verdicts would have seen, for each metric and statistic."""
+    def sights(self) -> tuple[DetectableChange, ...]:
+        """Return the smallest change that the verdicts would have detected, for each metric and statistic."""
         names = self.rows.select("metric", "statistic").rows()
         changes = ((*name, change) for name, change in zip(names, self.changes, strict=True))
-        return sights(changes, self.options.confidence, self.options.same_within)
+        return detectable_changes(changes, self.options.confidence, self.options.same_within)
 
 
 class ComparedSide(Protocol):
@@ -165,8 +182,8 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
 
     Args:
         base: an `Analysis`; `analyze(folder, details=False)` has all that is compared.
-        new: the analysis of the other side; sides whose cells were measured in turns are compared cell by cell and
-            pass by pass, whatever each was asked for (`turns`).
+        new: the analysis of the other side; sides whose cells were interleaved are compared cell by cell and repeat by
+            repeat, whatever their parameters (`matching.interleaved_keys`).
         options: how to compare; None for the defaults.
 
     Raises:
@@ -177,40 +194,37 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
     check_match(base.summary, "base", match)
     check_match(new.summary, "new side", match)
     before, after = base.load_messages(), new.load_messages()
-    partners = partner_keys(before, after, base.runs, new.runs, match)
-    of_partners = own_groups(after, partners, match)
+    run_partners = interleaved_keys(before, after, base.runs, new.runs, match)
+    partners = partner_groups(after, run_partners, match)
     names = replaced_devices(base.summary, new.summary)
-    found = compare_roundtrips(
+    comparison = compare_roundtrips(
         before,
-        with_partners(after, partners, match) if partners else after,
-        replace(options, paired=options.paired or bool(partners)),
+        with_partners(after, run_partners, match) if run_partners else after,
+        replace(options, paired=options.paired or bool(run_partners)),
         passes=pass_numbers([*base.runs, *new.runs]),
     )
 
-    def groups_of(side: pl.DataFrame, side_names: Mapping[str, str]) -> list[Key]:
+    def keys_of(side: pl.DataFrame, side_names: Mapping[str, str]) -> list[Key]:
         """Return the match columns under which groups of a side were compared."""
-        keys = zip(
-            side.select(match).rows(), with_devices(side, side_names).select(match).rows(), strict=True
-        )
-        renamed = [of_partners.get(own, key) for own, key in keys]
-        return [found.known.get(key, key) for key in renamed]
+        renamed = with_devices(side, side_names).select(match).rows()
+        keys = [partners.get(own, key) for own, key in zip(side.select(match).rows(), renamed, strict=True)]
+        return [comparison.row_keys.get(key, key) for key in keys]
 
-    barred = {*groups_of(base.barred_groups, {}), *groups_of(new.barred_groups, names)}
     differences = environment_differences(base.sessions, new.sessions, names)
     environments = [
-        environment_of_group(group, differences) for group in found.delivery.iter_rows(named=True)
+        environment_of_group(row, differences) for row in comparison.delivery.iter_rows(named=True)
     ]
     return replace(
-        found,
-        delivery=found.delivery.with_columns(pl.Series("environment", environments, pl.String)),
-        barred=frozenset(barred),
+        comparison,
+        delivery=comparison.delivery.with_columns(pl.Series("environment", environments, pl.String)),
+        barred=frozenset([*keys_of(base.barred_groups, {}), *keys_of(new.barred_groups, names)]),
         environment=difference_sentences(differences),
-        asked=asked_differences(of_partners, match),
+        interleaved=partner_differences(partners, match),
         ignored=ignored_sentences(base.summary, new.summary, match),
         order=recorded_apart(base.sessions, new.sessions),
         errors=(
-            *errors_of("base", base.findings, groups_of(base.summary, {})),
-            *errors_of("new", new.findings, groups_of(new.summary, names)),
+            *errors_of("base", base.findings, keys_of(base.summary, {})),
+            *errors_of("new", new.findings, keys_of(new.summary, names)),
         ),
     )
 
@@ -227,7 +241,7 @@ def compare_roundtrips(
         base: rows of `docs/trace-format.md`.
         new: rows of the other side.
         options: how to compare; None for the defaults.
-        passes: run_id -> pass of the sweep; needed where `options.paired`.
+        passes: run_id -> repeat of the sweep; needed where `options.paired`.
     """
     options = options or CompareOptions()
     new = with_devices(new, replaced_devices(base, new))
@@ -250,42 +264,36 @@ def compare_groups(
         after: groups of the new side.
         schema: dtypes of the match columns, and of any others.
         options: how to compare.
-        passes: run_id -> pass of the sweep; needed where `options.paired`.
+        passes: run_id -> repeat of the sweep; needed where `options.paired`.
     """
     pairs = pair_keys(before, after, options.match)
-    known: dict[Key, Key] = {}
-    labels: list[dict[str, ParameterValue]] = []
+    row_keys: dict[Key, Key] = {}
+    labels: list[Label] = []
     deliveries: list[tuple[DeliveryRow, DeliveryChange]] = []
-    rows: list[tuple[dict[str, ParameterValue], ChangeRow, Change]] = []
-    distributions: list[dict[str, ParameterValue]] = []
+    rows: list[tuple[Label, ChangeRow, Change]] = []
+    distributions: list[Label] = []
     for key, partner in pairs.items():
         base, new = before[key], after[partner]
-        known[key] = known[partner] = known_key(key, partner, options.match)
-        labels.append(dict(zip(options.match, known[key], strict=True)))
+        row_keys[key] = row_keys[partner] = completed_key(key, partner, options.match)
+        label: Label = dict(zip(options.match, row_keys[key], strict=True))
+        labels.append(label)
         deliveries.append(_delivery(base, new, options.confidence))
         for distribution, changes in _changes(base, new, deliveries[-1][1], options, passes or {}):
-            distributions.append(labels[-1] | asdict(distribution))
-            rows += ((labels[-1], *changed) for changed in changes)
-    schema_of_labels = {name: schema[name] for name in options.match}
+            distributions.append(label | asdict(distribution))
+            rows += ((label, *changed) for changed in changes)
+    match_schema = {name: schema[name] for name in options.match}
+    change_rows = [label | asdict(row) for label, row, _ in rows]
+    delivery_rows = [label | asdict(row) for label, (row, _) in zip(labels, deliveries, strict=True)]
     return Comparison(
-        rows=_adjusted(
-            pl.DataFrame(
-                [label | asdict(row) for label, row, _ in rows],
-                schema={**schema_of_labels, **COMPARISON_SCHEMA},
-            ),
-            options.confidence,
-        ),
-        delivery=pl.DataFrame(
-            [label | asdict(row) for label, (row, _) in zip(labels, deliveries, strict=True)],
-            schema={**schema_of_labels, **DELIVERY_SCHEMA},
-        ),
-        distributions=pl.DataFrame(distributions, schema={**schema_of_labels, **DISTRIBUTION_SCHEMA}),
-        only_base=_keys_frame(unmatched(before, list(pairs)), schema_of_labels),
-        only_new=_keys_frame(unmatched(after, list(pairs.values())), schema_of_labels),
+        rows=_adjusted(pl.DataFrame(change_rows, {**match_schema, **COMPARISON_SCHEMA}), options.confidence),
+        delivery=pl.DataFrame(delivery_rows, {**match_schema, **DELIVERY_SCHEMA}),
+        distributions=pl.DataFrame(distributions, {**match_schema, **DISTRIBUTION_SCHEMA}),
+        only_base=pl.DataFrame(list(unmatched(before, pairs)), match_schema, orient="row"),
+        only_new=pl.DataFrame(list(unmatched(after, pairs.values())), match_schema, orient="row"),
         options=options,
         changes=tuple(change for _, __, change in rows),
         deliveries=tuple(change for _, change in deliveries),
-        known=known,
+        row_keys=row_keys,
     )
 
 
@@ -372,18 +380,14 @@ def _changes(
 def _adjusted(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
     """Fill `p_adjusted` over the groups of each metric and statistic, and leave no verdict that it does not support."""
     adjusted: list[float | None] = [None] * len(rows)
-    known = rows.with_row_index("place").filter(pl.col("p_value").is_not_null())
-    for family in known.partition_by("metric", "statistic") if len(known) else ():
+    tests = rows.with_row_index("index").filter(pl.col("p_value").is_not_null())
+    for family in tests.partition_by("metric", "statistic") if len(tests) else ():
         values = benjamini_hochberg_adjusted(family["p_value"].to_numpy()).tolist()
-        for place, value in zip(family["place"].to_list(), values, strict=True):
-            adjusted[place] = value
+        for index, value in zip(family["index"].to_list(), values, strict=True):
+            adjusted[index] = value
     p_adjusted = pl.Series("p_adjusted", adjusted, pl.Float64)
-    unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (
+    is_unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (
         p_adjusted.fill_null(0.0) > 1 - confidence
     )
-    verdict = pl.when(unsure).then(pl.lit(Verdict.INCONCLUSIVE.value)).otherwise("verdict").alias("verdict")
-    return rows.with_columns(p_adjusted, verdict)
-
-
-def _keys_frame(keys: Iterable[Key], schema: Mapping[str, pl.DataType]) -> pl.DataFrame:
-    return pl.DataFrame(list(keys), schema=schema, orient="row")
+    verdict = pl.when(is_unsure).then(pl.lit(Verdict.INCONCLUSIVE.value)).otherwise("verdict")
+    return rows.with_columns(p_adjusted, verdict.alias("verdict"))

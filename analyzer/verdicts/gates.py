@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from ..run_statistics.change import Change
-    from ..run_statistics.delivery import DeliveryChange
+    from ..run_statistics.received import DeliveryChange
     from .compare import CompareOptions, Comparison
     from .matching import Key
 

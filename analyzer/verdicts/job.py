@@ -1,4 +1,4 @@
-"""A job, as `--recommend` takes it: `data=binary size=502KB rate=20 deadline=50ms reliability=0.999`."""
+"""A job, as `--recommend` reads it (`data=binary size=502KB rate=20 deadline=50ms reliability=0.999`), and guesses of its time."""
 
 from __future__ import annotations
 
@@ -17,92 +17,8 @@ from ..model.metrics import METRICS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-
-SizeAndRate = tuple[float, float]
-"""Payload in bytes and rate in Hz, both above 0."""
-
-FEWEST_HELD_OUT = 3
-"""Held-out measurements below which no guess is made: the largest of so few errors bounds nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class Guess:
-    """A time that was not measured.
-
-    Attributes:
-        value_ns: the interpolated time.
-        error_factor: the largest factor by which a held-out measurement was off, at least 1.
-        held_out: number of held-out measurements. With m of them, the next error exceeds all of theirs in one case
-            of m + 1.
-    """
-
-    value_ns: float
-    error_factor: float
-    held_out: int
-
-    @property
-    def lower_ns(self) -> float:
-        """The value divided by its error factor."""
-        return self.value_ns / self.error_factor
-
-    @property
-    def upper_ns(self) -> float:
-        """The value times its error factor."""
-        return self.value_ns * self.error_factor
-
-
-def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Guess | None:
-    """Guess a time from measured ones; None if these do not surround it, or too few of them can be held out.
-
-    Args:
-        measured_ns: times above 0.
-        at: size and rate of the guess.
-    """
-    logs = {(math.log(size), math.log(rate)): math.log(value) for (size, rate), value in measured_ns.items()}
-    log_value = _interpolate(logs, (math.log(at[0]), math.log(at[1])))
-    errors = [abs(error) for error in _held_out_errors(logs)]
-    if log_value is None or len(errors) < FEWEST_HELD_OUT:
-        return None
-    return Guess(math.exp(log_value), math.exp(max(errors)), len(errors))
-
-
-def _held_out_errors(logs: Mapping[SizeAndRate, float]) -> Iterable[float]:
-    for at, value in logs.items():
-        predicted = _interpolate({other: v for other, v in logs.items() if other != at}, at)
-        if predicted is not None:
-            yield predicted - value
-
-
-def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | None:
-    """Interpolate along the sizes and then the rates, and the other way round; return the mean of what is possible."""
-    size, rate = at
-    swapped = {(r, s): value for (s, r), value in logs.items()}
-    ways = [_two_steps(logs, size, rate), _two_steps(swapped, rate, size)]
-    values = [value for value in ways if value is not None]
-    return sum(values) / len(values) if values else None
-
-
-def _two_steps(logs: Mapping[SizeAndRate, float], first: float, second: float) -> float | None:
-    """Interpolate along the first coordinate on every line of equal second one, then between these lines."""
-    lines: dict[float, dict[float, float]] = {}
-    for (x, y), value in logs.items():
-        lines.setdefault(y, {})[x] = value
-    across = {y: at_first for y, line in lines.items() if (at_first := _between(line, first)) is not None}
-    return _between(across, second)
-
-
-def _between(line: Mapping[float, float], x: float) -> float | None:
-    """Interpolate linearly between the two nearest known points; None outside of them."""
-    if x in line:
-        return line[x]
-    for low, high in pairwise(sorted(line)):
-        if low < x < high:
-            return line[low] + (line[high] - line[low]) * (x - low) / (high - low)
-    return None
-
-
 DEFAULT_RELIABILITY = "0.99"
-"""Share of messages that must arrive within the deadline where a job does not say: what 1000 messages can tell."""
+"""Share of messages that must arrive within the deadline where a job does not name one: 1000 messages can decide it."""
 
 IMU_BYTES = 296
 """Size of a message of `data=imu`: 37 float64."""
@@ -110,13 +26,13 @@ IMU_BYTES = 296
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Messages to send, and what is asked of their latency.
+    """Messages to send, and what is required of their latency.
 
     Attributes:
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message.
         rate_hz: messages per second.
-        deadline_ns: time within which a reply must be there.
+        deadline_ns: time within which a reply must arrive.
         reliability: share of messages that must arrive within the deadline, between 0 and 1, both excluded.
         domain_mode: `same` or `different`; None accepts both.
         metric: time that the deadline is for: `response` (planned send to reply), or another metric.
@@ -136,24 +52,13 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class _Key(Generic[Value]):
-    """A key of the text.
-
-    Attributes:
-        name: as it is written.
-        example: a value, for error messages.
-        parse: value of the text; None, or `OptionError`, if it is not of the key's kind.
-    """
+    """A key of the text; `parse` returns None or raises `OptionError` for a value of another kind."""
 
     name: str
     example: str
     parse: Callable[[str], Value | None]
 
     def value(self, words: dict[str, str], text: str) -> Value:
-        """Return the value that `words` has for this key.
-
-        Raises:
-            OptionError: the value is not of the key's kind.
-        """
         with suppress(OptionError):
             value = self.parse(words[self.name])
             if value is not None:
@@ -184,11 +89,11 @@ _KEYS: dict[str, _Key[str] | _Key[int] | _Key[float]] = {
 def parse_job(text: str) -> Job:
     """Read a job from `KEY=VALUE ...`.
 
-    Keys: `data`, `size` (bytes, KB, MB, KiB, MiB; `data=imu` needs none), `rate` (Hz), `deadline` (ns, us, ms, s),
-    and optionally `reliability` (0.999 or 99.9%; `DEFAULT_RELIABILITY`) and `domain` (same or different).
+    Keys: `data`, `size` (bytes, KB, MB, KiB, MiB; `data=imu` needs none), `rate` (Hz), `deadline` (ns, us, ms, s), and
+    optionally `reliability` (0.999 or 99.9%; `DEFAULT_RELIABILITY`), `domain` (same or different) and `metric`.
 
     Raises:
-        OptionError: a key is unknown, given twice or missing, or a value is not of its kind; the message names it.
+        OptionError: a key is unknown, given twice or missing, or a value is of another kind; the message names it.
     """
     words: dict[str, str] = {}
     for word in text.split():
@@ -209,8 +114,8 @@ def parse_job(text: str) -> Job:
     words.setdefault(_RELIABILITY.name, DEFAULT_RELIABILITY)
     missing = [name for name in _KEYS if name not in words and name not in (_DOMAIN.name, _METRIC.name)]
     if missing:
-        wanted = " ".join(f"{name}={_KEYS[name].example}" for name in missing)
-        raise OptionError(f"--recommend {text!r}: {', '.join(missing)} missing; add {wanted}")
+        examples = " ".join(f"{name}={_KEYS[name].example}" for name in missing)
+        raise OptionError(f"--recommend {text!r}: {', '.join(missing)} missing; add {examples}")
     return Job(
         data_type=_DATA.value(words, text),
         payload_bytes=_SIZE.value(words, text),
@@ -220,3 +125,85 @@ def parse_job(text: str) -> Job:
         domain_mode=_DOMAIN.value(words, text) if _DOMAIN.name in words else None,
         metric=_METRIC.value(words, text) if _METRIC.name in words else "response",
     )
+
+
+SizeAndRate = tuple[float, float]
+"""Payload in bytes and rate in Hz, both above 0."""
+
+FEWEST_HELD_OUT = 3
+"""Held-out measurements below which no guess is made: the largest of so few errors bounds nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """An interpolated time.
+
+    Attributes:
+        value_ns: the time.
+        error_factor: the largest factor by which a held-out measurement was off, at least 1.
+        held_out: number of held-out measurements. With m of them, the next error exceeds all of theirs in one case
+            of m + 1.
+    """
+
+    value_ns: float
+    error_factor: float
+    held_out: int
+
+    @property
+    def lower_ns(self) -> float:
+        """The value divided by its error factor."""
+        return self.value_ns / self.error_factor
+
+    @property
+    def upper_ns(self) -> float:
+        """The value times its error factor."""
+        return self.value_ns * self.error_factor
+
+
+def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Guess | None:
+    """Interpolate a time from measured ones; None if these do not surround it, or too few of them can be held out.
+
+    Args:
+        measured_ns: times above 0.
+        at: size and rate of the guess.
+    """
+    logs = {(math.log(size), math.log(rate)): math.log(value) for (size, rate), value in measured_ns.items()}
+    log_value = _interpolate(logs, (math.log(at[0]), math.log(at[1])))
+    errors = [abs(error) for error in _held_out_errors(logs)]
+    if log_value is None or len(errors) < FEWEST_HELD_OUT:
+        return None
+    return Guess(math.exp(log_value), math.exp(max(errors)), len(errors))
+
+
+def _held_out_errors(logs: Mapping[SizeAndRate, float]) -> Iterable[float]:
+    for at, value in logs.items():
+        predicted = _interpolate({other: v for other, v in logs.items() if other != at}, at)
+        if predicted is not None:
+            yield predicted - value
+
+
+def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | None:
+    """Interpolate along the sizes and then the rates, and the other way round; return the mean of what is possible."""
+    size, rate = at
+    swapped = {(r, s): value for (s, r), value in logs.items()}
+    values = [v for v in (_two_steps(logs, size, rate), _two_steps(swapped, rate, size)) if v is not None]
+    return sum(values) / len(values) if values else None
+
+
+def _two_steps(logs: Mapping[SizeAndRate, float], first: float, second: float) -> float | None:
+    """Interpolate along the first coordinate on every line of equal second one, then between these lines."""
+    lines: dict[float, dict[float, float]] = {}
+    for (x, y), value in logs.items():
+        lines.setdefault(y, {})[x] = value
+    across = {y: at_first for y, line in lines.items() if (at_first := _between(line, first)) is not None}
+    return _between(across, second)
+
+
+def _between(line: Mapping[float, float], x: float) -> float | None:
+    """Interpolate linearly between the two nearest points; None outside of them."""
+    if x in line:
+        return line[x]
+    for low, high in pairwise(sorted(line)):
+        if low < x < high:
+            return line[low] + (line[high] - line[low]) * (x - low) / (high - low)
+    return None

@@ -1,12 +1,18 @@
-"""The groups of two sides that are the same experiment, and what was measured of each."""
+"""Which groups of two sides are compared, and what was measured of each.
+
+Groups with equal parameters are the same experiment. Where a plan was measured against another (`dds-sweep --against`), the
+two differ on purpose: there each run of the new side is labelled with the cell of the base that it was interleaved with.
+"""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import polars as pl
 
+from ..model.names import group_words, value_word, varying_parameters
 from ..model.runs import delivered_runs, split_runs
 from ..model.setting import without_relay
 from ..model.unsent import UNSENT
@@ -14,10 +20,12 @@ from ..run_statistics.received import received_interval
 from ..run_statistics.runs import Runs, joined_runs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
+
+    from dds_trace.tracefile.format.descriptions import Run as RunDescription
 
     from ..model.parameters import ParameterValue
     from ..run_statistics.runs import Run, Statistic
@@ -26,44 +34,19 @@ if TYPE_CHECKING:
     Key = tuple[ParameterValue, ...]
     """Values of the match columns."""
 
-
 DEVICE_COLUMNS = ("ping_device", "relay_device")
 
-
-def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]:
-    """Return the name that a device of the new side takes for a comparison: column -> name on the base.
-
-    Devices are matched by name. Only where each side has a single ping device and a single relay device can no other
-    one be meant: then the new device stands for the old one, and what changed with it is part of the comparison. A
-    relay without a trace has no name and is no second device.
-
-    Args:
-        base: round trips or groups of the base, with `DEVICE_COLUMNS`.
-        new: those of the new side.
-    """
-    names = {column: (_names(base, column), _names(new, column)) for column in DEVICE_COLUMNS}
-    if any(len(side) > 1 for sides in names.values() for side in sides):
-        return {}
-    return {column: before[0] for column, (before, after) in names.items() if before and after}
-
-
-def with_devices(frame: pl.DataFrame, names: Mapping[str, str]) -> pl.DataFrame:
-    """Return a frame whose devices have these names; an unknown device stays unknown."""
-    return frame.with_columns(
-        pl.when(pl.col(column).is_not_null()).then(pl.lit(name)).alias(column)
-        for column, name in names.items()
-    )
-
-
-def _names(frame: pl.DataFrame, column: str) -> list[str]:
-    return [str(name) for name in frame[column].drop_nulls().unique().sort()]
-
-
 RELAY_COLUMNS = ("relay_vendor", "relay_backend", "relay_device", "relay_domain_id")
-"""Columns that are null without the relay's trace, and that match any value then."""
+"""Columns that are null without the relay's trace, and match any value then."""
 
 SETTING = "setting"
-"""Column that holds, among others, what the relay was asked for unlike the ping, and the number of relays."""
+"""Column with, among others, the relay's options that differ from the ping's, and the number of relays."""
+
+CELL_LABEL = "cell"
+"""Label of a run with the name of its cell, without the number of the repeat."""
+
+AGAINST_LABEL = "against"
+"""Label of a run with the name of the base's cell that it was interleaved with."""
 
 
 class MatchedGroup:
@@ -89,13 +72,13 @@ class MatchedGroup:
         return self._delivered[metric]
 
     def survivors(self, metric: str) -> Run:
-        """Return a metric of the messages that have it, all runs as one series, ns."""
+        """Return a metric of the received messages, all runs as one series, ns."""
         if metric not in self._survivors:
             self._survivors[metric] = joined_runs([run.survivors(metric) for run in self.runs])
         return self._survivors[metric]
 
     def of_survivors(self, metric: str, statistic: Statistic) -> float | None:
-        """Return a statistic of the messages that have the metric, ns; None where they do not support it."""
+        """Return a statistic of the received messages, ns; None where they do not support it."""
         series = self.survivors(metric)
         return statistic.of_run(series) if len(series) >= statistic.needs else None
 
@@ -114,11 +97,40 @@ class MatchedGroup:
         return bool(self.runs) and all(run.is_lost for run in self.runs)
 
 
-def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, MatchedGroup]:
-    """Cut round trips into groups by the values of the match columns; sorted by these, null first.
+def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]:
+    """Return the name that a device of the new side takes for a comparison: column -> name on the base.
 
-    A run of which nothing came back may have left no trace of its relay. It belongs to the only group that agrees in
-    everything else: in a group of its own it would be a loss that no comparison counts.
+    Devices are matched by name. Where each side has a single ping device and a single relay device, the new device stands
+    for the old one, and what changed with it is part of the comparison. A relay without a trace has no name and is no
+    second device.
+
+    Args:
+        base: round trips or groups of the base, with `DEVICE_COLUMNS`.
+        new: those of the new side.
+    """
+    names = {column: (_names(base, column), _names(new, column)) for column in DEVICE_COLUMNS}
+    if any(len(side) > 1 for sides in names.values() for side in sides):
+        return {}
+    return {column: before[0] for column, (before, after) in names.items() if before and after}
+
+
+def with_devices(frame: pl.DataFrame, names: Mapping[str, str]) -> pl.DataFrame:
+    """Return a frame whose devices have these names; an unknown device stays unknown."""
+    return frame.with_columns(
+        pl.when(pl.col(column).is_not_null()).then(pl.lit(name)).alias(column)
+        for column, name in names.items()
+    )
+
+
+def _names(frame: pl.DataFrame, column: str) -> list[str]:
+    return [str(name) for name in frame[column].drop_nulls().unique().sort()]
+
+
+def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, MatchedGroup]:
+    """Split round trips into groups by the values of the match columns; sorted by these, null first.
+
+    A run that received nothing may have no trace of its relay. It belongs to the only group that agrees in everything
+    else: in a group of its own it would be a loss that no comparison counts.
     """
     parts = {
         part.select(match).row(0): part
@@ -136,7 +148,11 @@ def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, Ma
         answered = part.filter(is_answered)
         if not answered.is_empty():
             parts[key] = answered
-    return {key: MatchedGroup(parts[key]) for key in sorted(parts, key=_nulls_first)}
+
+    def nulls_first(key: Key) -> list[tuple[bool, ParameterValue]]:
+        return [(value is not None, value) for value in key]
+
+    return {key: MatchedGroup(parts[key]) for key in sorted(parts, key=nulls_first)}
 
 
 def pair_keys(
@@ -144,9 +160,8 @@ def pair_keys(
 ) -> dict[Key, Key]:
     """Return which group of the new side each group of the base is compared with.
 
-    Equal keys first. A key whose relay left no trace has nulls for it, and a setting that is silent about it: it is
-    paired with the only group left on the other side that agrees in everything known; of several nobody knows which it
-    was.
+    Equal keys first. A key without a relay trace has nulls for it, and a setting that is silent about it: it is paired with
+    the only group left on the other side that agrees in everything else; with none if there are several.
 
     Args:
         before: groups of the base by the values of `match`.
@@ -163,8 +178,8 @@ def pair_keys(
     return {key: pairs[key] for key in before if key in pairs}
 
 
-def known_key(key: Key, other: Key, match: Sequence[str]) -> Key:
-    """Return a key with what the other one knows in place of nulls; of two settings that of the key that has a relay."""
+def completed_key(key: Key, other: Key, match: Sequence[str]) -> Key:
+    """Return a key with the other one's values in place of nulls; of two settings that of the key that has a relay."""
     is_silent = not knows_relay(key, match)
     return tuple(
         theirs if own is None or (name == SETTING and is_silent) else own
@@ -173,12 +188,12 @@ def known_key(key: Key, other: Key, match: Sequence[str]) -> Key:
 
 
 def knows_relay(key: Key, match: Sequence[str]) -> bool:
-    """Tell whether the relay of a key left a trace."""
+    """Return whether the relay of a key has a trace."""
     return all(value is not None for name, value in zip(match, key, strict=True) if name in RELAY_COLUMNS)
 
 
 def _agree(key: Key, other: Key, match: Sequence[str]) -> bool:
-    """Tell whether two keys agree in every column but what one of them does not know of its relay."""
+    """Return whether two keys agree in every column, except where one of them has no relay trace."""
     is_silent = not (knows_relay(key, match) and knows_relay(other, match))
     return all(_equal(name, one, two, is_silent) for name, one, two in zip(match, key, other, strict=True))
 
@@ -189,11 +204,85 @@ def _equal(name: str, one: ParameterValue, two: ParameterValue, is_silent: bool)
     return one == two or (name in RELAY_COLUMNS and (one is None or two is None))
 
 
-def _nulls_first(key: Key) -> list[tuple[bool, ParameterValue]]:
-    return [(value is not None, value) for value in key]
-
-
-def unmatched(keys: Mapping[Key, object], matched: Sequence[Key]) -> Iterator[Key]:
+def unmatched(keys: Mapping[Key, object], matched: Iterable[Key]) -> Iterator[Key]:
     """Yield the keys that were not matched, in their order."""
-    known = set(matched)
-    yield from (key for key in keys if key not in known)
+    excluded = set(matched)
+    yield from (key for key in keys if key not in excluded)
+
+
+def interleaved_keys(
+    base: pl.DataFrame,
+    new: pl.DataFrame,
+    base_runs: Iterable[RunDescription],
+    new_runs: Iterable[RunDescription],
+    match: Sequence[str],
+) -> dict[int, Key]:
+    """Return for each run of the new side the group of the base that it was interleaved with.
+
+    Args:
+        base: round trips of the base: `run_id` and the match columns.
+        new: those of the new side.
+        base_runs: descriptions of the base's runs, with the label `cell`.
+        new_runs: those of the new side, with the label `against`.
+        match: names of the columns of a group.
+
+    Returns:
+        run_id -> values of `match`; without the runs whose partner was not recorded, or is more than one group.
+    """
+    cells = {run.run_id: run.labels[CELL_LABEL] for run in base_runs if CELL_LABEL in run.labels}
+    groups: dict[str, set[Key]] = defaultdict(set)
+    for run_id, *key in base.select("run_id", *match).unique().iter_rows():
+        if run_id in cells:
+            groups[cells[run_id]].add(tuple(key))
+    partners: dict[str, Key] = {}
+    for cell, keys in groups.items():
+        keys = {key for key in keys if knows_relay(key, match)} or keys  # noqa: PLW2901 - a run that lost all has no relay
+        if len(keys) == 1:
+            (partners[cell],) = keys
+    measured = set(new["run_id"].unique().to_list())
+    return {
+        run.run_id: partners[cell]
+        for run in new_runs
+        if run.run_id in measured and (cell := run.labels.get(AGAINST_LABEL, "")) in partners
+    }
+
+
+def with_partners(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> pl.DataFrame:
+    """Return the round trips of the new side, those of runs with a partner under the partner's parameters."""
+    schema = {name: new.schema[name] for name in ("run_id", *match)}
+    rows = [(run_id, *key) for run_id, key in partners.items()]
+    theirs = pl.DataFrame(rows, schema=schema, orient="row")
+    own = new.join(theirs, on="run_id", how="anti", maintain_order="left")
+    renamed = new.drop(match).join(theirs, on="run_id", how="inner", maintain_order="left")
+    return pl.concat([own, renamed.select(new.columns)])
+
+
+def partner_groups(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> dict[Key, Key]:
+    """Return for each group of the new side that has a partner the partner's group."""
+    rows = new.select("run_id", *match).unique(maintain_order=True).iter_rows()
+    return {tuple(key): partners[run_id] for run_id, *key in rows if run_id in partners}
+
+
+def partner_differences(groups: Mapping[Key, Key], match: Sequence[str]) -> tuple[str, ...]:
+    """Return a sentence for each group of the new side whose parameters differ from its partner's.
+
+    Args:
+        groups: group of the new side -> that of the base (`partner_groups`).
+        match: names of the columns.
+    """
+    if not groups:
+        return ()
+    partners = pl.DataFrame(list(groups.values()), schema=list(match), orient="row")
+    names = varying_parameters(partners, match)
+    sentences = []
+    for own, partner in groups.items():
+        values = {name: both for name, *both in zip(match, own, partner, strict=True)}
+        listed = [
+            f"{name} {value_word(new)} instead of {value_word(base)}"
+            for name, (new, base) in values.items()
+            if new != base
+        ]
+        if listed and knows_relay(own, match):
+            words = group_words(dict(zip(match, partner, strict=True)), names)
+            sentences.append(f"{words}: the new side has {', '.join(listed)}.")
+    return tuple(sentences)

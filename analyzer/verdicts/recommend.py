@@ -1,11 +1,11 @@
 """Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
-A setting meets a job if messages arrive within the deadline with the wanted probability, of runs that held the rate and
-finished. Lost messages count as infinitely late, so the question is whether the `reliability` quantile of the job's metric (the response, T2 - T0, unless it names another) is
-below the deadline, and its confidence interval from the runs (`analyzer/run_statistics/between_runs.py`) gives the answer:
-the setting meets the deadline if the upper end does, it misses it if the lower end does, and otherwise these traces cannot
-tell. With fewer than three runs, and where the size and rate were not measured, it is `likely` at best. A reply that was
-lost makes its message count as lost. Plain sockets are no candidate where a middleware is one.
+A setting meets a job if messages arrive within the deadline with the requested reliability, in runs that sent at the planned
+rate and finished. Lost messages count as infinitely late, so the question is whether the `reliability` quantile of the
+job's metric is below the deadline, and its confidence interval from the runs (`run_statistics.between_runs`) decides: the
+setting meets the deadline if the upper end does, it misses it if the lower end does, and otherwise these traces are
+inconclusive. With fewer than three runs, and where the size and rate were not measured, it is `likely` at best. Plain sockets
+are no candidate where a middleware is one.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .job import guess_time
 from .matching import MatchedGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
     from dds_trace.tracefile.format.descriptions import Run
 
@@ -41,9 +41,8 @@ if TYPE_CHECKING:
     from .cases import Setting
     from .job import Job, SizeAndRate
 
-
-RATE_HELD = 0.98
-"""Share of the asked rate that a run must have sent: below, it was not this job that was measured."""
+LEAST_RATE = 0.98
+"""Share of the planned rate that a run must have sent: below, another job was measured."""
 
 
 class Fit(Enum):
@@ -60,39 +59,41 @@ _FIT_ORDER = {fit: order for order, fit in enumerate(Fit)}
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One setting, and how far it meets a job by the traces.
+    """One setting, and how well it meets a job by the traces.
 
     Attributes:
         setting: value of each of `SETTING_COLUMNS`.
         fit: whether it meets the deadline.
-        measured: whether the job's size and rate were measured; otherwise the numbers are a guess from others around it.
-        latency_ns: the `reliability` quantile of the latency; infinite if too many messages were lost, None if unknown.
-        lower_ns: lower end of the interval (of a guess: the value divided by the largest held-out error), None if unknown.
-        upper_ns: upper end of the interval (of a guess: the value times that error), None if unknown.
+        measured: whether the job's size and rate were measured; otherwise the numbers are interpolated.
+        value_ns: the `reliability` quantile of `metric`; infinite if too many messages were lost, None if unknown.
+        lower_ns: lower end of its interval (of a guess: the value divided by the largest held-out error), None if unknown.
+        upper_ns: upper end of its interval (of a guess: the value times that error), None if unknown.
         margin_ns: deadline less upper end, negative if that is later; None if it is unknown or infinite.
         messages: published messages of the job's size and rate, 0 for a guess.
         held_out: measurements that a guess's error comes from, 0 for a measured candidate.
-        tied: whether the interval overlaps that of the best candidate on the same devices and link, under the same
-            conditions, so that these traces do not tell the two apart.
+        metric: the job's metric.
+        tied: whether the interval overlaps that of the best candidate on the same device pair and link, under the same
+            conditions, so that these traces do not rank the two.
         reason: one sentence: why the fit is not `meets`, or what a guess rests on; empty otherwise.
         received_ratio: share of the messages whose reply came back; None for a guess.
-        survivors_ns: the `reliability` quantile of the messages that came back; None for a guess and where they are
-            too few.
-        rate_held: the least share of the asked rate that a run sent; None for a guess.
+        survivors_ns: the `reliability` quantile of the received messages; None for a guess and where they are too few.
+        rate_held: the least share of the planned rate that a run sent; None for a guess.
         runs: runs of the job's size and rate, 0 for a guess.
         basis: `between runs` or `within one run`; empty for a guess.
-        episodes: those that the messages beyond the quantile came in; None where there is none, and for a guess.
+        episodes: bursts that the messages beyond the quantile came in; None where there is none, and for a guess.
+        latency_ns: deprecated since 0.2.0, use `value_ns`, which is equal: it is not the latency unless `metric` is.
     """
 
     setting: Setting
     fit: Fit
     measured: bool
-    latency_ns: float | None
+    value_ns: float | None
     lower_ns: float | None
     upper_ns: float | None
     margin_ns: float | None
     messages: int
     held_out: int
+    metric: str
     tied: bool = False
     reason: str = ""
     received_ratio: float | None = None
@@ -101,6 +102,7 @@ class Candidate:
     runs: int = 0
     basis: str = ""
     episodes: int | None = None
+    latency_ns: float | None = None
 
     @property
     def range(self) -> Range:
@@ -109,7 +111,7 @@ class Candidate:
 
     def order(self) -> tuple[int, bool, float, float, str]:
         """Return the key by which candidates are ranked: fit, measured before guessed, upper end, estimate, setting."""
-        upper, value = (math.inf if v is None else v for v in (self.upper_ns, self.latency_ns))
+        upper, value = (math.inf if v is None else v for v in (self.upper_ns, self.value_ns))
         return _FIT_ORDER[self.fit], not self.measured, upper, value, str(list(self.setting.items()))
 
 
@@ -118,7 +120,7 @@ class Recommendation:
     """The candidates for a job.
 
     Attributes:
-        job: what is asked for.
+        job: the requested job.
         candidates: best first: those that meet the deadline by their upper end, then the likely, the inconclusive, the
             others.
     """
@@ -128,73 +130,72 @@ class Recommendation:
 
     @property
     def best(self) -> tuple[Candidate, ...]:
-        """Candidates that meet the deadline and cannot be told apart from the first at their place; empty if none meets it."""
+        """Candidates that meet the deadline and are tied with the first of their place; empty if none meets it."""
         return tuple(c for c in self.candidates if c.fit is Fit.MEETS and c.tied)
 
     @property
     def is_conclusive(self) -> bool:
-        """Whether at every place one candidate alone is best, or every candidate surely misses the deadline."""
-        at_places = _by_place(self.candidates).values()
-        return bool(at_places) and all(
-            len([c for c in at_place if c.fit is Fit.MEETS and c.tied]) == 1
-            or all(c.fit is Fit.MISSES and c.measured for c in at_place)
-            for at_place in at_places
+        """Whether at every place a single candidate is best, or every candidate surely misses the deadline."""
+        by_place = _by_place(self.candidates).values()
+        return bool(by_place) and all(
+            sum(c.fit is Fit.MEETS and c.tied for c in candidates) == 1
+            or all(c.fit is Fit.MISSES and c.measured for c in candidates)
+            for candidates in by_place
         )
 
 
 def recommend_settings(
     roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95, runs: Iterable[Run] = ()
 ) -> Recommendation:
-    """Rank every setting whose latency for a job was measured or can be guessed.
+    """Rank every setting whose time for a job was measured or can be guessed.
 
     Args:
         roundtrips: rows of `docs/trace-format.md`.
-        job: what is asked for.
+        job: the requested job.
         confidence: of the intervals.
         runs: descriptions of the runs, which say whether each finished; one without a description counts as finished.
     """
-    unfinished = frozenset(run.run_id for run in runs if run.state != "finished")
-    wanted = pl.col("data_type") == job.data_type
+    request = _Request(job, confidence, frozenset(run.run_id for run in runs if run.state != "finished"))
+    is_of_job = pl.col("data_type") == job.data_type
     if job.domain_mode is not None:
-        wanted &= pl.col("domain_mode") == job.domain_mode
+        is_of_job &= pl.col("domain_mode") == job.domain_mode
     candidates = [
         candidate
-        for setting, part in parts_of(roundtrips.filter(wanted), SETTING_COLUMNS)
-        if (candidate := _candidate(setting, part, _Wanted(job, confidence, unfinished))) is not None
+        for setting, rows in parts_of(roundtrips.filter(is_of_job), SETTING_COLUMNS)
+        if (candidate := _candidate(setting, rows, request)) is not None
     ]
-    judged: list[Candidate] = []
+    ranked: list[Candidate] = []
     for at_place in _by_place(candidates).values():
-        held = sorted(_without_floor(at_place), key=Candidate.order)
-        judged += (replace(c, tied=c is held[0] or _is_tied(c, held[0])) for c in held)
-    return Recommendation(job, tuple(sorted(judged, key=Candidate.order)))
+        ordered = sorted(_without_sockets(at_place), key=Candidate.order)
+        ranked += (replace(c, tied=c is ordered[0] or _is_tied(c, ordered[0])) for c in ordered)
+    return Recommendation(job, tuple(sorted(ranked, key=Candidate.order)))
 
 
 def place_of(setting: Setting) -> tuple[ParameterValue, ...]:
-    """Return devices, link and conditions of a setting: candidates of unlike places are no alternatives."""
+    """Return device pair, link and conditions of a setting: candidates of different places are no alternatives."""
     return *(setting[name] for name in PLACE_COLUMNS), condition_of(str(setting["setting"]))
 
 
 def _by_place(candidates: Iterable[Candidate]) -> dict[tuple[ParameterValue, ...], list[Candidate]]:
-    """Part candidates by their places, each part in the order in which they come."""
-    places: dict[tuple[ParameterValue, ...], list[Candidate]] = {}
+    by_place: dict[tuple[ParameterValue, ...], list[Candidate]] = {}
     for candidate in candidates:
-        places.setdefault(place_of(candidate.setting), []).append(candidate)
-    return places
+        by_place.setdefault(place_of(candidate.setting), []).append(candidate)
+    return by_place
 
 
-def _without_floor(candidates: list[Candidate]) -> list[Candidate]:
+def _without_sockets(candidates: list[Candidate]) -> list[Candidate]:
     """Leave out plain sockets, which are no middleware, unless there is nothing else."""
     return [one for one in candidates if one.setting["backend"] != "socket"] or candidates
 
 
 def _is_tied(one: Candidate, best: Candidate) -> bool:
-    """Tell whether two candidates are not told apart: their intervals overlap, or one has fewer than three runs."""
+    """Return whether the intervals of two candidates overlap, or one has fewer than three runs."""
     is_between = all(c.basis == Basis.BETWEEN_RUNS.value for c in (one, best))
     return not is_between or ranges_overlap(one.range, best.range)
 
 
 @dataclass(frozen=True, slots=True)
-class _Wanted:
+class _Request:
     """A job, the confidence of intervals, and the runs that did not finish."""
 
     job: Job
@@ -203,15 +204,15 @@ class _Wanted:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Cell:
-    """One size and rate of a setting, as far as it was measured.
+class _Measurement:
+    """One size and rate of a setting.
 
     Attributes:
-        rate_hz: the asked rate.
-        interval: of the `reliability` quantile of the latency, ns.
+        rate_hz: the planned rate.
+        interval: of the `reliability` quantile of the job's metric, ns.
         received_ratio: share of the messages whose reply came back.
-        survivors_ns: the quantile of the messages that came back.
-        rate_held: the least share of the asked rate that a run sent; None where no run has two messages.
+        survivors_ns: the quantile of the received messages.
+        rate_share: the least share of the planned rate that a run sent; None where no run has two messages.
         unfinished: runs that did not finish.
         messages: published messages.
     """
@@ -220,14 +221,21 @@ class _Cell:
     interval: Interval
     received_ratio: float | None
     survivors_ns: float | None
-    rate_held: float | None
+    rate_share: float | None
     unfinished: int
     messages: int
 
+    @property
+    def is_slow(self) -> bool:
+        """Whether a run sent less than the planned rate."""
+        return self.rate_share is not None and self.rate_share < LEAST_RATE
+
     def failure(self, deadline_ns: int) -> str:
-        """Return why the cell does not do the job, in words; empty where nothing speaks against it."""
-        if self.rate_held is not None and self.rate_held < RATE_HELD:
-            return f"sent {self.rate_held * self.rate_hz:.4g} Hz where {self.rate_hz:g} Hz were asked"
+        """Return why these messages miss their deadline; empty where they do not."""
+        if self.is_slow:
+            return (
+                f"sent {(self.rate_share or 0) * self.rate_hz:.4g} Hz where {self.rate_hz:g} Hz were planned"
+            )
         if self.unfinished:
             return f"{counted(self.unfinished, 'run')} did not finish"
         if self.interval.value is not None and self.interval.value > deadline_ns:
@@ -236,88 +244,87 @@ class _Cell:
         return ""
 
 
-def _measure(rows: pl.DataFrame, wanted: _Wanted) -> _Cell:
-    group, statistic = MatchedGroup(rows), Statistic(wanted.job.reliability)
+def _measure(rows: pl.DataFrame, request: _Request) -> _Measurement:
+    group, statistic = MatchedGroup(rows), Statistic(request.job.reliability)
     rate_hz = float(rows["rate_hz"][0])
-    held = [share for run in group.runs if (share := _share_of_rate(run.sent_ns, rate_hz)) is not None]
-    return _Cell(
+    shares = [_share_of_rate(run.sent_ns, rate_hz) for run in group.runs]
+    return _Measurement(
         rate_hz=rate_hz,
-        interval=interval_of_runs(group.delivered(wanted.job.metric), statistic, wanted.confidence),
-        received_ratio=group.received_ratio(wanted.confidence).value,
-        survivors_ns=group.of_survivors(wanted.job.metric, statistic),
-        rate_held=min(held, default=None),
-        unfinished=sum(run.run_id in wanted.unfinished for run in group.runs),
+        interval=interval_of_runs(group.delivered(request.job.metric), statistic, request.confidence),
+        received_ratio=group.received_ratio(request.confidence).value,
+        survivors_ns=group.of_survivors(request.job.metric, statistic),
+        rate_share=min((share for share in shares if share is not None), default=None),
+        unfinished=sum(run.run_id in request.unfinished for run in group.runs),
         messages=len(group),
     )
 
 
 def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
-    """Return the rate that a run sent divided by the asked one; None with fewer than two messages."""
+    """Return the rate that a run sent divided by the planned one; None with fewer than two messages."""
     times = sent_ns.unique().sort()
     if len(times) < 2:
         return None
     return float((len(times) - 1) * SECOND_NS / (int(times[-1]) - int(times[0])) / rate_hz)
 
 
-def _candidate(setting: Setting, part: pl.DataFrame, wanted: _Wanted) -> Candidate | None:
-    """Judge a setting by its round trips; None if nothing can be said of it."""
+def _candidate(setting: Setting, rows: pl.DataFrame, request: _Request) -> Candidate | None:
+    """Judge a setting by its round trips; None without an estimate."""
     size_and_rate = ("payload_bytes", "rate_hz")
-    cells: dict[SizeAndRate, pl.DataFrame] = {
-        rows.select(size_and_rate).row(0): rows for _, rows in parts_of(part, size_and_rate)
+    parts: dict[SizeAndRate, pl.DataFrame] = {
+        part.select(size_and_rate).row(0): part for _, part in parts_of(rows, size_and_rate)
     }
-    measured = cells.get((wanted.job.payload_bytes, wanted.job.rate_hz))
+    measured = parts.get((request.job.payload_bytes, request.job.rate_hz))
     if measured is not None:
-        return _measured(setting, _measure(measured, wanted), wanted)
-    return _guessed(setting, {at: _measure(rows, wanted) for at, rows in cells.items()}, wanted.job)
+        return _measured(setting, _measure(measured, request), request)
+    return _guessed(setting, {at: _measure(part, request) for at, part in parts.items()}, request.job)
 
 
-def _measured(setting: Setting, cell: _Cell, wanted: _Wanted) -> Candidate:
-    fit, reason = _fit_of_cell(cell, wanted)
-    interval = cell.interval
+def _measured(setting: Setting, measurement: _Measurement, request: _Request) -> Candidate:
+    fit, reason = _fit_of_measurement(measurement, request)
+    interval = measurement.interval
     return Candidate(
         setting=setting,
         fit=fit,
         measured=True,
-        latency_ns=interval.value,
+        value_ns=interval.value,
         lower_ns=interval.lower,
         upper_ns=interval.upper,
-        margin_ns=_margin(interval.upper, wanted.job.deadline_ns),
-        messages=cell.messages,
+        margin_ns=_margin(interval.upper, request.job.deadline_ns),
+        messages=measurement.messages,
         held_out=0,
+        metric=request.job.metric,
         reason=reason,
-        received_ratio=cell.received_ratio,
-        survivors_ns=cell.survivors_ns,
-        rate_held=cell.rate_held,
+        received_ratio=measurement.received_ratio,
+        survivors_ns=measurement.survivors_ns,
+        rate_held=measurement.rate_share,
         runs=interval.runs,
         basis=interval.basis.value,
         episodes=interval.episodes,
+        latency_ns=interval.value,
     )
 
 
-def _fit_of_cell(cell: _Cell, wanted: _Wanted) -> tuple[Fit, str]:
-    """Return whether a measured cell meets the job, and why not."""
-    job, interval = wanted.job, cell.interval
-    fit = _fit(interval.range, job.deadline_ns)
-    if cell.rate_held is not None and cell.rate_held < RATE_HELD:
-        return Fit.MISSES, cell.failure(job.deadline_ns)
-    if cell.unfinished and fit is not Fit.MISSES:
-        return Fit.INCONCLUSIVE, cell.failure(job.deadline_ns)
+def _fit_of_measurement(measurement: _Measurement, request: _Request) -> tuple[Fit, str]:
+    """Return whether a measurement meets the job, and why not."""
+    deadline_ns, interval = request.job.deadline_ns, measurement.interval
+    fit = _fit(interval.range, deadline_ns)
+    if measurement.is_slow:
+        return Fit.MISSES, measurement.failure(deadline_ns)
+    if measurement.unfinished and fit is not Fit.MISSES:
+        return Fit.INCONCLUSIVE, measurement.failure(deadline_ns)
     if fit is Fit.INCONCLUSIVE:
-        return fit, _why_inconclusive(interval, wanted)
+        return fit, _why_inconclusive(interval, request)
     if fit is Fit.MEETS and interval.basis is Basis.WITHIN_RUN:
-        return (
-            Fit.LIKELY,
-            f"{Basis.WITHIN_RUN.value}: it takes {MIN_RUNS} runs, there are {interval.runs}",
-        )
+        return Fit.LIKELY, f"{interval.basis.value}: it takes {MIN_RUNS} runs, there are {interval.runs}"
     return fit, ""
 
 
-def _why_inconclusive(interval: Interval, wanted: _Wanted) -> str:
-    """Return why an interval does not tell, and what it takes."""
-    job = wanted.job
-    statistic = Statistic(job.reliability)
+def _why_inconclusive(interval: Interval, request: _Request) -> str:
+    """Return why an interval is inconclusive, and what it takes to decide."""
+    job = request.job
     inflation = interval.samples / max(1, interval.independent)
-    needs = max(planned_messages(job.reliability, wanted.confidence, inflation), statistic.needs)
+    needs = planned_messages(job.reliability, request.confidence, inflation)
+    needs = max(needs, Statistic(job.reliability).needs)
     if not interval.samples:
         lacking = "schedule" if job.metric == "response" else "relay trace"
         return f"no {lacking}: these messages have no {job.metric}"
@@ -325,59 +332,66 @@ def _why_inconclusive(interval: Interval, wanted: _Wanted) -> str:
         return f"{counted(interval.samples, 'message')}; an interval at {job.reliability:g} takes {needs}"
     more = messages_to_close(interval, job.reliability)
     if more:
-        return f"the tail rests on {counted(interval.episodes or 0, 'episode')}; record about {more} more messages"
+        return (
+            f"the tail rests on {counted(interval.episodes or 0, 'burst')}; record about {more} more messages"
+        )
     runs = runs_to_settle_value(interval, job.deadline_ns)
-    what = "record more runs" if runs is None else f"about {max(runs, interval.runs + 1)} runs would tell"
-    return f"the deadline lies within the interval; {what}"
+    advice = "record more runs" if runs is None else f"about {max(runs, interval.runs + 1)} runs would decide"
+    return f"the deadline is within the interval; {advice}"
 
 
-def _guessed(setting: Setting, cells: Mapping[SizeAndRate, _Cell], job: Job) -> Candidate | None:
+def _guessed(
+    setting: Setting, measurements: Mapping[SizeAndRate, _Measurement], job: Job
+) -> Candidate | None:
     at = (float(job.payload_bytes), float(job.rate_hz))
     failing = [
         f"{size:g} B at {rate:g} Hz {failure}"
-        for size, rate in _neighbours(list(cells), at)
-        if (failure := cells[size, rate].failure(job.deadline_ns))
+        for size, rate in _neighbours(measurements, at)
+        if (failure := measurements[size, rate].failure(job.deadline_ns))
     ]
     if failing:
-        return _unknown(setting, f"not measured, and not guessed: {'; '.join(failing)}")
+        reason = f"not measured, and not guessed: {'; '.join(failing)}"
+        return Candidate(
+            setting, Fit.INCONCLUSIVE, False, None, None, None, None, 0, 0, job.metric, reason=reason
+        )
     values = {
-        place: cell.interval.value
-        for place, cell in cells.items()
-        if cell.interval.value is not None and 0 < cell.interval.value < math.inf
+        size_and_rate: value
+        for size_and_rate, measurement in measurements.items()
+        if (value := measurement.interval.value) is not None and 0 < value < math.inf
     }
     guess = guess_time(values, at)
     if guess is None:
         return None
     fit = _fit((guess.lower_ns, guess.upper_ns), job.deadline_ns)
+    omitted = counted(guess.held_out, "omitted measurement was", "omitted measurements were")
     return Candidate(
         setting=setting,
         fit=Fit.LIKELY if fit is Fit.MEETS else fit,
         measured=False,
-        latency_ns=guess.value_ns,
+        value_ns=guess.value_ns,
         lower_ns=guess.lower_ns,
         upper_ns=guess.upper_ns,
         margin_ns=_margin(guess.upper_ns, job.deadline_ns),
         messages=0,
         held_out=guess.held_out,
+        metric=job.metric,
         reason=(
-            f"not measured: interpolated between measured sizes and rates; "
-            f"{counted(guess.held_out, 'held-out cell was', 'held-out cells were')} off by a factor of up to {guess.error_factor:.2f}"
+            f"not measured: interpolated between measured sizes and rates; {omitted} off by a factor of up to "
+            f"{guess.error_factor:.2f}"
         ),
+        latency_ns=guess.value_ns,
     )
 
 
-def _unknown(setting: Setting, reason: str) -> Candidate:
-    return Candidate(setting, Fit.INCONCLUSIVE, False, None, None, None, None, 0, 0, reason=reason)
-
-
-def _neighbours(cells: Sequence[SizeAndRate], at: SizeAndRate) -> list[SizeAndRate]:
-    """Return the measured cells next to a size and rate; none where the measured ones do not surround it."""
-    sides = [_next_to({cell[axis] for cell in cells}, at[axis]) for axis in (0, 1)]
-    return [cell for cell in cells if cell[0] in sides[0] and cell[1] in sides[1]]
+def _neighbours(measured: Iterable[SizeAndRate], at: SizeAndRate) -> list[SizeAndRate]:
+    """Return the measured sizes and rates next to one; none where they do not surround it."""
+    points = list(measured)
+    sides = [_next_to({point[axis] for point in points}, at[axis]) for axis in (0, 1)]
+    return [point for point in points if point[0] in sides[0] and point[1] in sides[1]]
 
 
 def _next_to(values: set[float], at: float) -> set[float]:
-    """Return the value itself, or the two around it; empty where it lies outside."""
+    """Return the value itself, or the two around it; empty where it is outside."""
     if at in values:
         return {at}
     below, above = [v for v in values if v < at], [v for v in values if v > at]

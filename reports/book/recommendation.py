@@ -156,7 +156,7 @@ def _row(candidate: Candidate, name: str) -> tuple[str, ...]:
     return (
         name,
         _FITS.get(candidate.fit, candidate.fit.value),
-        _time(candidate.latency_ns),
+        _time(candidate.value_ns),
         f"{_time(candidate.lower_ns)} to {_time(candidate.upper_ns)}",
         format_ratio(candidate.received_ratio),
         _time(candidate.survivors_ns),

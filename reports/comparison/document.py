@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
 from dds_trace.analyzer.saving.records import to_json
-from dds_trace.analyzer.verdicts.compared.rows import DISTRIBUTION_LEVELS
+from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from dds_trace.analyzer.verdicts.compared.rows import DISTRIBUTION_LEVELS
+from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
 from dds_trace.base.units import format_duration
 
 from ..book.groups import METRIC_LABELS

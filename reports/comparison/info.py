@@ -10,10 +10,10 @@ from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.compare import FAMILY
-from dds_trace.analyzer.verdicts.compared.ignoring import columns_to_ignore, unlike_columns
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
 from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
+from dds_trace.analyzer.verdicts.ignoring import columns_to_ignore, unlike_columns
 from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+    from dds_trace.analyzer.run_statistics.change import DetectableChange
     from dds_trace.analyzer.verdicts.compare import Comparison
-    from dds_trace.analyzer.verdicts.compared.sight import Sight
     from dds_trace.analyzer.verdicts.gates import GateResult
 
 SHOWN_STATISTICS = ("p50", "p99")
@@ -132,7 +132,7 @@ class ComparisonInfo:
     only_new: tuple[str, ...]
     outcome: GateOutcome | None
     gates: tuple[Gated, ...]
-    sights: tuple[Sight, ...]
+    sights: tuple[DetectableChange, ...]
     unlike: tuple[Unlike, ...]
     ignore: tuple[str, ...]
     notes: tuple[str, ...]
@@ -297,7 +297,7 @@ def _is_slower(row: Mapping[str, Any]) -> bool:
     return row["verdict"] == "worse" and row["ratio"] is not None and math.isfinite(row["ratio"])
 
 
-def _seen(sights: Sequence[Sight], groups: Sequence[ComparedGroup]) -> str:
+def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -> str:
     """Say below which size changes would not have been seen in every group, for each statistic of the groups' rows."""
     shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
     of_rows = [sight for sight in sights if (sight.metric, sight.statistic) in shown]
@@ -360,7 +360,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
     """Return what makes the sides unlike or unfit: what was not matched or asked for, environments, order in time, errors."""
     return (
         *(f"Not matched: {printable(text, MAX_FINDING_CHARACTERS)}" for text in comparison.ignored),
-        *(f"Measured in turns: {printable(text, MAX_FINDING_CHARACTERS)}" for text in comparison.asked),
+        *(f"Measured in turns: {printable(text, MAX_FINDING_CHARACTERS)}" for text in comparison.interleaved),
         *(
             f"Unlike environments: {printable(text, MAX_FINDING_CHARACTERS)}"
             for text in comparison.environment

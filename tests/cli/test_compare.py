@@ -219,7 +219,7 @@ def test_ignoring_what_tells_two_groups_of_a_side_apart_is_refused(folders, caps
     record(folders / "two" / "b", vendor="zenoh", first=10)
     assert run_main("compare", folders / "base", folders / "two", "--ignore", "vendor") == 2
     shown = capsys.readouterr()
-    assert "the new side has two groups that differ only in vendor (fastdds and zenoh)" in shown.err
+    assert "the new side has two results that differ only in vendor (fastdds and zenoh)" in shown.err
     assert (shown.err.count("\n"), shown.out) == (1, "")
 
 

@@ -12,8 +12,12 @@ from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.bursts import COSINES, share_inflation
 from dds_trace.analyzer.run_statistics.change import Verdict
-from dds_trace.analyzer.run_statistics.delivery import DeliveryChange, change_of_received
-from dds_trace.analyzer.run_statistics.received import received_interval, wilson_ends
+from dds_trace.analyzer.run_statistics.received import (
+    DeliveryChange,
+    change_of_received,
+    received_interval,
+    wilson_ends,
+)
 from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.statistics.power import smallest_shift

@@ -10,9 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.runs import Levels, Run, Runs, quantiles_of_runs
-from dds_trace.analyzer.run_statistics.tails import Tail, beyond_quantiles, episodes_of, inflations_of
+from dds_trace.analyzer.run_statistics.tails import (
+    Tail,
+    Threshold,
+    beyond_quantiles,
+    episodes_of,
+    inflations_of,
+    thresholds_of,
+)
 from dds_trace.analyzer.run_statistics.tails import tails_of as tails_of_quantiles
-from dds_trace.analyzer.statistics.thresholds import Threshold, thresholds_of
 
 
 def tails_of(runs, quantile):

@@ -29,6 +29,8 @@ def through_json(record):
         setting=st.dictionaries(TEXTS, TEXTS | st.integers() | st.none(), max_size=3),
         fit=st.sampled_from(Fit),
         measured=st.booleans(),
+        value_ns=FLOATS,
+        metric=TEXTS,
         latency_ns=FLOATS,
         lower_ns=FLOATS,
         upper_ns=FLOATS,

@@ -179,10 +179,10 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
     ("change", "words"),
     [
         ({"format": "something else"}, "not the manifest of a saved analysis"),
-        ({"version": 6}, "version 6 of a saved analysis; this program reads version 5: read it with"),
+        ({"version": 7}, "version 7 of a saved analysis; this program reads version 6: read it with"),
         (
             {"version": 1},
-            "version 1 of a saved analysis; this program reads version 5: analyze the traces again",
+            "version 1 of a saved analysis; this program reads version 6: analyze the traces again",
         ),
         ({"files": {}}, "cannot be read"),
         (

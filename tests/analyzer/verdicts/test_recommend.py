@@ -42,7 +42,7 @@ def test_a_ranking_by_what_is_sure():
     ]
     best = ranking.candidates[0]
     assert best.measured
-    assert best.lower_ns <= best.latency_ns <= best.upper_ns <= 11.5 * MS
+    assert best.lower_ns <= best.value_ns <= best.upper_ns <= 11.5 * MS
     assert best.margin_ns == 20 * MS - best.upper_ns
     assert (best.messages, best.runs, best.basis, best.received_ratio) == (600, 3, "between runs", 1.0)
     assert [c.setting["vendor"] for c in ranking.best] == ["cyclonedds"]
@@ -75,7 +75,7 @@ def test_a_rate_that_was_not_held_misses_the_job():
     (candidate,) = recommend_settings(slow, JOB).candidates
     assert candidate.fit is Fit.MISSES
     assert candidate.rate_held == pytest.approx(0.25)
-    assert candidate.reason == "sent 2.5 Hz where 10 Hz were asked"
+    assert candidate.reason == "sent 2.5 Hz where 10 Hz were planned"
 
 
 def test_a_run_that_did_not_finish_does_not_meet():
@@ -96,7 +96,7 @@ def test_a_failing_neighbour_forbids_a_guess():
     (candidate,) = recommend_settings(
         frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")
     ).candidates
-    assert (candidate.fit, candidate.latency_ns) == (Fit.INCONCLUSIVE, None)
+    assert (candidate.fit, candidate.value_ns) == (Fit.INCONCLUSIVE, None)
     assert candidate.reason == (
         "not measured, and not guessed: 40000 B at 10 Hz is later than the deadline and loses 60.00%"
     )
@@ -115,7 +115,7 @@ def test_losses_miss_a_deadline_that_every_latency_meets():
     lossy = [None if i % 3 == 0 else 5 * MS for i in range(300)]
     (candidate,) = recommend_settings(steady(lossy), JOB).candidates
     assert candidate.fit is Fit.MISSES
-    assert candidate.latency_ns == math.inf
+    assert candidate.value_ns == math.inf
     assert candidate.margin_ns is None
 
 
@@ -136,7 +136,7 @@ def test_settings_are_candidates_of_their_own_and_domains_can_be_chosen():
 def test_without_the_relays_trace_there_is_no_answer():
     frame = steady([5 * MS] * 50).with_columns(latency_ns=pl.lit(None, pl.Int64))
     (candidate,) = recommend_settings(frame, JOB).candidates
-    assert (candidate.fit, candidate.latency_ns) == (Fit.INCONCLUSIVE, None)
+    assert (candidate.fit, candidate.value_ns) == (Fit.INCONCLUSIVE, None)
     assert "no relay trace" in candidate.reason
 
 
@@ -147,7 +147,7 @@ def test_an_unmeasured_cell_is_a_guess_that_says_so():
         frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")
     ).candidates
     assert not candidate.measured
-    assert candidate.latency_ns == pytest.approx(3 * MS, rel=1e-3)
+    assert candidate.value_ns == pytest.approx(3 * MS, rel=1e-3)
     assert (candidate.messages, candidate.held_out) == (0, 3)
     assert candidate.fit is Fit.LIKELY
     assert candidate.reason.startswith("not measured: interpolated")
@@ -174,6 +174,14 @@ def test_a_deadline_is_for_the_response_unless_the_job_names_another_metric():
     assert (of_response, of_latency) == (Fit.MISSES, Fit.MEETS)
 
 
+@pytest.mark.parametrize(("metric", "median_ns"), [("response", 16 * MS), ("latency", 8 * MS)])
+def test_a_candidate_names_the_metric_of_its_value(metric, median_ns):
+    job = Job("binary", 33_000, 10.0, 50 * MS, 0.5, metric=metric)
+    (candidate,) = recommend_settings(in_runs(noisy(8 * MS)), job).candidates
+    assert (candidate.metric, candidate.value_ns) == (metric, pytest.approx(median_ns, rel=0.02))
+    assert candidate.latency_ns == candidate.value_ns  # deprecated since 0.2.0
+
+
 # What reports of failing settings once recommended: each drawn as it was found.
 
 
@@ -194,7 +202,7 @@ def test_a_sender_that_is_blocked_300_ms_in_every_2_s_does_not_meet_5_ms():
     (candidate,) = recommend_settings(blocked(), job).candidates
     assert candidate.rate_held > 0.98  # what was due is sent afterwards: the rate shows nothing
     assert candidate.fit is Fit.MISSES
-    assert candidate.latency_ns > 250 * MS
+    assert candidate.value_ns > 250 * MS
     by_latency = replace(job, metric="latency")
     assert recommend_settings(blocked(), by_latency).candidates[0].fit is Fit.MEETS  # which never sees it
 
@@ -202,7 +210,7 @@ def test_a_sender_that_is_blocked_300_ms_in_every_2_s_does_not_meet_5_ms():
 def test_25_hz_where_100_were_asked_is_not_the_job():
     slow = in_runs(noisy(MS), period_ns=40 * MS, rate_hz=100.0)
     (candidate,) = recommend_settings(slow, Job("binary", 33_000, 100.0, 20 * MS, 0.9)).candidates
-    assert (candidate.fit, candidate.reason) == (Fit.MISSES, "sent 25 Hz where 100 Hz were asked")
+    assert (candidate.fit, candidate.reason) == (Fit.MISSES, "sent 25 Hz where 100 Hz were planned")
 
 
 @pytest.mark.parametrize(("share", "fit"), [(0.99, Fit.MEETS), (0.97, Fit.MISSES)])
@@ -220,7 +228,7 @@ def test_400_kb_are_not_guessed_where_502_kb_lose_60_percent():
     )
     job = Job("binary", 400_000, 10.0, 50 * MS, 0.9)
     (candidate,) = recommend_settings(frame, job).candidates
-    assert (candidate.fit, candidate.latency_ns) == (Fit.INCONCLUSIVE, None)
+    assert (candidate.fit, candidate.value_ns) == (Fit.INCONCLUSIVE, None)
     assert candidate.reason == (
         "not measured, and not guessed: 502000 B at 10 Hz is later than the deadline and loses 60.00%"
     )

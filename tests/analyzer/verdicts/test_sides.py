@@ -8,7 +8,7 @@ from trace_files import Message, ping_session, relay_session, run, write_pair
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.compare import compare
 from dds_trace.analyzer.verdicts.sides import (
-    Stratum,
+    Recorder,
     difference_sentences,
     environment_differences,
     environment_of_group,
@@ -71,8 +71,8 @@ def test_two_devices_that_change_places_are_not_alike():
     new = [ping("a", "6.6"), ping("b", "6.1")]
     found = environment_differences(base, new)
     assert {
-        stratum.device: [(one.field, set(one.base), set(one.new)) for one in unlike]
-        for stratum, unlike in found.items()
+        recorder.device: [(one.field, set(one.base), set(one.new)) for one in unlike]
+        for recorder, unlike in found.items()
     } == {"a": [("kernel", {OLD}, {NEWER})], "b": [("kernel", {NEWER}, {OLD})]}
     assert len(difference_sentences(found)) == 2
 
@@ -81,7 +81,7 @@ def test_a_device_is_compared_over_one_link_at_a_time():
     base = [ping(link="wired", kernel="6.1"), ping(link="wireless", kernel="6.6")]
     new = [ping(link="wired", kernel="6.1"), ping(link="wireless", kernel="6.1")]
     found = environment_differences([*base, relay()], [*new, relay()])
-    assert [stratum.connectivity for stratum, unlike in found.items() if unlike] == ["wireless"]
+    assert [recorder.connectivity for recorder, unlike in found.items() if unlike] == ["wireless"]
     assert environment_of_group(group(link="wired"), found) == "same"
     assert environment_of_group(group(link="wireless"), found) == "unlike: ping kernel"
 
@@ -89,8 +89,8 @@ def test_a_device_is_compared_over_one_link_at_a_time():
 def test_what_was_asked_for_and_what_one_side_does_not_know_is_no_difference():
     base = ping(middleware={"tuned": "true"}, wifi={"wlan0": 1}, governor="performance")
     new = ping(middleware={"tuned": "false"}, wifi={"wlan0": 2})
-    ((stratum, unlike),) = environment_differences([base], [new]).items()
-    assert stratum == Stratum("ping", base.vendor, "pi", "wired")
+    ((recorder, unlike),) = environment_differences([base], [new]).items()
+    assert recorder == Recorder("ping", base.vendor, "pi", "wired")
     assert unlike == []
 
 

@@ -14,10 +14,10 @@ from jsonschema import Draft202012Validator
 from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
-from dds_trace.analyzer.verdicts.compared.ignoring import match_without
-from dds_trace.analyzer.verdicts.compared.rows import DISTRIBUTION_LEVELS
+from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
 from dds_trace.analyzer.verdicts.gate import parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates
+from dds_trace.analyzer.verdicts.ignoring import match_without
 from dds_trace.reports.comparison import comparison_info, document, junit, markdown, page, terminal
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"

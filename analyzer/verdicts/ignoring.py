@@ -1,8 +1,8 @@
-"""Columns that a comparison leaves out of the match: which ones would help, and whether that is sound.
+"""Columns that a comparison does not match: which ones would help, and whether that is sound.
 
-Two folders that were recorded for unlike bridges, middlewares or links have no group in common. Without these columns
-their groups pair, and the comparison is one of bridges, middlewares or links. That holds only as long as no two groups
-of one side become one: their runs would be pooled, and the answer would follow from how many of each there are.
+Two folders recorded with different bridges, middlewares or links have no group in common. Without these columns their groups
+pair, and the comparison is one of bridges, middlewares or links. That holds only as long as no two groups of one side become
+one: their runs would be pooled, and the answer would follow from how many of each there are.
 """
 
 from __future__ import annotations
@@ -12,33 +12,30 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 
-from ...model.names import group_words, value_word, varying_parameters
-from ...model.parameters import CELL_COLUMNS, MATCH_COLUMNS
-from ..matching import RELAY_COLUMNS
+from ..model.names import group_words, value_word, varying_parameters
+from ..model.parameters import CELL_COLUMNS, MATCH_COLUMNS
+from .matching import RELAY_COLUMNS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     import polars as pl
 
-    from ...model.parameters import ParameterValue
-    from ..matching import Key
+    from ..model.parameters import ParameterValue
+    from .matching import Key
 
 IGNORABLE_COLUMNS = tuple(name for name in MATCH_COLUMNS if name not in CELL_COLUMNS)
-"""Columns that may be left out: times of unlike messages are never compared."""
+"""Columns that may be ignored; times of different messages are never compared."""
 
 _MOST_TRIED = 50
-"""Sets of columns that are tried out, the smallest and most frequent first."""
+"""Sets of columns that are tried, the smallest and most frequent first."""
 
 
 def match_without(ignored: Iterable[str]) -> tuple[str, ...]:
-    """Return the match columns without some.
-
-    Args:
-        ignored: those of `IGNORABLE_COLUMNS` to leave out.
+    """Return the match columns without some of `IGNORABLE_COLUMNS`.
 
     Raises:
-        OptionError: one of them is no such column.
+        OptionError: a name is none of them.
     """
     names = set(ignored)
     unknown = sorted(names - set(IGNORABLE_COLUMNS))
@@ -64,30 +61,29 @@ def check_match(groups: pl.DataFrame, side: str, match: Sequence[str]) -> None:
     if not left_out:
         return
     first: dict[Key, Key] = {}
-    whole, of_match = (groups.select(names).rows() for names in (left_out, match))
-    for ignored, key in zip(whole, of_match, strict=True):
+    for ignored, key in zip(groups.select(left_out).rows(), groups.select(match).rows(), strict=True):
         other = first.setdefault(key, ignored)
-        unlike = [
+        differences = [
             f"{name} ({one} and {two})"
             for name, one, two in zip(left_out, other, ignored, strict=True)
             if one != two and not (name in RELAY_COLUMNS and None in (one, two))
         ]
-        if unlike:
+        if differences:
             names = varying_parameters(groups.select(match), match)
             words = group_words(dict(zip(match, key, strict=True)), names)
             raise OptionError(
-                f"the {side} has two groups that differ only in {', '.join(unlike)}: {words}; ignored, they would be "
-                "pooled. Compare a folder with one of them, or match these columns"
+                f"the {side} has two results that differ only in {', '.join(differences)}: {words}; without it they would "
+                "be pooled. Compare a folder with one of them, or match these columns"
             )
 
 
 def ignored_sentences(base: pl.DataFrame, new: pl.DataFrame, match: Sequence[str]) -> tuple[str, ...]:
     """Return a sentence for each column that is not matched and in which the sides differ."""
-    left_out = (name for name in MATCH_COLUMNS if name not in match)
+    sides = ((name, _values(base, name), _values(new, name)) for name in MATCH_COLUMNS if name not in match)
     return tuple(
-        f"{name} is {_either(_values(base, name))} in the base and {_either(_values(new, name))} in the new side"
-        for name in left_out
-        if _values(base, name) != _values(new, name)
+        f"{name} is {' or '.join(before)} in the base and {' or '.join(after)} in the new side"
+        for name, before, after in sides
+        if before != after
     )
 
 
@@ -101,46 +97,37 @@ def unlike_columns(base: pl.DataFrame, new: pl.DataFrame) -> dict[str, tuple[str
     if base.is_empty() or new.is_empty():
         return {}
     sides = {name: (_values(base, name), _values(new, name)) for name in base.columns}
-    return {name: (_either(b), _either(n)) for name, (b, n) in sides.items() if not set(b) & set(n)}
+    return {name: (" or ".join(b), " or ".join(n)) for name, (b, n) in sides.items() if not set(b) & set(n)}
 
 
 def columns_to_ignore(base: pl.DataFrame, new: pl.DataFrame) -> tuple[str, ...]:
-    """Return the fewest columns without which groups of both sides pair and none of one side become one; empty if none do.
+    """Return the fewest columns without which groups of both sides pair and none of one side merge; empty if none do.
 
     Args:
         base: match columns of the groups that only the base has.
         new: those of the new side.
     """
     names, others = base.columns, new.rows()
-    unlike: Counter[tuple[str, ...]] = Counter()
+    differing: Counter[tuple[str, ...]] = Counter()
     for one in base.rows():
-        unlike.update(
+        differing.update(
             tuple(name for name, a, b in zip(names, one, other, strict=True) if a != b) for other in others
         )
-    candidates = sorted(unlike, key=lambda columns: (len(columns), -unlike[columns]))[:_MOST_TRIED]
-    return next(
-        (
-            columns
-            for columns in candidates
-            if set(columns) <= set(IGNORABLE_COLUMNS)
-            and _stay_apart(base, columns)
-            and _stay_apart(new, columns)
-        ),
-        (),
-    )
+    candidates = sorted(differing, key=lambda columns: (len(columns), -differing[columns]))[:_MOST_TRIED]
+    for columns in candidates:
+        is_allowed = set(columns) <= set(IGNORABLE_COLUMNS)
+        if is_allowed and _stay_apart(base, columns) and _stay_apart(new, columns):
+            return columns
+    return ()
 
 
 def _stay_apart(groups: pl.DataFrame, without: Sequence[str]) -> bool:
-    left: dict[Key, set[tuple[ParameterValue, ...]]] = defaultdict(set)
+    ignored: dict[Key, set[tuple[ParameterValue, ...]]] = defaultdict(set)
     match = [name for name in groups.columns if name not in without]
-    for key, ignored in zip(groups.select(match).rows(), groups.select(without).rows(), strict=True):
-        left[key].add(ignored)
-    return all(len(values) == 1 for values in left.values())
+    for key, values in zip(groups.select(match).rows(), groups.select(without).rows(), strict=True):
+        ignored[key].add(values)
+    return all(len(values) == 1 for values in ignored.values())
 
 
 def _values(groups: pl.DataFrame, column: str) -> list[str]:
     return sorted({value_word(value) for value in groups[column].to_list()})
-
-
-def _either(values: Sequence[str]) -> str:
-    return " or ".join(values)

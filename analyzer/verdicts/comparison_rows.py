@@ -1,4 +1,4 @@
-"""The rows of a comparison: what is known of one statistic of a matched group, and of its messages on both sides."""
+"""The columns of a comparison's frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 if TYPE_CHECKING:
-    from ...run_statistics.runs import Values
+    from ..run_statistics.runs import Values
 
 DISTRIBUTION_LEVELS = (0.0, 0.01, 0.025, *(n / 20 for n in range(1, 20)), 0.975, 0.99, 0.995, 0.999)
 """Shares of messages at which the distributions of two sides are given."""
@@ -137,7 +137,7 @@ class DeliveryRow:
 
 @dataclass(frozen=True, slots=True)
 class DistributionRow:
-    """The columns of `Comparison.distributions` behind the match columns: one metric of one matched group.
+    """The columns of `Comparison.distributions` after the match columns: one metric of one matched group.
 
     Each list has the times in ns at the first of `DISTRIBUTION_LEVELS`, infinite for lost messages; it ends where the
     messages are too few for the next level.
@@ -149,11 +149,7 @@ class DistributionRow:
 
 
 def at_levels(ordered: Values) -> tuple[float, ...]:
-    """Return values at the first of `DISTRIBUTION_LEVELS`, to the last that so many values support.
-
-    Args:
-        ordered: rising, infinity for a lost message.
-    """
+    """Return ascending values at the first of `DISTRIBUTION_LEVELS`, to the last that so many values support."""
     if not len(ordered):
         return ()
     levels = np.asarray(DISTRIBUTION_LEVELS)

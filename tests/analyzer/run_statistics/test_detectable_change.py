@@ -5,10 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from dds_trace.analyzer.run_statistics.change import Verdict, change_of_runs
+from dds_trace.analyzer.run_statistics.change import (
+    Verdict,
+    change_of_runs,
+    detectable_changes,
+    smallest_detectable_ratio,
+)
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
 from dds_trace.analyzer.statistics.power import benjamini_hochberg_adjusted
-from dds_trace.analyzer.verdicts.compared.sight import sights, smallest_seen
 
 P50 = Statistic(0.5)
 CONFIDENCE, SAME_WITHIN = 0.95, 0.05
@@ -45,7 +49,7 @@ def drawn_pairs(runs, spread, seed):
 )
 def test_the_smallest_change_is_seen_in_80_of_100_whichever_group_it_is(groups, runs, spread):
     pairs = drawn_pairs(runs, spread, seed=groups)
-    told = [smallest_seen(one, groups, CONFIDENCE, SAME_WITHIN) for one in changes_of(pairs)]
+    told = [smallest_detectable_ratio(one, groups, CONFIDENCE, SAME_WITHIN) for one in changes_of(pairs)]
     smallest = math.exp(np.mean(np.log(told)))
     assert 0.7 <= share_called_slower(changes_of(pairs, smallest), groups) <= 0.88
     assert share_called_slower(changes_of(pairs, math.sqrt(smallest)), groups) <= 0.35
@@ -55,8 +59,12 @@ def test_the_group_that_sees_least_counts_and_others_are_counted():
     (steady_pair,), (wild_pair,) = (drawn_pairs(3, spread, seed=1)[:1] for spread in (0.01, 0.1))
     steady, wild, short = changes_of([steady_pair, wild_pair, [side[:2] for side in steady_pair]])
     named = [("latency", "p50", one) for one in (steady, wild, short)]
-    alone, both = (sights(some, CONFIDENCE, SAME_WITHIN)[0] for some in (named[:1], named))
+    alone, both = (detectable_changes(some, CONFIDENCE, SAME_WITHIN)[0] for some in (named[:1], named))
     assert (both.metric, both.statistic, both.groups, both.told) == ("latency", "p50", 3, 2)
-    assert both.smallest_ratio == smallest_seen(wild, 2, CONFIDENCE, SAME_WITHIN)
-    assert alone.smallest_ratio < smallest_seen(steady, 2, CONFIDENCE, SAME_WITHIN) < both.smallest_ratio
-    assert sights(named[2:], CONFIDENCE, SAME_WITHIN)[0].smallest_ratio is None
+    assert both.smallest_ratio == smallest_detectable_ratio(wild, 2, CONFIDENCE, SAME_WITHIN)
+    assert (
+        alone.smallest_ratio
+        < smallest_detectable_ratio(steady, 2, CONFIDENCE, SAME_WITHIN)
+        < both.smallest_ratio
+    )
+    assert detectable_changes(named[2:], CONFIDENCE, SAME_WITHIN)[0].smallest_ratio is None

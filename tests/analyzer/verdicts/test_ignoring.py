@@ -5,7 +5,7 @@ import pytest
 from roundtrip_frames import MS, PLAIN, in_runs
 
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
-from dds_trace.analyzer.verdicts.compared.ignoring import (
+from dds_trace.analyzer.verdicts.ignoring import (
     check_match,
     columns_to_ignore,
     ignored_sentences,

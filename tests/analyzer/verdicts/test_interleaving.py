@@ -86,7 +86,7 @@ def test_sides_that_were_not_measured_in_turns_are_matched_by_what_was_asked_for
     record(tmp_path / "new", 300, [1200, 1320, 1080], "a", reliability="best_effort")
     found = compare(*sides(tmp_path))
     assert rows_of(found) == []
-    assert found.asked == ()
+    assert found.interleaved == ()
 
 
 def test_a_partner_that_was_not_recorded_leaves_the_cell_alone(tmp_path):

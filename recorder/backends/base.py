@@ -53,9 +53,9 @@ class Backend:
         meeting: how ping and relay meet.
         meeting_needs: what that requires, for the end of a sentence, with `{port}` in place of the relay's port and
             `{dds_backends}` in place of the names of all backends that speak DDS.
-        speaks_dds: whether its nodes meet those of other backends that speak DDS.
-        relay_port: number of the relay's port among the 250 of the domain, of which DDS participants use 0, 1 and
-            those from 10 on; None where the relay does not listen.
+        speaks_dds: whether its nodes meet nodes of other backends that speak DDS.
+        relay_port: number of the relay's port among the 250 of the domain, 2 to 9, which DDS participants do not use; None
+            where the relay does not listen.
         make_pair: opens two nodes on this device, one that subscribes and one that publishes, for a backend whose nodes do
             not receive their own messages; None where one node does both.
         has_ros: whether it has a ROS middleware and an executor, which can be chosen.

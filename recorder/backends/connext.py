@@ -89,7 +89,6 @@ class ConnextNode(ThreadedNode):
     def create_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RawMessage]:
-        """Create a writer of bytes."""
         dds = _connext()
         dds_topic_object, dynamic_type = self._topic(topic, type_name)
         policies = _fill(dds.DataWriterQos(), qos or self.options.qos)
@@ -103,7 +102,6 @@ class ConnextNode(ThreadedNode):
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a reader of bytes."""
         dds = _connext()
         dds_topic_object, _ = self._topic(topic, type_name)
         policies = _fill(dds.DataReaderQos(), qos or self.options.qos)
@@ -148,8 +146,7 @@ class ConnextNode(ThreadedNode):
         return receive_round
 
     def look_at(self, topic: str) -> TopicView:
-        """Return the endpoints that Connext has discovered, and this node's own, which it does not report."""
-        qos = self.options.qos
+        qos = self.options.qos  # Connext does not report a participant's own endpoints
         own = Qos(qos.reliability, qos.durability, "", 0, qos.extra)
         publishers = self._endpoints(self._participant.publication_reader, topic)
         subscriptions = self._endpoints(self._participant.subscription_reader, topic)
@@ -182,7 +179,6 @@ class ConnextNode(ThreadedNode):
         ]
 
     def count_participants(self) -> int | None:
-        """Count the participants of the domain."""
         return 1 + len(self._participant.discovered_participants())
 
     def _leave(self) -> None:

@@ -93,7 +93,6 @@ class CycloneNode(ThreadedNode):
     def create_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RawMessage]:
-        """Create a writer of bytes."""
         from cyclonedds.pub import DataWriter
 
         writer = DataWriter(
@@ -106,7 +105,6 @@ class CycloneNode(ThreadedNode):
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a reader of bytes."""
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
 
@@ -164,7 +162,6 @@ class CycloneNode(ThreadedNode):
         return receive_round
 
     def look_at(self, topic: str) -> TopicView:
-        """Return the endpoints that Cyclone DDS has discovered; those of ROS 2 nodes have no name."""
         publishers = tuple(self._builtin.endpoints("publications", dds_topic(topic)))
         subscriptions = tuple(self._builtin.endpoints("subscriptions", dds_topic(topic)))
         pairs = incompatible_pairs(topic, publishers, subscriptions, self.options.name)
@@ -196,7 +193,6 @@ class CycloneNode(ThreadedNode):
         return lines
 
     def count_participants(self) -> int | None:
-        """Count the participants of the domain."""
         return len(self._builtin.participants())
 
     def _leave(self) -> None:

@@ -42,7 +42,7 @@ class NodeOptions:
         discovery: how far the node looks for others.
         qos: default quality of service of the data topics.
         executor: executor that calls the subscriptions (only `ros2`).
-        rmw: ROS middleware to run on, None for that of the environment (only `ros2`).
+        rmw: ROS middleware to run on, None for the environment's (only `ros2`).
         transport: transports that the middleware may use.
         tuned: whether the vendor's documented settings for large messages are applied.
         congestion_control: algorithm of TCP, None for the system's (only `socket`).
@@ -173,7 +173,7 @@ class Node(ABC):
         Args:
             topic: ROS name without the first slash.
             type_name: message type, such as `sensor_msgs/msg/Image`.
-            qos: quality of service, by default that of the node's options.
+            qos: quality of service, by default the node's.
 
         Raises:
             OptionError: the backend has no such quality of service or does not know the type.
@@ -268,7 +268,7 @@ class NodeSubscription:
 
 @runtime_checkable
 class ObjectNode(Protocol):
-    """The further abilities of a node whose client library has message objects: that of ROS 2."""
+    """The further abilities of a node whose client library has message objects (ROS 2)."""
 
     def create_object_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None

@@ -83,7 +83,7 @@ def mismatches(offered: Qos, requested: Qos) -> list[str]:
 def incompatible_pairs(
     topic: str, publishers: Iterable[Endpoint], subscriptions: Sequence[Endpoint], own_name: str
 ) -> Iterator[str]:
-    """Yield a line for each pair on `topic` that can never match and of which one side is the node `own_name`."""
+    """Yield a line for each pair on `topic` that can never match and includes the node `own_name`."""
     for publisher in publishers:
         for subscription in subscriptions:
             names = publisher.node_name, subscription.node_name

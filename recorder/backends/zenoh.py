@@ -87,7 +87,6 @@ class ZenohNode(Node):
     def create_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RawMessage]:
-        """Create a publisher of bytes."""
         import zenoh
 
         qos = qos or self.options.qos
@@ -106,7 +105,6 @@ class ZenohNode(Node):
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a subscription of bytes."""
         _check_qos(qos or self.options.qos)
         declare = partial(self._session.declare_subscriber, self._key("data", topic), self._guarded(receive))
         subscription = _ZenohSubscription(declare, self._announce(SUBSCRIPTION, topic, type_name))
@@ -136,13 +134,11 @@ class ZenohNode(Node):
         return self._session.liveliness().declare_token(key)
 
     def start(self) -> None:
-        """Open the subscriptions; zenoh has a thread for each."""
         self._started = True
         for subscription in self._subscriptions:
             subscription.open()
 
     def look_at(self, topic: str) -> TopicView:
-        """Return the announced endpoints; zenoh matches any pair."""
         return TopicView(
             topic,
             tuple(self._endpoints(PUBLISHER, topic)),
@@ -156,14 +152,12 @@ class ZenohNode(Node):
         return [Endpoint(name, type_name.replace(".", "/")) for name, type_name in parts]
 
     def count_participants(self) -> int | None:
-        """Count the sessions that this one is connected to, and itself."""
         return 1 + len(self._session.info.peers_zid()) + len(self._session.info.routers_zid())
 
     def _stop_receiving(self) -> None:
         """Do nothing: zenoh's threads end with the session."""
 
     def _leave(self) -> None:
-        """Close the session, which sends what is queued."""
         self._session.close()
 
 

@@ -220,7 +220,7 @@ class Bridge:
         find: returns the program's path on this machine, None if it is not installed.
         version: returns the version that the program reports, empty if it reports none.
         arguments: returns the arguments between the program and the path of its configuration.
-        environment: returns the variables that the program needs beyond those of this process.
+        environment: returns the variables that the program needs in addition to this process's.
         halves: whether it runs as one process for each domain.
         up_pattern: regular expression of the log line that says the bridge is up; None if its log has no such line.
         needs_ros_nodes: whether it finds nodes by `ros_discovery_info`, which only ROS 2 publishes, so that plain DDS

@@ -48,7 +48,7 @@ def check_requested_bridge(
     # Also of one that runs already: the trace keeps its name.
     if bridge.needs_ros_nodes and not load_backend(options.backend).has_ros:
         raise OptionError(
-            f"--bridge {ping.bridge}: it finds nodes by ros_discovery_info, which those of the backend {options.backend} do "
+            f"--bridge {ping.bridge}: it finds nodes by ros_discovery_info, which nodes of the backend {options.backend} do "
             "not publish; use --backend ros2, or zenoh-bridge-dds"
         )
     if ping.bridge_running:

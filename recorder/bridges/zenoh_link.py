@@ -37,7 +37,7 @@ def plugin_configuration(plugin: str, settings: Mapping[str, object], options: B
 
 
 def zenoh_environment(options: BridgeOptions, *, names_loopback: bool) -> Mapping[str, str]:
-    """Return the settings of the Cyclone DDS in a zenoh bridge, and those of the log.
+    """Return the settings of the Cyclone DDS in a zenoh bridge, and of its log.
 
     Args:
         options: options of the bridge.

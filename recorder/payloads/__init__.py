@@ -1,4 +1,4 @@
-"""The data that a ping can send: made up here, or read from files, bags and running topics; one file each."""
+"""The data that a ping can send, one file each: made up, or read from files, bags and running topics."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 
 from .bag import BAG
-from .base import DataType, Source, Surroundings
+from .base import DataType, PayloadContext, Source
 from .binary import BINARY
 from .file import FILE
 from .header import header_data_type
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 PAYLOADS: dict[str, DataType | Source] = {
     payload.name: payload for payload in (BINARY, STRING, IMU, FILE, BAG, TOPIC)
 }
-"""Everything that `--data` can name, by its name or by the text before the colon."""
+"""Values of `--data`: a name, or the text before the colon."""
 
 
 def data_types() -> dict[str, DataType]:
-    """Return the data types that are made up here, by name; a relay serves all of them at once."""
+    """Return the built-in data types by name; a relay serves all of them."""
     return {name: payload for name, payload in PAYLOADS.items() if isinstance(payload, DataType)}
 
 
@@ -41,13 +41,13 @@ def find_data_type(name: str) -> DataType:
     Raises:
         OptionError: there is none.
     """
-    made = data_types()
-    if name not in made:
+    types = data_types()
+    if name not in types:
         *usages, last = (payload.usage for payload in PAYLOADS.values() if isinstance(payload, Source))
         raise OptionError(
-            f"there is no data type {limits.shown(name)}; choose one of {', '.join(made)}, or write {', '.join(usages)} or {last}"
+            f"there is no data type {limits.shown(name)}; choose one of {', '.join(types)}, or write {', '.join(usages)} or {last}"
         )
-    return made[name]
+    return types[name]
 
 
 def open_payload(
@@ -59,58 +59,62 @@ def open_payload(
     wait_s: float,
     stop: threading.Event,
 ) -> AbstractContextManager[Payload]:
-    """Open the payload that `--data` names, for as long as the block runs.
+    """Open the payload that `--data` names, while the block runs.
 
     Args:
         data: value of `--data`.
         size_bytes: application bytes of a message, None for the default of its type.
         seed: seed of random content.
-        open_node: opens a node beside that of the ping, for a live source.
+        open_node: opens a second node, for a live source.
         wait_s: longest wait for a live source, in seconds.
-        stop: ends that wait, and the making or reading of the data.
+        stop: event that ends this work.
 
     Raises:
         StoppedError: `stop` was set before there was a message.
-        OptionError: there is no such data, or it has a size of its own and another was asked for.
-        BackendUnavailableError: reading it takes a package that is not installed.
+        OptionError: there is no such data, or it cannot have that size.
+        BackendUnavailableError: a package to read it is not installed.
     """
-    kind, colon, where = data.partition(":")
-    source = PAYLOADS.get(kind)
-    if not colon or not isinstance(source, Source):
+    source, name = _split_source(data)
+    if source is None:
         return nullcontext(find_data_type(data).make(size_bytes, seed, stop))
     if size_bytes is not None:
         raise OptionError(
             f"--size {size_bytes}: the messages of {data} have sizes of their own; leave --size out"
         )
-    return source.open(where, Surroundings(_own_types(), open_node, wait_s, stop))
+    return source.open(name, PayloadContext(_own_types(), open_node, wait_s, stop))
 
 
 def check_data(data: str) -> None:
     """Refuse a value of `--data` that names no data, without opening any.
 
     Raises:
-        OptionError: there is no such data type, or the text behind the colon names nothing.
+        OptionError: there is no such data type, or the text after the colon is wrong.
     """
     limits.check(limits.TEXT, data, "--data")
-    kind, colon, where = data.partition(":")
-    source = PAYLOADS.get(kind)
-    if colon and isinstance(source, Source):
-        source.check(where)
-    else:
+    source, name = _split_source(data)
+    if source is None:
         find_data_type(data)
+    else:
+        source.check(name)
 
 
 def is_live(data: str) -> bool:
-    """Return whether `--data` names a running topic, whose messages are part of the surroundings."""
-    kind, colon, _ = data.partition(":")
-    return bool(colon) and kind == TOPIC.name
+    """Return whether `--data` names a running topic."""
+    return _split_source(data)[0] is TOPIC
+
+
+def _split_source(data: str) -> tuple[Source | None, str]:
+    """Return the source that `--data` names and the text after the colon; no source if it names a data type."""
+    kind, colon, name = data.partition(":")
+    source = PAYLOADS.get(kind)
+    return (source, name) if colon and isinstance(source, Source) else (None, data)
 
 
 def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
-    """Return what a relay serves: the data types that are made up here, and those of further message types.
+    """Return the data types that a relay serves: the built-in ones, and one for each further message type.
 
     Raises:
-        OptionError: one of `type_names` is no name of a message type.
+        OptionError: one of `type_names` is not a message type.
     """
     own_types = _own_types()
     further = dict.fromkeys(name for name in type_names if name not in own_types)

@@ -1,8 +1,8 @@
-"""`bag:PATH#TOPIC`: the messages of a rosbag1, rosbag2 or MCAP file, sent again with our stamp in their header."""
+"""`bag:PATH#TOPIC`: the messages of a rosbag1, rosbag2 or MCAP file, with our stamp in their header."""
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..errors import StoppedError
-from .base import DataType, Message, Payload, Source, check_held_bytes, check_stop
+from .base import DataType, Message, Payload, Source, check_size, check_stop
 from .header import recognize_data_type
 
 if TYPE_CHECKING:
@@ -21,50 +21,43 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
-    from .base import Surroundings
-
 HEADER_TYPE = "std_msgs/msg/Header"
 NAMED_FIELD = 2
-"""rosbags' mark of a field that is a message itself."""
+"""rosbags' mark of a field that is a message."""
 
 
 def load_payload(
     where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None
 ) -> Payload:
-    """Read the messages of `PATH#TOPIC` as CDR, each with room for the stamp, and the mean rate of their recording.
-
-    Args:
-        where: path of the bag and topic in it.
-        own_types: data types that are made up here, by the name of their message type.
-        stop: ends the reading once it is set.
+    """Read the messages of `PATH#TOPIC` as CDR, each with room for the stamp, and their mean rate.
 
     Raises:
         StoppedError: `stop` was set.
         OptionError: no bag, no such topic in it, a type that cannot carry the stamp, or too much data.
         BackendUnavailableError: rosbags is not installed.
     """
-    name, topic = split_place(where)
+    name, topic = split_topic(where)
     path = Path(name)
     if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for a writer
-        raise OptionError(f"--data bag:{where}: {path} is neither a file nor a folder")
-    with _opened(path) as reader:
+        raise OptionError(f"--data bag:{where}: {path} is not a file or a folder")
+    with _open_reader(path) as reader:
         connections = _connections_of(reader, topic, path)
         type_name = connections[0].msgtype
-        stamped = _Stamper(reader, type_name, path, own_types)
-        messages, times_ns, held_bytes = [], [], 0
+        stamper = _Stamper(reader, type_name, path, own_types)
+        messages, times_ns, size_bytes = [], [], 0
         for _, time_ns, data in reader.messages(connections):
             check_stop(stop)
-            check_held_bytes(held_bytes + len(data), path)
-            message = stamped(data)
+            check_size(size_bytes + len(data), path)
+            message = stamper(data)
             messages.append(message)
             times_ns.append(time_ns)
-            held_bytes += len(message.data)
-            check_held_bytes(held_bytes, path)
+            size_bytes += len(message.data)
+            check_size(size_bytes, path)
     if not messages:
-        raise OptionError(f"--data bag:{where}: the bag holds no message of that topic")
+        raise OptionError(f"--data bag:{where}: the bag has no messages of that topic")
     span_ns = times_ns[-1] - times_ns[0]
     return Payload(
-        stamped.data_type,
+        stamper.data_type,
         tuple(messages),
         max(message.payload_bytes for message in messages),
         rate_hz=(len(times_ns) - 1) / span_ns * 1e9 if span_ns > 0 else None,
@@ -72,7 +65,7 @@ def load_payload(
     )
 
 
-def split_place(where: str) -> tuple[str, str]:
+def split_topic(where: str) -> tuple[str, str]:
     """Return path and topic of `PATH#TOPIC`.
 
     Raises:
@@ -87,8 +80,8 @@ def split_place(where: str) -> tuple[str, str]:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[AnyReader]:
-    """Open a reader of the bag; any error of a damaged bag within the block becomes one line."""
+def _open_reader(path: Path) -> Iterator[AnyReader]:
+    """Open a reader of the bag; an error of a damaged bag within the block becomes one line."""
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only bags need it
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
@@ -99,7 +92,7 @@ def _opened(path: Path) -> Iterator[AnyReader]:
             "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]'"
         ) from err
     try:
-        # Bags of sqlite3 before ROS 2 Iron hold no definitions; the stock types have hardly changed since.
+        # Bags of sqlite3 before ROS 2 Iron have no definitions; the stock types have hardly changed since.
         with (
             bounded_unpacking(path),
             AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
@@ -114,19 +107,21 @@ def _opened(path: Path) -> Iterator[AnyReader]:
 
 
 def _connections_of(reader: AnyReader, topic: str, path: Path) -> list[Connection]:
-    connections = [each for each in reader.connections if each.topic.lstrip("/") == topic.lstrip("/")]
+    connections = [other for other in reader.connections if other.topic.lstrip("/") == topic.lstrip("/")]
     if not connections:
-        there = sorted({each.topic for each in reader.connections})
-        nearest = get_close_matches(topic, there, 1, 0) or ["nothing at all"]
-        raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(there)} is {nearest[0]}")
-    types = sorted({each.msgtype for each in connections})
+        topics = sorted({other.topic for other in reader.connections})
+        nearest = get_close_matches(topic, topics, 1, 0) or ["nothing at all"]
+        raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(topics)} is {nearest[0]}")
+    types = sorted({connection.msgtype for connection in connections})
     if len(types) > 1:
-        raise OptionError(f"{path} has {topic} with several types ({', '.join(types)}); none can be chosen")
+        raise OptionError(
+            f"{path} has {topic} with several types ({', '.join(types)}), which cannot be sent as one"
+        )
     return connections
 
 
 class _Stamper:
-    """A converter of recorded messages of one type to ours: CDR, with our stamp's 46 characters in their place."""
+    """A converter of recorded messages of one type to CDR with room for the stamp."""
 
     def __init__(
         self, reader: AnyReader, type_name: str, path: Path, own_types: Mapping[str, DataType]
@@ -148,7 +143,7 @@ class _Stamper:
 
 
 def _store_of_ros2(ros1: Typestore) -> Typestore:
-    """Return the types of a ROS 1 bag in the layout of ROS 2, whose header has no `seq`."""
+    """Return the types of a ROS 1 bag as in ROS 2, whose header has no `seq`."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - only bags need it
 
     types = dict(ros1.fielddefs)
@@ -160,8 +155,9 @@ def _store_of_ros2(ros1: Typestore) -> Typestore:
     return store
 
 
-def _open(where: str, surroundings: Surroundings) -> AbstractContextManager[Payload]:
-    return nullcontext(load_payload(where, surroundings.own_types, surroundings.stop))
-
-
-BAG = Source(name="bag", usage="bag:PATH#TOPIC", open=_open, check=split_place)
+BAG = Source(
+    name="bag",
+    usage="bag:PATH#TOPIC",
+    open=lambda where, context: nullcontext(load_payload(where, context.own_types, context.stop)),
+    check=split_topic,
+)

@@ -1,4 +1,4 @@
-"""Data that a ping sends: a `DataType` makes it up, a `Source` reads it; both give a `Payload` of serialized messages."""
+"""Data that a ping sends: a `DataType` makes it up, a `Source` reads it; both return a `Payload`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 ReceivedT = TypeVar("ReceivedT")
 
 RELAY_SUFFIX = "_relay"
-"""End of a topic's name on the way back."""
+"""Suffix of a topic's name on the way back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +31,8 @@ class Message:
     """One serialized message with room for the stamp.
 
     Attributes:
-        data: the whole buffer, encapsulation included; the ping patches the stamp in place.
-        payload_bytes: application bytes of it, the stamp not counted.
+        data: the whole buffer, encapsulation included, in which the ping changes the stamp.
+        payload_bytes: application bytes, without the stamp.
     """
 
     data: bytearray
@@ -40,7 +40,7 @@ class Message:
 
 
 class Feed(Protocol):
-    """A live source of messages, whose arrivals are the schedule."""
+    """A live source of messages; each is sent when it arrives."""
 
     def begin(self) -> None:
         """Keep the messages that arrive from now on."""
@@ -50,18 +50,18 @@ class Feed(Protocol):
 
     @property
     def skipped(self) -> int:
-        """Messages that arrived while too many waited already, and were not kept."""
+        """Messages that were dropped because too many waited."""
 
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """The messages of a run, sent in turn and from the start again.
+    """The messages of a run, sent in a cycle.
 
     Attributes:
-        payload_bytes: application bytes of a message; of the largest, if they differ.
-        rate_hz: rate at which the data was recorded, None if it has no rate of its own.
-        source: origin of the data as `--data` named it; empty for random data.
-        feed: the messages of the run as they arrive from a live source; `messages` are for probes then.
+        payload_bytes: application bytes of the largest message.
+        rate_hz: rate at which the data was recorded, None if it has no rate.
+        source: origin of the data as in `--data`; empty for random data.
+        feed: live source of the messages, None for recorded ones; with it `messages` are for probes.
     """
 
     data_type: DataType
@@ -79,8 +79,8 @@ class Form(Generic[SentT, ReceivedT]):
     Attributes:
         stamp: place of the stamp in a message.
         payload_bytes_of: returns the application bytes of a received message.
-        sizing_bytes_of: returns how many of the first bytes of a message decide, together with its length, what
-            `payload_bytes_of` returns; None for message objects.
+        sizing_bytes_of: returns how many first bytes of a message determine, with its length, its `payload_bytes_of`;
+            None for message objects.
     """
 
     stamp: StampPlace[SentT, ReceivedT]
@@ -89,7 +89,7 @@ class Form(Generic[SentT, ReceivedT]):
 
 
 def sized_by_length(_message: RawMessage) -> int:
-    """Return 0, `Form.sizing_bytes_of` of a type whose payload follows from the message's length and that of its first string."""
+    """Return 0, the `Form.sizing_bytes_of` of a type whose payload follows from the length of message and first string."""
     return 0
 
 
@@ -97,12 +97,7 @@ class Maker(Protocol):
     """Function that makes up a payload."""
 
     def __call__(self, size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
-        """Make up a payload.
-
-        Args:
-            size_bytes: application bytes of a message; None for the type's default.
-            seed: seed of its random content.
-            stop: ends the work once it is set.
+        """Make up a payload of `size_bytes`, None for the type's default, until `stop` is set.
 
         Raises:
             OptionError: there is no payload of that size.
@@ -112,15 +107,15 @@ class Maker(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DataType:
-    """One kind of data: its names, the place of the stamp in its messages, and how a payload is made up.
+    """One kind of data.
 
     Attributes:
         name: name in the trace and in `--data`: `binary`, `string`, `imu`.
-        topic: topic of the way out; that of the way back has `RELAY_SUFFIX`.
+        topic: topic of the way out.
         type_name: ROS name of the message type.
         raw: its serialized messages.
-        objects: its message objects, None for a type that travels serialized alone.
-        object_stamp: place of the stamp in a message object, also in one that others made.
+        objects: its message objects, None for a type that is only sent in serialized form.
+        object_stamp: place of the stamp in a message object, also of other programs.
         make: makes up the payload.
     """
 
@@ -141,22 +136,22 @@ class DataType:
         """Return the form of its message objects.
 
         Raises:
-            OptionError: the type travels serialized alone.
+            OptionError: the type is only sent in serialized form.
         """
         if self.objects is None:
-            raise OptionError(f"--serialization typed: {self.type_name} is sent as raw bytes alone")
+            raise OptionError(f"--serialization typed: {self.type_name} is only sent as raw bytes")
         return self.objects
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
-    """What a source may need of the recording that it belongs to.
+class PayloadContext:
+    """What a source needs of the recording.
 
     Attributes:
-        own_types: data types that are made up here, by the name of their message type.
-        open_node: opens a node beside that of the ping, not started yet.
-        wait_s: longest wait for a live source, in seconds.
-        stop: ends that wait.
+        own_types: built-in data types by message type.
+        open_node: opens a second node, not started.
+        wait_s: longest wait for a live source.
+        stop: event that ends the work.
     """
 
     own_types: Mapping[str, DataType]
@@ -172,18 +167,18 @@ class Source:
     Attributes:
         name: text before the colon in `--data`.
         usage: form of the whole value of `--data`, such as `file:PATH`.
-        open: opens the payload for the text behind the colon, for as long as the block lasts.
-        check: refuses a text behind the colon that names nothing; raises an `OptionError` and opens nothing.
+        open: opens the payload for the text after the colon, while the block runs.
+        check: raises an `OptionError` for a wrong text after the colon, without opening anything.
     """
 
     name: str
     usage: str
-    open: Callable[[str, Surroundings], AbstractContextManager[Payload]]
+    open: Callable[[str, PayloadContext], AbstractContextManager[Payload]]
     check: Callable[[str], object] = str
 
 
 def check_stop(stop: threading.Event | None) -> None:
-    """End the making of a payload once the recording is to stop.
+    """End the work on a payload when the recording stops.
 
     Raises:
         StoppedError: `stop` is set.
@@ -192,14 +187,13 @@ def check_stop(stop: threading.Event | None) -> None:
         raise StoppedError("stopped before there was anything to send; nothing is recorded")
 
 
-def check_held_bytes(held_bytes: int, path: Path) -> None:
-    """Refuse data that does not fit into memory beside everything else.
+def check_size(size_bytes: int, path: Path) -> None:
+    """Refuse data that is too large for memory.
 
     Raises:
         OptionError: there are more than `MAX_PAYLOAD_BYTES`.
     """
-    if held_bytes > MAX_PAYLOAD_BYTES:
+    if size_bytes > MAX_PAYLOAD_BYTES:
         raise OptionError(
-            f"{path} holds more than {MAX_PAYLOAD_BYTES >> 30} GiB of data to send; all of it is held in memory, "
-            "so give a part of it"
+            f"{path} has more than {MAX_PAYLOAD_BYTES >> 30} GiB of data to send, which must fit into memory; give a part of it"
         )

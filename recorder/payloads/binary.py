@@ -1,4 +1,4 @@
-"""Binary data: a `sensor_msgs/msg/Image` of one row of random bytes, which no layer can compress away."""
+"""Binary data: a `sensor_msgs/msg/Image` of one row of random bytes, which no layer can compress."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 
 DEFAULT_BYTES = 33_000
 MAX_BYTES = MAX_PAYLOAD_BYTES  # within the four bytes of width, step and the length of `data`
-_PIECE_BYTES = 1 << 20  # a multiple of four, so that pieces join to what one draw gives
+_PIECE_BYTES = 1 << 20  # a multiple of four, so that pieces equal one draw
 _UINT32 = struct.Struct("<I")
-_ENCODING_OFFSET = (
-    72  # of its length: encapsulation 4, time 8, frame_id with our stamp 4 + 47 + 1, height, width
-)
+_ENCODING_OFFSET = 72
+"""Offset of the encoding's length: encapsulation 4, time 8, frame_id with our stamp 4 + 47 + 1, height 4, width 4."""
 
 
 def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
@@ -42,7 +41,7 @@ def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None
 
 
 def _noise(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes]:
-    """Yield the bytes of `random.Random(seed).randbytes(size)`, which draws 256 MiB at the most, in pieces."""
+    """Yield `random.Random(seed).randbytes(size)` in pieces, as one draw is limited to 256 MiB."""
     draw = random.Random(seed)  # noqa: S311 - reproducible noise, no secret
     for begin in range(0, size, _PIECE_BYTES):
         check_stop(stop)
@@ -50,7 +49,7 @@ def _noise(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes
 
 
 def image_message(size: int, pieces: Iterable[bytes]) -> Message:
-    """Return an image of one row that holds the `size` bytes of `pieces`, 1 to `MAX_BYTES`."""
+    """Return an image of one row with the `size` bytes of `pieces`."""
     writer = CdrWriter()
     writer.header(stamp_text(0, 0))
     writer.uint32(1)  # height
@@ -63,22 +62,20 @@ def image_message(size: int, pieces: Iterable[bytes]) -> Message:
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Return the length of `data` in a serialized image; 0 if the bytes are no image of ours."""
+    """Return the length of `data` in a serialized image; 0 if the message is not an image of ours."""
     try:
-        (encoding_bytes,) = _UINT32.unpack_from(message, _ENCODING_OFFSET)
-        step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1  # is_bigendian is one byte
-        data_offset = step_offset + -step_offset % 4 + 4
-        (data_bytes,) = _UINT32.unpack_from(message, data_offset)
+        data_offset = sizing_bytes_of(message)
+        (data_bytes,) = _UINT32.unpack_from(message, data_offset - 4)
     except struct.error:
         return 0
-    padding = len(message) - (data_offset + 4 + data_bytes)  # some vendors fill up to four bytes
+    padding = len(message) - (data_offset + data_bytes)  # some vendors pad to four bytes
     return int(data_bytes) if 0 <= padding < 4 else 0
 
 
 def sizing_bytes_of(message: RawMessage) -> int:
-    """Return the offset behind the length of `data`."""
+    """Return the offset of the content of `data`."""
     (encoding_bytes,) = _UINT32.unpack_from(message, _ENCODING_OFFSET)
-    step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1
+    step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1  # is_bigendian is one byte
     return int(step_offset + -step_offset % 4 + 8)
 
 

@@ -1,4 +1,4 @@
-"""A writer of the few CDR layouts that payloads need, so that a backend without ROS sends the same bytes."""
+"""A writer of CDR for payloads, so that a backend without ROS sends the same bytes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class CdrWriter:
-    """A serialized message in little-endian XCDR1, in the order of the calls; alignment counts from behind the encapsulation."""
+    """A serialized message in little-endian XCDR1; alignment counts from the end of the encapsulation."""
 
     def __init__(self) -> None:
         self._data = bytearray(CDR_HEADER)
@@ -36,16 +36,16 @@ class CdrWriter:
         self._data += struct.pack(f"<{len(values)}d", *values)
 
     def string(self, text: bytes, more_bytes: int = 0, more: Iterable[bytes] = ()) -> None:
-        """Append the length with the terminating zero, the characters of `text` and of `more`, and the zero."""
+        """Append length, the characters of `text` and `more`, and a zero."""
         self.pieces(len(text) + more_bytes + 1, itertools.chain((text,), more))
         self._data += b"\0"
 
     def octets(self, data: bytes) -> None:
-        """Append a sequence of bytes: its length, then the bytes."""
+        """Append a sequence of bytes."""
         self.pieces(len(data), (data,))
 
     def pieces(self, size: int, pieces: Iterable[bytes]) -> None:
-        """Append a sequence of `size` bytes that comes in pieces, so that a large one is held once."""
+        """Append a sequence of `size` bytes in pieces, so that a large one is in memory once."""
         self.uint32(size)
         for piece in pieces:
             self._data += piece
@@ -57,5 +57,5 @@ class CdrWriter:
         self.string(frame_id)
 
     def message(self) -> bytearray:
-        """Return the whole serialized message."""
+        """Return the serialized message."""
         return self._data

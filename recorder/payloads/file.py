@@ -1,16 +1,16 @@
-"""`file:PATH`: the bytes of a file, or of each file in a folder in turn, sent as `binary` data."""
+"""`file:PATH`: the bytes of a file, or of each file in a folder, sent as `binary` data."""
 
 from __future__ import annotations
 
 import os
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import open_regular
 
-from .base import Payload, Source, check_held_bytes, check_stop
+from .base import Payload, Source, check_size, check_stop
 from .binary import BINARY, image_message
 
 if TYPE_CHECKING:
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import BinaryIO
 
-    from .base import Message, Surroundings
+    from .base import Message
 
 _PIECE_BYTES = 1 << 20
 
 
 def load_payload(where: str, stop: threading.Event | None = None) -> Payload:
-    """Return one image for each file at `where`, in the order of their names; hidden files are left out.
+    """Return one image for each file at `where`, by name, without hidden files.
 
     Raises:
-        OptionError: there is no regular file, one that is empty, or more than is held in memory.
+        OptionError: there is no regular file, one is empty, or they do not fit into memory.
         StoppedError: `stop` was set.
     """
     path = Path(where)
     try:
         files = _files(path)
-        check_held_bytes(sum(file.stat().st_size for file in files), path)
+        check_size(sum(file.stat().st_size for file in files), path)
         messages = tuple(_message(file, stop) for file in files)
     except OSError as err:
         raise OptionError(
@@ -49,21 +49,21 @@ def _files(path: Path) -> list[Path]:
         return [path]
     files = sorted(file for file in path.iterdir() if file.is_file() and not file.name.startswith("."))
     if not files:
-        raise OptionError(f"--data file:{path}: the folder holds no files")
+        raise OptionError(f"--data file:{path}: the folder has no files")
     return files
 
 
 def _message(file: Path, stop: threading.Event | None) -> Message:
     with open_regular(file) as stream:
         size = os.fstat(stream.fileno()).st_size
-        check_held_bytes(size, file)
+        check_size(size, file)
         if not size:
-            raise OptionError(f"--data file:{file}: the file is empty, there is nothing to send")
+            raise OptionError(f"--data file:{file}: the file is empty; name one with content")
         return image_message(size, _pieces(stream, size, stop))
 
 
 def _pieces(stream: BinaryIO, size: int, stop: threading.Event | None) -> Iterator[bytes]:
-    """Yield the first `size` bytes of a file, which may grow meanwhile.
+    """Yield the first `size` bytes of a file.
 
     Raises:
         OSError: it has become shorter.
@@ -77,18 +77,15 @@ def _pieces(stream: BinaryIO, size: int, stop: threading.Event | None) -> Iterat
         yield piece
 
 
-def _open(where: str, surroundings: Surroundings) -> AbstractContextManager[Payload]:
-    return nullcontext(load_payload(where, surroundings.stop))
-
-
 def check_path(where: str) -> None:
-    """Refuse a text that names no file.
-
-    Raises:
-        OptionError: it is empty, or no path has it; an empty one would mean the current folder with all its files.
-    """
+    """Refuse a text that is not a path; an empty one would mean all files of the current folder."""
     if not where or "\0" in where:
         raise OptionError(f"--data file:{where}: write file:PATH, a file or a folder of files")
 
 
-FILE = Source(name="file", usage="file:PATH", open=_open, check=check_path)
+FILE = Source(
+    name="file",
+    usage="file:PATH",
+    open=lambda where, context: nullcontext(load_payload(where, context.stop)),
+    check=check_path,
+)

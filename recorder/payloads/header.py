@@ -1,4 +1,4 @@
-"""Messages of others: any type that begins with a `std_msgs/msg/Header` has our stamp in `header.frame_id`."""
+"""Messages of other programs: a type that starts with a `std_msgs/msg/Header` has our stamp in `header.frame_id`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .base import Payload
 
 HEADER_BYTES = 64
-"""Bytes before the data: encapsulation 4, time 8, length of frame_id 4, our stamp and its zero 47; rounded up to four."""
+"""Offset of the data: encapsulation 4, time 8, frame_id with our stamp 4 + 47, rounded up to four."""
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 
 
@@ -27,11 +27,11 @@ def header_data_type(type_name: str) -> DataType:
     """Return the data type of messages of `type_name`, on the topic `data_PACKAGE_TYPE`.
 
     Raises:
-        OptionError: that is no name of a message type.
+        OptionError: it is not a message type.
     """
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
-        raise OptionError(f"{type_name!r} is no message type; write it as sensor_msgs/msg/PointCloud2")
+        raise OptionError(f"{type_name!r} is not a message type; write it as sensor_msgs/msg/PointCloud2")
     return DataType(
         name=match[2].lower(),
         topic=f"data_{match[1]}_{match[2]}",
@@ -44,7 +44,7 @@ def header_data_type(type_name: str) -> DataType:
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Count the serialized bytes behind the header, rounded up to four as some vendors fill them up on the way."""
+    """Count the serialized bytes after the header, rounded up to four as some vendors pad them."""
     return max(len(message) + -len(message) % 4 - HEADER_BYTES, 0)
 
 
@@ -59,21 +59,21 @@ def _refuse_to_make(
 def recognize_data_type(
     type_name: str, first_field_type: str, where: str, own_types: Mapping[str, DataType]
 ) -> DataType:
-    """Return the data type of messages of `type_name` that others made.
+    """Return the data type of messages of other programs.
 
     Args:
         type_name: ROS name of the type.
-        first_field_type: type of its first field, `std_msgs/msg/Header` or `std_msgs/Header` if that is the header.
+        first_field_type: type of its first field.
         where: origin of the messages, for the error.
-        own_types: data types that are made up here, by the name of their message type.
+        own_types: built-in data types by message type.
 
     Raises:
-        OptionError: there is no place for the stamp.
+        OptionError: there is no room for the stamp.
     """
     if type_name in own_types:
         return own_types[type_name]
     if first_field_type.replace("/msg/", "/") != "std_msgs/Header":
         raise OptionError(
-            f"{where}: {type_name} does not begin with a std_msgs/Header, so it cannot carry the stamp"
+            f"{where}: {type_name} does not start with a std_msgs/Header, so it cannot carry the stamp"
         )
     return header_data_type(type_name)

@@ -1,4 +1,4 @@
-"""Inertial data: a full `sensor_msgs/msg/Imu`, every one of its 37 numbers set."""
+"""Inertial data: a `sensor_msgs/msg/Imu` with 37 random numbers."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ PAYLOAD_BYTES = 8 * sum(FIELDS)
 
 
 def make_payload(size_bytes: int | None, seed: int, _stop: threading.Event | None = None, /) -> Payload:
-    """Make up one message of random numbers; its size is 296 bytes.
+    """Make up one message of 296 bytes.
 
     Raises:
-        OptionError: another size was asked for.
+        OptionError: another size is requested.
     """
     if size_bytes not in (None, PAYLOAD_BYTES):
         raise OptionError(
@@ -40,7 +40,7 @@ def make_payload(size_bytes: int | None, seed: int, _stop: threading.Event | Non
 
 
 def payload_bytes_of(_message: RawMessage | RosMessage) -> int:
-    """Return `PAYLOAD_BYTES`, the same for every IMU message."""
+    """Return `PAYLOAD_BYTES`."""
     return PAYLOAD_BYTES
 
 

@@ -1,6 +1,6 @@
-"""The stamp that travels in each message: `dt1:` run, sequence and relay in hex, 46 ASCII characters.
+"""The stamp of each message: `dt1:` run, sequence and relay in hex, 46 ASCII characters (`docs/trace-format.md`).
 
-Always the same length, so that it is patched in place in a serialized buffer. `docs/trace-format.md`.
+Its length is constant, so that it can be changed in a serialized buffer.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 STAMP_BYTES = 46
 STAMP_PREFIX = b"dt1:"
 PROBE_RUN_ID = 0
-"""Run id of readiness probes: relays echo them and nobody records them."""
+"""Run id of readiness probes, which relays echo and nobody records."""
 
 SentT = TypeVar("SentT")
 """Messages that are sent: a `bytearray`, or a message object."""
@@ -39,7 +39,7 @@ class Stamp(NamedTuple):
     relay_id: int
 
 
-_new_stamp = tuple.__new__  # without the Python function of a NamedTuple's own
+_new_stamp = tuple.__new__  # faster than the constructor of a NamedTuple
 
 
 def stamp_text(run_id: int, sequence: int, relay_id: int = 0) -> bytes:
@@ -48,7 +48,7 @@ def stamp_text(run_id: int, sequence: int, relay_id: int = 0) -> bytes:
 
 
 def parse_stamp(text: bytes | bytearray | str) -> Stamp | None:
-    """Return the numbers in the 46 characters of `text`, or None if they are not a stamp of ours."""
+    """Return the numbers in the 46 characters of `text`, None if it is not a stamp."""
     if len(text) != STAMP_BYTES or text[:4] not in (STAMP_PREFIX, "dt1:"):
         return None
     try:
@@ -64,27 +64,26 @@ class StampPlace(Protocol[SentT, ReceivedT_contra]):
         """Write the stamp of a new message, with relay 0."""
 
     def write_second(self, message: SentT, wall_ns: int) -> int:
-        """Write the second of `wall_ns` (ns since 1970) into `header.stamp`, and return its beginning.
+        """Write the second of `wall_ns` (ns since 1970) into `header.stamp`, and return its start in ns.
 
-        Together with `write_nanoseconds` this writes T1, in two steps because the second can be written before T1 is
-        stamped: what lies between stamp and publish counts as latency.
+        With `write_nanoseconds` this writes T1, in two steps because the time between stamp and publish counts as latency.
         """
 
     def write_nanoseconds(self, message: SentT, nanoseconds: int) -> None:
-        """Write the time since the beginning of the second that was written, which may run into the next one."""
+        """Write the time since the start of the written second; it may exceed a second."""
 
     def read(self, message: ReceivedT_contra) -> Stamp | None:
-        """Return the stamp, or None if this is not a message of ours."""
+        """Return the stamp, None if the message has none."""
 
     def reply(self, message: ReceivedT_contra, relay_id_text: bytes) -> SentT | None:
-        """Return the message as relay `relay_id_text` (8 hex digits) sends it back, or None if it is not ours."""
+        """Return the message with the relay's id (8 hex digits), None if it has no stamp."""
 
 
 class RawStampPlace:
-    """The stamp in serialized CDR, at an offset that is the same for every message of the type.
+    """The stamp in serialized CDR, at a constant offset.
 
     Args:
-        text_offset: offset of the 46 characters from the buffer's first byte (encapsulation included).
+        text_offset: offset of the 46 characters in the buffer.
         time_offset: offset of `header.stamp`, None where there is no header.
     """
 
@@ -97,7 +96,7 @@ class RawStampPlace:
         self._relay = slice(text_offset + _RELAY.start, text_offset + _RELAY.stop)
         self._time = time_offset
         self._nanoseconds = None if time_offset is None else time_offset + _NANOSECONDS_AT
-        self._last = (b"", 0)  # the text of the last run that was read, and its number
+        self._last = (b"", 0)  # text and id of the last run
 
     def write(self, message: bytearray, run_id: int, sequence: int) -> None:
         """Write the stamp into the buffer."""
@@ -123,12 +122,10 @@ class RawStampPlace:
             _TIME.pack_into(message, at, second + nanoseconds // _SECOND_NS, nanoseconds % _SECOND_NS)
 
     def read(self, message: RawMessage) -> Stamp | None:
-        """Return the stamp, from its 46 bytes alone."""
+        """Return the stamp."""
         text = message[self._start : self._end]
         run_text, run_id = self._last
-        if (
-            len(text) == STAMP_BYTES and text.startswith(run_text) and run_text
-        ):  # as a rule one run after the other
+        if len(text) == STAMP_BYTES and text.startswith(run_text) and run_text:  # usually the same run
             try:
                 return _new_stamp(Stamp, (run_id, int(text[_SEQUENCE], 16), int(text[_RELAY], 16)))
             except ValueError:
@@ -139,16 +136,16 @@ class RawStampPlace:
         return stamp
 
     def begin_of(self, message: RawMessage, run_id: int, sequence: int, end: int) -> bytes:
-        """Return the bytes from `begin_at` to `end`, to the stamp's at least, of message `sequence` of a run that is like `message`.
+        """Return the bytes from `begin_at` to `end` of a message like `message`, with another stamp.
 
-        The length of the string that begins with the stamp is among them.
+        They include the stamp and the length of its string.
         """
         return bytes(
             message[self.begin_at : self._start] + stamp_text(run_id, sequence) + message[self._end : end]
         )
 
     def reply(self, message: RawMessage, relay_id_text: bytes) -> bytearray | None:
-        """Return the message with the relay's id in place: bytes as a copy, a `bytearray`, which is the callback's, itself."""
+        """Return the message with the relay's id: a `bytearray` itself, else a copy."""
         if not message.startswith(STAMP_PREFIX, self._start):
             return None
         reply = message if isinstance(message, bytearray) else bytearray(message)
@@ -189,7 +186,7 @@ class HeaderStampPlace:
         return message
 
     def make_room(self, message: RosMessage) -> None:
-        """Write a stamp into a message of others, whose `frame_id` it replaces."""
+        """Replace the `frame_id` of another program's message by a stamp."""
         self.write(message, 0, 0)
 
 
@@ -220,12 +217,11 @@ class StringStampPlace:
         return message
 
     def make_room(self, message: RosMessage) -> None:
-        """Write a stamp before the payload of a message of others."""
+        """Write a stamp before the payload of another program's message."""
         message.data = stamp_text(0, 0).decode() + message.data
 
 
-# std_msgs/Header comes first in both types: stamp (8 bytes) after the encapsulation (4), then the length of
-# frame_id (4). A String begins with its length (4).
+# Encapsulation (4 bytes), then of a header: stamp (8), length of frame_id (4), text; of a String: length (4), text.
 RAW_HEADER_STAMP = RawStampPlace(text_offset=16, time_offset=4)
 RAW_STRING_STAMP = RawStampPlace(text_offset=8, time_offset=None)
 HEADER_STAMP = HeaderStampPlace()

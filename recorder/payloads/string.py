@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 PAPER_BYTES = (4, 91, 1405, 2675)
 DEFAULT_BYTES = PAPER_BYTES[1]
-MAX_BYTES = MAX_PAYLOAD_BYTES  # within the four bytes of the length of `data`
+MAX_BYTES = MAX_PAYLOAD_BYTES  # fits in the length of `data`
 _ALPHABET = (string.ascii_letters + string.digits).encode()
 _PIECE_BYTES = 1 << 20
 _UINT32 = struct.Struct("<I")
 
 
 def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
-    """Make up one string of `size_bytes` characters behind the stamp (91 by default; the paper's: 4, 91, 1405, 2675).
+    """Make up one string of `size_bytes` characters after the stamp (91 by default; the paper's: 4, 91, 1405, 2675).
 
     Raises:
         OptionError: a string cannot have that size.
@@ -44,30 +44,30 @@ def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None
 
 
 def _letters(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes]:
-    """Yield the letters of `random.Random(seed).choices(alphabet, k=size)` in pieces, ten times as quickly.
+    """Yield the letters of `random.Random(seed).choices(alphabet, k=size)` in pieces, ten times as fast.
 
     Python and numpy draw the same numbers from the same state of the Mersenne Twister.
     """
-    import numpy as np  # noqa: PLC0415 - the help of every command reads this module, and needs no numpy
+    import numpy as np  # noqa: PLC0415 - the help of every command loads this module without numpy
 
     alphabet = np.frombuffer(_ALPHABET, np.uint8)
     *words, position = random.Random(seed).getstate()[1]  # noqa: S311 - reproducible noise, no secret
     draw = np.random.RandomState()
     draw.set_state(("MT19937", np.array(words, np.uint32), position, 0, 0.0))
-    for begin in range(0, size, _PIECE_BYTES):
+    for start in range(0, size, _PIECE_BYTES):
         check_stop(stop)
-        places = draw.random_sample(min(_PIECE_BYTES, size - begin)) * len(alphabet)
-        yield alphabet[places.astype(np.intp)].tobytes()
+        indices = draw.random_sample(min(_PIECE_BYTES, size - start)) * len(alphabet)
+        yield alphabet[indices.astype(np.intp)].tobytes()
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Return the number of characters behind the stamp in a serialized string."""
+    """Return the number of characters after the stamp in a serialized string."""
     (length,) = _UINT32.unpack_from(message, 4)
     return int(length) - 1 - STAMP_BYTES
 
 
 def object_bytes_of(message: RosMessage) -> int:
-    """Return the number of characters behind the stamp of a string object."""
+    """Return the number of characters after the stamp in a string object."""
     return len(message.data) - STAMP_BYTES
 
 

@@ -1,4 +1,4 @@
-"""`topic:/NAME`: each message of a running topic, a camera's say, becomes the next ping as it arrives."""
+"""`topic:/NAME`: each message of a running topic, such as a camera's, becomes a ping when it arrives."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends.node import ObjectNode
+from ..choices import Durability, History, Reliability
 from .base import RELAY_SUFFIX, Message, Payload, Source
 from .header import recognize_data_type
 
@@ -22,54 +23,44 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from ..backends.node import Endpoint, Node, RosMessage
-    from .base import DataType, Surroundings
+    from .base import DataType, PayloadContext
 
 MAX_WAITING = 64
-"""Messages that may wait for those before them to be published; more are counted and left out."""
+"""Most messages that wait to be published; further ones are dropped and counted."""
 RATE_MESSAGES = 10
-"""Number of messages from which the topic's rate is taken,"""
+"""Number of messages from which the topic's rate is computed; fewer are enough after `RATE_S`."""
 RATE_S = 3.0
-"""or the time after which those that came by then are enough."""
-LOOK_S = 0.05
+CHECK_PERIOD_S = 0.05
 
 
 def check_name(name: str) -> None:
-    """Refuse a text that is no name of a topic, before a middleware is asked for it.
-
-    Raises:
-        OptionError: it is none.
-    """
+    """Refuse a text that is not the name of a topic."""
     limits.check(limits.TOPIC_NAME, name, "--data topic:")
 
 
 @contextmanager
-def open_payload(name: str, surroundings: Surroundings) -> Iterator[Payload]:
-    """Open the live payload of the topic `name`, on a node of its own, for as long as the block runs.
+def open_payload(name: str, context: PayloadContext) -> Iterator[Payload]:
+    """Open the live payload of the topic `name`, with or without its first slash, while the block runs.
 
-    The node that stamps T2 must not be busy with a camera's messages.
-
-    Args:
-        name: name of the topic, with or without its first slash.
-        surroundings: opens the node, and bounds the wait for the topic and its first messages.
+    It has a node of its own: the node that stamps T2 must not be busy with a camera's messages.
 
     Raises:
-        OptionError: nobody publishes the topic, it is silent, it is ours, or its type cannot carry the stamp.
+        OptionError: nothing is published on the topic, it is ours, or its type cannot carry the stamp.
     """
     check_name(name)
     topic, where = name.strip("/"), f"--data topic:{name}"
-    own_types, stop = surroundings.own_types, surroundings.stop
+    own_types, stop = context.own_types, context.stop
     own_topics = {data_type.topic for data_type in own_types.values()}
     if topic.startswith("data_") or topic.endswith(RELAY_SUFFIX) or topic in own_topics:
-        raise OptionError(f"{where}: pings travel on this topic themselves; name the topic of the sensor")
-    deadline_s = time.monotonic() + surroundings.wait_s
-    with surroundings.open_node() as node:
+        raise OptionError(f"{where}: this is a topic of our own messages; name the topic of the sensor")
+    deadline_s = time.monotonic() + context.wait_s
+    with context.open_node() as node:
         if not isinstance(node, ObjectNode):
-            raise OptionError(f"{where}: a running topic can be sent with --backend ros2 alone")
+            raise OptionError(f"{where}: only --backend ros2 can send a running topic")
         publisher = _find_publisher(node, topic, where, deadline_s, stop)
         feed = LiveFeed(node, publisher.type_name, where, own_types)
-        # What a camera offers is what can be asked of it.
-        offered = publisher.qos or Qos("best_effort")
-        qos = Qos(offered.reliability, "volatile", "keep_last", MAX_WAITING)
+        offered = publisher.qos or Qos(Reliability.BEST_EFFORT)
+        qos = Qos(offered.reliability, Durability.VOLATILE, History.KEEP_LAST, MAX_WAITING)
         subscription = node.create_object_subscription(topic, publisher.type_name, feed.receive, qos=qos)
         node.start()
         try:
@@ -79,7 +70,7 @@ def open_payload(name: str, surroundings: Surroundings) -> Iterator[Payload]:
 
 
 class LiveFeed:
-    """The messages that arrive on the topic, serialized with room for the stamp; see `Feed` for the names."""
+    """The messages that arrive on the topic, serialized with room for the stamp; a `Feed`."""
 
     def __init__(
         self, node: ObjectNode, type_name: str, where: str, own_types: Mapping[str, DataType]
@@ -93,7 +84,7 @@ class LiveFeed:
         self._sample: Message | None = None
         self._sent_ns: deque[int] = deque(maxlen=RATE_MESSAGES)
         self._waiting: queue.SimpleQueue[tuple[Message, int]] = queue.SimpleQueue()
-        self._is_keeping = False
+        self._has_begun = False
         self._error: OptionError | None = None
 
     def receive(self, message: RosMessage, source_ns: int = 0, _received_ns: int = 0, /) -> None:
@@ -101,47 +92,47 @@ class LiveFeed:
         arrival_ns = time.monotonic_ns()
         if self._sample is None:
             self._take_sample(message)
-        # Where this side was held up, messages arrive in a bunch; when they were published tells the rate all the same.
+        # After a stall messages arrive together, so the rate is taken from the times of publication.
         self._sent_ns.append(source_ns or arrival_ns)
-        if not self._is_keeping or self._error is not None:
+        if not self._has_begun or self._error is not None:
             return
         if self._waiting.qsize() >= MAX_WAITING:
             self.skipped += 1
-        elif (made := self._message_of(message)) is not None:
-            self._waiting.put((made, arrival_ns))
+        elif (converted := self._convert(message)) is not None:
+            self._waiting.put((converted, arrival_ns))
 
     def begin(self) -> None:
         """Keep the messages that arrive from now on."""
-        self._is_keeping = True
+        self._has_begun = True
 
     def take(self, stop: threading.Event) -> tuple[Message, int] | None:
         """Wait for the next message; return it and its arrival (monotonic ns), or None once `stop` is set."""
         while not stop.is_set():
             with suppress(queue.Empty):
-                return self._waiting.get(timeout=LOOK_S)
+                return self._waiting.get(timeout=CHECK_PERIOD_S)
         return None
 
     def payload(self, deadline_s: float, stop: threading.Event, source: str) -> Payload:
-        """Return the payload as soon as the topic's rate is known; its one message is for probes.
+        """Wait for the topic's rate; return the payload, whose one message is for probes.
 
         Raises:
-            OptionError: fewer than two messages came in time, or their type cannot carry the stamp.
+            OptionError: fewer than two messages arrived in time, or their type cannot carry the stamp.
         """
-        began_s: float | None = None
+        first_s: float | None = None
         while not stop.is_set() and time.monotonic() < deadline_s and self._error is None:
             arrivals = len(self._sent_ns)
-            if arrivals and began_s is None:
-                began_s = time.monotonic()
-            is_time = began_s is not None and time.monotonic() - began_s > RATE_S
+            if arrivals and first_s is None:
+                first_s = time.monotonic()
+            is_time = first_s is not None and time.monotonic() - first_s > RATE_S
             if arrivals >= RATE_MESSAGES or (arrivals > 1 and is_time):
                 break
-            time.sleep(LOOK_S)
+            time.sleep(CHECK_PERIOD_S)
         if self._error is not None:
             raise self._error
         sent_ns = list(self._sent_ns)
         if self._sample is None or self._data_type is None or len(sent_ns) < 2:
             raise OptionError(
-                f"{self._where}: {counted(len(sent_ns), 'message')} came; look whether its publisher sends, "
+                f"{self._where}: {counted(len(sent_ns), 'message')} arrived; check its publisher, "
                 "or give a longer --wait"
             )
         rate_hz = (len(sent_ns) - 1) / max(max(sent_ns) - min(sent_ns), 1) * 1e9
@@ -149,7 +140,7 @@ class LiveFeed:
             self._data_type,
             (self._sample,),
             self._sample.payload_bytes,
-            rate_hz=float(f"{rate_hz:.2g}"),  # what the publisher means, not how it jitters
+            rate_hz=float(f"{rate_hz:.2g}"),  # without the publisher's jitter
             source=source,
             feed=self,
         )
@@ -160,18 +151,18 @@ class LiveFeed:
             self._data_type = recognize_data_type(
                 self._type_name, first_field_type, self._where, self._own_types
             )
-        except OptionError as error:  # raised by `payload`, to those who wait
+        except OptionError as error:  # `payload` raises it
             self._error = error
             return
-        self._sample = self._message_of(message)
+        self._sample = self._convert(message)
 
-    def _message_of(self, message: RosMessage) -> Message | None:
-        """Return the message as we send it; None for one that is ours already and came back here."""
+    def _convert(self, message: RosMessage) -> Message | None:
+        """Return the message with room for the stamp; None for one that has a stamp already."""
         assert self._data_type is not None
-        place = self._data_type.object_stamp
-        if place.read(message) is not None:
+        stamp = self._data_type.object_stamp
+        if stamp.read(message) is not None:
             return None
-        place.make_room(message)
+        stamp.make_room(message)
         data = bytearray(self._node.message_to_cdr(message))
         return Message(data, self._data_type.raw.payload_bytes_of(data))
 
@@ -181,10 +172,9 @@ def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop:
         for publisher in node.look_at(topic).publishers:
             if publisher.type_name:
                 return publisher
-        time.sleep(LOOK_S)
+        time.sleep(CHECK_PERIOD_S)
     raise OptionError(
-        f"{where}: nobody publishes it in domain {node.options.domain_id}; start its publisher, "
-        "or give a longer --wait"
+        f"{where}: it has no publisher in domain {node.options.domain_id}; start one, or give a longer --wait"
     )
 
 

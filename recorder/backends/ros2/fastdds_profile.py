@@ -1,6 +1,6 @@
 """A Fast DDS profile of our own for ROS 2's LOCALHOST range, where FASTDDS_BUILTIN_TRANSPORTS changes nothing.
 
-In that range rmw_fastrtps adds a shared-memory and a UDP transport of its own to those of the default profile
+In that range rmw_fastrtps adds a shared-memory and a UDP transport of its own to the default profile
 (rmw_fastrtps_shared_cpp/src/participant.cpp), so neither the variable nor a profile removes shared memory. Instead we set the
 range SYSTEM_DEFAULT, which leaves the profile as it is, and load a profile that does what the LOCALHOST range does: sockets
 on 127.0.0.1 only, no multicast beyond it, unicast search for participants.

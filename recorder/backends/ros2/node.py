@@ -66,13 +66,11 @@ class Ros2Node(ThreadedNode):
     def create_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RawMessage]:
-        """Create a publisher of bytes."""
         return self._open_publisher(_RawPublisher, topic, type_name, qos)
 
     def create_object_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RosMessage]:
-        """Create a publisher of message objects."""
         return self._open_publisher(_ObjectPublisher, topic, type_name, qos)
 
     def _open_publisher(
@@ -91,13 +89,11 @@ class Ros2Node(ThreadedNode):
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a subscription of bytes."""
         return self._open_subscription(topic, type_name, receive, qos, raw=True)
 
     def create_object_subscription(
         self, topic: str, type_name: str, receive: Receive[RosMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a subscription of message objects."""
         return self._open_subscription(topic, type_name, receive, qos, raw=False)
 
     def _open_subscription(
@@ -122,11 +118,9 @@ class Ros2Node(ThreadedNode):
         self._node.destroy_subscription(subscription.subscription)
 
     def message_from_cdr(self, type_name: str, data: RawMessage) -> RosMessage:
-        """Deserialize a message."""
         return _rclpy().serialization.deserialize_message(bytes(data), _message_class(type_name))
 
     def message_to_cdr(self, message: RosMessage) -> bytes:
-        """Serialize a message object."""
         return bytes(_rclpy().serialization.serialize_message(message))
 
     def _make_round(self) -> Callable[[], None]:
@@ -150,7 +144,6 @@ class Ros2Node(ThreadedNode):
         return note
 
     def look_at(self, topic: str) -> TopicView:
-        """Return the endpoints in the ROS graph, and the mismatches in it or else in the middleware's events."""
         publishing = self._node.get_publishers_info_by_topic(topic)
         subscribed = self._node.get_subscriptions_info_by_topic(topic)
         publishers, subscriptions = tuple(map(_endpoint, publishing)), tuple(map(_endpoint, subscribed))
@@ -166,7 +159,6 @@ class Ros2Node(ThreadedNode):
         )
 
     def count_participants(self) -> int | None:
-        """Count the nodes in the ROS graph."""
         return len(self._node.get_node_names_and_namespaces())
 
     def _wake(self) -> None:

@@ -14,7 +14,7 @@ from ...applied.vendors import BUFFER_BYTES
 from ...choices import Discovery, Durability, Reliability, Transport
 from ..node import Endpoint, Middleware, NodeSubscription, ThreadedNode, TopicView
 from ..qos import refuse_durations
-from .links import Greeting
+from .greeting import Greeting
 from .tcp import TcpLinks, set_congestion_control
 from .udp import UdpLinks
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Qos
 
     from ..node import NodeOptions, Publisher, RawMessage, Receive, Subscription
-    from .links import Address, Links
+    from .greeting import Address
 
 PROTOCOLS = {Transport.DEFAULT: "tcp", Transport.UDP: "udp"}
 
@@ -55,7 +55,7 @@ class SocketNode(ThreadedNode):
             "port": str(port),
             "tuned": str(options.tuned).lower(),
         }
-        self._links: Links
+        self._links: TcpLinks | UdpLinks
         if options.transport is Transport.UDP:
             if options.congestion_control is not None:
                 raise OptionError(
@@ -82,7 +82,6 @@ class SocketNode(ThreadedNode):
     def create_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RawMessage]:
-        """Create a publisher of bytes."""
         _check_qos(qos or self.options.qos, PROTOCOLS[self.options.transport])
         self._own.publishers = {**self._own.publishers, topic: type_name}
         self._links.announce()
@@ -91,7 +90,6 @@ class SocketNode(ThreadedNode):
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a subscription of bytes."""
         _check_qos(qos or self.options.qos, PROTOCOLS[self.options.transport])
         self._receivers[topic] = (*self._receivers.get(topic, ()), receive)
         self._own.subscriptions = {**self._own.subscriptions, topic: type_name}
@@ -112,7 +110,6 @@ class SocketNode(ThreadedNode):
         return self._links.poll
 
     def look_at(self, topic: str) -> TopicView:
-        """Return the node's own endpoints and those in the greetings of its peers."""
         greetings = [self._own, *self._links.greetings()]
         return TopicView(
             topic,
@@ -127,14 +124,12 @@ class SocketNode(ThreadedNode):
         )
 
     def count_participants(self) -> int | None:
-        """Count this node and its peers."""
         return 1 + len(self._links.greetings())
 
     def _wake(self) -> None:
         self._links.interrupt()
 
     def _leave(self) -> None:
-        """Close the sockets; the kernel still sends what is queued."""
         self._links.close()
 
 

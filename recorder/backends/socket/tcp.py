@@ -20,13 +20,13 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.threads import FastLock
 
 from ..node import ROUND_S
-from .links import RETRY_S, Greeting, bound_socket
+from .greeting import RETRY_S, Greeting, bound_socket
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Sequence
 
     from ..node import RawMessage
-    from .links import Address, Receivers
+    from .greeting import Address, Receivers
 
 MAX_MESSAGE_BYTES = 1 << 30
 """Largest message; a header with a greater length is not a frame."""
@@ -75,7 +75,7 @@ class TcpLinks:
 
     @property
     def port(self) -> int:
-        """Port at which connections are accepted; 0 for none."""
+        """Port at which peers reach the node; 0 if they do not."""
         return 0 if self._listener is None else int(self._listener.getsockname()[1])
 
     def greetings(self) -> list[Greeting]:
@@ -83,7 +83,7 @@ class TcpLinks:
         return [peer.greeting for peer in self._connected]
 
     def announce(self) -> None:
-        """Send the greeting on every connection."""
+        """Send the node's own greeting to all peers."""
         for peer in self._connected:
             peer.greet(self._own)
 

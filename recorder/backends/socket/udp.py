@@ -12,13 +12,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ..node import ROUND_S
-from .links import RETRY_S, Greeting, bound_socket
+from .greeting import RETRY_S, Greeting, bound_socket
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..node import RawMessage
-    from .links import Address, Receivers
+    from .greeting import Address, Receivers
 
 FRAGMENT_BYTES = 60_000
 """Bytes of a message in one UDP datagram (65,507 bytes with its header); Fast DDS cuts at about the same size."""
@@ -45,7 +45,7 @@ class _UdpPeer:
 
 
 class UdpLinks:
-    """Datagrams to all peers that greet; a message with a lost fragment is lost. Arguments as for `TcpLinks`.
+    """Datagrams to all peers that greet; a message with a lost fragment is lost. Further arguments and methods as in `TcpLinks`.
 
     Args:
         buffer_bytes: size of the kernel's buffers in each direction, None for its default.
@@ -81,20 +81,16 @@ class UdpLinks:
 
     @property
     def port(self) -> int:
-        """Port at which datagrams arrive."""
         return int(self._socket.getsockname()[1])
 
     def greetings(self) -> list[Greeting]:
-        """Return the greetings of the peers that greeted recently."""
         return [peer.greeting for peer in list(self._peers.values())]
 
     def announce(self) -> None:
-        """Greet all peers and relays."""
         for address in {*self._relays, *self._peers}:
             self._send_to([address], b"", self._own.to_bytes())
 
     def sender(self, topic: str) -> Callable[[RawMessage], None]:
-        """Return a function that sends a message in one or more datagrams to each subscriber."""
         return partial(self._send, topic)
 
     def _send(self, topic: str, message: RawMessage) -> None:
@@ -175,5 +171,4 @@ class UdpLinks:
         """Do nothing: sending a datagram never blocks."""
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()

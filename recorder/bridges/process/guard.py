@@ -1,4 +1,4 @@
-"""The guard of one bridge program: bounds its log, stops it, and leaves no process behind.
+"""The guard of one bridge program: bounds its log and ends it with all its children.
 
 `supervise.py` starts it as a file, so that it imports no module of ours. It ends the program when its standard input
 closes, as the kernel does when the recorder is killed.
@@ -190,13 +190,13 @@ def main() -> int:
     say(str(program.pid))
     drain = Drain(program, log)
     drain.until(None, program)
-    asked = program.poll() is None
+    still_ran = program.poll() is None
     left_behind = end_all(program, drain, patience_s)
     code = program.wait()
     code = code if code >= 0 else 128 - code
     say(
         json.dumps(
-            {"asked": asked, "exit_code": code, "left_behind": left_behind, "log_bytes": log.total_bytes}
+            {"asked": still_ran, "exit_code": code, "left_behind": left_behind, "log_bytes": log.total_bytes}
         )
     )
     if drain.orphaned and drain.stopping:  # nobody else removes it

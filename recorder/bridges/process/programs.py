@@ -60,7 +60,7 @@ def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str,
     """Return the environment variables of a program.
 
     Args:
-        extra: variables that the program needs beyond those of this process.
+        extra: variables to add.
         foreign: whether the program brings libraries of its own; then it must not get the search path that the ROS 2
             wheels set for themselves (`docs/reference/bridges.md`).
     """

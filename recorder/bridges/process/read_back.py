@@ -24,7 +24,7 @@ COMPILED_IN = {"zenoh-bridge-dds": "cyclonedds", "zenoh-bridge-ros2dds": "cyclon
 """Name of a bridge -> middleware in its program, where no loaded library shows it."""
 
 LINK_MIDDLEWARES = ("zenoh", "socket")
-"""Middlewares that join the halves of a bridge; `--transport` and `--tuned` are for those of its domains."""
+"""Middlewares that join the halves of a bridge; `--transport` and `--tuned` are not for them."""
 
 
 class ProgramReadBack:

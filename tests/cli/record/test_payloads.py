@@ -130,8 +130,8 @@ def test_each_message_of_a_live_topic_becomes_a_ping(domain_id, tmp_path):
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("/nobody", "--data topic:/nobody: nobody publishes it in domain"),
-        ("/binary_image_relay", "pings travel on this topic themselves"),
+        ("/nobody", "--data topic:/nobody: it has no publisher in domain"),
+        ("/binary_image_relay", "topic of our own messages"),
     ],
 )
 def test_a_topic_that_cannot_be_sent_is_one_line(domain_id, tmp_path, name, line):

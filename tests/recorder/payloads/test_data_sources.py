@@ -50,7 +50,7 @@ def test_a_folder_is_its_files_in_turn(tmp_path):
 def test_files_that_cannot_be_sent(tmp_path, monkeypatch):
     with pytest.raises(OptionError, match="No such file"):
         load("file:/nowhere")
-    with pytest.raises(OptionError, match="the folder holds no files"):
+    with pytest.raises(OptionError, match="the folder has no files"):
         load(f"file:{tmp_path}")
     (tmp_path / "empty").touch()
     with pytest.raises(OptionError, match=r"empty: the file is empty"):
@@ -138,7 +138,7 @@ def test_a_bag_that_cannot_be_sent_is_refused_in_one_line(tmp_path, monkeypatch)
         OptionError, match=r"bag has no topic /camra/image; the nearest of its 2 is /camera/image$"
     ):
         load(f"bag:{bag}#/camra/image")
-    with pytest.raises(OptionError, match=r"geometry_msgs/msg/Vector3 does not begin with a std_msgs/Header"):
+    with pytest.raises(OptionError, match=r"geometry_msgs/msg/Vector3 does not start with a std_msgs/Header"):
         load(f"bag:{bag}#/vector")
     with pytest.raises(OptionError, match=r"write bag:PATH#TOPIC"):
         load(f"bag:{bag}")
@@ -150,7 +150,7 @@ def test_a_bag_that_cannot_be_sent_is_refused_in_one_line(tmp_path, monkeypatch)
     with pytest.raises(OptionError, match="there is no such file or folder"):
         load(f"bag:{tmp_path}/nothing#/x")
     monkeypatch.setattr(payloads_base, "MAX_PAYLOAD_BYTES", 300)
-    with pytest.raises(OptionError, match="holds more than"):
+    with pytest.raises(OptionError, match="has more than"):
         load(f"bag:{bag}#/camera/image")
 
 

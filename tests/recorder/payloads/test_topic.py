@@ -79,8 +79,8 @@ def test_messages_beyond_the_queue_are_counted_and_left_out(feed):
 
 
 def test_a_silent_topic_and_a_type_without_header_are_refused(feed):
-    with pytest.raises(OptionError, match="--data topic:/x: 0 messages came"):
+    with pytest.raises(OptionError, match="--data topic:/x: 0 messages"):
         payload_of(feed, wait_s=0.1)
     feed.receive(message(fields=("double",)))
-    with pytest.raises(OptionError, match="PointCloud2 does not begin with a std_msgs/Header"):
+    with pytest.raises(OptionError, match="PointCloud2 does not start with a std_msgs/Header"):
         payload_of(feed)

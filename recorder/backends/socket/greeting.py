@@ -1,4 +1,4 @@
-"""The connections of a node on sockets (`Links`), and the greeting that opens each one.
+"""The greeting that opens each connection of a node on sockets, and how a socket is bound.
 
 A frame is a topic's name and a serialized message. The empty name is a greeting, JSON with the node's name, subscriptions
 and publishers; a peer only gets the topics that it subscribes to.
@@ -9,12 +9,12 @@ from __future__ import annotations
 import json
 import socket
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from ..node import RawMessage, Receive
 
@@ -47,32 +47,6 @@ class Greeting:
             return cls(str(fields["name"]), dict(fields["subscriptions"]), dict(fields["publishers"]))
         except (ValueError, KeyError, TypeError):
             return None
-
-
-class Links(Protocol):
-    """The connections of one node."""
-
-    @property
-    def port(self) -> int:
-        """Port at which peers reach the node; 0 if they do not."""
-
-    def greetings(self) -> list[Greeting]:
-        """Return the greetings of the connected peers."""
-
-    def announce(self) -> None:
-        """Send the node's own greeting to all peers."""
-
-    def sender(self, topic: str) -> Callable[[RawMessage], None]:
-        """Return a function that sends a copy of a message to all peers that subscribe to `topic`."""
-
-    def poll(self) -> None:
-        """Keep the connections up for one round of at most `ROUND_S`; raise the error of a callback."""
-
-    def interrupt(self) -> None:
-        """End a wait of another thread in sending."""
-
-    def close(self) -> None:
-        """End all connections; the thread that polls has ended."""
 
 
 def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:

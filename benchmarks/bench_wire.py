@@ -27,8 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dds_trace.base.errors import TraceError
-from dds_trace.recorder.wire.capture import WireCapture
-from dds_trace.recorder.wire.options import WireOptions, domain_ports
+from dds_trace.recorder.wire.capture import WireCapture, WireOptions, domain_ports
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 

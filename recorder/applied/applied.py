@@ -1,4 +1,4 @@
-"""`Applied`: what a process really uses, read from the kernel at the beginning of a run and at its end."""
+"""`Applied`: what a process really uses, read from the kernel at the start and the end of a run."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping  # noqa: TC003 - `from_json` looks the types
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from ..records import to_json
 from .counters import (
     InterfaceCounters,
     MulticastGroup,
@@ -15,9 +16,7 @@ from .counters import (
     read_kernel_counters,
     read_limits,
 )
-from .libraries import Library, read_libraries
-from .memory import SharedMemory, read_memory
-from .records import from_json, to_json
+from .memory import Library, SharedMemory, read_libraries, read_memory
 from .sockets import Socket, read_sockets
 
 if TYPE_CHECKING:
@@ -31,9 +30,9 @@ class Snapshot:
     Attributes:
         monotonic_ns: when it was read.
         read_ns: how long reading took.
-        sockets: UDP and TCP sockets of the process, None where the kernel tells nothing of them.
+        sockets: UDP and TCP sockets of the process, None if the kernel reports none.
         groups: multicast groups of its network namespace.
-        memory: shared memory that it maps and that a middleware made, None where that is unknown.
+        memory: shared memory of a middleware that it maps, None if unknown.
         libraries: middleware libraries that it has loaded.
         interfaces: interface -> totals of its network namespace.
         counters: kernel totals of lost fragments and datagrams, by name.
@@ -67,38 +66,29 @@ class Applied:
 
     @property
     def latest(self) -> Snapshot:
-        """The snapshot at the end if there is one, else that at the beginning."""
+        """The snapshot at the end if there is one, else the one at the start."""
         return self.begin if self.end is None else self.end
 
     def to_json(self) -> JsonObject:
         """Return the JSON object of the session's field `applied`."""
         return to_json(self)
 
-    @classmethod
-    def from_json(cls, data: JsonObject) -> Applied:
-        """Return what `to_json` wrote; fields that this version does not know are skipped.
-
-        Raises:
-            TypeError: `data` has no `begin`.
-        """
-        return from_json(cls, data)
-
     def socket_drops(self) -> int | None:
-        """Return the datagrams that the kernel dropped at the own sockets during the run.
+        """Return the datagrams that the kernel dropped at the process's own sockets during the run.
 
-        None before the end, and where sockets are unknown. A socket that was closed before the end counts nothing.
+        None before the end, and if the sockets are unknown. A socket that was closed before the end counts nothing.
         """
         if self.end is None or self.end.sockets is None or self.begin.sockets is None:
             return None
-        before = {each.inode: each.dropped for each in self.begin.sockets}
-        return sum(each.dropped - before.get(each.inode, 0) for each in self.end.sockets)
+        before = {socket.inode: socket.dropped for socket in self.begin.sockets}
+        return sum(socket.dropped - before.get(socket.inode, 0) for socket in self.end.sockets)
 
 
 def read_snapshot(pid: int | None = None) -> Snapshot:
-    """Return what a process uses now; the calling process by default, or another of the same namespaces."""
-    began_ns = time.monotonic_ns()
+    """Return what a process of the same namespaces uses now, by default the calling one."""
+    start_ns = time.monotonic_ns()
     snapshot = Snapshot(
-        monotonic_ns=began_ns,
+        monotonic_ns=start_ns,
         sockets=read_sockets(pid),
         groups=read_groups(),
         memory=read_memory(pid),
@@ -107,15 +97,10 @@ def read_snapshot(pid: int | None = None) -> Snapshot:
         counters=read_kernel_counters(),
         limits=read_limits(),
     )
-    return replace(snapshot, read_ns=time.monotonic_ns() - began_ns)
+    return replace(snapshot, read_ns=time.monotonic_ns() - start_ns)
 
 
-def read_applied(begun: Applied | None = None, pid: int | None = None) -> Applied:
-    """Return what a process really uses: at the beginning of a run, or with `begun` at its end too.
-
-    Args:
-        begun: what was read at the beginning.
-        pid: another process of the same namespaces (a bridge), the calling one by default.
-    """
+def read_applied(started: Applied | None = None, pid: int | None = None) -> Applied:
+    """Return what a process really uses: at the start of a run, or with `started` at its end too."""
     snapshot = read_snapshot(pid)
-    return Applied(snapshot) if begun is None else replace(begun, end=snapshot)
+    return Applied(snapshot) if started is None else replace(started, end=snapshot)

@@ -1,4 +1,4 @@
-"""`Asked`: the settings that a run was asked for, in the form in which a read-back can contradict them."""
+"""`Asked`: the settings that a run requests, in a form that a read-back can contradict."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ from collections.abc import Mapping  # noqa: TC003 - `from_json` looks the types
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree as ET
 
 import psutil
 
-from .profile_request import read_profile_request
-from .records import from_json, to_json
+from dds_trace.base.units import UNIT_BYTES
+
+from ..records import to_json
 from .vendors import VENDORS, vendor_facts
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from dds_trace.tracefile.format.json_fields import JsonObject
 
 PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables
@@ -22,33 +26,23 @@ PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables
 
 _BUILTIN_TRANSPORTS = {"UDPv4": "udp", "UDPv6": "udp", "SHM": "shm", "LARGE_DATA": "large-data"}
 _SOCKETS_SIZE = re.compile(r"\bsockets_size=(\d+)([A-Za-z]*)")
-_UNITS = {
-    "": 1,
-    "B": 1,
-    "KB": 1000,
-    "MB": 1000**2,
-    "GB": 1000**3,
-    "KIB": 1 << 10,
-    "MIB": 1 << 20,
-    "GIB": 1 << 30,
-}
 
 _INTERFACE = re.compile(r"<NetworkInterface\b[^>]*\bname=[\"']([^\"']+)[\"']")
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Settings that one side was asked for.
+    """Settings that one side requests.
 
     Attributes:
         vendor: middleware, as in the session.
-        domain_id: DDS domain, which tells the ports.
-        transport: `default`, `udp`, `shm`, `large-data` or `tcp`; of a profile file what its transports amount to.
+        domain_id: DDS domain, which gives the ports.
+        transport: `default`, `udp`, `shm`, `large-data` or `tcp`; for a profile file, what its transports amount to.
         tuned: whether `--tuned` was given.
         discovery: `localhost` or `subnet`.
         receive_buffer_bytes: receive buffer that sockets are set to, 0 for the system's default.
         send_buffer_bytes: send buffer likewise.
-        shared_memory: asked to be on or off, None if the vendor decides.
+        shared_memory: requested on or off, None if the vendor decides.
         congestion_control: TCP congestion control, empty for the system's.
         interface: the one interface that a configuration names, empty if it names none or several.
         profile: file name of the user's own profile, empty if there is none.
@@ -70,15 +64,6 @@ class Asked:
         """Return the JSON object of the session's field `asked`."""
         return to_json(self)
 
-    @classmethod
-    def from_json(cls, data: JsonObject) -> Asked:
-        """Return what `to_json` wrote; fields that this version does not know are skipped.
-
-        Raises:
-            TypeError: `data` has no `vendor`.
-        """
-        return from_json(cls, data)
-
 
 def asked_settings(
     vendor: str,
@@ -91,7 +76,7 @@ def asked_settings(
     environment: Mapping[str, str] | None = None,
     settings: Mapping[str, str] | None = None,
 ) -> Asked:
-    """Return what the options of a recording and the user's configuration ask for.
+    """Return what the options of a recording and the user's configuration request.
 
     Args:
         vendor: middleware, as the running node names it.
@@ -101,8 +86,8 @@ def asked_settings(
         discovery: value of `--discovery`.
         congestion_control: value of `--congestion-control`.
         environment: variables as the user set them, without what the recorder adds.
-        settings: `Middleware.settings` of the node, whose CYCLONEDDS_URI includes the recorder's own part; the user's own
-            counts where it has none (rmw_cyclonedds).
+        settings: `Middleware.settings` of the node, whose CYCLONEDDS_URI includes the recorder's own part; without one the
+            user's own counts (rmw_cyclonedds).
     """
     shared_memory = vendor_facts(vendor).shared_memory.get(transport)
     asked = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)
@@ -131,13 +116,13 @@ def interface_named(cyclonedds_uri: str) -> str:
 
 
 def configuration_texts(cyclonedds_uri: str) -> list[str]:
-    """Return the XML of each part of a value of CYCLONEDDS_URI, inline or of a file; empty for a file that is not there."""
+    """Return the XML of each part of a value of CYCLONEDDS_URI, inline or of a file; empty for a missing file."""
     parts = re.split(r",(?=\s*(?:<|file:|/))", cyclonedds_uri)
     return [part if part.lstrip().startswith("<") else _file_text(part) for part in parts]
 
 
 def _asked_by_environment(asked: Asked, environment: Mapping[str, str]) -> Asked:
-    """Return `asked` with the transports that the user's profile file names, or FASTDDS_BUILTIN_TRANSPORTS without one."""
+    """Return `asked` with the transports of the user's profile file, or of FASTDDS_BUILTIN_TRANSPORTS without one."""
     path = next((environment[name] for name in PROFILE_VARIABLES if environment.get(name)), "")
     if path:
         request = read_profile_request(_file_text(path))
@@ -150,9 +135,9 @@ def _asked_by_environment(asked: Asked, environment: Mapping[str, str]) -> Asked
             profile=Path(path).name,
         )
     name, _, options = environment.get("FASTDDS_BUILTIN_TRANSPORTS", "").partition("?")
-    found = _SOCKETS_SIZE.search(options)
+    size = _SOCKETS_SIZE.search(options)
     # Fast DDS ignores the options of a transport without sockets.
-    size_bytes = int(found[1]) * _UNITS.get(found[2].upper(), 0) if found and name != "SHM" else 0
+    size_bytes = int(size[1]) * UNIT_BYTES.get(size[2].lower(), 0) if size and name != "SHM" else 0
     return replace(
         asked,
         transport=_BUILTIN_TRANSPORTS.get(name, "default"),
@@ -162,9 +147,9 @@ def _asked_by_environment(asked: Asked, environment: Mapping[str, str]) -> Asked
 
 
 def _interface_at(name: str) -> str:
-    """Return the interface that has an address, or that is called so; empty if none does."""
+    """Return the interface with this address or name; empty if there is none."""
     for interface, addresses in psutil.net_if_addrs().items():
-        if name == interface or name in [each.address for each in addresses]:
+        if name == interface or name in [address.address for address in addresses]:
             return str(interface)
     return ""
 
@@ -174,3 +159,81 @@ def _file_text(entry: str) -> str:
         return Path(entry.strip().removeprefix("file://")).read_text(errors="replace")
     except OSError:
         return ""
+
+
+_KINDS = {"UDPv4": "udp", "UDPv6": "udp", "TCPv4": "tcp", "TCPv6": "tcp", "SHM": "shm"}
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileRequest:
+    """What the default participant of a Fast DDS profile file requests.
+
+    Attributes:
+        protocols: `udp`, `tcp` and `shm` of its own transports, sorted; empty if it names none.
+        receive_buffer_bytes: of its UDP transports, the smallest; 0 if one leaves it out.
+        send_buffer_bytes: likewise.
+        replaces_builtin: `useBuiltinTransports` is false; otherwise its transports are in addition to the built-in ones.
+        interfaces: addresses or names of interfaces that its transports are restricted to, sorted.
+    """
+
+    protocols: tuple[str, ...] = ()
+    receive_buffer_bytes: int = 0
+    send_buffer_bytes: int = 0
+    replaces_builtin: bool = False
+    interfaces: tuple[str, ...] = ()
+
+    @property
+    def transport(self) -> str:
+        """The transport in the words of `--transport`, `default` if the profile names several or none."""
+        return self.protocols[0] if len(self.protocols) == 1 and self.protocols[0] != "tcp" else "default"
+
+
+def read_profile_request(text: str) -> ProfileRequest:
+    """Return what the default participant of a profile file requests; nothing if it has none or is not XML."""
+    try:
+        root = ET.fromstring(text)  # noqa: S314 - the user's own file, which Fast DDS reads as well
+    except ET.ParseError:
+        return ProfileRequest()
+    participants = [node for node in _named(root, "participant") if node.get("is_default_profile") == "true"]
+    if not participants:
+        return ProfileRequest()
+    descriptors = {_text(node, "transport_id"): node for node in _named(root, "transport_descriptor")}
+    transports = [
+        descriptors[name]
+        for group in _named(participants[0], "userTransports")
+        for node in _named(group, "transport_id")
+        if (name := (node.text or "").strip()) in descriptors
+    ]
+    kinds = [_KINDS.get(_text(transport, "type"), "") for transport in transports]
+    over_udp = [transport for transport, kind in zip(transports, kinds, strict=True) if kind == "udp"]
+    return ProfileRequest(
+        protocols=tuple(sorted({*kinds} - {""})),
+        receive_buffer_bytes=_smallest(over_udp, "receiveBufferSize"),
+        send_buffer_bytes=_smallest(over_udp, "sendBufferSize"),
+        replaces_builtin=_text(participants[0], "useBuiltinTransports").lower() == "false",
+        interfaces=tuple(sorted({name for transport in transports for name in _whitelist(transport)})),
+    )
+
+
+def _named(parent: ET.Element, name: str) -> Iterator[ET.Element]:
+    return (
+        node for node in parent.iter() if node.tag.rpartition("}")[2] == name
+    )  # whatever the XML namespace
+
+
+def _whitelist(descriptor: ET.Element) -> Iterator[str]:
+    """Yield the addresses and names of interfaces in either of Fast DDS's two lists."""
+    for name in ("interfaceWhiteList", "allowlist"):
+        for group in _named(descriptor, name):
+            for node in group:
+                if text := (node.get("name") or node.text or "").strip():
+                    yield text
+
+
+def _text(parent: ET.Element, name: str) -> str:
+    return next(((node.text or "").strip() for node in _named(parent, name)), "")
+
+
+def _smallest(descriptors: list[ET.Element], name: str) -> int:
+    texts = [_text(descriptor, name) for descriptor in descriptors]
+    return min((int(text) if text.isdigit() else 0 for text in texts), default=0)

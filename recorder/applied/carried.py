@@ -1,9 +1,8 @@
 """Which path carried the payload: shared memory or an interface, by counters against payload x messages.
 
-Counters of an interface include other programs' traffic, which can only add to them. So a count that is too small
-refutes a path for certain, while one that is large enough proves nothing on a busy machine: where both could explain
-what was counted, the path is `unknown`. The bytes of a TCP connection that is still open are its own and prove it; too few
-of them prove nothing, as another connection may have come and gone.
+Counters of an interface include other programs' traffic. So a count that is too small refutes a path, while a large one
+proves nothing: if both could explain what was counted, the path is `unknown`. The bytes of an open TCP connection are its
+own and prove it; too few of them prove nothing, as another connection may have come and gone.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 LOOPBACK = "lo"
 
 MIN_PAYLOAD_BYTES = 2_000_000
-"""Less payload than this is not told from discovery, which took 0.7 MB in runs of six seconds."""
+"""Less payload cannot be distinguished from discovery (0.7 MB in six seconds)."""
 SURELY, POSSIBLY = 0.9, 0.5
 """Share of the payload from which on a count explains it, and below which it cannot."""
 MIN_MESSAGES = 10
-"""Fewer messages than this may have been under way at one of the snapshots."""
+"""Fewer messages may have been in flight at one of the snapshots."""
 MOST_OVERHEAD = 4.0
 """Counted bytes above this multiple of the payload are mostly others' (loopback counts each message twice)."""
 
@@ -34,8 +33,8 @@ class Traffic:
     """What one side sent and received between its two snapshots.
 
     Attributes:
-        sent: messages that it handed to the middleware, warm-up included.
-        received: messages that it was given.
+        sent: messages handed to the middleware, warm-up included.
+        received: messages received.
         payload_bytes: bytes of a message.
     """
 
@@ -67,13 +66,13 @@ def payload_path(applied: Applied, traffic: Traffic) -> str:
     over_tcp = _tcp_delta(applied)
     if over_tcp is not None and _reaches(over_tcp, traffic):
         return _tcp_interface(applied.end, explaining)
-    memory = [each for each in applied.end.memory or () if each.is_in_use]
+    memory = [file for file in applied.end.memory or () if file.is_in_use]
     interfaces = applied.begin.interfaces
     if memory and interfaces and all(is_excluded(applied, name, traffic) for name in interfaces):
         return SHARED_MEMORY
-    # Memory of another process (or of whom nobody knows) could explain the payload as well as the interface does. On one
-    # machine own memory could, too: its reader may be gone, and loopback's count may be that of other programs.
-    if any(each.is_own is not True for each in memory) or (memory and explaining == [LOOPBACK]):
+    # Memory of another or an unknown process could explain the payload as well as the interface does. On one machine own
+    # memory could too: its reader may be gone, and other programs count on loopback.
+    if any(file.is_own is not True for file in memory) or (memory and explaining == [LOOPBACK]):
         return UNKNOWN
     return explaining[0] if len(explaining) == 1 else UNKNOWN
 
@@ -89,9 +88,9 @@ def interface_deltas(applied: Applied) -> dict[str, InterfaceCounters]:
 
 
 def is_excluded(applied: Applied, interface: str, traffic: Traffic) -> bool:
-    """Return whether an interface counted so little that it did not carry the payload, other traffic or not.
+    """Return whether an interface counted too little to have carried the payload, whatever the other traffic.
 
-    Received messages alone are proof: what was sent may have been for nobody.
+    Only received messages are proof: what was sent may have been for nobody.
     """
     if (
         applied.end is None
@@ -102,7 +101,7 @@ def is_excluded(applied: Applied, interface: str, traffic: Traffic) -> bool:
     delta = interface_deltas(applied).get(interface)
     if delta is None:  # never there; one that went away took its count along
         return interface not in applied.begin.interfaces
-    # A negative count began anew.
+    # A negative count was reset.
     return 0 <= delta.received_bytes < POSSIBLY * traffic.received_bytes
 
 
@@ -119,11 +118,11 @@ def _explains(delta: InterfaceCounters, traffic: Traffic) -> bool:
 
 
 def _tcp_delta(applied: Applied) -> InterfaceCounters | None:
-    """Return the bytes of the own TCP connections between the snapshots, None where there are none or none is known."""
+    """Return the bytes of the process's own TCP connections between the snapshots, None if there are none or unknown."""
     if applied.end is None or applied.end.sockets is None or applied.begin.sockets is None:
         return None
-    before = {each.inode: each.tcp for each in applied.begin.sockets if each.tcp is not None}
-    states = [(before.get(each.inode), each.tcp) for each in applied.end.sockets if each.tcp is not None]
+    before = {read.inode: read.tcp for read in applied.begin.sockets if read.tcp is not None}
+    states = [(before.get(read.inode), read.tcp) for read in applied.end.sockets if read.tcp is not None]
     if not states:
         return None
     return InterfaceCounters(
@@ -134,7 +133,7 @@ def _tcp_delta(applied: Applied) -> InterfaceCounters | None:
 
 def _tcp_interface(end: Snapshot, explaining: list[str]) -> str:
     """Return the interface of the TCP connections: loopback by their addresses, else the one that counted enough."""
-    connected = [each for each in end.sockets or () if each.tcp is not None and each.remote_port]
-    if all(each.is_local for each in connected):
+    connected = [read for read in end.sockets or () if read.tcp is not None and read.remote_port]
+    if all(read.is_local for read in connected):
         return LOOPBACK
     return explaining[0] if len(explaining) == 1 else UNKNOWN

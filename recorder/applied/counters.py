@@ -1,6 +1,6 @@
 """Counters of the kernel at one instant: bytes and packets by interface, lost fragments, multicast groups, limits.
 
-All of them belong to a network namespace, not to a process: other programs' traffic is counted as well.
+They belong to a network namespace, not to a process: other programs' traffic is counted as well.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _KERNEL_JOINS = ("224.0.0.1", "ff01::1", "ff02::1")
-"""Groups of all hosts, in which every interface is by itself."""
+"""Groups that the kernel itself joins on every interface."""
 
 _FRAGMENT_COUNTERS = (
     "ReasmTimeout",
@@ -69,7 +69,7 @@ def read_interfaces(root: Path = Path("/proc")) -> dict[str, InterfaceCounters]:
     counters = {}
     for line in _lines(root / "self/net/dev")[2:]:
         name, _, rest = line.partition(":")
-        numbers = [int(each) for each in rest.split()]
+        numbers = [int(number) for number in rest.split()]
         if len(numbers) >= 10:
             counters[name.strip()] = InterfaceCounters(numbers[8], numbers[0], numbers[9], numbers[1])
     return counters
@@ -78,16 +78,16 @@ def read_interfaces(root: Path = Path("/proc")) -> dict[str, InterfaceCounters]:
 def read_kernel_counters(root: Path = Path("/proc")) -> dict[str, int]:
     """Return the totals of lost fragments and datagrams by name (`ReasmFails`, `RcvbufErrors`), from `/proc/net/snmp`.
 
-    The names of UDP's counters stand in other protocols' lines too, so each is taken from its own line.
+    UDP's names also occur in lines of other protocols, so each is taken from its own line.
     """
-    wanted = {"Ip:": _FRAGMENT_COUNTERS, "Udp:": _UDP_COUNTERS}
+    names_of = {"Ip:": _FRAGMENT_COUNTERS, "Udp:": _UDP_COUNTERS}
     counters: dict[str, int] = {}
     rows = [line.split() for line in _lines(root / "self/net/snmp")]
     for names, values in zip(rows[::2], rows[1::2], strict=False):
         counters |= {
             name: int(value)
             for name, value in zip(names, values, strict=False)
-            if name in wanted.get(names[0], ())
+            if name in names_of.get(names[0], ())
         }
     return counters
 
@@ -95,11 +95,10 @@ def read_kernel_counters(root: Path = Path("/proc")) -> dict[str, int]:
 def read_limits(root: Path = Path("/proc")) -> dict[str, int]:
     """Return the kernel settings that bound buffers, reassembly and ports.
 
-    They are bytes, but for `net.ipv4.ipfrag_time` (seconds), `ipfrag_max_dist` (fragments) and the first port of those that
-    the kernel chooses itself.
+    In bytes, except `net.ipv4.ipfrag_time` (seconds), `ipfrag_max_dist` (fragments) and the first port that the kernel chooses.
     """
     words = {name: " ".join(_lines(root / "sys" / path)).split() for name, path in _LIMITS.items()}
-    return {name: int(each[0]) for name, each in words.items() if each and each[0].isdigit()}
+    return {name: int(values[0]) for name, values in words.items() if values and values[0].isdigit()}
 
 
 def read_groups(root: Path = Path("/proc")) -> tuple[MulticastGroup, ...]:

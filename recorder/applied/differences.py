@@ -1,7 +1,7 @@
-"""Differences between what a run was asked for and what its process really uses, in plain words.
+"""Differences between what a run requested and what its process really uses, in words.
 
-Each rule speaks only where the read-back leaves no other explanation: a difference bars a run from answers, so a false one
-would be worse than one that is missed.
+A rule reports a difference only if the read-back has no other explanation: it bars a run from answers, so a false one
+would be worse than a missed one.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ GRANTED_PER_ASKED = 2
 
 
 class Setting(Enum):
-    """Which kind of setting was not applied."""
+    """Kind of a setting that was not applied."""
 
     TRANSPORT = "transport"
     TUNED = "tuned"
@@ -47,11 +47,11 @@ class Setting(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One setting that was asked for and is not what the process does.
+    """One setting that was requested and not applied.
 
     Attributes:
-        setting: which kind of setting.
-        asked: what was asked for.
+        setting: kind of the setting.
+        asked: what was requested.
         applied: what was read back.
         words: both as one sentence without a full stop.
     """
@@ -72,19 +72,19 @@ class Difference:
 
 
 def differences(asked: Asked, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
-    """Return every setting that was not applied; empty for an honest run.
+    """Return every setting that was not applied.
 
     Args:
         asked: settings of this side.
         applied: read back before the first message, or with its end after the last one.
-        traffic: messages between the two snapshots, or those that were sent in vain while waiting for an echo.
+        traffic: messages between the two snapshots, or those sent in vain while waiting for an echo.
     """
-    found = [rule(asked, applied, traffic) for rule in _RULES]
-    return tuple(each for each in found if each is not None)
+    results = [rule(asked, applied, traffic) for rule in _RULES]
+    return tuple(difference for difference in results if difference is not None)
 
 
 def _transport(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
-    """Compare the sockets and the shared memory of the process with what the asked transport needs."""
+    """Compare the sockets and the shared memory of the process with what the requested transport needs."""
     facts = vendor_facts(asked.vendor).transports.get(asked.transport)
     if facts is None:
         return None
@@ -94,7 +94,7 @@ def _transport(asked: Asked, applied: Applied, traffic: Traffic | None) -> Diffe
     if asked.profile:
         words = f"the profile {asked.profile} asks for {facts.label}, {used}"
         if facts.shared_memory is False:
-            words += " (its transports come beside others unless useBuiltinTransports is false; ROS 2's LOCALHOST range adds its own)"
+            words += " (its transports are in addition to others unless useBuiltinTransports is false; ROS 2's LOCALHOST range adds its own)"
         return Difference(Setting.PROFILE, asked.profile, used, words)
     setting = Setting.LARGE_DATA if asked.transport == "large-data" else Setting.TRANSPORT
     return Difference(setting, asked.transport, used, f"asked for {facts.label}, {used}")
@@ -103,7 +103,7 @@ def _transport(asked: Asked, applied: Applied, traffic: Traffic | None) -> Diffe
 def _contradiction(
     facts: TransportFacts, asked: Asked, applied: Applied, traffic: Traffic | None
 ) -> str | None:
-    """Return in words what the process uses against the facts of its transport, None if nothing."""
+    """Return in words what the process uses that its transport does not, or lacks; None if nothing."""
     memory, sockets = _memory_of(asked, applied), applied.latest.sockets
     is_memory_known = applied.latest.memory is not None
     if facts.shared_memory is False and memory:
@@ -115,22 +115,22 @@ def _contradiction(
     if (
         facts.protocol is not None
         and sockets is not None
-        and not any(each.protocol == facts.protocol for each in sockets)
+        and not any(read.protocol == facts.protocol for read in sockets)
     ):
         return f"no {facts.protocol.upper()} socket is open"
     return None
 
 
 def _receive_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the smallest receive buffer of the domain's UDP sockets with the asked one."""
+    """Compare the smallest receive buffer of the domain's UDP sockets with the requested one."""
     sockets = _udp_sockets(applied)
     ports = domain_port_range(asked.domain_id)
     kernels_port = applied.latest.limits.get("net.ipv4.ip_local_port_range.min", KERNELS_PORT)
-    of_domain = [each for each in sockets if each.local_port in ports and each.local_port < kernels_port]
-    # A socket that only sends is not enlarged, and has a port that the kernel chose. Where no port tells the receiving
-    # ones, the largest speaks for all.
-    buffers = [each.receive_buffer_bytes for each in of_domain] or [
-        max((each.receive_buffer_bytes for each in sockets), default=0)
+    in_domain = [read for read in sockets if read.local_port in ports and read.local_port < kernels_port]
+    # A socket that only sends is not enlarged, and has a port that the kernel chose. If no port identifies the receiving
+    # ones, the largest buffer counts.
+    buffers = [read.receive_buffer_bytes for read in in_domain] or [
+        max((read.receive_buffer_bytes for read in sockets), default=0)
     ]
     return _buffer(
         "receive", "net.core.rmem_max", asked.receive_buffer_bytes, min(buffers) if sockets else None, applied
@@ -138,19 +138,19 @@ def _receive_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) ->
 
 
 def _send_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the largest send buffer of the UDP sockets with the asked one."""
-    buffers = [each.send_buffer_bytes for each in _udp_sockets(applied)]
+    """Compare the largest send buffer of the UDP sockets with the requested one."""
+    buffers = [read.send_buffer_bytes for read in _udp_sockets(applied)]
     return _buffer("send", "net.core.wmem_max", asked.send_buffer_bytes, max(buffers, default=None), applied)
 
 
 def _buffer(
     way: str, limit_name: str, asked_bytes: int, granted_bytes: int | None, applied: Applied
 ) -> Difference | None:
-    wanted_bytes = GRANTED_PER_ASKED * asked_bytes
-    if not asked_bytes or granted_bytes is None or granted_bytes >= wanted_bytes:
+    expected_bytes = GRANTED_PER_ASKED * asked_bytes
+    if not asked_bytes or granted_bytes is None or granted_bytes >= expected_bytes:
         return None
     words = (
-        f"asked for {way} buffers of {asked_bytes:,} bytes, which the kernel shows as {wanted_bytes:,}, "
+        f"asked for {way} buffers of {asked_bytes:,} bytes, which the kernel shows as {expected_bytes:,}, "
         f"and it shows {granted_bytes:,}"
     )
     limit_bytes = applied.latest.limits.get(limit_name)
@@ -161,7 +161,7 @@ def _buffer(
             str(limit_bytes),
             f"{words}: {limit_name} is {limit_bytes:,}",
         )
-    return Difference(Setting.TUNED, str(wanted_bytes), str(granted_bytes), words)
+    return Difference(Setting.TUNED, str(expected_bytes), str(granted_bytes), words)
 
 
 def _interface(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
@@ -179,7 +179,7 @@ def _interface(asked: Asked, applied: Applied, traffic: Traffic | None) -> Diffe
 
 
 def _shared_memory(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
-    """Compare the mapped shared memory, and the path of the payload, with shared memory asked on or off."""
+    """Compare the mapped shared memory, and the path of the payload, with shared memory requested on or off."""
     if asked.shared_memory is None or applied.latest.memory is None:
         return None
     memory = _memory_of(asked, applied)
@@ -206,7 +206,7 @@ def _shared_memory(asked: Asked, applied: Applied, traffic: Traffic | None) -> D
 def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
     """Find shared memory that the other side cannot see."""
     memory = _memory_of(asked, applied)
-    elsewhere = [each.name for each in memory if not each.is_here]
+    elsewhere = [file.name for file in memory if not file.is_here]
     if elsewhere:
         return Difference(
             Setting.MEMORY_NAMESPACE,
@@ -214,14 +214,13 @@ def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -
             elsewhere[0],
             f"{elsewhere[0]} is mapped, but it is not the file of that name in this process's /dev/shm",
         )
-    # Fast DDS sends to a receiver of this host through the receiver's port in /dev/shm, and creates a port that it does not
-    # find there. Nobody serves such a port: the receiver serves the file of that name in its own mount namespace. Only ports
-    # of the domain tell: those from 7000 on are of all domains of a machine, so that another domain's participant may send to
-    # one of ours there, and its segment is mapped. A segment whose owner has died may be that of the receiver.
+    # Fast DDS sends to a receiver of this host through the receiver's port in /dev/shm, and creates a missing port. Nobody
+    # serves that one: the receiver serves the file of that name in its own mount namespace. Ports from 7000 on belong to all
+    # domains of a machine, so only the domain's own ports count. A segment whose owner has died may be the receiver's.
     in_vain = traffic is not None and traffic.sent > 0 and traffic.received == 0
     ports = domain_port_range(asked.domain_id)
-    unserved = [each.name for each in memory if each.is_unserved_port and each.port_number in ports]
-    if in_vain and unserved and not any(each.is_foreign_segment and not each.is_served for each in memory):
+    unserved = [file.name for file in memory if file.is_unserved_port and file.port_number in ports]
+    if in_vain and unserved and not any(file.is_foreign_segment and not file.is_served for file in memory):
         return Difference(
             Setting.MEMORY_NAMESPACE,
             asked.transport,
@@ -233,12 +232,12 @@ def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -
 
 
 def _congestion_control(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the congestion control of the domain's TCP connections with the asked one."""
+    """Compare the congestion control of the domain's TCP connections with the requested one."""
     ports = domain_port_range(asked.domain_id)
     used = {
-        each.tcp.congestion_control
-        for each in applied.latest.sockets or ()
-        if each.tcp is not None and (each.local_port in ports or each.remote_port in ports)
+        read.tcp.congestion_control
+        for read in applied.latest.sockets or ()
+        if read.tcp is not None and (read.local_port in ports or read.remote_port in ports)
     }
     others = sorted(used - {asked.congestion_control, ""})
     if not asked.congestion_control or not others:
@@ -248,18 +247,16 @@ def _congestion_control(asked: Asked, applied: Applied, _traffic: Traffic | None
 
 
 def _memory_of(asked: Asked, applied: Applied) -> list[SharedMemory]:
-    """Return the shared memory of the asked vendor that is in use."""
-    return [
-        each for each in applied.latest.memory or () if each.middleware == asked.vendor and each.is_in_use
-    ]
+    memory = applied.latest.memory or ()
+    return [file for file in memory if file.middleware == asked.vendor and file.is_in_use]
 
 
 def _udp_sockets(applied: Applied) -> list[Socket]:
-    return [each for each in applied.latest.sockets or () if each.protocol == "udp"]
+    return [read for read in applied.latest.sockets or () if read.protocol == "udp"]
 
 
 def _described(memory: list[SharedMemory]) -> str:
-    segments = [each.size_bytes for each in memory if each.role == SEGMENT]
+    segments = [file.size_bytes for file in memory if file.role == SEGMENT]
     return f"{len(memory)} files, {len(segments)} segments of {sum(segments):,} bytes"
 
 

@@ -1,4 +1,4 @@
-"""Shared memory of one process: what of `/dev/shm` it maps, whose it is, and whether it is this namespace's."""
+"""What one process maps: shared memory of a middleware, and middleware libraries with their versions."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .vendors import PORT, SEGMENT, memory_owner, vendor_facts
+from .vendors import PORT, SEGMENT, VENDORS, memory_owner, vendor_facts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,14 +23,13 @@ SHM = Path("/dev/shm")  # noqa: S108 - POSIX shared memory of Linux, shm_overvie
 # Address range, permissions, offset, device, inode, path; proc_pid_maps(5).
 _MAPPING = re.compile(r"^(\w+)-(\w+) \S+ \w+ (\w+):(\w+) (\d+) +(?:/dev/shm/|/(?=SYSV))(.+)$", re.MULTILINE)
 _DELETED = " (deleted)"
-_LOOKS = 3
-"""Looks until a file that is mapped and not here is believed: one that is removed between maps and folder is a remainder."""
+_ATTEMPTS = 3
+"""Readings until a mapped file that is not here is believed: it may be removed between maps and folder."""
 _PORT_NUMBER = re.compile(r"\d+$")
 _LOCK = "_el"
-"""Suffix of the file by whose lock Fast DDS tells the others that a segment, or the port of one receiver, is in use."""
+"""Suffix of the file that Fast DDS locks while a segment, or the port of one receiver, is in use."""
 _LOCK_TESTS = {_LOCK: fcntl.LOCK_SH, "_sl": fcntl.LOCK_EX}
-"""Suffix of a lock file -> lock that nobody gets while it is held: `_el` is held exclusively, `_sl` (the port of a multicast
-group) by each of its receivers at once."""
+"""Suffix of a lock file -> lock that fails while it is locked: `_el` exclusively, `_sl` (a multicast port) by each receiver."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +40,13 @@ class SharedMemory:
         name: file name in `/dev/shm`.
         middleware: vendor whose naming it follows.
         role: `segment` (payloads) or `port` (queue of one receiver).
-        size_bytes: size of the file; of the mapping where the file is gone.
-        owner_uid: user who owns the file, None where it is gone.
-        is_own: this process made it, None where the middleware leaves no sign of that.
-        is_served: some process holds its lock, None where the middleware has none or it cannot be looked at.
-        is_abandoned: its lock is there and nobody holds it: the process that served it was killed.
-        is_deleted: its file was removed; the memory is a remainder of a participant that has ended.
-        is_here: the file of that name in this namespace's `/dev/shm` is the one that is mapped.
+        size_bytes: size of the file; of the mapping if the file is gone.
+        owner_uid: user who owns the file, None if it is gone.
+        is_own: this process created it, None if the middleware leaves no sign of that.
+        is_served: some process holds its lock, None if the middleware has none or it cannot be tested.
+        is_abandoned: its lock exists and nobody holds it: the process that served it was killed.
+        is_deleted: its file was removed; the memory is left from a participant that has ended.
+        is_here: the file of that name in this namespace's `/dev/shm` is the mapped one.
     """
 
     name: str
@@ -61,7 +62,7 @@ class SharedMemory:
 
     @property
     def is_in_use(self) -> bool:
-        """Whether it can carry messages: everything but remainders of participants that have ended."""
+        """Whether it can carry messages: it is not left from a participant that has ended."""
         return not self.is_deleted
 
     @property
@@ -71,12 +72,12 @@ class SharedMemory:
 
     @property
     def is_unserved_port(self) -> bool:
-        """Whether it is the queue of a receiver that is not in this namespace; one that was killed here is another matter."""
+        """Whether it is the queue of a receiver that is not in this namespace and was not killed here."""
         return self.is_in_use and self.role == PORT and self.is_served is False and not self.is_abandoned
 
     @property
     def port_number(self) -> int | None:
-        """RTPS port of a receiver's queue, as its name tells it; None for a segment."""
+        """RTPS port of a receiver's queue, from its name; None for a segment."""
         number = _PORT_NUMBER.search(self.name) if self.role == PORT else None
         return int(number[0]) if number else None
 
@@ -90,29 +91,26 @@ class _Mapped:
 
 
 def read_memory(pid: int | None = None, folder: Path = SHM) -> tuple[SharedMemory, ...] | None:
-    """Return the middlewares' shared memory that a process maps, by name.
+    """Return the middlewares' shared memory that a process maps, by name; None if the process may not be inspected.
 
     Args:
-        pid: a process of the caller's mount namespace, the calling one by default.
+        pid: a process of the caller's mount namespace, by default the calling one.
         folder: where this namespace has its shared memory.
-
-    Returns:
-        None where the process cannot be looked at: nothing is known.
     """
     process = Path("/proc") / str(os.getpid() if pid is None else pid)
     memory: tuple[SharedMemory, ...] = ()
-    for _ in range(_LOOKS):
+    for _ in range(_ATTEMPTS):
         try:
             mapped = parse_maps((process / "maps").read_text(errors="replace"))
         except OSError:
             return None
         opened = set(_opened_names(process))
         memory = tuple(
-            _shared_memory(name, owner, found, opened, folder)
-            for name, found in sorted(mapped.items())
+            _shared_memory(name, owner, mapping, opened, folder)
+            for name, mapping in sorted(mapped.items())
             if (owner := memory_owner(name)) is not None
         )
-        if all(each.is_here for each in memory):
+        if all(file.is_here for file in memory):
             break
     return memory
 
@@ -151,7 +149,7 @@ def _shared_memory(
     is_the_file = file is not None and (file.st_dev, file.st_ino) == (mapped.device, mapped.inode)
     has_locks = vendor_facts(vendor).locks_own_files
     locks = {
-        _look_at_lock(folder / (name + suffix), lock)
+        _lock_state(folder / (name + suffix), lock)
         for suffix, lock in (_LOCK_TESTS.items() if has_locks else ())
     }
     return SharedMemory(
@@ -169,19 +167,16 @@ def _shared_memory(
 
 
 class _Lock(Enum):
-    """State of a lock file."""
-
     HELD = "held"
     FREE = "free"
     ABSENT = "absent"
     UNKNOWN = "unknown"
 
 
-def _look_at_lock(path: Path, lock: int) -> _Lock:
+def _lock_state(path: Path, lock: int) -> _Lock:
     """Return the state of a lock file by trying to get a lock, as Fast DDS itself does.
 
-    A lock that is held is not touched. One that nobody holds is ours for some microseconds, in which a Fast DDS that is just
-    starting takes it for another's: it then chooses the next port, as it does for a port that is in use.
+    A free lock is ours for some microseconds; a Fast DDS that is just starting then chooses the next port.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
@@ -191,9 +186,7 @@ def _look_at_lock(path: Path, lock: int) -> _Lock:
         return _Lock.UNKNOWN
     try:
         fcntl.flock(descriptor, lock | fcntl.LOCK_NB)
-        fcntl.flock(
-            descriptor, fcntl.LOCK_UN
-        )  # closing is not enough while a child that was just forked has it, too
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # closing is not enough while a forked child has it too
     except BlockingIOError:
         return _Lock.HELD
     except OSError:  # a file system without locks
@@ -201,3 +194,60 @@ def _look_at_lock(path: Path, lock: int) -> _Lock:
     finally:
         os.close(descriptor)
     return _Lock.FREE
+
+
+_LOADED = re.compile(r"^\S+ r\S+ \w+ \S+ \d+ +(/\S.*\.so[.\d]*)$", re.MULTILINE)
+_VERSION = re.compile(r"\.so\.(\d+(?:\.\d+)+)$")
+
+
+@dataclass(frozen=True, slots=True)
+class Library:
+    """One loaded library of a middleware.
+
+    Attributes:
+        name: file name as it is loaded, without its folder.
+        vendor: middleware that it belongs to.
+        version: from its file name, or of the Python distribution that contains it; empty if neither has one.
+    """
+
+    name: str
+    vendor: str
+    version: str = ""
+
+
+def read_libraries(pid: int | None = None) -> tuple[Library, ...]:
+    """Return the middleware libraries that a process has loaded, by name; the calling process by default."""
+    try:
+        text = Path(f"/proc/{os.getpid() if pid is None else pid}/maps").read_text(errors="replace")
+    except OSError:
+        return ()
+    return parse_libraries(text)
+
+
+def parse_libraries(text: str) -> tuple[Library, ...]:
+    """Return the middleware libraries in the text of `/proc/PID/maps`, by name."""
+    paths = sorted({Path(path) for path in _LOADED.findall(text)})
+    return tuple(
+        Library(path.name, facts.vendor, _version(path, distribution))
+        for path in paths
+        for facts in VENDORS.values()
+        for pattern, distribution in facts.libraries.items()
+        if re.match(pattern, path.name)
+    )
+
+
+def _version(path: Path, distribution: str) -> str:
+    """Return the fullest version of a library: three numbers in its file name, else its distribution's, else two."""
+    match = _VERSION.search(path.name)
+    in_name = match[1] if match else ""
+    if in_name.count(".") >= 2 or not distribution:
+        return in_name
+    return _distribution_version(distribution) or in_name
+
+
+@cache  # reads the file system, for the same few names at each snapshot
+def _distribution_version(distribution: str) -> str:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return ""

@@ -1,9 +1,7 @@
-"""All that is known of a vendor by its name, in two tables: the middlewares themselves, and those of ROS 2 that stand on them.
+"""All facts about a vendor, in two tables: the middlewares (what each leaves in a process), and the ROS 2 RMWs on top.
 
-The first says what each leaves behind in a process, and what an asked transport means for it.
-
-Found by experiment with Fast DDS 2.14.5 (rmw_fastrtps of Jazzy), Cyclone DDS 11.0.1 and zenoh 1.10; Fast DDS 3 differs in
-the names of its files alone (`fastdds_` for `fastrtps_`). Connext was not tried (no licence), so nothing is expected of it.
+Determined with Fast DDS 2.14.5 (rmw_fastrtps of Jazzy), Cyclone DDS 11.0.1 and zenoh 1.10; Fast DDS 3 differs only in
+file names (`fastdds_` for `fastrtps_`). Connext was not tried (no licence), so nothing is expected of it.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 SEGMENT, PORT = "segment", "port"
-"""Roles of a shared-memory file: payloads lie in a segment; a port is the queue of one receiver."""
+"""Roles of a shared-memory file: a segment contains payloads; a port is the queue of one receiver."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +23,8 @@ class TransportFacts:
 
     Attributes:
         label: the transport in a sentence.
-        protocol: `udp` or `tcp` if at least one such socket is open, None if none need be.
-        shared_memory: True if the middleware's shared memory is mapped, False if it is not, None if both are honest.
+        protocol: `udp` or `tcp` if at least one such socket must be open, None if none need be.
+        shared_memory: True if the middleware's shared memory must be mapped, False if it must not, None if both are fine.
     """
 
     label: str
@@ -39,9 +37,8 @@ class TunedFacts:
     """Which buffers `--tuned` enlarges.
 
     Attributes:
-        receive_bytes: receive buffer that the program sets, 0 if it sets none.
-        send_bytes: send buffer that the program sets, 0 if it sets none.
-        transport: transport that tuning implies where none is asked for.
+        receive_bytes, send_bytes: socket buffers that the program sets, 0 if it sets none.
+        transport: transport that tuning implies if none is requested.
     """
 
     receive_bytes: int = 0
@@ -56,16 +53,16 @@ class VendorFacts:
     Attributes:
         vendor: as in a session (`fastdds`, `cyclonedds`, `connext`, `zenoh`, `socket`).
         memory: role -> pattern of the names of its shared-memory files.
-        locks_own_files: holds a lock file `NAME_el` open for each file of its own while it uses it.
-        libraries: pattern of a library's file name -> Python distribution that may carry it, empty if none does.
+        locks_own_files: locks a file `NAME_el` for each file of its own while it uses it.
+        libraries: pattern of a library's file name -> Python distribution that may contain it, empty if none does.
         transports: transport -> what must be seen.
-        shared_memory: transport -> whether it asks for shared memory or for none, where a link is open either way.
+        shared_memory: transport -> whether it requests shared memory or none, if a link is open either way.
         tuned: what `--tuned` sets.
-        profile_variables: variables of the environment that name a profile file of the user's.
-        variables: further ones that change what its ROS middleware does.
-        files: profile files that are read where a process starts.
-        builtin_transports: (transport, tuned) that its ROS middleware can be asked for -> value of
-            FASTDDS_BUILTIN_TRANSPORTS, None for what the user has set.
+        profile_variables: environment variables that name a profile file of the user's.
+        variables: further ones that change what its RMW does.
+        files: profile files that are read from a process's working directory.
+        builtin_transports: (transport, tuned) that its RMW supports -> value of FASTDDS_BUILTIN_TRANSPORTS, None for what the
+            user has set.
     """
 
     vendor: str
@@ -141,9 +138,8 @@ VENDORS: Mapping[str, VendorFacts] = {
             memory={SEGMENT: re.compile(r"\d+\.zenoh")},
             shared_memory={"shm": True, "tcp": False},
             libraries={r"(lib)?zenohc?\.": "eclipse-zenoh", r"librmw_zenoh_cpp\.so": ""},
-            variables=(
-                "ZENOH_ROUTER_CHECK_ATTEMPTS",
-            ),  # the others are the backend's own, and kept as hashes
+            # The other variables are the backend's own, and recorded as hashes.
+            variables=("ZENOH_ROUTER_CHECK_ATTEMPTS",),
         ),
         VendorFacts(
             "socket",
@@ -151,14 +147,14 @@ VENDORS: Mapping[str, VendorFacts] = {
                 "default": TransportFacts("TCP", "tcp"),
                 "udp": UDP,
             },
-            # Buffers of UDP sockets alone are compared: those of TCP the kernel sizes itself.
+            # Only buffers of UDP sockets are compared; the kernel sizes those of TCP itself.
             tuned=TunedFacts(BUFFER_BYTES, BUFFER_BYTES),
         ),
     )
 }
 
 UNKNOWN = VendorFacts("")
-"""Facts of a middleware that the table does not know: nothing must be seen."""
+"""Facts of any other middleware: nothing must be seen."""
 
 
 def vendor_facts(vendor: str) -> VendorFacts:
@@ -183,10 +179,10 @@ class RosMiddleware:
         vendor: its vendor, as in a session.
         label: name of the vendor for people.
         packages: ROS packages whose versions describe it.
-        stamps_reception: whether its `received_timestamp` is the time of the reception; False where it is that of the take.
-        has_durations: whether deadline and lifespan do anything.
-        router: program of its package without which its nodes do not find each other; empty where there is none.
-        router_port: TCP port at which the router listens unless it is told otherwise.
+        stamps_reception: whether `received_timestamp` is the time of reception; False if it is the time of the take.
+        has_durations: whether deadline and lifespan have an effect.
+        router: program of its package that its nodes need to find each other; empty if there is none.
+        router_port: TCP port at which the router listens by default.
     """
 
     vendor: str
@@ -210,8 +206,7 @@ ROS_MIDDLEWARES: Mapping[str, RosMiddleware] = {
     "rmw_connextdds": RosMiddleware(
         "connext", "RTI Connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")
     ),
-    # By its README and design.md: multicast is off, sessions connect to a router at tcp/localhost:7447; deadline and lifespan
-    # are not implemented.
+    # README and design.md: multicast is off, sessions connect to a router at tcp/localhost:7447; no deadline or lifespan.
     "rmw_zenoh_cpp": RosMiddleware(
         "zenoh",
         "Zenoh",
@@ -221,10 +216,10 @@ ROS_MIDDLEWARES: Mapping[str, RosMiddleware] = {
         router_port=7447,
     ),
 }
-"""Identifier of an RMW -> what is known of it; one that is not here runs too, by its own name."""
+"""Identifier of an RMW -> its facts; any other one runs too, by its own name."""
 
 
 def ros_middleware(rmw: str) -> RosMiddleware:
-    """Return what is known of the RMW `rmw`; the vendor of an unknown one has its name."""
+    """Return the facts of an RMW; an unknown one has its own name as vendor."""
     name = rmw.removeprefix("rmw_").removesuffix("_cpp")
     return ROS_MIDDLEWARES.get(rmw, RosMiddleware(name, name, (rmw,)))

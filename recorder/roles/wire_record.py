@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.wire import WIRE_TOPIC, row_texts
 
-from ..wire.capture import WireCapture
-from ..wire.options import WireOptions, domain_ports, run_interfaces
+from ..wire.capture import WireCapture, WireOptions, domain_ports, run_interfaces
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -1,12 +1,15 @@
-"""`WireCapture`: the capturing process, as a role uses it."""
+"""Options of a capture, and `WireCapture`: the capturing process, as a role uses it."""
 
 from __future__ import annotations
 
+import fcntl
 import json
 import socket
+import struct
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +17,11 @@ import numpy as np
 from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.wire import MESSAGE_ROW
 
+from ..choices import Discovery
+from ..domains import domain_port_range
+from ..records import from_json, to_json
 from .counts import WireCounts
+from .packets.packet_filter import PortRange
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -23,29 +30,84 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.wire import MessageRows
 
-    from .options import WireOptions
+LOOPBACK = "lo"
+_SIOCGIFFLAGS, _IFF_UP = 0x8913, 0x1
+_SYSTEM = Path("/sys/class/net")
+
+
+def run_interfaces(discovery: Discovery, system: Path = _SYSTEM) -> tuple[str, ...]:
+    """Return the interfaces of this network namespace that a run with this range of discovery uses.
+
+    A port of a bridge or of a bond is left out: its packets also pass the bridge or bond, and would count twice.
+
+    Args:
+        discovery: range of the node's discovery.
+        system: the kernel's folder of interfaces.
+    """
+    if discovery is Discovery.LOCALHOST:
+        return (LOOPBACK,)
+    names = sorted(name for _, name in socket.if_nameindex())
+    return tuple(name for name in names if _is_up(name) and not (system / name / "master").exists())
+
+
+def _is_up(interface: str) -> bool:
+    request = struct.pack("16sH14x", interface.encode(), 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        try:
+            answer = fcntl.ioctl(any_socket, _SIOCGIFFLAGS, request)
+        except OSError:  # it was removed meanwhile
+            return False
+    flags: int = struct.unpack_from("H", answer, 16)[0]
+    return bool(flags & _IFF_UP)
+
+
+def domain_ports(domain_id: int) -> PortRange:
+    """Return the UDP ports of a DDS domain (DDSI-RTPS 2.5, section 9.6.2.3)."""
+    ports = domain_port_range(domain_id)
+    return PortRange(ports[0], ports[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class WireOptions:
+    """Interfaces and ports of a capture, and its memory.
+
+    Attributes:
+        interfaces: names of those that carry the run's messages.
+        rtps_ports: UDP ports of the run's DDS domains (`domain_ports`); other RTPS is left out. Empty: all RTPS counts.
+        udp_ports: of UDP that is not RTPS: the `socket` backend's, zenoh's scouting.
+        tcp_ports: of the `socket` backend, of zenoh, of Fast DDS over TCP.
+        ring_bytes: kernel memory for packets on each interface. A second of 100 Mbit/s needs 12.5 MB in IP fragments and in
+            packets of several samples' fragments, and a tenth of that otherwise.
+        block_timeout_ms: how long the kernel collects packets before it delivers them, and how often they are counted.
+        cpus: that the capturing process may run on, so that it avoids one reserved for a role; empty for its parent's.
+    """
+
+    interfaces: tuple[str, ...]
+    rtps_ports: tuple[PortRange, ...] = ()
+    udp_ports: tuple[PortRange, ...] = ()
+    tcp_ports: tuple[PortRange, ...] = ()
+    ring_bytes: int = 32 << 20
+    block_timeout_ms: int = 100
+    cpus: tuple[int, ...] = ()
+
 
 _PROCESS = f"{__package__}.process"
 _PATIENCE_S = 10.0
+_ENDED = "--wire: the capturing process ended by itself; its reason is on stderr"
 
 
 @dataclass(frozen=True, slots=True)
 class WireResult:
-    """Counts and records of one run.
-
-    Attributes:
-        counts: of the whole run.
-        rows: one of MESSAGE_ROW a message and direction.
-    """
+    """Counts of one run, and its rows of MESSAGE_ROW: one per message and direction."""
 
     counts: WireCounts
     rows: MessageRows
 
 
 class WireCapture:
-    """A capture from its construction to `close`; packets pass from the construction on.
+    """A capture from its construction to `close`.
 
-    Start it before the middleware: the first announcement of a participant is one of the things it looks for.
+    Start it before the middleware: it looks for the first announcement of a participant.
 
     Args:
         options: interfaces, ports and memory.
@@ -60,10 +122,10 @@ class WireCapture:
                 "--wire needs Linux, whose packet sockets (AF_PACKET) this system does not have"
             )
         self._process = subprocess.Popen(
-            [sys.executable, "-m", _PROCESS, options.to_json()],
+            [sys.executable, "-m", _PROCESS, json.dumps(to_json(options))],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the role, which still wants the counts of its run
+            start_new_session=True,  # Ctrl-C is for the role, which still needs the counts of its run
         )
         try:
             self._answer()
@@ -73,14 +135,14 @@ class WireCapture:
 
     @property
     def pid(self) -> int:
-        """Id of the capturing process, for whoever samples its CPU share."""
+        """Id of the capturing process, to sample its CPU share."""
         return self._process.pid
 
     def begin(self, run_id: int | None = None) -> None:
-        """Count anew; returns when all packets before are counted, after a quarter of a second.
+        """Restart counting; returns when all earlier packets are counted, after a quarter of a second.
 
         Args:
-            run_id: of the run whose messages get rows; None, as a relay does not know it beforehand, for all runs.
+            run_id: of the run whose messages get rows; None for all runs, as a relay does not know it beforehand.
         """
         self._ask({"ask": "begin", "run_id": "" if run_id is None else f"{run_id:016x}"})
         self._answer()
@@ -88,13 +150,13 @@ class WireCapture:
     def take(self) -> WireResult:
         """Return what was counted since `begin`, after a quarter of a second in which late packets still count.
 
-        Ask once for each `begin`: rows and the kernel's drops are handed over, not copied. Rows take 61 bytes of memory
-        each until then, so a relay that serves for days asks every now and then.
+        Call it once for each `begin`: rows and the kernel's drops are handed over, not copied. Rows need 61 bytes of memory each
+        until then, so a relay that serves for days calls it now and then.
         """
         self._ask({"ask": "take"})
-        found = self._answer()
-        rows = np.frombuffer(_stream(self._process.stdout).read(found["row_bytes"]), MESSAGE_ROW)
-        return WireResult(WireCounts.from_dict(found), rows)
+        answer = self._answer()
+        rows = np.frombuffer(_stream(self._process.stdout).read(answer["row_bytes"]), MESSAGE_ROW)
+        return WireResult(from_json(WireCounts, answer), rows)
 
     def close(self) -> None:
         """End the process."""
@@ -126,17 +188,12 @@ class WireCapture:
         return answer
 
     def __enter__(self) -> Self:
-        """Return the capture itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close."""
         self.close()
-
-
-_ENDED = "--wire: the capturing process ended by itself; its reason is on stderr"
 
 
 def _stream(pipe: IO[bytes] | None) -> IO[bytes]:

@@ -1,20 +1,22 @@
-"""Counts of one run on the wire, as they are written to the trace."""
+"""Counts of one run on the wire: the counters while it lasts, the kernel's own, and all of them as written to the trace."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from .kernel_counters import InterfaceCount, IpCounts
-from .messages import RepeatCount
+from ..applied import counters
+from ..records import to_json
+from .messages import RepeatCount  # noqa: TC001 - `records.from_json` looks the types of the fields up
 from .packets.classes import DISCOVERY, WireClass
-from .tcp_info import TcpConnection
+from .tcp_info import TcpConnection  # noqa: TC001
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Mapping
+    from collections.abc import Sequence
 
     from dds_trace.tracefile.format.wire import Direction
 
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class ClassTally:
-    """Counters of one class in one direction; `ClassCount` has their meaning."""
+    """Counters of one class in one direction, as in `ClassCount`."""
 
     packets: int = 0
     bytes: int = 0
@@ -34,12 +36,12 @@ class ClassTally:
 
 @dataclass(slots=True)
 class Beginnings:
-    """Beginnings of discovery and traffic, CLOCK_MONOTONIC ns; None until then.
+    """First sightings of discovery and traffic, CLOCK_MONOTONIC ns; None until then.
 
     Attributes:
         spdp_ns: the first announcement of a participant.
         data_ns: the first message with our stamp, probes included.
-        reply_ns: the first with a relay's id in it: both ways have been matched.
+        reply_ns: the first with a relay's id: both ways have been matched.
     """
 
     spdp_ns: int | None = None
@@ -47,20 +49,20 @@ class Beginnings:
     reply_ns: int | None = None
 
     def note(self, name: str, time_ns: int) -> None:
-        """Keep the time if it is the first."""
+        """Store the time if it is the first."""
         if getattr(self, name) is None:
             setattr(self, name, time_ns)
 
 
 @dataclass(slots=True)
 class RunTally:
-    """Counters that begin anew with each run.
+    """Counters that restart with each run.
 
     Attributes:
         classes: by class and direction.
         foreign_packets: of DDS domains other than ours.
         unseen_headers: packets in which a submessage header was not captured.
-        requests: ACKNACK and NACK_FRAG that asked for something again.
+        requests: ACKNACK and NACK_FRAG that requested something again.
         tcp_again_bytes: TCP payload that this side sent again.
         heartbeat_gaps_ns: between two heartbeats of a writer that came without data.
         packets: frames handled.
@@ -88,9 +90,9 @@ class RunTally:
         tally.bytes += frame.wire_bytes
         tally.ip_fragments += bool(frame.fragment_offset or frame.more_fragments)
 
-    def move_bytes(self, found: Counter[WireClass], principal: WireClass, direction: Direction) -> None:
+    def move_bytes(self, bytes_of: Counter[WireClass], principal: WireClass, direction: Direction) -> None:
         """Move the bytes of a packet's other submessages from its principal class to their own."""
-        for kind, size in found.items():
+        for kind, size in bytes_of.items():
             if kind is not principal:
                 self.classes[kind, direction].bytes += size
                 self.classes[principal, direction].bytes -= size
@@ -109,12 +111,12 @@ class ClassCount:
     Attributes:
         name: a `WireClass`.
         direction: `sent`, `received`, or `local` on the loopback interface, where it is both.
-        packets: IP packets; one that holds several classes counts for the first of them in `WireClass`'s order.
-        bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages
-            for their own, so the classes' bytes sum to the packets' bytes.
+        packets: IP packets; one with several classes counts for the first of them in `WireClass`'s order.
+        bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages for
+            their own, so the classes' bytes sum to the packets' bytes.
         submessages: RTPS submessages; 0 for TCP and other UDP.
-        fragments: samples (DATA) and fragments of samples (DATA_FRAG, which may hold several) in them. A DATA_FRAG with
-            one repeated fragment counts as repeated whole.
+        fragments: samples (DATA) and fragments of samples (DATA_FRAG, which may have several) in them. A DATA_FRAG with
+            one repeated fragment counts as repeated.
         ip_fragments: how many of the packets are IP fragments.
     """
 
@@ -126,28 +128,104 @@ class ClassCount:
     fragments: int = 0
     ip_fragments: int = 0
 
-    @classmethod
-    def from_dict(cls, found: Mapping[str, Any]) -> ClassCount:
-        """Return the count that a JSON object of `WireCounts.to_dict` holds; unknown fields are ignored."""
-        known = {name: found[name] for name in cls.__slots__ if name in found}
-        return cls(**{"name": "", "direction": "", **known})
+
+_IP_FIELDS = {
+    # field -> the kernel's name in /proc/net/snmp
+    "reassembly_requested": "ReasmReqds",
+    "reassembly_ok": "ReasmOKs",
+    "reassembly_failed": "ReasmFails",
+    "reassembly_timeout": "ReasmTimeout",
+    "datagrams_fragmented": "FragOKs",
+    "fragmentation_failed": "FragFails",
+    "fragments_created": "FragCreates",
+    "udp_receive_buffer_full": "RcvbufErrors",
+    "udp_in_errors": "InErrors",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class IpCounts:
+    """Kernel counters of a run, or since boot; of all programs in the network namespace.
+
+    Attributes:
+        reassembly_requested: IP fragments that arrived and needed others.
+        reassembly_ok: datagrams put together.
+        reassembly_failed: failures: timeouts, no memory (`net.ipv4.ipfrag_high_thresh`), bad fragments.
+        reassembly_timeout: datagrams given up after `net.ipv4.ipfrag_time`.
+        datagrams_fragmented: datagrams sent in fragments.
+        fragmentation_failed: datagrams that must not be fragmented.
+        fragments_created: fragments made by this host.
+        udp_receive_buffer_full: datagrams that found no room in their socket.
+        udp_in_errors: datagrams that were not delivered, for any reason.
+    """
+
+    reassembly_requested: int = 0
+    reassembly_ok: int = 0
+    reassembly_failed: int = 0
+    reassembly_timeout: int = 0
+    datagrams_fragmented: int = 0
+    fragmentation_failed: int = 0
+    fragments_created: int = 0
+    udp_receive_buffer_full: int = 0
+    udp_in_errors: int = 0
+
+    def since(self, before: IpCounts) -> IpCounts:
+        """Return how much each counter grew."""
+        return IpCounts(*(getattr(self, f.name) - getattr(before, f.name) for f in fields(self)))
+
+
+def read_ip_counts(root: Path = Path("/proc")) -> IpCounts:
+    """Return the counters since boot of this process's network namespace; one that this kernel lacks is 0."""
+    totals = counters.read_kernel_counters(root)
+    return IpCounts(**{name: totals.get(kernel_name, 0) for name, kernel_name in _IP_FIELDS.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class InterfaceCount:
+    """Counters of interface `name` over the run, of all traffic (`/proc/net/dev`); bytes as its driver counts them."""
+
+    name: str
+    sent_bytes: int = 0
+    sent_packets: int = 0
+    received_bytes: int = 0
+    received_packets: int = 0
+
+    def since(self, before: InterfaceCount | None) -> InterfaceCount:
+        """Return how much the counters grew."""
+        names = ("sent_bytes", "sent_packets", "received_bytes", "received_packets")
+        grown = (getattr(self, name) - (getattr(before, name) if before else 0) for name in names)
+        return InterfaceCount(self.name, *grown)
+
+
+def read_interfaces(names: Sequence[str], root: Path = Path("/proc")) -> tuple[InterfaceCount, ...]:
+    """Return the counters since boot of the named interfaces, in the order of the names."""
+    totals = counters.read_interfaces(root)
+    return tuple(
+        InterfaceCount(
+            name,
+            totals[name].sent_bytes,
+            totals[name].sent_packets,
+            totals[name].received_bytes,
+            totals[name].received_packets,
+        )
+        for name in names
+        if name in totals
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class WireCounts:
-    """Counts of one run on the wire, seen from one side.
-
-    Times are CLOCK_MONOTONIC ns of this device.
+    """Counts of one run on the wire, seen from one side; times are CLOCK_MONOTONIC ns of this device.
 
     Attributes:
-        run_id: as the run's JSON has it, 16 hex digits; empty if all runs were counted.
-        interfaces: that were watched.
+        run_id: as in the run's JSON, 16 hex digits; empty if all runs were counted.
+        interfaces: that were captured.
         begin_ns, end_ns: of the counting.
         classes: traffic by class and direction; those that did not occur are left out.
         repeats: messages that this side sent, by how often they were sent again.
-        messages: of the run, or of all runs, with a row of their own, both directions.
+        messages: number of messages with a row of their own, both directions.
         sample_bytes: their serialized lengths in total.
-        requests: ACKNACK and NACK_FRAG of user topics that asked for something again.
+        requests: ACKNACK and NACK_FRAG of user topics that requested something again.
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
         first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
             the first message with our stamp (probes included), the first that a relay has sent back.
@@ -158,8 +236,8 @@ class WireCounts:
         foreign_packets: RTPS of other domains, in no class.
         unseen_headers: packets with a submessage whose header was not captured; its kind is missing in `classes`, its
             bytes count for the packet's class.
-        unfollowed_datagrams: datagrams in which an IP fragment was missing or out of order, so that headers behind it
-            were not found, likewise. On the receiving side of a lossy link that is the link's loss.
+        unfollowed_datagrams: datagrams in which an IP fragment was missing or out of order, so that headers after it were
+            not found, likewise. On the receiving side of a lossy link that is the link's loss.
         late_repeats: repeats of samples that were no longer remembered; they are in `classes` and in no row.
         kernel_drops, kernel_freezes: packets that found no room in the ring, and how often it was full.
         packets: handled.
@@ -194,12 +272,12 @@ class WireCounts:
 
     @property
     def complete(self) -> bool:
-        """Whether the kernel handed over every packet; if not, the counts are lower bounds and prove nothing."""
+        """Whether the kernel delivered every packet; if not, the counts are lower bounds and prove nothing."""
         return self.kernel_drops == 0
 
     @property
     def duration_s(self) -> float:
-        """How long was counted, s."""
+        """Length of the counting, s."""
         return (self.end_ns - self.begin_ns) / 1e9
 
     @property
@@ -215,17 +293,17 @@ class WireCounts:
     @property
     def discovery_bytes_per_minute(self) -> float | None:
         """Bytes of SPDP, SEDP and liveliness a minute, both directions; None if no time passed."""
-        found = self._bytes_of(_DISCOVERY_NAMES)
-        return found * 60 / self.duration_s if self.duration_s else None
+        size = self._bytes_of(_DISCOVERY_NAMES)
+        return size * 60 / self.duration_s if self.duration_s else None
 
     @property
     def again_bytes_share(self) -> float | None:
-        """Share of all bytes that went into repeated data; None without traffic."""
+        """Share of all bytes that is repeated data; None without traffic."""
         return self._bytes_of(_AGAIN_NAMES) / self.total_bytes if self.total_bytes else None
 
     @property
     def match_ns(self) -> int | None:
-        """Time from the first participant's announcement to the first message that came back; None if either is missing."""
+        """Time from the first announcement of a participant to the first message that came back; None if either is missing."""
         if self.first_spdp_ns is None or self.first_reply_ns is None:
             return None
         return self.first_reply_ns - self.first_spdp_ns
@@ -239,26 +317,10 @@ class WireCounts:
         return sum(count.bytes for count in self.classes if count.name in names)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object; `complete`, `wire_bytes_per_sample_byte` and the other properties are in it."""
-        return {**asdict(self), **{name: getattr(self, name) for name in _DERIVED}}
-
-    @classmethod
-    def from_dict(cls, found: Mapping[str, Any]) -> WireCounts:
-        """Return the counts that a JSON object of `to_dict` holds; unknown fields are ignored, missing ones have their defaults."""
-        known = {f.name: found[f.name] for f in fields(cls) if f.name in found}
-        for name, read in _LISTS.items():
-            known[name] = tuple(read(part) for part in known.get(name) or ())
-        known["interfaces"] = tuple(known.get("interfaces", ()))
-        known["ip"] = IpCounts.from_dict(known.get("ip") or {})
-        return cls(**known)
+        """Return the JSON object, the properties included."""
+        return {**to_json(self), **{name: getattr(self, name) for name in _DERIVED}}
 
 
-_LISTS: Mapping[str, Any] = {
-    "classes": ClassCount.from_dict,
-    "repeats": RepeatCount.from_dict,
-    "tcp": TcpConnection.from_dict,
-    "interface_counts": InterfaceCount.from_dict,
-}
 _DERIVED = (
     "complete",
     "duration_s",

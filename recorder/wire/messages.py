@@ -1,9 +1,9 @@
-"""Records of messages on the wire, one a message and direction, and counts of messages by their repeats."""
+"""Messages on the wire: which copies are repeats, one row per message and direction, and counts by repeats."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -12,27 +12,195 @@ from dds_trace.tracefile.format.wire import MESSAGE_ROW, NEVER_NS, Direction
 from ..payloads.stamp import STAMP_BYTES, STAMP_PREFIX, Stamp, parse_stamp
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from dds_trace.tracefile.format.wire import MessageRows
 
-    from .ledger import SentSample
-
-
 _MOST_COUNTED = 65535
+WHOLE = 0
+"""Fragment number of a sample that is sent whole; fragments count from 1."""
+MULTICAST = 0
+"""Destination of multicast: what all received need not be sent to one, so another copy is a repeat."""
+
+REMEMBERED_NS = 30_000_000_000
+"""Time after its last copy for which a sample is remembered."""
+REMEMBERED_COPIES = 400_000
+"""Copies (samples, or fragments of them, per destination) remembered at once, about 100 bytes each."""
 
 
-STAMP_PLACES = (16, 8)
-"""Offsets of our stamp from a sample's first byte: behind a `std_msgs/Header`'s time, and at the start of a `String`."""
+Stream = TypeVar("Stream")
+
+
+class Copy(NamedTuple):
+    """One sample, or some fragments of it, sent to one destination.
+
+    Attributes:
+        sequence: of the sample.
+        fragment: number of the first fragment, WHOLE for a whole sample.
+        fragments: how many, 1 for a whole sample.
+        destination: a number for address and port; MULTICAST for all groups.
+        time_ns: when it was captured.
+        sample_bytes: serialized length of the sample.
+    """
+
+    sequence: int
+    fragment: int
+    fragments: int
+    destination: int
+    time_ns: int
+    sample_bytes: int
+
+
+@dataclass(slots=True)
+class SentSample:
+    """State of one sample.
+
+    Attributes:
+        first_ns, last_ns: of its first and last copy.
+        sample_bytes: serialized length.
+        stamp: ours, None until a copy shows one.
+        first_copies: (fragment, destination) -> time of its first copy.
+        repeats: fragment -> how often it was sent again.
+        resent_after_ns: from the first copy of the fragment that was repeated first to its repetition; None if none was.
+        heartbeats_before: of its writer, up to its first copy.
+        waited_heartbeats: of its writer, from its first copy to its first repetition.
+    """
+
+    first_ns: int
+    last_ns: int
+    sample_bytes: int
+    stamp: Stamp | None = None
+    first_copies: dict[tuple[int, int], int] = field(default_factory=dict)
+    repeats: dict[int, int] = field(default_factory=dict)
+    resent_after_ns: int | None = None
+    heartbeats_before: int = 0
+    waited_heartbeats: int = 0
+
+    def add(self, copy: Copy, heartbeats: int = 0) -> bool:
+        """Add a copy; return whether any of it was sent to this destination before.
+
+        Args:
+            copy: of this sample.
+            heartbeats: that its writer has sent so far.
+        """
+        self.last_ns = copy.time_ns
+        again = False
+        for fragment in range(copy.fragment, copy.fragment + copy.fragments):
+            before_ns = self._before(fragment, copy.destination)
+            if before_ns is None:
+                self.first_copies[fragment, copy.destination] = copy.time_ns
+                continue
+            again = True
+            self.repeats[fragment] = self.repeats.get(fragment, 0) + 1
+            if self.resent_after_ns is None:
+                self.resent_after_ns = copy.time_ns - before_ns
+                self.waited_heartbeats = heartbeats - self.heartbeats_before
+        return again
+
+    def _before(self, fragment: int, destination: int) -> int | None:
+        """Return when these octets of the sample first went to the destination, None if they never did.
+
+        Cyclone DDS sends a sample of up to 14 KB whole, and repeats it in fragments.
+        """
+        if not self.first_copies:
+            return None
+        for key in (
+            (fragment, destination),
+            (fragment, MULTICAST),
+            (WHOLE, destination),
+            (WHOLE, MULTICAST),
+        ):
+            before_ns = self.first_copies.get(key)
+            if before_ns is not None:
+                return before_ns
+        if fragment == WHOLE and any(target in (destination, MULTICAST) for _, target in self.first_copies):
+            return self.first_ns
+        return None
+
+
+@dataclass(slots=True)
+class _StreamSamples:
+    """Samples of one stream; `forgotten` is the highest number dropped, `heartbeats` how many its writer has sent."""
+
+    samples: dict[int, SentSample] = field(default_factory=dict)
+    forgotten: int = -1
+    heartbeats: int = 0
+
+
+class SendLedger(Generic[Stream]):
+    """Samples of all writers; a stream is one writer's on one interface and in one direction.
+
+    Attributes:
+        late_repeats: copies of samples that were forgotten already.
+    """
+
+    def __init__(
+        self, remembered_ns: int = REMEMBERED_NS, remembered_copies: int = REMEMBERED_COPIES
+    ) -> None:
+        self.late_repeats = 0
+        self._remembered_ns = remembered_ns
+        self._remembered_copies = remembered_copies
+        self._copies = 0
+        self._streams: dict[Stream, _StreamSamples] = {}
+
+    def note(self, stream: Stream, copy: Copy, stamp: Stamp | None = None) -> bool:
+        """Add a copy of a sample of `stream`, and return whether it is a repeat."""
+        recent = self._streams.setdefault(stream, _StreamSamples())
+        sample = recent.samples.get(copy.sequence)
+        if sample is None:
+            if copy.sequence <= recent.forgotten:
+                self.late_repeats += 1
+                return True
+            sample = SentSample(
+                copy.time_ns, copy.time_ns, copy.sample_bytes, heartbeats_before=recent.heartbeats
+            )
+            recent.samples[copy.sequence] = sample
+        if stamp is not None:
+            sample.stamp = stamp
+        before = len(sample.first_copies)
+        again = sample.add(copy, recent.heartbeats)
+        self._copies += len(sample.first_copies) - before
+        return again
+
+    def note_heartbeat(self, stream: Stream) -> None:
+        """Count a heartbeat of the stream's writer."""
+        self._streams.setdefault(stream, _StreamSamples()).heartbeats += 1
+
+    def forget(self, now_ns: int) -> Iterator[tuple[Stream, SentSample]]:
+        """Forget samples that are old, or the oldest of too many; yield each with its stream."""
+        horizon_ns = now_ns - self._remembered_ns
+        for key, stream in self._streams.items():
+            # In the order of their first copies, so the first that is young ends the search.
+            for sequence, sample in list(stream.samples.items()):
+                if sample.last_ns >= horizon_ns and self._copies <= self._remembered_copies:
+                    break
+                yield key, self._drop(stream, sequence)
+
+    def take(self, run_id: int | None) -> Iterator[tuple[Stream, SentSample]]:
+        """Forget the samples whose stamp names this run, or any if None; yield each with its stream."""
+        for key, stream in self._streams.items():
+            for sequence, sample in list(stream.samples.items()):
+                if sample.stamp is not None and run_id in (None, sample.stamp.run_id):
+                    yield key, self._drop(stream, sequence)
+
+    def _drop(self, stream: _StreamSamples, sequence: int) -> SentSample:
+        sample = stream.samples.pop(sequence)
+        stream.forgotten = max(stream.forgotten, sequence)
+        self._copies -= len(sample.first_copies)
+        return sample
+
+
+STAMP_OFFSETS = (16, 8)
+"""Offsets of our stamp in a serialized sample: after a `std_msgs/Header`'s time, and at the start of a `String`."""
 
 
 def stamp_at(memory: memoryview, payload_at: int, seen_end: int) -> Stamp | None:
     """Return the stamp of the serialized sample that begins at `payload_at`, None if it is not a message of ours.
 
-    Of a message without our stamp four bytes are compared, at either place, and none is kept.
+    Only four bytes of other messages are compared, and none is stored.
     """
-    for place in STAMP_PLACES:
-        begin = payload_at + place
+    for offset in STAMP_OFFSETS:
+        begin = payload_at + offset
         if begin + STAMP_BYTES <= seen_end and memory[begin : begin + len(STAMP_PREFIX)] == STAMP_PREFIX:
             return parse_stamp(bytes(memory[begin : begin + STAMP_BYTES]))
     return None
@@ -58,12 +226,12 @@ def message_row(sample: SentSample, direction: Direction) -> tuple[int, ...] | N
 
 
 def pack_rows(rows: Sequence[tuple[int, ...]]) -> MessageRows:
-    """Return records, given as tuples, as an array."""
+    """Return rows, given as tuples, as an array."""
     return np.array(rows, MESSAGE_ROW)
 
 
 def message_rows(packed: Sequence[MessageRows]) -> MessageRows:
-    """Return rows, of which some are packed already, as one array: by run, direction, relay and sequence."""
+    """Return packed rows as one array, by run, direction, relay and sequence."""
     return np.sort(np.concatenate(packed), order=("run_id", "direction", "relay_id", "sequence"))
 
 
@@ -72,10 +240,10 @@ class RepeatCount:
     """Messages that were sent again equally often.
 
     Attributes:
-        repeats: how often, 0 for messages that went out once.
+        repeats: how often, 0 for messages that were sent once.
         messages: how many there are.
-        delay_p50_ns, delay_p90_ns, delay_p99_ns, delay_max_ns: of `resent_after_ns` (linear interpolation, as numpy
-            has it); None for messages that went out once.
+        delay_p50_ns, delay_p90_ns, delay_p99_ns, delay_max_ns: of `resent_after_ns` (linear interpolation, as in numpy);
+            None for messages that were sent once.
         heartbeats_p50: median of the heartbeats that their writer sent meanwhile; None likewise.
     """
 
@@ -86,15 +254,6 @@ class RepeatCount:
     delay_p99_ns: float | None = None
     delay_max_ns: float | None = None
     heartbeats_p50: float | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, found: Mapping[str, Any]) -> RepeatCount:
-        """Return the count that a JSON object of `to_dict` holds; unknown fields are ignored."""
-        return cls(**{name: found[name] for name in cls.__slots__ if name in found})
 
 
 def count_repeats(rows: MessageRows) -> tuple[RepeatCount, ...]:

@@ -1,13 +1,13 @@
 """The capturing process: `python -m dds_trace.recorder.wire.process OPTIONS`, driven by lines on its standard input.
 
-It is a process of its own so that its Python never holds up the one that stamps messages. Each line on standard input is
+It is a process of its own so that its Python never delays the one that stamps messages. Each line on standard input is
 a JSON object and is answered by one on standard output:
 
     {"ask": "begin", "run_id": "16 hex digits, or empty"}  ->  {}
-    {"ask": "take"}                              ->  the run's `WireCounts`, with `row_bytes`, and so many bytes of MESSAGE_ROW
+    {"ask": "take"}  ->  the run's `WireCounts`, with `row_bytes`, followed by that many bytes of MESSAGE_ROW
 
-Before all others it writes `{}`, or `{"error": "..."}` and ends. It ends when standard input closes, which the kernel
-does for it even when the recorder is killed.
+First it writes `{}`, or `{"error": "..."}` and ends. It ends when standard input closes, which the kernel does even when
+the recorder is killed.
 """
 
 from __future__ import annotations
@@ -18,35 +18,31 @@ import select
 import sys
 import time
 from contextlib import ExitStack, closing, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import TraceError
 
-from .counts import ClassCount, WireCounts
-from .kernel_counters import interfaces_since, read_interfaces, read_ip_counts
+from ..records import from_json
+from .capture import WireOptions
+from .counts import ClassCount, WireCounts, read_interfaces, read_ip_counts
 from .messages import count_repeats
-from .options import WireOptions
 from .packets.packet_filter import wire_program
 from .ring import PacketRing, RingStatistics
 from .tally import WireTally
 from .tcp_info import ClosedConnections, TcpConnection, read_connections
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping
 
     from dds_trace.tracefile.format.wire import MessageRows
 
-    from .kernel_counters import InterfaceCount, IpCounts
+    from .counts import InterfaceCount, IpCounts
 
 NICENESS = 5
-"""The capture gives way to the roles it watches; the ring holds what comes meanwhile.
-
-Under SCHED_BATCH it does not interrupt them when it wakes either. Much nicer, a busy machine would starve it for longer
-than the ring lasts.
-"""
+"""The capture yields to the roles, as does SCHED_BATCH; much nicer, it would starve for longer than the ring lasts."""
 TCP_EVERY_NS = 1_000_000_000
-"""Time between two readings of connections, so that one that closes before the run's end is still known."""
+"""Time between two readings of connections, so that one that closes before the run's end has been read."""
 _CLOCK_READINGS = 5
 
 
@@ -58,7 +54,7 @@ class _Before:
     begin_ns: int
     cpu_s: float
     ip: IpCounts
-    interfaces: Sequence[InterfaceCount]
+    interfaces: Mapping[str, InterfaceCount]
     tcp: dict[int, TcpConnection]
 
 
@@ -77,11 +73,9 @@ class Capture:
         self._resources = ExitStack()
         program = wire_program(options.udp_ports, options.tcp_ports)
         with ExitStack() as opened:
-            self._closed = (
-                opened.enter_context(closing(ClosedConnections(options.tcp_ports)))
-                if options.tcp_ports
-                else None
-            )
+            self._closed: ClosedConnections | None = None
+            if options.tcp_ports:
+                self._closed = opened.enter_context(closing(ClosedConnections(options.tcp_ports)))
             self._rings = [
                 opened.enter_context(
                     PacketRing(
@@ -98,7 +92,7 @@ class Capture:
         self._read_tcp()
 
     def begin(self, run_id: str) -> None:
-        """Count anew for a run, or for whatever runs come if the id is empty."""
+        """Restart counting for a run, or for all runs if the id is empty."""
         self._catch_up()
         self._statistics()
         self._tally.begin()
@@ -107,7 +101,7 @@ class Capture:
         self._before = self._now(run_id)
 
     def take(self) -> tuple[WireCounts, MessageRows]:
-        """Return counts and records since `begin`."""
+        """Return counts and rows since `begin`."""
         self._catch_up()
         self._read_tcp()
         before, now = self._before, self._now("")
@@ -120,9 +114,9 @@ class Capture:
             begin_ns=before.begin_ns,
             end_ns=now.begin_ns,
             classes=tuple(
-                ClassCount(kind.value, direction.name.lower(), **asdict(counted))
-                for (kind, direction), counted in sorted(run.classes.items())
-                if counted.packets or counted.bytes
+                ClassCount(kind.value, direction.name.lower(), **asdict(tally))
+                for (kind, direction), tally in sorted(run.classes.items())
+                if tally.packets or tally.bytes
             ),
             repeats=count_repeats(rows),
             messages=len(rows),
@@ -134,11 +128,12 @@ class Capture:
             first_reply_ns=beginnings.reply_ns,
             ip=now.ip.since(before.ip),
             tcp=tuple(
-                found.since(before.tcp.get(cookie, replace(found, **_NOTHING_YET)))
-                for cookie, found in sorted(self._tcp.items())
+                connection.since(before.tcp.get(cookie)) for cookie, connection in sorted(self._tcp.items())
             ),
             tcp_again_bytes=run.tcp_again_bytes,
-            interface_counts=interfaces_since(now.interfaces, before.interfaces),
+            interface_counts=tuple(
+                count.since(before.interfaces.get(name)) for name, count in now.interfaces.items()
+            ),
             foreign_packets=run.foreign_packets,
             unseen_headers=run.unseen_headers,
             unfollowed_datagrams=self._tally.unfollowed_datagrams,
@@ -153,11 +148,11 @@ class Capture:
     def serve(self) -> None:
         """Count packets and answer questions until standard input closes."""
         poll = select.poll()
-        # Not the rings: a large flow fills a block every few milliseconds, and each waking would cost the roles their CPU.
+        # Not the rings: a large flow fills a block every few milliseconds, and each wake-up takes CPU from the roles.
         if self._closed:
             poll.register(self._closed.fileno(), select.POLLIN)
         poll.register(sys.stdin.fileno(), select.POLLIN)
-        asked = b""
+        buffered = b""
         while True:
             ready = {descriptor for descriptor, _ in poll.poll(self._options.block_timeout_ms)}
             self._drain()
@@ -170,7 +165,7 @@ class Capture:
             data = os.read(sys.stdin.fileno(), 65536)
             if not data:
                 return
-            *lines, asked = (asked + data).split(b"\n")
+            *lines, buffered = (buffered + data).split(b"\n")
             for line in lines:
                 self._answer(json.loads(line))
 
@@ -187,7 +182,7 @@ class Capture:
             write_answer({**counts.to_dict(), "row_bytes": rows.nbytes}, rows.tobytes())
 
     def _drain(self) -> None:
-        """Count the packets that the kernel has handed over."""
+        """Count the packets that the kernel has delivered."""
         for ring in self._rings:
             batch = ring.read()
             if len(batch):
@@ -200,16 +195,16 @@ class Capture:
             ring.release()
 
     def _catch_up(self) -> None:
-        """Handle all packets up to now; those in a block that is not full come with its time-out, two of them at most."""
+        """Handle all packets up to now; a block that is not full comes with its time-out, two of them at most."""
         until_ns = time.monotonic_ns() + (2 * self._options.block_timeout_ms + 50) * 1_000_000
         while (left_ns := until_ns - time.monotonic_ns()) > 0:
             time.sleep(min(left_ns, self._options.block_timeout_ms * 1_000_000) / 1e9)
             self._drain()
 
     def _statistics(self) -> RingStatistics:
-        found = [ring.statistics() for ring in self._rings]
+        statistics = [ring.statistics() for ring in self._rings]
         return RingStatistics(
-            *(sum(getattr(ring, name) for ring in found) for name in ("packets", "drops", "freezes"))
+            *(sum(getattr(ring, name) for ring in statistics) for name in ("packets", "drops", "freezes"))
         )
 
     def _read_tcp(self) -> None:
@@ -224,25 +219,20 @@ class Capture:
             time.monotonic_ns(),
             time.process_time(),
             read_ip_counts(),
-            read_interfaces(self._options.interfaces),
+            {count.name: count for count in read_interfaces(self._options.interfaces)},
             dict(self._tcp),
         )
 
 
-_NOTHING_YET = dict.fromkeys(
-    ("retransmitted_segments", "segments_out", "segments_in", "bytes_sent", "bytes_retransmitted"), 0
-)
-
-
 def wall_to_monotonic_ns() -> int:
-    """Return what turns CLOCK_REALTIME into CLOCK_MONOTONIC by addition, from the tightest of a few readings."""
-    found = []
+    """Return what to add to CLOCK_REALTIME to get CLOCK_MONOTONIC, from the tightest of a few readings."""
+    readings = []
     for _ in range(_CLOCK_READINGS):
         before_ns = time.monotonic_ns()
         wall_ns = time.time_ns()
         after_ns = time.monotonic_ns()
-        found.append((after_ns - before_ns, (before_ns + after_ns) // 2 - wall_ns))
-    return min(found)[1]
+        readings.append((after_ns - before_ns, (before_ns + after_ns) // 2 - wall_ns))
+    return min(readings)[1]
 
 
 def write_answer(answer: dict[str, Any], rows: bytes = b"") -> None:
@@ -253,10 +243,8 @@ def write_answer(answer: dict[str, Any], rows: bytes = b"") -> None:
 
 def main() -> None:
     """Capture until standard input closes."""
-    options = WireOptions.from_json(sys.argv[1])
-    os.sched_setscheduler(
-        0, os.SCHED_BATCH, os.sched_param(0)
-    )  # also if the role runs under a real-time priority
+    options = from_json(WireOptions, json.loads(sys.argv[1]))
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # also if the role has a real-time priority
     os.nice(NICENESS)
     if options.cpus:
         os.sched_setaffinity(0, options.cpus)

@@ -34,7 +34,7 @@ _TPACKET_V3, _TP_STATUS_USER = 2, 1
 _SIOCGIFHWADDR = 0x8927
 _ARPHRD_ETHER, _ARPHRD_LOOPBACK = 1, 772
 _FRAME_BYTES = 2048
-"""The kernel wants a frame size for the ring's geometry; version 3 packs frames of any size."""
+"""Required for the ring's geometry; version 3 packs frames of any size."""
 
 # Words of 4 bytes within struct tpacket_block_desc and struct tpacket3_hdr.
 _BLOCK_STATUS, _BLOCK_PACKETS, _BLOCK_FIRST = 2, 3, 4
@@ -45,7 +45,7 @@ _PACKET_TYPE_BYTE = 48 + 10
 
 @dataclass(frozen=True, slots=True)
 class RingStatistics:
-    """What the kernel counted since the call before.
+    """What the kernel counted since the previous call.
 
     Attributes:
         packets: that passed the filter, dropped ones included.
@@ -61,14 +61,14 @@ class RingStatistics:
 class PacketRing:
     """A socket with its ring on one interface.
 
-    Of `lo`, whose frames pass twice, only the incoming pass is taken; of other interfaces both directions are.
+    On `lo`, which frames pass twice, only the incoming pass is captured; on other interfaces both directions are.
 
     Args:
         interface: its name.
         program: the filter (`wire_program`).
         ring_bytes: of kernel memory.
-        block_bytes: the unit in which the kernel hands frames over; a multiple of the page size.
-        block_timeout_ms: after which a block that is not full is handed over.
+        block_bytes: the unit in which the kernel delivers frames; a multiple of the page size.
+        block_timeout_ms: after which a block that is not full is delivered.
 
     Raises:
         OptionError: no CAP_NET_RAW, no such interface, or one without Ethernet frames.
@@ -88,7 +88,7 @@ class PacketRing:
         self._block_bytes = block_bytes
         self._blocks = max(2, ring_bytes // block_bytes)
         self._next = 0
-        self._held = 0
+        self._unreleased = 0
         try:
             # Protocol 0: nothing arrives before the filter is in place.
             self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
@@ -124,17 +124,17 @@ class PacketRing:
     def read(self) -> FrameBatch:
         """Return the frames of all blocks that are ready; `release` gives these back to the kernel."""
         words, block_words = self._words, self._block_bytes // 4
-        found: list[int] = []
-        while self._held < self._blocks:
-            start = (self._next + self._held) % self._blocks * block_words
+        headers: list[int] = []
+        while self._unreleased < self._blocks:
+            start = (self._next + self._unreleased) % self._blocks * block_words
             if not words[start + _BLOCK_STATUS] & _TP_STATUS_USER:
                 break
             at = start + words[start + _BLOCK_FIRST] // 4
             for _ in range(words[start + _BLOCK_PACKETS]):
-                found.append(at)
+                headers.append(at)
                 at += words[at + _NEXT] // 4
-            self._held += 1
-        return self._batch(np.array(found, np.int64))
+            self._unreleased += 1
+        return self._batch(np.array(headers, np.int64))
 
     def _batch(self, header: Numbers) -> FrameBatch:
         """Return the columns of the frames whose headers begin at these words."""
@@ -151,10 +151,10 @@ class PacketRing:
 
     def release(self) -> None:
         """Give the blocks of the last `read` back."""
-        for _ in range(self._held):
+        for _ in range(self._unreleased):
             self._words[self._next * (self._block_bytes // 4) + _BLOCK_STATUS] = 0
             self._next = (self._next + 1) % self._blocks
-        self._held = 0
+        self._unreleased = 0
 
     def statistics(self) -> RingStatistics:
         """Return the kernel's counters since the last call, which this resets."""
@@ -163,38 +163,32 @@ class PacketRing:
         )
 
     def close(self) -> None:
-        """Close the socket; the ring's memory goes with it."""
+        """Close the socket and its ring."""
         self._socket.close()
         self._words.release()
         del self._memory
-        with suppress(BufferError):  # a batch that someone still holds keeps the map
+        with suppress(BufferError):  # a batch still refers to the map
             self._map.close()
 
     def __enter__(self) -> Self:
-        """Return the ring itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close."""
         self.close()
 
 
 def _hardware_type(interface: str) -> int:
-    """Return the interface's ARPHRD number.
-
-    Raises:
-        OptionError: no such interface, or its frames have no Ethernet header.
-    """
-    # Not from /sys/class/net: within `nsenter --net` that still shows the interfaces of the namespace before.
+    """Return the interface's ARPHRD number."""
+    # Not from /sys/class/net: within `nsenter --net` it still shows the interfaces of the previous namespace.
     request = struct.pack("16s16x", interface.encode())
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         try:
-            answer = fcntl.ioctl(asked, _SIOCGIFHWADDR, request)
+            answer = fcntl.ioctl(any_socket, _SIOCGIFHWADDR, request)
         except OSError as err:
             raise OptionError(f"--wire: there is no network interface {interface!r}") from err
-    found: int = struct.unpack_from("H", answer, 16)[0]
-    if found not in (_ARPHRD_ETHER, _ARPHRD_LOOPBACK):
-        raise OptionError(f"--wire: {interface} has no Ethernet frames (type {found})")
-    return found
+    number: int = struct.unpack_from("H", answer, 16)[0]
+    if number not in (_ARPHRD_ETHER, _ARPHRD_LOOPBACK):
+        raise OptionError(f"--wire: {interface} has no Ethernet frames (type {number})")
+    return number

@@ -10,8 +10,7 @@ from dds_trace.tracefile.format.wire import Direction
 
 from ..payloads.stamp import PROBE_RUN_ID
 from .counts import Beginnings, RunTally
-from .ledger import MULTICAST, Copy, SendLedger
-from .messages import message_row, message_rows, pack_rows, stamp_at
+from .messages import MULTICAST, Copy, SendLedger, message_row, message_rows, pack_rows, stamp_at
 from .packets.classes import AGAIN, RANK, TcpFlows, WireClass, class_of
 from .packets.fragments import FragmentTable, Piece
 from .packets.frames import TCP, UDP, read_frames
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.wire import MessageRows
 
     from ..payloads.stamp import Stamp
-    from .ledger import SentSample
+    from .messages import SentSample
     from .packets.frames import Frame, FrameBatch
     from .packets.packet_filter import PortRange
 
@@ -33,14 +32,14 @@ _FIRST_GROUP = 224 << 24
 _TCP_SEQUENCE = struct.Struct(">I")
 _FORGET_EVERY_NS = 1_000_000_000
 _ROWS_TO_PACK = 4096
-"""Rows kept as Python numbers, which take five times the memory of an array's."""
+"""Rows that wait as Python numbers, which need five times the memory of an array's."""
 
 
 class Sender(NamedTuple):
     """Where a packet comes from and goes to.
 
     Attributes:
-        interface: that it passed.
+        interface: where it was captured.
         direction: which way.
         prefix: GUID prefix of the participant; empty for what is not RTPS.
         destination: a number for address and port, MULTICAST for a group.
@@ -53,7 +52,7 @@ class Sender(NamedTuple):
 
 
 class Stream(NamedTuple):
-    """What numbers its samples: a writer, by its participant's prefix and its entity id, as one interface sees it."""
+    """A writer, which numbers its samples: by participant prefix and entity id, on one interface."""
 
     direction: Direction
     interface: str
@@ -62,7 +61,7 @@ class Stream(NamedTuple):
 
 
 class Datagram(NamedTuple):
-    """What later fragments of a datagram are counted with; `kind` None where it is another domain's."""
+    """What later fragments of a datagram are counted with; `kind` is None for another domain's."""
 
     kind: WireClass | None
     sender: Sender
@@ -97,7 +96,7 @@ class WireTally:
         self._late_before = self._lost_before = 0
 
     def begin(self) -> None:
-        """Count anew."""
+        """Restart counting."""
         self.run = RunTally()
         self._rows.clear()
         self._packed.clear()
@@ -115,20 +114,21 @@ class WireTally:
         return self._fragments.lost_trails - self._lost_before
 
     def take_rows(self, run_id: int | None = None) -> MessageRows:
-        """Return the messages of a run, or of all runs, readiness probes left out; they are forgotten here."""
-        self._keep(self._ledger.take(run_id))
-        found = message_rows([*self._packed, pack_rows(self._rows)])
+        """Return the messages of a run, or of all runs without readiness probes; they are forgotten here."""
+        self._make_rows(self._ledger.take(run_id))
+        rows = message_rows([*self._packed, pack_rows(self._rows)])
         self._rows.clear()
         self._packed.clear()
-        wanted = found["run_id"] != PROBE_RUN_ID if run_id is None else found["run_id"] == run_id
-        mine: MessageRows = found[wanted]
-        return mine
+        selected: MessageRows = rows[
+            rows["run_id"] != PROBE_RUN_ID if run_id is None else rows["run_id"] == run_id
+        ]
+        return selected
 
     def add(self, batch: FrameBatch, interface: str, *, is_loopback: bool, wall_to_monotonic_ns: int) -> None:
         """Count the frames of a batch.
 
         Args:
-            batch: frames of one interface in the order of their capture, one at least.
+            batch: one or more frames of one interface in the order of their capture.
             interface: its name.
             is_loopback: whether its frames go both ways at once.
             wall_to_monotonic_ns: added to the frames' wall clock to get CLOCK_MONOTONIC.
@@ -142,9 +142,9 @@ class WireTally:
         last_ns = int(batch.wall_ns[-1]) + wall_to_monotonic_ns
         if last_ns - self._forgot_ns > _FORGET_EVERY_NS:
             self._forgot_ns = last_ns
-            self._keep(self._ledger.forget(last_ns))
+            self._make_rows(self._ledger.forget(last_ns))
 
-    def _keep(self, forgotten: Iterable[tuple[Stream, SentSample]]) -> None:
+    def _make_rows(self, forgotten: Iterable[tuple[Stream, SentSample]]) -> None:
         """Make rows of the samples that have our stamp."""
         for stream, sample in forgotten:
             row = message_row(sample, stream.direction)
@@ -223,11 +223,11 @@ class WireTally:
             frame.transport_end,
             not frame.more_fragments,
         )
-        known = self._fragments.continue_with(_fragment_key(frame, sender), piece)
-        if known is None:
+        continued = self._fragments.continue_with(_fragment_key(frame, sender), piece)
+        if continued is None:
             self.run.count_frame(frame, WireClass.FRAGMENT_UNKNOWN, direction)
             return
-        datagram, submessages = known
+        datagram, submessages = continued
         if datagram.kind is None:
             self.run.foreign_packets += 1
             return
@@ -237,10 +237,10 @@ class WireTally:
             self.run.move_bytes(kinds, datagram.kind, direction)
 
     def _is_ours(self, frame: Frame, memory: memoryview, packet: int, prefix: bytes) -> bool:
-        """Return whether a packet is of our domains, and learn its sender if so.
+        """Return whether a packet is of our domains, and remember its sender if so.
 
-        Cyclone DDS has its unicast ports from the ephemeral range, and an announcement to the domain's port may be lost;
-        then what the participant says to one that is known (INFO_DST comes first) tells.
+        Cyclone DDS has its unicast ports from the ephemeral range, and an announcement to the domain's port may be lost; then a
+        packet to a participant of ours (INFO_DST comes first) identifies its sender.
         """
         if not self._domain_ports or prefix in self._participants:
             return True
@@ -266,8 +266,8 @@ class WireTally:
         memory: memoryview,
         seen_end: int,
     ) -> Counter[WireClass]:
-        """Note the submessages of a packet, and return their bytes by class; those without a class of their own are left out."""
-        found: Counter[WireClass] = Counter()
+        """Note the submessages of a packet; return their bytes by class, without those that have no class of their own."""
+        bytes_of: Counter[WireClass] = Counter()
         for submessage in submessages:
             kind = class_of(submessage.kind, submessage.writer)
             if kind is None:
@@ -279,12 +279,12 @@ class WireTally:
             if submessage.asks:
                 self.run.requests += kind in (WireClass.ACKNACK, WireClass.NACK_FRAG)
             elif kind is WireClass.HEARTBEAT:
-                self._note_heartbeat(sender, submessage.writer, time_ns, alone=not found)
-            counted = self.run.classes[kind, sender.direction]
-            counted.submessages += 1
-            counted.fragments += submessage.fragments
-            found[kind] += submessage.wire_bytes
-        return found
+                self._note_heartbeat(sender, submessage.writer, time_ns, without_data=not bytes_of)
+            tally = self.run.classes[kind, sender.direction]
+            tally.submessages += 1
+            tally.fragments += submessage.fragments
+            bytes_of[kind] += submessage.wire_bytes
+        return bytes_of
 
     def _note_data(
         self, submessage: Submessage, sender: Sender, time_ns: int, memory: memoryview, seen_end: int
@@ -308,10 +308,10 @@ class WireTally:
         stream = Stream(sender.direction, sender.interface, sender.prefix, submessage.writer)
         return self._ledger.note(stream, copy, stamp)
 
-    def _note_heartbeat(self, sender: Sender, writer: int, time_ns: int, *, alone: bool) -> None:
-        """Count a heartbeat for its writer, and the time since the one before if it came without data."""
+    def _note_heartbeat(self, sender: Sender, writer: int, time_ns: int, *, without_data: bool) -> None:
+        """Count a heartbeat of its writer, and the time since the previous one if it came without data."""
         self._ledger.note_heartbeat(Stream(sender.direction, sender.interface, sender.prefix, writer))
-        if not alone:
+        if not without_data:
             return
         before_ns = self._last_heartbeat_ns.get((sender, writer))
         self._last_heartbeat_ns[sender, writer] = time_ns

@@ -1,36 +1,33 @@
-"""TCP connections by the kernel's `TCP_INFO`, of any process in this network namespace, by sock_diag.
-
-Layouts: <linux/inet_diag.h>, <linux/sock_diag.h> and struct tcp_info of <linux/tcp.h>, of which fields are appended
-and never moved; a kernel that is too old for one leaves it 0.
-"""
+"""TCP connections by the kernel's `TCP_INFO`, of any process in this network namespace."""
 
 from __future__ import annotations
 
-import itertools
 import socket
-import struct
 from contextlib import suppress
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 
+from ..applied.diag import (
+    INFO,
+    NETLINK_SOCK_DIAG,
+    RECEIVE_BYTES,
+    DiagError,
+    DiagSocket,
+    dump_sockets,
+    netlink_messages,
+    parse_socket,
+    tcp_info_fields,
+)
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from .packets.packet_filter import PortRange
 
-_NETLINK_SOCK_DIAG, _SOCK_DIAG_BY_FAMILY = 4, 20
-_NLM_F_REQUEST, _NLM_F_DUMP = 0x001, 0x300
-_NLMSG_ERROR, _NLMSG_DONE = 2, 3
-_INET_DIAG_INFO = 2
 _TCP_DESTROYED_GROUP = 1 << 0  # SKNLGRP_INET_TCP_DESTROY as a bit of the address
 _CONNECTED_STATES = 0xFFF & ~(1 << 10) & ~(1 << 6)  # not LISTEN, not TIME_WAIT
-_NETLINK_HEADER = struct.Struct("=IHHII")
-_DIAG_MESSAGE = struct.Struct("=BBBBHH16s16sI8sIIIII")
-_ATTRIBUTE = struct.Struct("=HH")
-_RECEIVE_BYTES = 1 << 16
-_INFO_BYTES = 256
 _NOT_MEASURED = 0xFFFFFFFF
 
 _INFO_FIELDS = {
@@ -46,13 +43,7 @@ _INFO_FIELDS = {
     "bytes_sent": ("=Q", 200),
     "bytes_retransmitted": ("=Q", 208),
 }
-_COUNTERS = (
-    "retransmitted_segments",
-    "segments_out",
-    "segments_in",
-    "bytes_sent",
-    "bytes_retransmitted",
-)
+_COUNTERS = ("retransmitted_segments", "segments_out", "segments_in", "bytes_sent", "bytes_retransmitted")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +58,7 @@ class TcpConnection:
         segments_out, segments_in: acknowledgements included.
         segment_bytes: the largest that it sends (`tcpi_snd_mss`).
         rtt_us, rtt_variance_us, rtt_min_us: smoothed round-trip time of the kernel, now.
-        congestion_window: segments that may be under way, now.
+        congestion_window: segments that may be in flight, now.
     """
 
     local_port: int
@@ -83,47 +74,28 @@ class TcpConnection:
     rtt_min_us: int = 0
     congestion_window: int = 0
 
-    def since(self, before: TcpConnection) -> TcpConnection:
+    def since(self, before: TcpConnection | None) -> TcpConnection:
         """Return the same connection with its counters less those of `before`."""
-        grown = {name: getattr(self, name) - getattr(before, name) for name in _COUNTERS}
-        return TcpConnection(**{**asdict(self), **grown})
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, found: Mapping[str, Any]) -> TcpConnection:
-        """Return the connection that a JSON object of `to_dict` holds; unknown fields are ignored, missing counters are 0."""
-        known = {name: int(found[name]) for name in cls.__slots__ if name in found}
-        return cls(**{"local_port": 0, "remote_port": 0, **known})
+        if before is None:
+            return self
+        return replace(self, **{name: getattr(self, name) - getattr(before, name) for name in _COUNTERS})
 
 
 def parse_tcp_info(info: bytes, local_port: int, remote_port: int) -> TcpConnection:
-    """Return the fields of a `struct tcp_info`, as sock_diag or `getsockopt(TCP_INFO)` gives it."""
-    padded = info.ljust(_INFO_BYTES, b"\0")
-    values = {
-        name: struct.unpack_from(format_, padded, offset)[0]
-        for name, (format_, offset) in _INFO_FIELDS.items()
-    }
+    """Return the connection of a `struct tcp_info`, as sock_diag or `getsockopt(TCP_INFO)` gives it."""
+    values = tcp_info_fields(info, _INFO_FIELDS)
     if values["rtt_min_us"] == _NOT_MEASURED:
         values["rtt_min_us"] = 0
     return TcpConnection(local_port, remote_port, **values)
 
 
-def read_socket(connection: socket.socket) -> TcpConnection:
-    """Return the kernel's counters of a TCP socket of this process."""
-    info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_BYTES)
-    return parse_tcp_info(info, connection.getsockname()[1], connection.getpeername()[1])
-
-
 def read_connections(ports: Sequence[PortRange]) -> dict[int, TcpConnection]:
-    """Return the connections of this network namespace with a port in one of the ranges, by the kernel's socket cookie.
-
-    The cookie tells a connection from a later one that has the same ports.
-    """
-    messages = itertools.chain(_dump(socket.AF_INET), _dump(socket.AF_INET6))
-    return _with_ports(messages, ports)
+    """Return the connections of this network namespace with a port in one of the ranges, by the kernel's socket cookie."""
+    sockets: list[DiagSocket] = []
+    for family in (socket.AF_INET, socket.AF_INET6):
+        with suppress(DiagError):  # the kernel does not have this family
+            sockets += dump_sockets(family, socket.IPPROTO_TCP, _CONNECTED_STATES)
+    return _with_ports(sockets, ports)
 
 
 class ClosedConnections:
@@ -132,7 +104,7 @@ class ClosedConnections:
     A connection that is read once a second has sent more when it ends.
 
     Args:
-        ports: of the connections to hear of.
+        ports: of the connections to listen for.
 
     Raises:
         OptionError: the kernel was built without sock_diag.
@@ -141,11 +113,9 @@ class ClosedConnections:
     def __init__(self, ports: Sequence[PortRange]) -> None:
         self._ports = ports
         try:
-            self._link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_SOCK_DIAG)
+            self._link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, NETLINK_SOCK_DIAG)
         except OSError as err:
-            raise OptionError(
-                f"--wire: this kernel does not tell of TCP connections: {err.strerror}"
-            ) from err
+            raise OptionError(f"--wire: this kernel does not report TCP connections: {err.strerror}") from err
         self._link.setblocking(False)
         self._link.bind((0, _TCP_DESTROYED_GROUP))
 
@@ -155,71 +125,24 @@ class ClosedConnections:
 
     def read(self) -> dict[int, TcpConnection]:
         """Return the connections that ended since the last call, by cookie."""
-        found: dict[int, TcpConnection] = {}
-        # BlockingIOError: no more. ENOBUFS: so many ended at once that some are not told; they keep what was read before.
+        ended: dict[int, TcpConnection] = {}
+        # BlockingIOError: no more. ENOBUFS: so many ended at once that some are not reported; their last reading counts.
         with suppress(OSError):
             while True:
-                contents = [content for _, content in _parts(self._link.recv(_RECEIVE_BYTES))]
-                found |= _with_ports(contents, self._ports)
-        return found
+                messages = netlink_messages(self._link.recv(RECEIVE_BYTES))
+                ended |= _with_ports([parse_socket(body) for _, body in messages], self._ports)
+        return ended
 
     def close(self) -> None:
         """Close the socket."""
         self._link.close()
 
 
-def _with_ports(messages: Iterable[bytes], ports: Sequence[PortRange]) -> dict[int, TcpConnection]:
-    """Return the connections in `inet_diag_msg`s that have a port in one of the ranges, by cookie."""
+def _with_ports(sockets: Iterable[DiagSocket], ports: Sequence[PortRange]) -> dict[int, TcpConnection]:
+    """Return the connections that have a port in one of the ranges, by cookie."""
     return {
-        cookie: connection
-        for cookie, connection in map(_parse_message, messages)
-        if connection.remote_port  # a listening socket has none
-        and any(
-            wanted.first <= port <= wanted.last
-            for wanted in ports
-            for port in (connection.local_port, connection.remote_port)
-        )
+        opened.cookie: parse_tcp_info(opened.attributes.get(INFO, b""), opened.local[1], opened.remote[1])
+        for opened in sockets
+        if opened.remote[1]  # a listening socket has none
+        and any(first <= end[1] <= last for first, last in ports for end in (opened.local, opened.remote))
     }
-
-
-def _dump(family: int) -> Iterator[bytes]:
-    """Yield the `inet_diag_msg` of each connection, with its attributes."""
-    wanted = struct.pack(
-        "=BBBBI48s", family, socket.IPPROTO_TCP, 1 << (_INET_DIAG_INFO - 1), 0, _CONNECTED_STATES, b""
-    )
-    header = _NETLINK_HEADER.pack(
-        _NETLINK_HEADER.size + len(wanted), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST | _NLM_F_DUMP, 1, 0
-    )
-    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_SOCK_DIAG) as link:
-        link.sendall(header + wanted)
-        while True:
-            for kind, content in _parts(link.recv(_RECEIVE_BYTES)):
-                if kind in (_NLMSG_DONE, _NLMSG_ERROR):  # an error: the kernel does not have this family
-                    return
-                yield content
-
-
-def _parts(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and content of each netlink message."""
-    while data:
-        length, kind, _, _, _ = _NETLINK_HEADER.unpack_from(data)
-        yield kind, data[_NETLINK_HEADER.size : length]
-        data = data[_aligned(length) :]
-
-
-def _parse_message(message: bytes) -> tuple[int, TcpConnection]:
-    """Return the socket's cookie and the connection of one `inet_diag_msg`."""
-    fields = _DIAG_MESSAGE.unpack_from(message)
-    local_port, remote_port = (socket.ntohs(port) for port in fields[4:6])
-    cookie = int.from_bytes(fields[9], "little")
-    at, info = _DIAG_MESSAGE.size, b""
-    while at + _ATTRIBUTE.size <= len(message):
-        length, kind = _ATTRIBUTE.unpack_from(message, at)
-        if kind == _INET_DIAG_INFO:
-            info = message[at + _ATTRIBUTE.size : at + length]
-        at += max(_aligned(length), _ATTRIBUTE.size)
-    return cookie, parse_tcp_info(info, local_port, remote_port)
-
-
-def _aligned(length: int) -> int:
-    return (length + 3) & ~3

@@ -58,7 +58,7 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         ([*PING, "--data", "topic:"], 2, "--data topic: '': write a ROS topic's name such as /camera/image"),
         ([*PING, "--data", "topic:a b"], 2, "--data topic: 'a b': write a ROS topic's name"),
         ([*PING, "--data", "topic:\u00e9"], 2, "--data topic: '\u00e9': write a ROS topic's name"),
-        ([*PING, "--data", "topic:\udcff"], 2, "--data 'topic:\\udcff': a text is UTF-8 text"),
+        ([*PING, "--data", "topic:\udcff"], 2, "--data 'topic:\\udcff': a text must be UTF-8 text"),
         (
             [*PING, "--data", "topic:" + "x" * 400],
             2,
@@ -67,11 +67,11 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         (
             [*PING, "--label", "a=\udcff"],
             2,
-            "--label a '\\udcff': a text is UTF-8 text; this is in another encoding",
+            "--label a '\\udcff': a text must be UTF-8 text; this is in another encoding",
         ),
         ([*PING, "--label", "\udcff=a"], 2, "--label '\\udcff': "),
         ([*PING, "--setting", "a=\udcff"], 2, "--setting a '\\udcff': "),
-        ([*PING, "--device", "\udcff"], 2, "--device '\\udcff': a name of one line is UTF-8 text"),
+        ([*PING, "--device", "\udcff"], 2, "--device '\\udcff': a name of one line must be UTF-8 text"),
         ([*RELAY, "--connectivity", "\udcff"], 2, "--connectivity '\\udcff': "),
         ([*RELAY, "--rmw", "\udcff"], 2, "--rmw '\\udcff': "),
         (
@@ -79,7 +79,7 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
             2,
             "--depth 1000000000000: the number of messages that keep_last keeps",
         ),
-        ([*PING, "--peer", "\udcff"], 2, "--peer '\\udcff': a host's name or address is UTF-8 text"),
+        ([*PING, "--peer", "\udcff"], 2, "--peer '\\udcff': a host's name or address must be UTF-8 text"),
         (
             [*PING, "--relay-domain", "9999"],
             2,
@@ -102,7 +102,7 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         (["--recover", LARGE], 2, "--recover '1000"),
     ],
     "dds-analyze": [
-        (["runs", "--out", "\udcff"], 2, "--out '\\udcff': a path is UTF-8 text"),
+        (["runs", "--out", "\udcff"], 2, "--out '\\udcff': a path must be UTF-8 text"),
         (["x" * 5000], 2, "a path has at most 4095 characters; this has 5000"),
         (["runs", "--cluster", "zzz"], 2, "--cluster 'zzz': write HOST:PORT or tcp://HOST:PORT"),
         (["runs", "--deadline", "nan"], 2, "--deadline 'nan' is not understood"),
@@ -118,9 +118,13 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         (
             ["far"],
             4,
-            "field 'wall_anchor_ns' of the session description is 9223372036854775807; a time in ns is",
+            "field 'wall_anchor_ns' of the session description is 9223372036854775807; a time in ns must be",
         ),
-        (["many"], 4, "field 'planned_messages' of the run description is 9223372036854775807; a count is"),
+        (
+            ["many"],
+            4,
+            "field 'planned_messages' of the run description is 9223372036854775807; a count must be",
+        ),
     ],
     "dds-analyze compare": [
         (["runs", "runs", "--out", ""], 2, "--out '.': a path ends with a name"),
@@ -137,10 +141,10 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         (
             ["runs", "--port", "0", "--host", "\udcff"],
             2,
-            "--host '\\udcff': a host's name or address is UTF-8 text",
+            "--host '\\udcff': a host's name or address must be UTF-8 text",
         ),
         (["runs", "--port", "0", "--host", ""], 2, "--host '': write a host's name or address"),
-        (["runs", "--port", "0", "--out", "\udcff"], 2, "--out '\\udcff': a path is UTF-8 text"),
+        (["runs", "--port", "0", "--out", "\udcff"], 2, "--out '\\udcff': a path must be UTF-8 text"),
     ],
     "dds-bridge": [
         (["builtin-zenoh", "--listen", "a:\u00b2"], 2, "'a:\u00b2' is not an address; write HOST:PORT"),
@@ -178,7 +182,7 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         ),
         (["p.toml", "--until", f"latency_p99:{LARGE}%"], 2, "write STATISTIC:PERCENT"),
         (["p.toml", "--against", LARGE], 2, "--against '1000"),
-        (["p.toml", "--out", "\udcff"], 2, "--out '\\udcff': a path is UTF-8 text"),
+        (["p.toml", "--out", "\udcff"], 2, "--out '\\udcff': a path must be UTF-8 text"),
     ],
 }
 """Command -> arguments, exit code, and a part of what is said."""

@@ -17,6 +17,7 @@ from dds_trace.recorder.applied.applied import Applied
 from dds_trace.recorder.applied.asked import Asked
 from dds_trace.recorder.applied.carried import Traffic
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
+from dds_trace.recorder.records import from_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,8 +54,8 @@ class Report:
 def _report(line: str) -> Report:
     data = json.loads(line)
     return Report(
-        Asked.from_json(data["asked"]),
-        Applied.from_json(data["applied"]),
+        from_json(Asked, data["asked"]),
+        from_json(Applied, data["applied"]),
         Traffic(*data["traffic"]),
         [tuple(each) for each in data["at_begin"]],
         [tuple(each) for each in data["at_end"]],

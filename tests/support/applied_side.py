@@ -21,6 +21,7 @@ from dds_trace.recorder.backends import open_node, ros2, zenoh
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import BINARY
+from dds_trace.recorder.records import from_json
 from dds_trace.tracefile.format.descriptions import Qos
 
 TOPIC, BACK = "applied_there", "applied_back"
@@ -65,7 +66,7 @@ class Side:
             environment=users_own,
             settings=self.node.middleware.settings,
         )
-        self.asked = Asked.from_json({**asked.to_json(), **given["asked"]})
+        self.asked = from_json(Asked, {**asked.to_json(), **given["asked"]})
         self.count = 0
         self.arrived = threading.Event()
 

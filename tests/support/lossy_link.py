@@ -16,6 +16,7 @@ import numpy as np
 from wire_truth import truth_of
 
 from dds_trace.base.errors import BackendUnavailableError
+from dds_trace.recorder.records import from_json, to_json
 from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip, open_tap, tc
 from dds_trace.recorder.sweep.station.namespaces import Side
 from dds_trace.recorder.wire.counts import WireCounts
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from wire_truth import Truth
 
-    from dds_trace.recorder.wire.options import WireOptions
+    from dds_trace.recorder.wire.capture import WireOptions
 
 SUPPORT = Path(__file__).parent
 _FROM_ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "", "ROS_DOMAIN_ID": ""}
@@ -138,7 +139,7 @@ def record_watched(
         link.stop()
         roles = ("ping", "relay")
         return Watched(
-            tuple(WireCounts.from_dict(json.loads((folder / f"{role}.json").read_text())) for role in roles),
+            tuple(from_json(WireCounts, json.loads((folder / f"{role}.json").read_text())) for role in roles),
             tuple(np.load(folder / f"{role}.npy") for role in roles),
             (truth_of(link.log, 0), truth_of(link.log, 1)),
         )
@@ -146,7 +147,7 @@ def record_watched(
 
 def session_of(options: WireOptions, out: Path) -> tuple[object, ...]:
     """What stands before a command that is to run under a capture."""
-    return (sys.executable, SUPPORT / "wire_session.py", options.to_json(), out)
+    return (sys.executable, SUPPORT / "wire_session.py", json.dumps(to_json(options)), out)
 
 
 @contextmanager

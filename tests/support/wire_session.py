@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from dds_trace.recorder.wire.capture import WireCapture
-from dds_trace.recorder.wire.options import WireOptions
+from dds_trace.recorder.records import from_json
+from dds_trace.recorder.wire.capture import WireCapture, WireOptions
 
 
 def main() -> None:
     out = Path(sys.argv[2])
-    with WireCapture(WireOptions.from_json(sys.argv[1])) as capture:
+    with WireCapture(from_json(WireOptions, json.loads(sys.argv[1]))) as capture:
         capture.begin()
         command = subprocess.Popen(sys.argv[3:])
         signal.signal(signal.SIGTERM, lambda *_: command.terminate())

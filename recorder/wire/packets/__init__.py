@@ -1,6 +1,5 @@
-"""Packets, by their headers alone: pure functions over bytes, and the program that the kernel runs over each.
+"""Packets by their headers only: pure functions over bytes, and the program that the kernel runs over each.
 
-`packet_filter` says which frames are kept and how much of them; `frames` reads what all frames have (Ethernet, IP, UDP),
-`rtps` the submessages of one packet, `fragments` those in later IP fragments, `tcp_flows` what TCP sends again; `classes`
-names what bytes were sent for.
+`packet_filter` selects frames and how much of them is captured; `frames` reads Ethernet, IP, UDP and TCP headers, `rtps`
+the submessages of a packet, `fragments` those in later IP fragments; `classes` names the purpose of bytes.
 """

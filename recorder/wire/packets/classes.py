@@ -1,4 +1,4 @@
-"""Classes of traffic, by the purpose of a packet."""
+"""Classes of traffic by purpose: of RTPS submessages, and of TCP segments."""
 
 from __future__ import annotations
 
@@ -11,44 +11,10 @@ if TYPE_CHECKING:
     from collections.abc import Hashable
 
 
-_SYN, _RST = 0x02, 0x04
-_HALF = 1 << 31
-_MODULUS = 1 << 32
-
-
-class TcpFlows:
-    """Flows, one a direction, by the highest sequence number that was seen."""
-
-    def __init__(self) -> None:
-        self._next: dict[Hashable, int] = {}
-
-    def note(self, flow: Hashable, sequence: int, payload_bytes: int, flags: int) -> tuple[WireClass, int]:
-        """Note a segment; return its class, and how many bytes of its payload had been on the wire before.
-
-        Args:
-            flow: addresses and ports, in the direction of the segment.
-            sequence: number of its first payload byte, modulo 2**32.
-            payload_bytes: of TCP; 0 for an acknowledgement.
-            flags: of the TCP header.
-        """
-        if flags & (_SYN | _RST):
-            self._next.pop(flow, None)  # the ports of an earlier connection, used again
-            return WireClass.TCP_CONTROL, 0
-        if payload_bytes == 0:
-            return WireClass.TCP_CONTROL, 0
-        following = (sequence + payload_bytes) % _MODULUS
-        highest = self._next.setdefault(flow, sequence)
-        ahead = (following - highest + _HALF) % _MODULUS - _HALF
-        if ahead > 0:
-            self._next[flow] = following
-        again = payload_bytes - max(0, min(ahead, payload_bytes))
-        return WireClass.TCP_DATA_AGAIN if again else WireClass.TCP_DATA, again
-
-
 class WireClass(str, Enum):
     """Purposes of bytes on the wire, in the order in which a packet with several purposes counts for one.
 
-    `rtps_other` are packets without a purpose of their own and vendors' own submessages, such as the network statistics
+    `rtps_other` is packets without a purpose of their own and vendors' own submessages, such as the network statistics
     (0x80, 60 bytes) that Fast DDS appends to each packet.
     """
 
@@ -101,7 +67,7 @@ _KINDS = {
 
 
 def class_of(kind: int, writer: int) -> WireClass | None:
-    """Return the class of a submessage, first sendings of data assumed; None for one that carries nothing by itself.
+    """Return the class of a submessage that is sent for the first time; None for one that carries nothing by itself.
 
     Args:
         kind: of the submessage.
@@ -112,3 +78,37 @@ def class_of(kind: int, writer: int) -> WireClass | None:
     if writer & _BUILTIN_KIND == _BUILTIN_KIND:
         return _BUILTIN_WRITERS.get(writer, WireClass.SEDP)
     return _KINDS.get(kind, WireClass.RTPS_OTHER)
+
+
+_SYN, _RST = 0x02, 0x04
+_HALF = 1 << 31
+_MODULUS = 1 << 32
+
+
+class TcpFlows:
+    """Flows, one per direction, with the highest sequence number seen."""
+
+    def __init__(self) -> None:
+        self._next: dict[Hashable, int] = {}
+
+    def note(self, flow: Hashable, sequence: int, payload_bytes: int, flags: int) -> tuple[WireClass, int]:
+        """Note a segment; return its class, and how many bytes of its payload were sent before.
+
+        Args:
+            flow: addresses and ports, in the direction of the segment.
+            sequence: number of its first payload byte, modulo 2**32.
+            payload_bytes: of TCP; 0 for an acknowledgement.
+            flags: of the TCP header.
+        """
+        if flags & (_SYN | _RST):
+            self._next.pop(flow, None)  # the ports of an earlier connection, used again
+            return WireClass.TCP_CONTROL, 0
+        if payload_bytes == 0:
+            return WireClass.TCP_CONTROL, 0
+        following = (sequence + payload_bytes) % _MODULUS
+        highest = self._next.setdefault(flow, sequence)
+        ahead = (following - highest + _HALF) % _MODULUS - _HALF
+        if ahead > 0:
+            self._next[flow] = following
+        again = payload_bytes - max(0, min(ahead, payload_bytes))
+        return WireClass.TCP_DATA_AGAIN if again else WireClass.TCP_DATA, again

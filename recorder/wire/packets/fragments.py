@@ -1,4 +1,4 @@
-"""IP fragments: which datagram a later fragment belongs to, and the RTPS headers that begin in it."""
+"""IP fragments: the datagram of a later fragment, and the RTPS headers that begin in it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Hashable
 
 REMEMBERED_DATAGRAMS = 4096
-"""Datagrams whose last fragment was not seen, remembered at once; the oldest go first."""
+"""Unfinished datagrams remembered at once; the oldest are dropped first."""
 
 Owner = TypeVar("Owner")
 
@@ -21,9 +21,9 @@ class Piece(NamedTuple):
 
     Attributes:
         offset: of its first byte in the datagram.
-        memory: bytes that hold it.
-        begin, end: indices of its first byte and behind its last one that was captured.
-        wire_end: index behind its last byte, captured or not.
+        memory: bytes that contain it.
+        begin, end: index of its first byte, and the end of what was captured.
+        wire_end: end of the fragment, captured or not.
         is_last: whether no other follows.
     """
 
@@ -40,9 +40,9 @@ class _Datagram(Generic[Owner]):
     """A datagram whose fragments are still coming.
 
     Attributes:
-        owner: what the first fragment was found to be.
+        owner: value of the first fragment's caller.
         length: in bytes, UDP header included.
-        next_at: offset of the next submessage header, -1 if the trail is lost.
+        next_at: offset of the next submessage header, -1 if it is lost.
         carried: bytes of that header in the fragments so far.
     """
 
@@ -75,7 +75,7 @@ class FragmentTable(Generic[Owner]):
             next_at: offset in the datagram of the first submessage header that was not read.
             carried: its bytes within the first fragment.
         """
-        self._datagrams.pop(key, None)  # an identification that is used again: the last in line once more
+        self._datagrams.pop(key, None)  # a reused identification becomes the newest
         if len(self._datagrams) >= REMEMBERED_DATAGRAMS:
             self._datagrams.pop(next(iter(self._datagrams)))
         self._datagrams[key] = _Datagram(owner, datagram_bytes, next_at, carried)
@@ -85,10 +85,10 @@ class FragmentTable(Generic[Owner]):
         datagram = self._datagrams.get(key)
         if datagram is None:
             return None
-        found = self._walk(datagram, piece)
+        submessages = self._walk(datagram, piece)
         if piece.is_last:
             del self._datagrams[key]
-        return datagram.owner, found
+        return datagram.owner, submessages
 
     def _walk(self, datagram: _Datagram[Owner], piece: Piece) -> list[Submessage]:
         piece_end = piece.offset + piece.wire_end - piece.begin
@@ -98,30 +98,28 @@ class FragmentTable(Generic[Owner]):
             datagram.next_at = -1
             self.lost_trails += 1
             return []
-        found: list[Submessage] = []
-        if datagram.carried:
-            found = self._walk_seam(datagram, piece)
+        submessages = self._walk_seam(datagram, piece) if datagram.carried else []
         if datagram.next_at >= piece.offset:
             at = piece.begin + datagram.next_at - piece.offset
             walk = walk_submessages(piece.memory, at, piece.end, piece.begin + datagram.length - piece.offset)
-            found += walk.submessages
+            submessages += walk.submessages
             datagram.next_at = piece.offset + walk.next_at - piece.begin
             datagram.carried = bytes(piece.memory[walk.next_at : piece.end])
-        return found
+        return submessages
 
     @staticmethod
     def _walk_seam(datagram: _Datagram[Owner], piece: Piece) -> list[Submessage]:
-        """Read the submessages whose header begins in the fragment before and ends in this one."""
+        """Read the submessages whose header begins in the previous fragment and ends in this one."""
         head = bytes(piece.memory[piece.begin : min(piece.end, piece.begin + LONGEST_FIELDS_BYTES)])
         seam = datagram.carried + head
         walk = walk_submessages(memoryview(seam), 0, len(seam), datagram.length - datagram.next_at)
-        # Of what begins within this fragment nothing is taken here: the walk over the fragment itself finds it.
-        found, at = [], 0
+        # What begins within this fragment is left to the walk over the fragment itself.
+        submessages, at = [], 0
         for submessage in walk.submessages:
             if at >= len(datagram.carried):
                 break
-            found.append(submessage._replace(payload_at=None))  # it would be an index of `seam`
+            submessages.append(submessage._replace(payload_at=None))  # it would be an index of `seam`
             at += submessage.wire_bytes
         datagram.next_at += at
         datagram.carried = b""
-        return found
+        return submessages

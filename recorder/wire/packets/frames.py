@@ -27,7 +27,7 @@ class FrameBatch:
     Attributes:
         memory: the ring's bytes.
         position: index of the frame's first byte in `memory`.
-        captured_bytes: how much of the frame is there.
+        captured_bytes: how much of the frame was captured.
         wire_bytes: the frame's length, with its Ethernet header.
         wall_ns: CLOCK_REALTIME at the capture, ns since 1970.
         packet_type: PACKET_HOST (0), PACKET_OUTGOING (4) and so on.
@@ -41,7 +41,6 @@ class FrameBatch:
     packet_type: NDArray[np.uint8]
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.position)
 
 
@@ -52,12 +51,12 @@ class Headers:
     Attributes:
         protocol: of IP, 0 for a frame that is not IPv4 or too short.
         source, destination: IPv4 addresses as numbers.
-        ip_id: the identification that the fragments of a datagram have in common.
+        ip_id: the identification that the fragments of a datagram share.
         fragment_offset: bytes of the datagram before this frame's.
         more_fragments: whether others of the datagram follow.
-        transport: index in the batch's memory of the first byte behind the IP header.
-        transport_end: index of the first byte behind what the IP header says is in this frame, captured or not.
-        seen_end: index of the first byte that was not captured, `transport_end` at most.
+        transport: index in the batch's memory of the first byte after the IP header.
+        transport_end: end index of the frame's IP packet, captured or not.
+        seen_end: end index of what was captured, `transport_end` at most.
         source_port, destination_port: of UDP and TCP; 0 in later fragments.
         datagram_bytes: length of the UDP datagram with its header, over all its fragments.
         is_rtps: whether the UDP payload begins with `RTPS`.
@@ -84,7 +83,7 @@ def read_headers(batch: FrameBatch) -> Headers:
     memory = batch.memory
 
     def number(position: Numbers, octets: int) -> Numbers:
-        """Return big-endian numbers; what lies behind the memory's end is masked by the caller."""
+        """Return big-endian numbers; the caller masks what is beyond the memory's end."""
         value = np.zeros(len(position), np.int64)
         for octet in range(octets):
             value = value << 8 | memory[np.minimum(position + octet, memory.size - 1)]

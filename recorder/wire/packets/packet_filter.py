@@ -1,9 +1,8 @@
 """The program that the kernel runs over each frame: which ones a capture gets, and how much of them.
 
-A classic BPF program, attached with SO_ATTACH_FILTER. Of an RTPS packet it keeps the bytes up to the header of the last
-submessage, for which it follows the submessages' lengths; of other UDP and of TCP the headers. So payload is left out
-before it is copied, except what stands between two submessages of one packet, and later IP fragments, in which headers
-of further submessages may begin: these reach the ring in memory, and nothing but headers is read there.
+A classic BPF program, attached with SO_ATTACH_FILTER. It captures an RTPS packet up to the header of its last submessage,
+following the submessages' lengths, and only the headers of other UDP and of TCP. Payload is thus not copied, except between
+two submessages of one packet and in later IP fragments, where further headers may begin; only headers are read there.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ if TYPE_CHECKING:
 SO_ATTACH_FILTER = 26  # <asm-generic/socket.h>
 WHOLE_FRAME = 0x40000
 SHORT_BYTES = 192
-"""Kept at least: all headers up to a first DATA with our stamp behind it."""
+"""Captured at least: all headers up to a first DATA and its stamp."""
 LAST_HEADER_BYTES = 104
-"""Kept from the last submessage's header on: DATA_FRAG's 36 bytes, and 62 of the payload, where our stamp may stand."""
+"""Captured from the last submessage's header on: DATA_FRAG's 36 bytes, and 62 of the payload for our stamp."""
 TCP_HEADERS_BYTES = 14 + 60 + 60
 FOLLOWED_SUBMESSAGES = 32
-"""Submessages of one packet whose lengths the program follows; a packet with more is kept whole."""
+"""Submessages of one packet whose lengths the program follows; a packet with more is captured whole."""
 
 _ETHERNET, _IPV4_BYTES, _UDP_BYTES, _RTPS_BYTES = 14, 20, 8, 20
 _RTPS_MAGIC = int.from_bytes(b"RTPS", "big")
@@ -73,7 +72,7 @@ class PortRange(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """One instruction, or a place to jump to (`operation` empty); a jump without a label goes to the next instruction."""
+    """One instruction, or a jump target (`operation` empty); a jump without a label goes to the next instruction."""
 
     operation: str
     operand: int = 0
@@ -88,23 +87,25 @@ def attach_filter(target: socket.socket, program: bytes) -> None:
     Raises:
         OSError: the kernel refuses the program.
     """
-    held = ctypes.create_string_buffer(program, len(program))
+    buffer = ctypes.create_string_buffer(program, len(program))
     count = len(program) // 8
     # struct sock_fprog: the native alignment puts the pointer where the kernel looks for it.
-    target.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("@HP", count, ctypes.addressof(held)))
+    target.setsockopt(
+        socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("@HP", count, ctypes.addressof(buffer))
+    )
 
 
 def wire_program(udp_ports: Sequence[PortRange], tcp_ports: Sequence[PortRange]) -> bytes:
-    """Return the program that keeps RTPS on any port, other UDP and TCP on the given ones, and UDP's later IP fragments.
+    """Return the program that captures RTPS on any port, other UDP and TCP on the given ones, and UDP's later IP fragments.
 
-    RTPS is known by its first four bytes, not by a port: Cyclone DDS takes unicast ports from the ephemeral range.
+    RTPS is recognized by its first four bytes: Cyclone DDS takes unicast ports from the ephemeral range.
 
     Args:
         udp_ports: source or destination ports of UDP that is not RTPS.
         tcp_ports: source or destination ports of TCP.
     """
     steps = [
-        # First of all: the kernel's checker takes it for unset behind any `ret` of a path that did not set it.
+        # First: the kernel's checker takes it for unset after any `ret` of a path that did not set it.
         _Step("ld_len"),
         _Step("st", _LENGTH),
         *_branch("ldh", 12, "jeq", 0x0800, "ipv4"),
@@ -117,24 +118,24 @@ def wire_program(udp_ports: Sequence[PortRange], tcp_ports: Sequence[PortRange])
         _label("tcp"),
         *_branch("ldh", 20, "jset", 0x1FFF, "reject_tcp"),
         _Step("ldx_ip_header", _ETHERNET),
-        *_ports_match(tcp_ports, "tcp_kept"),
+        *_ports_match(tcp_ports, "tcp_captured"),
         _label("reject_tcp"),
         _Step("ret", 0),
-        _label("tcp_kept"),
+        _label("tcp_captured"),
         _Step("ret", TCP_HEADERS_BYTES),
         _label("udp"),
         *_branch("ldh", 20, "jset", 0x1FFF, "later_fragment"),
         _Step("ldx_ip_header", _ETHERNET),
-        # A load behind the end of a frame would reject it; other UDP may be shorter than RTPS's header.
+        # A load beyond the end of a frame would reject it; other UDP may be shorter than RTPS's header.
         _Step("ld_len"),
         _Step("sub", _ETHERNET + _UDP_BYTES + _RTPS_BYTES),
         _Step("jge_x", 0, "", "not_rtps"),
         _Step("ldw_x", _ETHERNET + _UDP_BYTES),
         _Step("jeq", _RTPS_MAGIC, "rtps"),
         _label("not_rtps"),
-        *_ports_match(udp_ports, "udp_kept"),
+        *_ports_match(udp_ports, "udp_captured"),
         _Step("ret", 0),
-        _label("udp_kept"),
+        _label("udp_captured"),
         _Step("ret", _ETHERNET + 60 + _UDP_BYTES),
         _label("later_fragment"),
         _Step("ret", WHOLE_FRAME),
@@ -167,7 +168,7 @@ def _branch(load: str, position: int, test: str, value: int, target: str) -> lis
 
 
 def _ports_match(ports: Sequence[PortRange], target: str) -> list[_Step]:
-    """Jump to `target` if source or destination port is in a range; X holds the IP header's length."""
+    """Jump to `target` if source or destination port is in a range; X contains the IP header's length."""
     steps = []
     for side in (0, 2):
         steps.append(_Step("ldh_x", _ETHERNET + side))
@@ -182,7 +183,7 @@ def _ports_match(ports: Sequence[PortRange], target: str) -> list[_Step]:
 
 
 def _follow(number: int) -> list[_Step]:
-    """Look at the submessage whose header position is in A, and put the next one's there; `done` at the packet's end."""
+    """Read the submessage whose header position is in A, and put the next one's there; `done` at the packet's end."""
     little, zero, advance, inside = (f"{name}_{number}" for name in ("little", "zero", "advance", "inside"))
     have, skip, at_end = (f"{name}_{number}" for name in ("have", "skip", "end"))
     return [
@@ -226,18 +227,18 @@ def _follow(number: int) -> list[_Step]:
 
 
 def _assemble(steps: Sequence[_Step]) -> bytes:
-    """Return `struct sock_filter` after `struct sock_filter`, jumps resolved."""
-    places: dict[str, int] = {}
+    """Return an array of `struct sock_filter`, jumps resolved."""
+    targets: dict[str, int] = {}
     instructions: list[_Step] = []
     for step in steps:
         if step.operation:
             instructions.append(step)
         else:
-            places[step.label] = len(instructions)
+            targets[step.label] = len(instructions)
     coded = []
     for number, step in enumerate(instructions):
         true_jump, false_jump = (
-            places[label] - number - 1 if label else 0 for label in (step.if_true, step.if_false)
+            targets[label] - number - 1 if label else 0 for label in (step.if_true, step.if_false)
         )
         operand = step.operand
         if step.operation == "ja":  # the only jump that may be longer than 255 instructions

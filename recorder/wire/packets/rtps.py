@@ -1,4 +1,4 @@
-"""Submessages of one RTPS packet, from their headers alone (DDSI-RTPS 2.5, section 9.4)."""
+"""Submessages of one RTPS packet, from their headers only (DDSI-RTPS 2.5, section 9.4)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INFO_SRC, INFO_REPLY_IP4, INFO_DST, INFO_REPLY = 0x0C, 0x0D, 0x0E, 0x0F
 NACK_FRAG, HEARTBEAT_FRAG, DATA, DATA_FRAG = 0x12, 0x13, 0x15, 0x16
 SECURE_KINDS = frozenset(range(0x30, 0x35))
 CONTEXT_KINDS = frozenset((PAD, INFO_TS, INFO_SRC, INFO_REPLY_IP4, INFO_DST, INFO_REPLY))
-"""Kinds that say something about the submessages behind them and carry nothing by themselves."""
+"""Kinds that describe the submessages after them and carry nothing by themselves."""
 
 _LITTLE_ENDIAN, _INLINE_QOS = 0x01, 0x02
 _SUBMESSAGE_BYTES = 4
@@ -30,12 +30,12 @@ class Submessage(NamedTuple):
     Attributes:
         kind: the number of 9.4.5.1.1.
         wire_bytes: with its header.
-        writer: entity id of the writer that it comes from or goes to, 0 where it names none.
+        writer: entity id of the writer that it comes from or goes to, 0 if it names none.
         sequence: number of the sample; of an ACKNACK the first number not received.
         fragment: number of its first fragment, from 1; 0 for a sample that is not fragmented.
         fragments: fragments in it.
         sample_bytes: length of the serialized sample.
-        asks: whether it asks for something again (ACKNACK, NACK_FRAG).
+        asks: whether it requests something again (ACKNACK, NACK_FRAG).
         payload_at: index of the serialized sample's first byte, None if it does not begin in this submessage.
     """
 
@@ -51,10 +51,10 @@ class Submessage(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """Submessages of one piece of a packet, and where the next one begins.
+    """Submessages of one piece of a packet.
 
     Attributes:
-        submessages: those whose header fields are wholly in the piece.
+        submessages: those whose header fields are completely in the piece.
         next_at: index of the first header that is not; `end` if there is none.
     """
 
@@ -112,9 +112,9 @@ def _read_numbered(memory: memoryview, at: int, flags: int, length: int, order: 
 
 
 def _read_acknack(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
-    found = _read_numbered(memory, at, flags, length, order)
+    submessage = _read_numbered(memory, at, flags, length, order)
     (bits,) = order.word.unpack_from(memory, at + 20)
-    return found._replace(asks=bits > 0)
+    return submessage._replace(asks=bits > 0)
 
 
 def _read_nack_frag(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
@@ -139,13 +139,13 @@ def walk_submessages(memory: memoryview, at: int, seen_end: int, end: int) -> Wa
     """Read the submessages from index `at` on.
 
     Args:
-        memory: bytes that hold the packet, or a piece of it, somewhere.
+        memory: bytes that contain the packet, or a piece of it.
         at: index of the first submessage's header.
-        seen_end: index behind the last byte that may be read.
-        end: index behind the packet's last byte, whether it may be read or not.
+        seen_end: end index of what may be read.
+        end: end index of the packet, whether it may be read or not.
     """
-    found: list[Submessage] = []
-    memory = memory[:seen_end]  # what lies behind it in a ring belongs to another packet
+    submessages: list[Submessage] = []
+    memory = memory[:seen_end]  # the next bytes of a ring belong to another packet
     while at + _SUBMESSAGE_BYTES <= seen_end:
         kind, flags = memory[at], memory[at + 1]
         order = _ORDERS["<" if flags & _LITTLE_ENDIAN else ">"]
@@ -155,27 +155,27 @@ def walk_submessages(memory: memoryview, at: int, seen_end: int, end: int) -> Wa
         length += _SUBMESSAGE_BYTES
         read, needed = _READERS.get(kind, _PLAIN)
         if length < needed or at + length > end:  # not RTPS: the rest of the packet is one unknown submessage
-            found.append(Submessage(0, end - at))
-            return Walk(found, end)
+            submessages.append(Submessage(0, end - at))
+            return Walk(submessages, end)
         if at + needed > seen_end:
             break
-        found.append(read(memory, at, flags, length, order))
+        submessages.append(read(memory, at, flags, length, order))
         at += length
-    return Walk(found, at)
+    return Walk(submessages, at)
 
 
 def _payload_at(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> int | None:
-    """Return the index of the serialized payload of a DATA or DATA_FRAG, behind the inline QoS if there is one."""
-    place = at + 8 + order.length.unpack_from(memory, at + 6)[0]
+    """Return the index of the serialized payload of a DATA or DATA_FRAG, after any inline QoS."""
+    position = at + 8 + order.length.unpack_from(memory, at + 6)[0]
     if flags & _INLINE_QOS:
         for _ in range(_MOST_PARAMETERS):
-            if place + 4 > min(at + length, len(memory)):
+            if position + 4 > min(at + length, len(memory)):
                 return None
-            (parameter,) = order.length.unpack_from(memory, place)
-            (size,) = order.length.unpack_from(memory, place + 2)
-            place += 4 if parameter == _SENTINEL else 4 + size
+            (parameter,) = order.length.unpack_from(memory, position)
+            (size,) = order.length.unpack_from(memory, position + 2)
+            position += 4 if parameter == _SENTINEL else 4 + size
             if parameter == _SENTINEL:
                 break
         else:
             return None
-    return place if place <= at + length else None
+    return position if position <= at + length else None

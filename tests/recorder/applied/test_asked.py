@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.recorder.applied.asked import Asked, asked_settings, interface_named
-from dds_trace.recorder.applied.profile_request import ProfileRequest, read_profile_request
+from dds_trace.recorder.applied.asked import (
+    Asked,
+    ProfileRequest,
+    asked_settings,
+    interface_named,
+    read_profile_request,
+)
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
 from dds_trace.recorder.backends.ros2 import fastdds_profile
 from dds_trace.recorder.choices import Transport

@@ -9,8 +9,7 @@ import os
 import pytest
 from applied_pair import relaying
 
-from dds_trace.recorder.applied.libraries import Library, parse_libraries
-from dds_trace.recorder.applied.memory import SHM, parse_maps, read_memory
+from dds_trace.recorder.applied.memory import SHM, Library, parse_libraries, parse_maps, read_memory
 from dds_trace.recorder.applied.vendors import PORT, SEGMENT, memory_owner
 from dds_trace.recorder.domains import domain_port_range
 
@@ -68,10 +67,10 @@ def test_libraries_are_named_once_with_the_version_of_their_file():
 
 
 def test_a_short_version_of_a_file_stays_where_no_distribution_tells_more(monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.applied.libraries._distribution_version", lambda _: "")
+    monkeypatch.setattr("dds_trace.recorder.applied.memory._distribution_version", lambda _: "")
     line = MAPS.splitlines()[5].replace("2.14.5", "2.14") + "\n"
     assert parse_libraries(line) == (Library("libfastrtps.so.2.14", "fastdds", "2.14"),)
-    monkeypatch.setattr("dds_trace.recorder.applied.libraries._distribution_version", lambda _: "2.14.5")
+    monkeypatch.setattr("dds_trace.recorder.applied.memory._distribution_version", lambda _: "2.14.5")
     assert parse_libraries(line) == (Library("libfastrtps.so.2.14", "fastdds", "2.14.5"),)
 
 

@@ -9,10 +9,11 @@ from snapshots import applied, counted, segment, tcp, udp
 
 from dds_trace.recorder.applied.applied import Applied, Snapshot, read_applied
 from dds_trace.recorder.applied.asked import Asked
+from dds_trace.recorder.records import from_json
 
 
 def there_and_back(value):
-    return type(value).from_json(json.loads(json.dumps(value.to_json())))
+    return from_json(type(value), json.loads(json.dumps(value.to_json())))
 
 
 def test_what_is_read_now_comes_back():
@@ -42,15 +43,15 @@ def test_fields_of_a_newer_version_are_skipped_and_those_of_an_older_one_have_de
     data["later"] = data["begin"]["later"] = data["begin"]["sockets"][0]["later"] = {"x": 1}
     data["begin"]["sockets"][0]["tcp"]["later"] = 1
     del data["begin"]["groups"], data["begin"]["interfaces"]["lo"]["sent_packets"], data["path"]
-    read = Applied.from_json(data)
+    read = from_json(Applied, data)
     assert read == applied(sockets=(tcp(),), begin=counted(lo=(1, 2)))
 
 
 def test_what_cannot_be_missing():
     with pytest.raises(TypeError, match="vendor"):
-        Asked.from_json({})
+        from_json(Asked, {})
     with pytest.raises(TypeError, match="begin"):
-        Applied.from_json({})
+        from_json(Applied, {})
 
 
 def test_drops_of_the_own_sockets_during_the_run():

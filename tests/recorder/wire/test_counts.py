@@ -2,17 +2,26 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from dds_trace.recorder.payloads.stamp import Stamp
-from dds_trace.recorder.wire.counts import ClassCount, WireCounts
-from dds_trace.recorder.wire.kernel_counters import (
+from dds_trace.recorder.records import from_json, to_json
+from dds_trace.recorder.wire.counts import (
+    ClassCount,
     InterfaceCount,
     IpCounts,
-    interfaces_since,
-    parse_interfaces,
-    parse_snmp,
+    WireCounts,
+    read_interfaces,
+    read_ip_counts,
 )
-from dds_trace.recorder.wire.ledger import SentSample
-from dds_trace.recorder.wire.messages import RepeatCount, count_repeats, message_row, message_rows, pack_rows
+from dds_trace.recorder.wire.messages import (
+    RepeatCount,
+    SentSample,
+    count_repeats,
+    message_row,
+    message_rows,
+    pack_rows,
+)
 from dds_trace.recorder.wire.tcp_info import TcpConnection
 from dds_trace.tracefile.format.wire import Direction
 
@@ -54,15 +63,14 @@ def test_what_is_derived():
 def test_json_and_back():
     written = json.loads(json.dumps(COUNTS.to_dict()))
     assert written["complete"] is True
-    assert WireCounts.from_dict(written) == COUNTS
+    assert from_json(WireCounts, written) == COUNTS
 
 
 def test_a_newer_and_an_older_traces_fields():
     written = COUNTS.to_dict() | {"of_a_later_version": 1}
     written["classes"][0]["colour"] = "red"
-    assert WireCounts.from_dict(written) == COUNTS
-    assert WireCounts.from_dict({}) == WireCounts()
-    assert WireCounts.from_dict({"classes": None, "ip": None, "tcp": [{}]}).tcp == (TcpConnection(0, 0),)
+    assert from_json(WireCounts, written) == COUNTS
+    assert from_json(WireCounts, {}) == WireCounts()
 
 
 def test_drops_make_it_incomplete():
@@ -129,12 +137,20 @@ Udp: 100 1 12 90 11
 """
 
 
-def test_the_kernels_counters():
-    found = parse_snmp(SNMP)
-    assert found == IpCounts(300, 40, 5, 2, 6, 7, 80, 11, 12)
-    assert found.since(IpCounts(100, 10, 5)) == IpCounts(200, 30, 0, 2, 6, 7, 80, 11, 12)
-    assert parse_snmp("") == IpCounts()
-    assert IpCounts.from_dict(found.to_dict()) == found
+@pytest.fixture
+def proc(tmp_path):
+    (tmp_path / "self/net").mkdir(parents=True)
+    (tmp_path / "self/net/snmp").write_text(SNMP)
+    (tmp_path / "self/net/dev").write_text(DEV)
+    return tmp_path
+
+
+def test_the_kernels_counters(proc, tmp_path):
+    now = read_ip_counts(proc)
+    assert now == IpCounts(300, 40, 5, 2, 6, 7, 80, 11, 12)
+    assert now.since(IpCounts(100, 10, 5)) == IpCounts(200, 30, 0, 2, 6, 7, 80, 11, 12)
+    assert read_ip_counts(tmp_path / "nothing") == IpCounts()
+    assert from_json(IpCounts, to_json(now)) == now
 
 
 DEV = """\
@@ -145,11 +161,8 @@ Inter-|   Receive                                                |  Transmit
 """
 
 
-def test_the_interfaces_counters():
-    before = parse_interfaces(DEV, ["eth0", "lo", "missing"])
-    assert before == (InterfaceCount("eth0", 9, 8, 7, 6), InterfaceCount("lo", 5000, 50, 5000, 50))
-    now = (InterfaceCount("eth0", 19, 10, 8, 7), InterfaceCount("new", 1, 1, 1, 1))
-    assert interfaces_since(now, before) == (
-        InterfaceCount("eth0", 10, 2, 1, 1),
-        InterfaceCount("new", 1, 1, 1, 1),
-    )
+def test_the_interfaces_counters(proc):
+    eth0, lo = read_interfaces(["eth0", "lo", "missing"], proc)
+    assert (eth0, lo) == (InterfaceCount("eth0", 9, 8, 7, 6), InterfaceCount("lo", 5000, 50, 5000, 50))
+    assert InterfaceCount("eth0", 19, 10, 8, 7).since(eth0) == InterfaceCount("eth0", 10, 2, 1, 1)
+    assert InterfaceCount("new", 1, 1, 1, 1).since(None) == InterfaceCount("new", 1, 1, 1, 1)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import socket
 
 from dds_trace.recorder.choices import Discovery
-from dds_trace.recorder.wire.options import run_interfaces
+from dds_trace.recorder.wire.capture import run_interfaces
 
 
 def test_localhost_discovery_keeps_to_loopback():

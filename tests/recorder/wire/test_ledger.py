@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from dds_trace.recorder.payloads.stamp import Stamp
-from dds_trace.recorder.wire.ledger import MULTICAST, Copy, SendLedger
+from dds_trace.recorder.wire.messages import MULTICAST, Copy, SendLedger
 
 A, B = 1, 2
 S = 1_000_000_000

@@ -15,8 +15,7 @@ import pytest
 from wire_packets import SPDP_WRITER, data, data_frag, rtps, stamped
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.wire.capture import WireCapture
-from dds_trace.recorder.wire.options import WireOptions, domain_ports
+from dds_trace.recorder.wire.capture import WireCapture, WireOptions, domain_ports
 from dds_trace.recorder.wire.packets.packet_filter import wire_program
 from dds_trace.recorder.wire.ring import NO_CAPTURE, PacketRing
 from dds_trace.tracefile.format.wire import Direction
@@ -140,7 +139,7 @@ def test_an_interface_that_is_not_there():
 @needs_root
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="setpriv (util-linux) is not installed")
 def test_without_the_capability_there_is_one_clear_line():
-    script = "from dds_trace.recorder.wire.capture import WireCapture\nfrom dds_trace.recorder.wire.options import WireOptions\nWireCapture(WireOptions(('lo',)))"
+    script = "from dds_trace.recorder.wire.capture import WireCapture\nfrom dds_trace.recorder.wire.capture import WireOptions\nWireCapture(WireOptions(('lo',)))"
     done = subprocess.run(
         ["setpriv", "--bounding-set", "-net_raw", sys.executable, "-c", script],
         capture_output=True,

@@ -16,8 +16,9 @@ from namespaces import needs_namespaces
 from record_reader import events_of
 from wire_truth import truth_of
 
+from dds_trace.recorder.records import from_json
+from dds_trace.recorder.wire.capture import WireOptions, domain_ports
 from dds_trace.recorder.wire.counts import WireCounts
-from dds_trace.recorder.wire.options import WireOptions, domain_ports
 from dds_trace.recorder.wire.packets.classes import WireClass
 from dds_trace.recorder.wire.packets.packet_filter import PortRange
 from dds_trace.tracefile.format.wire import NEVER_NS, Direction
@@ -170,7 +171,7 @@ def test_cyclones_own_statistics_agree(tmp_path, count, size, unit_bytes):
         assert reader.stdout.readline() == "ready\n"
         said = link.watch(0, OPTIONS, tmp_path / "writer", *program, "write", count, size)
         link.stop()
-    counts = WireCounts.from_dict(json.loads((tmp_path / "writer.json").read_text()))
+    counts = from_json(WireCounts, json.loads((tmp_path / "writer.json").read_text()))
     again = fragments_again(counts)
     assert again > 5
     assert again == within(0.01, truth_of(link.log, 0).again)
@@ -211,7 +212,7 @@ def test_fast_dds_own_statistics_agree(tmp_path, fastdds_statistics):
             ping = (program, "--role", "ping", *both, "--out", tmp_path / "ping.mcap", *more)
             link.watch(0, OPTIONS, tmp_path / "ping", "env", variable, *ping)
         link.stop()
-    counts = WireCounts.from_dict(json.loads((tmp_path / "ping.json").read_text()))
+    counts = from_json(WireCounts, json.loads((tmp_path / "ping.json").read_text()))
     own = {tuple(line.split()[:2]): int(line.split()[2]) for line in heard.read_text().splitlines()[1:]}
 
     def counted(topic):
@@ -235,7 +236,7 @@ def test_a_flow_of_100_mbit_s_is_followed_whole(tmp_path):
         options = WireOptions(("link0",), rtps_ports=(PortRange(7411, 7411),))
         link.watch(0, options, tmp_path / "flood", *flood)
         link.stop()
-    counts = WireCounts.from_dict(json.loads((tmp_path / "flood.json").read_text()))
+    counts = from_json(WireCounts, json.loads((tmp_path / "flood.json").read_text()))
     (one,) = counts.classes
     assert (one.name, one.direction) == (WireClass.DATA_FRAG.value, "sent")
     assert (counts.kernel_drops, counts.kernel_freezes) == (0, 0)

@@ -1,4 +1,4 @@
-"""JSON of frozen dataclasses: written whole, read with tolerance for fields that this version does not know."""
+"""JSON of frozen dataclasses, with tolerance for fields of other versions."""
 
 from __future__ import annotations
 
@@ -10,50 +10,48 @@ from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
+    from dds_trace.tracefile.format.json_fields import Json
 
 Record = TypeVar("Record")
 
 
 def to_json(record: DataclassInstance) -> dict[str, Json]:
     """Return the JSON object of a dataclass: objects for dataclasses and mappings, arrays for tuples."""
-    return {each.name: _json(getattr(record, each.name)) for each in fields(record)}
+    return {field.name: _json(getattr(record, field.name)) for field in fields(record)}
 
 
 def _json(value: object) -> Json:
     if is_dataclass(value) and not isinstance(value, type):
         return to_json(value)
     if isinstance(value, Mapping):
-        return {str(name): _json(each) for name, each in value.items()}
+        return {str(key): _json(item) for key, item in value.items()}
     if isinstance(value, tuple):
-        return [_json(each) for each in value]
+        return [_json(item) for item in value]
     assert value is None or isinstance(value, bool | int | float | str), value
     return value
 
 
-def from_json(kind: type[Record], data: JsonObject) -> Record:
-    """Return the dataclass `kind` of a JSON object.
-
-    A field that `kind` does not have is skipped (a newer version wrote it); one that `data` does not have keeps its
-    default (an older version wrote it).
+def from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:
+    """Return the dataclass `kind` of a JSON object; unknown fields are ignored, missing ones have their defaults.
 
     Raises:
         TypeError: `data` lacks a field that has no default.
     """
     hints = get_type_hints(kind)
-    known = {name: _value(hint, data[name]) for name, hint in hints.items() if name in data}
-    return kind(**known)
+    return kind(**{name: _value(hint, data[name]) for name, hint in hints.items() if name in data})
 
 
 def _value(hint: Any, data: Any) -> Any:
-    """Return `data` in the type `hint`: a dataclass, tuple or mapping of such, an optional one, or a plain value."""
+    """Return `data` in the type `hint`: a dataclass, a (named) tuple or mapping, an optional one, or a plain value."""
     if data is None:
         return None
     origin, arguments = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
-        return _value(next(each for each in arguments if each is not type(None)), data)
+        return _value(next(kind for kind in arguments if kind is not type(None)), data)
     if origin is tuple:
-        return tuple(_value(arguments[0], each) for each in data)
+        return tuple(_value(arguments[0], item) for item in data)
     if origin is Mapping:
-        return {name: _value(arguments[1], each) for name, each in data.items()}
+        return {key: _value(arguments[1], item) for key, item in data.items()}
+    if isinstance(hint, type) and issubclass(hint, tuple):
+        return hint(*data)
     return from_json(hint, data) if isinstance(hint, type) and is_dataclass(hint) else data

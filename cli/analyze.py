@@ -108,7 +108,7 @@ def main_command(
         list[str],
         typer.Argument(
             metavar="PATH...",
-            help="Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns: 'runs/*/pi4*.mcap'.",
+            help="Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns such as 'runs/*/pi4*.mcap'.",
             show_default=False,
             autocompletion=_complete_commands,
         ),
@@ -117,7 +117,7 @@ def main_command(
         list[str] | None,
         typer.Option(
             metavar="KIND",
-            help=f"{', '.join(REPORT_MODULES)}; repeatable. [dim]Default: terminal[/dim]",
+            help=f"Report to write: {', '.join(REPORT_MODULES)}; repeatable. Default: terminal",
             show_default=False,
             callback=_known_kinds,
         ),
@@ -126,7 +126,7 @@ def main_command(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Where files go. [dim]Default: analysis/ in the folder that all traces have in common[/dim]",
+            help="Folder for all files. Default: analysis/ in the common folder of all traces",
             show_default=False,
         ),
     ] = None,
@@ -134,26 +134,27 @@ def main_command(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Let the workers of a Dask scheduler do it, such as tcp://scheduler:8786; they read the traces "
-            "themselves, from shared folders or object storage (s3://bucket/runs as PATH).",
+            help="Use the workers of a Dask scheduler, e.g. tcp://scheduler:8786; they read the traces from shared folders "
+            "or object storage (s3://bucket/runs as PATH).",
             show_default=False,
         ),
     ] = None,
     sketch: Annotated[
         bool,
         typer.Option(
-            "--sketch", help="Percentiles from histograms (off by 0.05 % at most), and no roundtrips.parquet."
+            "--sketch",
+            help="Compute percentiles from histograms (error at most 0.05 %); write no roundtrips.parquet.",
         ),
     ] = False,
     no_cache: Annotated[
         bool,
-        typer.Option("--no-cache", help="Read every trace anew, and keep nothing for the next analysis."),
+        typer.Option("--no-cache", help="Read every trace again, and cache nothing for the next analysis."),
     ] = False,
     deadline: Annotated[
         str | None,
         typer.Option(
             metavar="TIME",
-            help="Count messages later than this, such as 20ms: planned send to reply, or '20ms metric=outbound'.",
+            help="Count messages later than this, e.g. 20ms from planned send to reply, or '20ms metric=outbound'.",
             show_default=False,
         ),
     ] = None,
@@ -161,29 +162,32 @@ def main_command(
         str | None,
         typer.Option(
             metavar="JOB",
-            help="Rank middleware, bridges and settings for a job: "
+            help="Rank the setups for a job: "
             "'data=binary size=502KB rate=20 deadline=50ms reliability=0.999'.",
             show_default=False,
         ),
     ] = None,
     export: Annotated[
         list[ExportKind] | None,
-        typer.Option(metavar="KIND", help="csv or arrow beside the Parquet; repeatable.", show_default=False),
+        typer.Option(
+            metavar="KIND", help="Write csv or arrow in addition to Parquet; repeatable.", show_default=False
+        ),
     ] = None,
     derived_mcap: Annotated[
         bool,
         typer.Option(
-            "--derived-mcap", help="Latency of every message as MCAP, and a layout for Foxglove; replaced."
+            "--derived-mcap", help="Write the latency of every message as MCAP, and a layout for Foxglove."
         ),
     ] = False,
     topics: Annotated[
         bool,
         typer.Option(
-            "--topics", help="Recordings that are not ours: rate, gaps, jitter, size and age of every topic."
+            "--topics",
+            help="For recordings of other tools: show rate, gaps, jitter, size and age of every topic.",
         ),
     ] = False,
     open_it: Annotated[
-        bool, typer.Option("--open", help="Write the HTML report and open it, where there is a desktop.")
+        bool, typer.Option("--open", help="Write the HTML report and open it in a browser.")
     ] = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
@@ -192,13 +196,13 @@ def main_command(
     Writes roundtrips.parquet and summary.parquet and the reports asked for; those of an earlier analysis are
     replaced. Results go to stdout, progress and warnings to stderr:
 
-    [bold]dds-analyze runs/ --report html[/bold]
+        dds-analyze runs/ --report html
 
-    Two sets of traces against each other, and a page that is refreshed while a sweep writes:
+    Compare two sets of traces, and show a page that follows a running sweep:
 
-    [bold]dds-analyze compare BASE NEW[/bold]
+        dds-analyze compare BASE NEW
 
-    [bold]dds-analyze watch runs/[/bold]
+        dds-analyze watch runs/
     """
     from dds_trace.analyzer.exports.tables import export_tables
     from dds_trace.analyzer.model.finding import Severity
@@ -270,7 +274,7 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
     time, *named = text.split() or [""]
     metrics = [word.removeprefix("metric=") for word in named if word.startswith("metric=")]
     if len(named) > 1 or len(metrics) != len(named):
-        raise OptionError(f"--deadline {text!r}: write a time, and metric= behind it: '20ms metric=outbound'")
+        raise OptionError(f"--deadline {text!r}: write a time, then metric=NAME: '20ms metric=outbound'")
     metric = metrics[0] if metrics else DEADLINE_METRIC
     if metric not in DEADLINE_METRICS:
         raise OptionError(

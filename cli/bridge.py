@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dds_trace.recorder import choices
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
+from dds_trace.recorder.choices import Role  # noqa: TC001 - typer reads the annotation
 
 from .errors import run_command
 from .quick_help import Version, command_app, declare_command
+from .table_options import given_values, read_record, with_options
 
 if TYPE_CHECKING:
     from typer.models import OptionInfo
@@ -30,94 +31,58 @@ def _option(name: str, *, help: str, metavar: str | None = None) -> OptionInfo: 
     return option
 
 
+_SHARED = ("discovery", "reliability", "durability", "depth", "deadline", "lifespan", "tuned")
+"""Options that a bridge, a ping and a relay take alike."""
+
+
 @declare_command(app, "bridge")
+@with_options(_SHARED, in_panels=False)
 def main_command(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help=f"{', '.join(BRIDGE_MODULES)}.", show_default=False)
     ] = None,
     list_them: Annotated[
-        bool, _option("--list", help="Show which bridges are there, and how to get the others.")
+        bool, _option("--list", help="Show which bridges are installed, and how to get the others.")
     ] = False,
     as_json: Annotated[bool, _option("--json", help="Print the --list as JSON.")] = False,
     print_config: Annotated[
         bool, _option("--print-config", help="Print the configuration and run nothing.")
     ] = False,
     check: Annotated[
-        bool,
-        _option("--check", help="Look whether the program is here and takes these options, and run nothing."),
+        bool, _option("--check", help="Check that the program is here and takes these options; run nothing.")
     ] = False,
-    from_domain: Annotated[
-        int, _option("--from", metavar="ID", help="Domain of the ping. [dim]Default: 5[/dim]")
-    ] = 5,
-    to_domain: Annotated[
-        int, _option("--to", metavar="ID", help="Domain of the relay. [dim]Default: 10[/dim]")
-    ] = 10,
+    from_domain: Annotated[int, _option("--from", metavar="ID", help="Domain of the ping. Default: 5")] = 5,
+    to_domain: Annotated[int, _option("--to", metavar="ID", help="Domain of the relay. Default: 10")] = 10,
     topics: Annotated[
         list[str] | None,
         _option(
-            "--topic",
-            metavar="NAME:TYPE",
-            help="Carries this topic and its NAME_relay twin too; repeatable.",
+            "--topic", metavar="NAME:TYPE", help="Carry this topic and NAME_relay, its way back; repeatable."
         ),
     ] = None,
     half: Annotated[
-        choices.Role | None,
+        Role | None,
         _option(
-            "--half",
-            metavar="ROLE",
-            help="Half that runs here, ping or relay, with --listen or --peer. [dim]Default: ping[/dim]",
+            "--half", metavar="ROLE", help="Run only the half of ping or relay, with --listen or --peer."
         ),
     ] = None,
     listen: Annotated[
-        str | None, _option("--listen", metavar="HOST:PORT", help="Where this half waits for the other one.")
+        str | None,
+        _option("--listen", metavar="HOST:PORT", help="Address at which this half waits for the other."),
     ] = None,
     peer: Annotated[
         list[str] | None,
-        _option("--peer", metavar="HOST:PORT", help="Where the other half waits; repeatable."),
+        _option("--peer", metavar="HOST:PORT", help="Address at which the other half waits; repeatable."),
     ] = None,
-    discovery: Annotated[
-        choices.Discovery | None,
-        _option(
-            "--discovery",
-            metavar="RANGE",
-            help="How far to look for nodes, localhost or subnet. [dim]Default: ROS_AUTOMATIC_DISCOVERY_RANGE, else subnet[/dim]",
-        ),
-    ] = None,
-    reliability: Annotated[
-        choices.Reliability,
-        _option(
-            "--reliability",
-            metavar="QOS",
-            help="reliable or best_effort, as of ping and relay. [dim]Default: reliable[/dim]",
-        ),
-    ] = choices.Reliability.RELIABLE,
-    durability: Annotated[
-        choices.Durability,
-        _option(
-            "--durability",
-            metavar="QOS",
-            help="volatile or transient_local, as of ping and relay. [dim]Default: volatile[/dim]",
-        ),
-    ] = choices.Durability.VOLATILE,
-    depth: Annotated[int, _option("--depth", metavar="N", help="Messages kept. [dim]Default: 10[/dim]")] = 10,
-    deadline: Annotated[
-        str | None, _option("--deadline", metavar="TIME", help="As of ping and relay: 20ms, 1.5s.")
-    ] = None,
-    lifespan: Annotated[
-        str | None, _option("--lifespan", metavar="TIME", help="As of ping and relay: 20ms, 1.5s.")
-    ] = None,
-    tuned: Annotated[
-        bool, _option("--tuned", help="Settings for large messages, as of ping and relay.")
-    ] = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
+    **values: Any,
 ) -> None:
     """Run a bridge between the domains of a ping and a relay until Ctrl-C.
 
-    [bold]dds-record --bridge NAME[/bold] does this around a recording. A bridge of two halves runs one on each device:
+    `dds-record --bridge NAME` does this around a recording. A bridge of two halves runs one on each device:
 
-    [bold]dds-bridge zenoh-bridge-dds --half ping --listen 0.0.0.0:7447[/bold]
+        dds-bridge zenoh-bridge-dds --half ping --listen 0.0.0.0:7447
 
-    [bold]dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447[/bold]
+        dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447
     """
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.bridges.base import (
@@ -127,27 +92,23 @@ def main_command(
         bridged_topic,
         load_bridge,
     )
-    from dds_trace.tracefile.format.descriptions import Qos
+    from dds_trace.recorder.option_table import CommandOptions
 
-    from .record.values import default_discovery, parse_durations
+    from .record.precedence import default_discovery
 
     if list_them:
         _list(as_json=as_json)
         return
     if name is None:
         raise OptionError("name a bridge, as in `dds-bridge builtin`; `dds-bridge --list` shows all of them")
+    given = given_values(values)
     options = BridgeOptions(
         from_domain,
         to_domain,
         topics=(*BRIDGED_TOPICS, *map(bridged_topic, topics or ())),
-        qos=Qos(
-            reliability.value,
-            durability.value,
-            depth=depth,
-            extra=parse_durations(deadline_ns=deadline, lifespan_ns=lifespan),
-        ),
-        discovery=default_discovery() if discovery is None else discovery,
-        tuned=tuned,
+        qos=read_record(CommandOptions, given).qos,
+        discovery=given.get("discovery") or default_discovery(),
+        tuned=given.get("tuned", False),
         half=Half.BOTH if half is None else Half(half.value),
         listen=listen,
         peers=tuple(peer or ()),

@@ -39,63 +39,66 @@ app = command_app()
 
 @declare_command(app, "compare")
 def compare_command(
-    base: Annotated[Path, typer.Argument(metavar="BASE", help="Traces before.", show_default=False)],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="Traces after.", show_default=False)],
+    base: Annotated[
+        Path, typer.Argument(metavar="BASE", help="Traces before the change.", show_default=False)
+    ],
+    new: Annotated[Path, typer.Argument(metavar="NEW", help="Traces after the change.", show_default=False)],
     fail_if: Annotated[
         list[str] | None,
         typer.Option(
             metavar="GATE",
-            help="Such as 'latency_p99 > +10%', 'rtt_p50 > +2ms', 'latency_p99 > 20ms', 'received_ratio < 99%', "
-            "'received_ratio < -0.5 points'; repeatable. 'default' is p50 > +10%, p99 > +20%, received < -0.5 points.",
+            help="Condition that fails the comparison: 'latency_p99 > +10%', 'rtt_p50 > +2ms', 'latency_p99 > 20ms', "
+            "'received_ratio < 99%', 'received_ratio < -0.5 points'; repeatable. 'default': p50 > +10%, p99 > +20%, "
+            "received < -0.5 points.",
             show_default=False,
         ),
     ] = None,
     allow_missing: Annotated[
         bool,
         typer.Option(
-            "--allow-missing", help="A group may be missing on the new side, or lose every message there."
+            "--allow-missing", help="Allow results that are missing or receive nothing on the new side."
         ),
     ] = False,
     inconclusive: Annotated[
-        Unsure, typer.Option(metavar="EXIT", help="pass: an inconclusive gate exits with 0; fail: with 21.")
+        Unsure, typer.Option(metavar="EXIT", help="Exit of an inconclusive gate: pass (0) or fail (21).")
     ] = Unsure.FAIL,
     paired: Annotated[
         bool,
         typer.Option(
-            "--paired", help="Both sides were measured in the same passes of one sweep: compare pass by pass."
+            "--paired",
+            help="Compare repeat by repeat: both sides were measured in the same repeats of one sweep.",
         ),
     ] = False,
     report: Annotated[
-        ComparisonReport, typer.Option(metavar="KIND", help="terminal, md, json, junit or html.")
+        ComparisonReport,
+        typer.Option(metavar="KIND", help="Report to write: terminal, md, json, junit or html."),
     ] = ComparisonReport.TERMINAL,
     shows_all: Annotated[
         bool,
-        typer.Option("--all", help="Every group and gate in the terminal and in md, not only the first."),
+        typer.Option("--all", help="Show every result and gate in terminal and md, not only the first."),
     ] = False,
     ignore: Annotated[
         str,
         typer.Option(
             metavar="COLUMNS",
-            help="Pair groups that differ in these, such as bridge,domain_mode; refused where two groups of one side would "
-            "become one.",
+            help="Compare results that differ in these columns, e.g. bridge,domain_mode; refused if two results of one side "
+            "would become one.",
             show_default=False,
         ),
     ] = "",
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Where the report goes.  [dim]Default: stdout[/dim]", show_default=False
-        ),
+        typer.Option(metavar="FILE", help="File for the report. Default: stdout", show_default=False),
     ] = None,
 ) -> None:
-    """Compare two sets of traces: what became slower or loses more, and which changes would not have been seen.
+    """Compare two sets of traces: what became slower or loses more, and which changes are too small to detect.
 
-    The run is the unit: with fewer than three runs a side nothing is called better or worse. A gate fails only where
-    the whole confidence interval lies beyond its limit, or where a group of the base is missing or dead on the new
-    side. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive (too few runs or messages to tell); 22
-    nothing to compare (no group in common).
+    The run is the unit: with fewer than three runs per side nothing is called better or worse. A gate fails only if the
+    whole confidence interval is beyond its limit, or if a result of the base is missing or receives nothing on the new
+    side. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive (too few runs or messages); 22 nothing to
+    compare (no result in common).
 
-    [bold]dds-analyze compare main/ branch/ --fail-if default --report md[/bold]
+        dds-analyze compare main/ branch/ --fail-if default --report md
     """
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare

@@ -14,14 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 from dds_trace.base.errors import OptionError
 
 from .errors import run_command
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
-
-    import typer
 
 BASH_WORDS, BASH_POSITION, OTHER_WORDS = "COMP_WORDS", "COMP_CWORD", "_TYPER_COMPLETE_ARGS"
 """What typer's scripts tell: words with line breaks and the position of the cursor in them (bash), or the line (zsh, fish)."""
@@ -42,7 +42,7 @@ def run_program(
         arguments: the words behind the program; None for those of the process.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    completed = _take_completed_command(name, commands)
+    completed = _take_completed_command(name, app, commands)
     if completed is not None:
         run_command(partial(commands[completed], [], prog_name=name))
     elif given and given[0] in commands:
@@ -60,7 +60,7 @@ def _run_nameless(name: str, app: typer.Typer, commands: Collection[str], given:
     app(given, prog_name=name)
 
 
-def _take_completed_command(program: str, commands: Collection[str]) -> str | None:
+def _take_completed_command(program: str, app: typer.Typer, commands: Collection[str]) -> str | None:
     """Take the command out of the words that are to be completed; return it, None where there is none."""
     if f"_{program}_COMPLETE".replace("-", "_").upper() not in os.environ:
         return None
@@ -73,9 +73,7 @@ def _take_completed_command(program: str, commands: Collection[str]) -> str | No
         name not in commands or not rest[:1].isspace()
     ):  # without a space behind it the word itself is being typed
         return None
-    from typer._completion_classes import completion_init
-
-    completion_init()  # which an app does that has the options of completion, as none of these
+    typer.main.get_command(app)  # an app with options of completion sets completion up for all
     os.environ[variable] = first + rest
     if BASH_POSITION in os.environ:
         os.environ[BASH_POSITION] = str(int(os.environ[BASH_POSITION]) - 1)

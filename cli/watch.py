@@ -1,4 +1,4 @@
-"""`dds-analyze watch FOLDER`: the HTML report on a local address, made anew whenever a trace below the folder changes."""
+"""`dds-analyze watch FOLDER`: the HTML report on a local address, written again whenever a trace in the folder changes."""
 
 import signal
 import time
@@ -14,7 +14,7 @@ from dds_trace.base import limits
 from .quick_help import command_app, declare_command
 
 LOOK_SECONDS = 3.0
-"""Default time between two looks at the files."""
+"""Default time between two checks of the files."""
 
 app = command_app()
 
@@ -23,30 +23,39 @@ app = command_app()
 def watch_command(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="FOLDER", help="Where a sweep writes.", show_default=False, exists=True),
+        typer.Argument(
+            metavar="FOLDER", help="Folder that a sweep writes into.", show_default=False, exists=True
+        ),
     ],
     host: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="To listen on; anybody who reaches it can read the report.")
+        str,
+        typer.Option(
+            metavar="ADDRESS", help="Address to listen on; anybody who reaches it can read the report."
+        ),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(metavar="PORT", help="0 takes a free one.", min=0, max=65535)] = 8765,
+    port: Annotated[
+        int, typer.Option(metavar="PORT", help="Port to listen on; 0 takes a free one.", min=0, max=65535)
+    ] = 8765,
     every: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Between two looks at the files.", min=0.1)
+        float, typer.Option(metavar="SECONDS", help="Time between two checks of the files.", min=0.1)
     ] = LOOK_SECONDS,
     out: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="Where files go. [dim]Default: analysis/ in the folder of the traces[/dim]",
+            help="Folder for all files. Default: analysis/ in the folder of the traces",
             show_default=False,
         ),
     ] = None,
     no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Read every trace anew each time, and write no files.")
+        bool, typer.Option("--no-cache", help="Read every trace again each time, and write no files.")
     ] = False,
 ) -> None:
     """Show the report of a folder in a browser while a sweep writes into it; Ctrl-C ends.
 
-    [bold]dds-analyze watch runs/[/bold]
+    For example:
+
+        dds-analyze watch runs/
     """
     from dds_trace.reports.html.live import Watcher, WatchOptions
 

@@ -1,4 +1,8 @@
-"""The options of one recording, and the refusal of wrong ones before anything is opened."""
+"""The table of options: each field of the records below, and of `NodeOptions`, with `option(...)` is one of `dds-record`.
+
+A new option is a row here and the line that uses its value; the command, its help, the checks, `dds-trace.toml`, the axes of
+plans and the reference are made of the rows.
+"""
 
 from __future__ import annotations
 
@@ -7,63 +11,177 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, OutputExistsError
+from dds_trace.base.limits import shown
+from dds_trace.base.units import parse_size, split_quantity
 
-from .choices import Serialization
+from .choices import Role, Serialization
+from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, option, parse_pairs, parse_percentage
 from .payloads import check_data
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from dds_trace.base.limits import Limit
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     from .backends.node import NodeOptions
 
 DEFAULT_MESSAGES = 1000
-"""Messages of a run by default: what gates were simulated with (docs/explanation/coverage.md). With five runs a side that spread by
-5 % they find +20 % of p50 four times in five; p99 rests on ten messages of a run."""
+"""Messages of a run: what gates were simulated with (docs/explanation/coverage.md). With five runs a side that spread by 5 % they
+find +20 % of p50 four times in five; p99 rests on ten messages of a run."""
 DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10
 DEFAULT_WAIT_S = 20.0
+"""Default of `--wait`."""
+AGE_UNITS_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
+"""Unit of a file's age -> its seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class PingOptions:
-    """The options of a ping.
+    """The options of a ping."""
 
-    Attributes:
-        data: name of a data type, or a source such as `file:PATH` (see `payloads.PAYLOADS`).
-        size_bytes: application bytes of a message, None for the type's default.
-        rate_hz: messages a second; None for the rate of the data, or 10 if it has none.
-        messages: messages that count, warm-up not included; None for what fits the duration, or 1000.
-        warmup: messages sent before them.
-        wait_s: longest wait for an echo, in seconds.
-        relays: number of relays that must send one; those in sight are waited for in any case.
-        seed: seed of the payload's random content, drawn if None.
-        bridge: `none`, or the bridge to the relay's domain, started and ended with the recording.
-        bridge_running: whether the bridge runs already, so that nothing is started.
-        bridge_listen: `HOST:PORT` at which the ping's half of the bridge waits for the relay's.
-        bridge_peers: `HOST:PORT` of each other half that the ping's half connects to.
-        relay_domain_id: domain of the relay, the ping's own if None.
-        labels: texts of the user's, kept with the run.
-        settings: what the surroundings were set to (an emulated link, a load), told with the run's own settings.
-    """
-
-    data: str = "binary"
-    size_bytes: int | None = None
-    rate_hz: float | None = None
-    messages: int | None = None
-    warmup: int = DEFAULT_WARMUP
-    wait_s: float = DEFAULT_WAIT_S
-    relays: int = 1
-    seed: int | None = None
-    bridge: str = "none"
-    bridge_running: bool = False
-    bridge_listen: str | None = None
-    bridge_peers: tuple[str, ...] = ()
-    relay_domain_id: int | None = None
-    labels: Mapping[str, str] = field(default_factory=dict)
-    settings: Mapping[str, str] = field(default_factory=dict)
+    data: str = option(
+        "binary",
+        "--data KIND",
+        Panel.MESSAGE,
+        "What is sent: binary, string, imu, file:PATH (or the files of a folder), bag:PATH#TOPIC, or topic:/NAME (live).",
+        in_key=False,
+        axis=Axis(
+            of_relay=False,
+            meaning="`binary`, `string`, `imu`, or what is sent instead: `file:PATH`, `bag:PATH#TOPIC`, `topic:/NAME` "
+            "([payloads](../how-to/payloads.md))",
+        ),
+    )
+    size_bytes: int | None = option(
+        None,
+        "--size SIZE",
+        Panel.MESSAGE,
+        "Size of a message: a number of bytes, 33KB or 4MB (1000), 1KiB (1024).",
+        limit=limits.SIZE_BYTES,
+        parse=lambda text: parse_size(text, "--size"),
+        default_words="33KB; string 91; imu always 296",
+        in_key=False,
+        axis=Axis(
+            of_relay=False,
+            kind=int,
+            meaning='payload as a number of bytes, or a text such as `"33KB"`, `"4MB"` (1000), `"1KiB"` (1024)',
+            unit="bytes",
+        ),
+    )
+    seed: int | None = option(
+        None,
+        "--seed N",
+        Panel.MESSAGE,
+        "Seed of the random content.",
+        kind=int,
+        limit=limits.SEED,
+        default_words="drawn",
+        in_key=False,
+    )
+    rate_hz: float | None = option(
+        None,
+        "--rate HZ",
+        Panel.SCHEDULE,
+        "Messages per second.",
+        kind=float,
+        limit=limits.RATE_HZ,
+        default_words=f"{DEFAULT_RATE_HZ:g}; of a bag its own rate",
+        in_key=False,
+        axis=Axis(of_relay=False, default=DEFAULT_RATE_HZ, unit="Hz"),
+    )
+    messages: int | None = option(
+        None,
+        "--messages N",
+        Panel.SCHEDULE,
+        "Messages to measure.",
+        kind=int,
+        limit=limits.MESSAGES,
+        default_words=f"{DEFAULT_MESSAGES}, or what fits --duration",
+        in_key=False,
+    )
+    warmup: int = option(
+        DEFAULT_WARMUP,
+        "--warmup N",
+        Panel.SCHEDULE,
+        "Messages sent before them, which do not count.",
+        limit=limits.WARMUP,
+        in_key=False,
+    )
+    wait_s: float = option(
+        DEFAULT_WAIT_S,
+        "--wait SECONDS",
+        Panel.SCHEDULE,
+        "How long to wait for the first echo.",
+        limit=limits.WAIT_S,
+        in_key=False,
+    )
+    relays: int = option(
+        1,
+        "--relays N",
+        Panel.SCHEDULE,
+        "How many relays to wait for.",
+        limit=limits.RELAYS,
+        in_key=False,
+    )
+    bridge: str = option(
+        "none",
+        "--bridge NAME",
+        Panel.BRIDGE,
+        "Start this bridge to the domain of the relay:",
+        limit=limits.NAME,
+        in_key=False,
+        axis=Axis(of_relay=False, meaning="bridge between two domains; `none` puts ping and relay into one"),
+    )
+    bridge_running: bool = option(
+        False,
+        "--bridge-running",
+        Panel.BRIDGE,
+        "The bridge is running already: start nothing.",
+        in_key=False,
+    )
+    bridge_listen: str | None = option(
+        None,
+        "--bridge-listen ADDRESS",
+        Panel.BRIDGE,
+        "Start only the ping's half; it waits at HOST:PORT for the relay's half (dds-bridge --half relay).",
+        limit=limits.ADDRESS,
+    )
+    bridge_peers: tuple[str, ...] = option(
+        (),
+        "--bridge-peer ADDRESS",
+        Panel.BRIDGE,
+        "Start only the ping's half; it connects to the relay's half at HOST:PORT; repeatable.",
+        limit=limits.ADDRESS,
+        in_key=False,
+    )
+    relay_domain_id: int | None = option(
+        None,
+        "--relay-domain ID",
+        Panel.BRIDGE,
+        "DDS domain of the relay.",
+        kind=int,
+        limit=limits.DOMAIN_ID,
+        default_words="ROS_DOMAIN_ID, else 10",
+        in_key=False,
+        variables=("ROS_DOMAIN_ID",),
+    )
+    labels: Mapping[str, str] = option(
+        {},
+        "--label KEY=VALUE",
+        Panel.DESCRIPTION,
+        "A note on the run; repeatable.",
+        parse=lambda texts: parse_pairs("--label", texts, "site=lab"),
+        role=Role.PING,
+        in_key=False,
+    )
+    settings: Mapping[str, str] = option(
+        {},
+        "--setting KEY=VALUE",
+        Panel.DESCRIPTION,
+        "What you set around the run, such as a load or a link; results with different settings are not mixed; repeatable.",
+        parse=lambda texts: parse_pairs("--setting", texts, "cpu_load=50%"),
+        role=Role.PING,
+    )
 
     def check(self) -> None:
         """Refuse values that make no sense.
@@ -73,30 +191,67 @@ class PingOptions:
         """
         check_fields(self)
         check_data(self.data)
-        for option, pairs in (("--label", self.labels), ("--setting", self.settings)):
+        for name, pairs in (("--label", self.labels), ("--setting", self.settings)):
             for key, value in pairs.items():
-                limits.check(limits.LABEL_KEY, key, option)
-                limits.check(limits.TEXT, value, f"{option} {key}")
+                limits.check(limits.LABEL_KEY, key, name)
+                limits.check(limits.TEXT, value, f"{name} {key}")
         joins_halves = self.bridge_listen is not None or bool(self.bridge_peers)
         if self.bridge == "none" and (self.bridge_running or joins_halves):
             raise OptionError("--bridge-running, --bridge-listen and --bridge-peer need --bridge NAME")
         if self.bridge_running and joins_halves:
-            raise OptionError("--bridge-running starts nothing: leave --bridge-listen and --bridge-peer out")
+            raise OptionError("--bridge-running starts nothing; remove --bridge-listen and --bridge-peer")
 
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """When a relay goes on in a new file, whichever comes first, and how many files it keeps.
+    """When a relay starts a new file, whichever comes first, and how many files it keeps.
 
     Attributes:
         file_bytes: length of a file, None for any.
-        age_s: time from its first event to the next file in seconds, None for any.
-        keep: number of files of the recording that stay, the one that is written included; None for all.
+        age_s: seconds from its first event to the next file, None for any.
+        keep: files of the recording that stay, the current one included; None for all.
     """
 
     file_bytes: int | None = None
     age_s: float | None = None
     keep: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Rotation:
+        """Return the value of `--rotate`: a size, an age, or both with a comma between.
+
+        Raises:
+            OptionError: a part is neither.
+        """
+        file_bytes: int | None = None
+        age_s: float | None = None
+        for part in text.split(","):
+            value, unit = split_quantity(part.strip()) or (0.0, "")
+            if unit in AGE_UNITS_S and age_s is None:
+                age_s = value * AGE_UNITS_S[unit]
+            elif unit.endswith("b") and file_bytes is None:
+                file_bytes = parse_size(part.strip(), "--rotate")
+            else:
+                raise OptionError(
+                    f"--rotate {shown(text)}: write a size, an age (s, min, h, d) or both: 1GB, 1h, 1GB,1h"
+                )
+        return cls(file_bytes, age_s)
+
+    def check(self, destination: TraceDestination) -> None:
+        """Refuse limits that no file can keep, and a destination that cannot be several files.
+
+        Raises:
+            OptionError: naming the option.
+        """
+        limits.check(limits.FILE_BYTES, self.file_bytes, "--rotate")
+        limits.check(limits.FILE_AGE_S, self.age_s, "--rotate")
+        limits.check(limits.RETAINED_FILES, self.keep, "--keep")
+        if destination.is_bag:
+            raise OptionError(
+                "--rotate writes .mcap files: give --out NAME.mcap, which becomes NAME.00001.mcap and so on"
+            )
+        if destination.force:
+            raise OptionError("--rotate overwrites nothing and numbers on from the last file; remove --force")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +260,25 @@ class KeepFree:
 
     Attributes:
         share: 0 to 1.
-        most_bytes: bytes; None for the share alone.
+        most_bytes: bytes; None for the share only.
     """
 
     share: float = 0.05
     most_bytes: int | None = 1_000_000_000
 
+    @classmethod
+    def parse(cls, text: str) -> KeepFree:
+        """Return the value of `--keep-free`: a size, or a percentage of the disk.
+
+        Raises:
+            OptionError: the text is neither.
+        """
+        if text.strip().endswith("%"):
+            return cls(parse_percentage("--keep-free", text), None)
+        return cls(1.0, parse_size(text, "--keep-free"))
+
     def floor_bytes(self, disk_bytes: int) -> int:
-        """Return the bytes to keep on a disk of this size."""
+        """Return the bytes to keep free on a disk of this size."""
         share_bytes = int(self.share * disk_bytes)
         return share_bytes if self.most_bytes is None else min(share_bytes, self.most_bytes)
 
@@ -122,55 +288,147 @@ class RecordOptions:
     """The options of one recording: a ping's with `ping`, a relay's without.
 
     Attributes:
-        destination: place of the trace.
         node: options of the node; its `name` and `listens` are set by the role.
-        ping: options of the ping, None for a relay.
-        backend: name of the backend.
-        serialization: form in which the messages pass the client library.
-        relay_id: number of a relay, drawn if None.
-        types: message types that a relay serves beside those of data that is made up.
-        device: name of the device, by default its host name.
-        connectivity: the device's link to the others, by default looked up (`session.default_connectivity`).
-        duration_s: length of the recording in seconds; a relay without it goes on until stopped.
-        cpu_affinity: CPUs to run on, as `privileges.parse_cpus` reads them.
-        realtime_priority: 1 to 99 for SCHED_FIFO with locked memory.
-        strict: whether a setting that the middleware does not use ends the recording.
-        wire: whether the packets of the run's interfaces are counted.
         own_cost: whether the session measures what recording and the client library cost, before its node opens.
-        rotation: when a relay goes on in a new file; None for never.
-        keep_free: free space to leave on the disk.
+        rotation: when a relay starts a new file; None for never.
     """
 
-    destination: TraceDestination
+    destination: TraceDestination = field(metadata=OUTSIDE_OF_KEY)
     node: NodeOptions
-    ping: PingOptions | None = None
-    backend: str = "ros2"
-    serialization: Serialization = Serialization.RAW
-    relay_id: int | None = None
-    types: tuple[str, ...] = ()
-    device: str | None = None
-    connectivity: str | None = None
-    duration_s: float | None = None
-    cpu_affinity: str | None = None
-    realtime_priority: int | None = None
-    strict: bool = False
-    wire: bool = False
-    own_cost: bool = True
-    rotation: Rotation | None = None
-    keep_free: KeepFree = KeepFree()
+    ping: PingOptions | None = field(default=None, metadata=OUTSIDE_OF_KEY)
+    duration_s: float | None = option(
+        None,
+        "--duration SECONDS",
+        Panel.OUTPUT,
+        "Stop after this many seconds; a relay without it runs until stopped.",
+        kind=float,
+        limit=limits.LENGTH_S,
+        in_key=False,
+    )
+    keep_free: KeepFree = option(
+        KeepFree(),
+        "--keep-free SIZE",
+        Panel.OUTPUT,
+        "Stop writing when free disk space falls below SIZE: 500MB, 10%, or 0.",
+        kind=str,
+        parse=KeepFree.parse,
+        default_words="5% of the disk, at most 1GB",
+        in_key=False,
+    )
+    backend: str = option(
+        "ros2",
+        "--backend NAME",
+        Panel.MIDDLEWARE,
+        "API that carries the messages:",
+        limit=limits.NAME,
+        in_key=False,
+        axis=Axis(
+            meaning="API that carries the messages; `installed` stands for every middleware of this machine, each RMW of ROS 2 "
+            "included"
+        ),
+    )
+    serialization: Serialization = option(
+        Serialization.RAW,
+        "--serialization KIND",
+        Panel.MIDDLEWARE,
+        "What the client library gets: raw (serialized bytes) or typed (message objects).",
+        axis=Axis(),
+    )
+    rotation: Rotation | None = option(
+        None,
+        "--rotate LIMIT",
+        Panel.RELAY,
+        "Start a new file at this size or age: 1GB, 1h (30min, 7d), or 1GB,1h; --out NAME.mcap becomes NAME.00001.mcap and so on.",
+        parse=Rotation.parse,
+        in_key=False,
+    )
+    types: tuple[str, ...] = option(
+        (),
+        "--type TYPE",
+        Panel.RELAY,
+        "Send back this message type too, such as sensor_msgs/msg/PointCloud2; repeatable.",
+        limit=limits.NAME,
+        in_key=False,
+    )
+    relay_id: int | None = option(
+        None,
+        "--relay-id N",
+        Panel.RELAY,
+        "Number of the relay in the trace.",
+        kind=int,
+        limit=limits.RELAY_ID,
+        default_words="drawn",
+        in_key=False,
+    )
+    cpu_affinity: str | None = option(
+        None,
+        "--cpu-affinity CPUS",
+        Panel.PROCESS,
+        "Run only on these CPUs: 3, or 0,2-3.",
+        limit=limits.CPUS,
+    )
+    realtime_priority: int | None = option(
+        None,
+        "--realtime PRIORITY",
+        Panel.PROCESS,
+        "Run under SCHED_FIFO with this priority, 1 to 99, and all memory locked.",
+        kind=int,
+        limit=limits.REALTIME_PRIORITY,
+    )
+    strict: bool = option(
+        False,
+        "--strict",
+        Panel.PROCESS,
+        "Exit with 11 if the middleware does not use a requested setting (--transport, --tuned ...); without it, warn.",
+        in_key=False,
+    )
+    wire: bool = option(
+        False,
+        "--wire",
+        Panel.PROCESS,
+        "Count packets, retransmissions and bytes on the interfaces: lo with localhost discovery, else all that are up. "
+        "Needs CAP_NET_RAW.",
+    )
+    own_cost: bool = option(
+        True,
+        "--no-own-cost",
+        Panel.PROCESS,
+        "Start a second sooner: do not measure the cost of recording and of the client library.",
+        in_key=False,
+    )
+    device: str | None = option(
+        None,
+        "--device NAME",
+        Panel.DESCRIPTION,
+        "Name of this device in the trace.",
+        limit=limits.NAME,
+        default_words="host name",
+        in_key=False,
+    )
+    connectivity: str | None = option(
+        None,
+        "--connectivity NAME",
+        Panel.DESCRIPTION,
+        "Link of this device: loopback, wired, wireless, or a word of yours.",
+        limit=limits.NAME,
+        default_words="detected",
+        in_key=False,
+    )
 
     def check(self) -> None:
-        """Refuse values that make no sense, and an output that is there already.
+        """Refuse values that make no sense, and an output that exists already.
 
         Raises:
             OptionError: naming the option.
-            OutputExistsError: there is a trace already; known now, and not after the wait for an echo.
+            OutputExistsError: there is a trace already.
         """
         destination = self.destination
         check_fields(self)
+        check_fields(self.node)
+        limits.check(limits.DEPTH, self.node.qos.depth, "--depth")
         limits.check(limits.PATH, str(destination.path), "--out")
         if self.rotation is not None:
-            _check_rotation(destination)
+            self.rotation.check(destination)
         elif destination.path.exists() and not destination.force:
             raise OutputExistsError(
                 f"{destination.path} is there already; choose another name or use --force"
@@ -179,65 +437,16 @@ class RecordOptions:
             self.ping.check()
 
 
-def _check_rotation(destination: TraceDestination) -> None:
-    if destination.is_bag:
-        raise OptionError(
-            "--rotate writes .mcap files: give --out NAME.mcap, which become NAME.00001.mcap and so on"
-        )
-    if destination.force:
-        raise OptionError(
-            "--rotate overwrites nothing: leave --force out; numbers go on behind those that are taken"
-        )
-
-
-OPTION_LIMITS: Mapping[str, tuple[str, Limit]] = {
-    "size_bytes": ("--size", limits.SIZE_BYTES),
-    "rate_hz": ("--rate", limits.RATE_HZ),
-    "messages": ("--messages", limits.MESSAGES),
-    "warmup": ("--warmup", limits.WARMUP),
-    "wait_s": ("--wait", limits.WAIT_S),
-    "relays": ("--relays", limits.RELAYS),
-    "seed": ("--seed", limits.SEED),
-    "bridge": ("--bridge", limits.NAME),
-    "bridge_listen": ("--bridge-listen", limits.ADDRESS),
-    "bridge_peers": ("--bridge-peer", limits.ADDRESS),
-    "relay_domain_id": ("--relay-domain", limits.DOMAIN_ID),
-    "domain_id": ("--domain", limits.DOMAIN_ID),
-    "rmw": ("--rmw", limits.RMW),
-    "peers": ("--peer", limits.HOST),
-    "depth": ("--depth", limits.DEPTH),
-    "backend": ("--backend", limits.NAME),
-    "relay_id": ("--relay-id", limits.RELAY_ID),
-    "types": ("--type", limits.NAME),
-    "device": ("--device", limits.NAME),
-    "connectivity": ("--connectivity", limits.NAME),
-    "duration_s": ("--duration", limits.LENGTH_S),
-    "cpu_affinity": ("--cpu-affinity", limits.CPUS),
-    "realtime_priority": ("--realtime", limits.REALTIME_PRIORITY),
-    "file_bytes": ("--rotate", limits.FILE_BYTES),
-    "age_s": ("--rotate", limits.FILE_AGE_S),
-    "keep": ("--keep", limits.RETAINED_FILES),
-}
-"""Field of a record of options -> its option and its validator. Fields that are no option, whose value is an Enum or a flag,
-or that are checked where they are parsed (`data`, `labels`, the durations of a `Qos`) are not here."""
-
-
-def check_fields(options: object) -> None:
-    """Check every field of a record of options, and of the records in it, that `OPTION_LIMITS` names.
+def check_fields(record: object) -> None:
+    """Check the options of a record by their limits.
 
     Raises:
         OptionError: naming the option.
     """
-    assert is_dataclass(options)
-    for each in fields(options):
-        value = getattr(options, each.name)
-        if each.name in OPTION_LIMITS:
-            option, limit = OPTION_LIMITS[each.name]
-            for one in value if isinstance(value, tuple) else (value,):
-                limits.check(limit, one, option)
-        elif each.name in _RECORDS and value is not None:
-            check_fields(value)
-
-
-_RECORDS = ("node", "qos", "rotation")
-"""Fields that hold records of options themselves; that of a ping checks its own."""
+    assert is_dataclass(record)
+    for column in fields(record):
+        row: Option | None = column.metadata.get("option")
+        value = getattr(record, column.name)
+        if row is not None and row.limit is not None:
+            for part in value if isinstance(value, tuple) else (value,):
+                limits.check(row.limit, part, row.name)

@@ -44,17 +44,19 @@ class Printed(str, Enum):
 def main_command(
     plan: Annotated[
         Path,
-        typer.Argument(metavar="PLAN", help="A TOML file such as plans/quick.toml.", show_default=False),
+        typer.Argument(metavar="PLAN", help="TOML file, e.g. plans/quick.toml.", show_default=False),
     ],
     out: Annotated[
         Path,
-        typer.Option("--out", metavar="FOLDER", help="The traces go to OUT/NAME, NAME as the plan has it."),
+        typer.Option(
+            "--out", metavar="FOLDER", help="Folder for the traces, in OUT/NAME with the name of the plan."
+        ),
     ] = Path("runs"),
     dry_run: Annotated[
         bool,
         typer.Option(
             "--dry-run",
-            help="Show the recordings and how long they take, and start each kind of them as far as its first message; record nothing.",
+            help="Show the recordings and how long they take, and check that each kind of them can start; record nothing.",
         ),
     ] = False,
     printed: Annotated[
@@ -62,51 +64,49 @@ def main_command(
         typer.Option(
             "--print",
             metavar="ROLE",
-            help="Show the commands of relay to start on the other device instead of starting them, and wait for "
-            "each by its echo.",
+            help="relay: print the relay commands for a person to start on the other device, and wait for the echo of each.",
             show_default=False,
         ),
     ] = None,
     max_rate: Annotated[
         bool,
-        typer.Option("--max-rate", help="Find the highest rate that holds instead of the plan's rates."),
+        typer.Option("--max-rate", help="Search the highest rate that works, instead of the plan's rates."),
     ] = False,
     until: Annotated[
         str | None,
         typer.Option(
             metavar="STATISTIC:PERCENT",
-            help="Go on with passes until the interval of this statistic is so narrow for every combination (half its width in "
-            "percent of the value), for example latency_p99:5%.",
+            help="Repeat until every result is this precise: half the confidence interval in percent of the value, e.g. "
+            "latency_p99:5%.",
             show_default=False,
         ),
     ] = None,
     max_passes: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Most passes of --until. [dim]Default: 20[/dim]", min=1, show_default=False
+            metavar="N", help="Maximum number of repeats for --until. Default: 20", min=1, show_default=False
         ),
     ] = None,
     against: Annotated[
         str | None,
         typer.Option(
             metavar="SIDE",
-            help="Run the plan (base) and another side (new) in turns: another plan.toml, the folder of a Python "
-            "environment with dds-record, or SAME, which prints how often the comparison errs.",
+            help="Alternate between the plan (base) and another side (new): another plan.toml, the folder of a Python "
+            "environment with dds-record, or SAME, which measures how often the comparison is wrong.",
             show_default=False,
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
-    """Record every cell of a plan: one closed trace for each device and cell.
+    """Record every run of a plan: one closed trace for each device and run.
 
-    Interrupted anywhere, the same command goes on with what is not complete. Ends with 0 if everything is
-    complete, with 10 if some cells are not (then the reasons are on stderr and in state.json), and with 11 if some are
-    still wider than --until.
+    If it is interrupted, the same command continues with what is missing. Exit codes: 0 everything is complete; 10 some
+    recordings are not (the reasons are on stderr and in state.json); 11 some results are less precise than --until.
 
-    A commented plan from three questions:
+    Write a commented plan from three questions:
 
-    [bold]dds-sweep new mine.toml[/bold]
+        dds-sweep new mine.toml
     """
     from dds_trace.recorder.backends import installed_middlewares
     from dds_trace.recorder.sweep.plan.plan_file import read_plan

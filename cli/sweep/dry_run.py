@@ -113,7 +113,7 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
     lines = []
     for group in groups:
         lines.append(
-            f"relay {group.need.name}" + (f", half of {group.bridge} beside it" if group.bridge else "")
+            f"relay {group.need.relay_name}" + (f", half of {group.bridge} beside it" if group.bridge else "")
         )
         lines += [
             f"  {cell.name}  {plan.run.planned_seconds(cell.rate):.0f} s{_doubt(plan, cell)}"

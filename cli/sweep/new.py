@@ -26,14 +26,14 @@ app = command_app()
 def main_command(
     plan: Annotated[
         Path,
-        typer.Argument(metavar="PLAN.toml", help="The file to write; it must not exist.", show_default=False),
+        typer.Argument(metavar="PLAN.toml", help="File to write; it must not exist.", show_default=False),
     ],
     send: Annotated[
         str | None,
         typer.Option(
             "--send",
             metavar="DATA",
-            help="What is sent, each with its rate: 'binary 33KB @ 20, imu @ 100, file:photo.jpg @ 5'.",
+            help="Messages to send, each with its rate: 'binary 33KB @ 20, imu @ 100, file:photo.jpg @ 5'.",
             show_default=False,
         ),
     ] = None,
@@ -42,7 +42,7 @@ def main_command(
         typer.Option(
             "--compare",
             metavar="WORDS",
-            help="Of middleware, bridge, reliability, tuning and serialization, with commas; or nothing.",
+            help="What to compare: middleware, bridge, reliability, tuning, serialization (comma-separated), or nothing.",
             show_default=False,
         ),
     ] = None,
@@ -51,14 +51,14 @@ def main_command(
         typer.Option(
             "--relay",
             metavar="WHERE",
-            help="here, USER@HOST, or an emulated link to a relay here: wifi-54, say.",
+            help="Where the relay runs: here, USER@HOST, or here over an emulated link, e.g. wifi-54.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Write a commented plan for dds-sweep, and beside it the schema by which editors complete it.
+    """Write a commented plan for dds-sweep, and the schema with which editors complete it.
 
-    Asks three questions on a terminal: what is sent, what is compared, where the relay is. An option answers one.
+    Asks three questions on a terminal: what is sent, what is compared, where the relay is. Each option answers one.
     """
     from dds_trace.recorder.sweep.plan.link import PRESETS
     from dds_trace.recorder.sweep.plan.plan_file import parse_plan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import inspect
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -58,6 +58,6 @@ def _panels(command: Any, context: Any) -> dict[str, list[list[str]]]:
 
 
 def _prose(text: str) -> str:
-    """Return a text of a help page as Markdown: what is bold there is a command."""
-    paragraphs = re.split(r"\n\s*\n", re.sub(r"\[/?dim\]", "", text))
-    return "\n\n".join(escaped(re.sub(r"\[bold\](.*?)\[/bold\]", r"`\1`", each)) for each in paragraphs)
+    """Return a text of a help page as Markdown; an indented paragraph is a command."""
+    paragraphs = inspect.cleandoc(text).split("\n\n")
+    return "\n\n".join(code(line) if line.startswith("    ") else escaped(line) for line in paragraphs)

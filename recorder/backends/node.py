@@ -7,10 +7,12 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
+from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, ExecutorKind, Transport
+from ..option import OUTSIDE_OF_KEY, Axis, Panel, option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -34,33 +36,86 @@ MessageT_contra = TypeVar("MessageT_contra", contravariant=True)
 
 @dataclass(frozen=True, slots=True)
 class NodeOptions:
-    """Options of a node.
+    """What a backend needs to know to open a node.
 
     Attributes:
-        domain_id: DDS domain, 0..231; a backend without domains keeps the topics of two domains apart by it.
         name: name of the node in the graph.
-        discovery: how far the node looks for others.
-        qos: default quality of service of the data topics.
-        executor: executor that calls the subscriptions (only `ros2`).
-        rmw: ROS middleware to run on, None for the environment's (only `ros2`).
-        transport: transports that the middleware may use.
-        tuned: whether the vendor's documented settings for large messages are applied.
-        congestion_control: algorithm of TCP, None for the system's (only `socket`).
+        qos: quality of service of every data topic, unless an endpoint has its own.
         listens: whether the node waits for others to connect (a relay), where a backend has such sides.
-        peers: addresses of other nodes, where a backend does not discover them.
     """
 
-    domain_id: int = 10
-    name: str = "dds_trace"
-    discovery: Discovery = Discovery.SUBNET
+    domain_id: int = option(
+        10,
+        "--domain ID",
+        Panel.MIDDLEWARE,
+        "DDS domain.",
+        limit=limits.DOMAIN_ID,
+        default_words="ROS_DOMAIN_ID, else 10; a ping with --bridge: 5",
+        in_key=False,
+        variables=("ROS_DOMAIN_ID",),
+    )
+    name: str = field(default="dds_trace", metadata=OUTSIDE_OF_KEY)
+    discovery: Discovery = option(
+        Discovery.SUBNET,
+        "--discovery RANGE",
+        Panel.MIDDLEWARE,
+        "How far to look for other nodes: localhost or subnet.",
+        default_words="as the environment of ROS 2 has it, else subnet",
+        variables=("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"),
+    )
+    peers: tuple[str, ...] = option(
+        (),
+        "--peer HOST",
+        Panel.MIDDLEWARE,
+        "Address of the relay's device, HOST or HOST:PORT, for a backend that does not discover it; repeatable.",
+        limit=limits.HOST,
+        in_key=False,
+    )
+    rmw: str | None = option(
+        None,
+        "--rmw NAME",
+        Panel.MIDDLEWARE,
+        "ROS middleware of the backend ros2.",
+        limit=limits.RMW,
+        default_words="RMW_IMPLEMENTATION, else that of ROS 2",
+        in_key=False,
+        axis=Axis(),
+        variables=("RMW_IMPLEMENTATION",),
+    )
     qos: Qos = field(default_factory=Qos)
-    executor: ExecutorKind = ExecutorKind.AUTO
-    rmw: str | None = None
-    transport: Transport = Transport.DEFAULT
-    tuned: bool = False
-    congestion_control: str | None = None
-    listens: bool = False
-    peers: tuple[str, ...] = ()
+    transport: Transport = option(
+        Transport.DEFAULT,
+        "--transport KIND",
+        Panel.MIDDLEWARE,
+        "Fast DDS: default, udp, shm or large-data; zenoh: default, shm or tcp; socket: default (TCP) or udp.",
+        axis=Axis(
+            meaning="transports that Fast DDS, zenoh or `socket` may use ([middlewares](middlewares.md))"
+        ),
+    )
+    executor: ExecutorKind = option(
+        ExecutorKind.AUTO,
+        "--executor KIND",
+        Panel.MIDDLEWARE,
+        "Executor of rclpy: events, single, or auto, the fastest one installed.",
+        axis=Axis(),
+    )
+    tuned: bool = option(
+        False,
+        "--tuned",
+        Panel.MIDDLEWARE,
+        "Apply the vendor's settings for large messages.",
+        limit=limits.FLAG,
+        axis=Axis(meaning="whether the vendor's settings for large messages are applied"),
+    )
+    congestion_control: str | None = option(
+        None,
+        "--congestion-control NAME",
+        Panel.MIDDLEWARE,
+        "Congestion control of TCP, for the backend socket: cubic, bbr, reno ...",
+        default_words="that of the system",
+        axis=Axis(),
+    )
+    listens: bool = field(default=False, metadata=OUTSIDE_OF_KEY)
 
 
 @dataclass(frozen=True, slots=True)

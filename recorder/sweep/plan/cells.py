@@ -1,25 +1,25 @@
-"""One cell of a sweep: the parameters of one ping run, its name, and the relay that it needs."""
+"""One cell of a sweep: the parameters of one ping run, its name, and its relay; the axes are rows of the table of options."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dds_trace.base import limits
 from dds_trace.base.files import expand_home
 from dds_trace.base.units import spell_size
 
-from ...backends import BACKEND_MODULES
-from ...backends.qos import RANKS
-from ...bridges.base import BRIDGE_MODULES
-from ...choices import ExecutorKind, Serialization, Transport
+from ...option_table import OPTIONS, choices_of
+from ...options import DEFAULT_RATE_HZ
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Mapping
 
     from dds_trace.base.limits import Limit
 
+    from ...option import Option
 
 _T = TypeVar("_T")
 
@@ -48,162 +48,101 @@ def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default
 
 
 @dataclass(frozen=True, slots=True)
-class Axis(Key):
-    """One axis of a plan: a key that takes one value or a list of them.
+class PlanAxis(Key):
+    """A key of `[axes]`, which takes one value or a list of them.
 
     Attributes:
-        option: option of `dds-record`, empty for what is not told to it.
+        option: option of `dds-record`, empty for what it is not given.
         of_relay: whether the relay has to be started with it too.
         kind: type of a plan's value.
-        choices: the allowed values, empty where any value of the type is allowed. The table of backends or bridges
-            itself, so that an entry that is added later is allowed.
+        row: option whose choices are those of the axis.
+        value: value where the plan is silent.
     """
 
     option: str = ""
     of_relay: bool = False
-    kind: type[str | int | float | bool] = str
-    choices: Collection[str] = ()
+    kind: type = str
+    row: Option | None = None
+    value: object = None
+
+    @property
+    def choices(self) -> list[str]:
+        """The allowed values, empty where any value of the type is allowed."""
+        return choices_of(self.row) if self.row else []
 
 
-def _axis(default: _T, axis: Axis) -> _T:
-    """Return a field of `Cell` that is an axis; `default` is left to `dds-record`, whose own default is the same."""
-    value: _T = field(default=default, metadata={"axis": axis})
-    return value
+def _axis_of(row: Option) -> PlanAxis:
+    """Return the axis of an option of `dds-record`; the plan's default is that of the option."""
+    assert row.axis is not None
+    default = row.axis.default if row.field_default is None else row.field_default
+    return PlanAxis(
+        row.axis.meaning or row.help.rstrip(".:"),
+        row.limit or limits.TEXT,
+        unit=row.axis.unit,
+        default=row.default if default is None else "",
+        option=row.name,
+        of_relay=row.axis.of_relay,
+        kind=row.axis.kind or (str if issubclass(row.kind, Enum) else row.kind),
+        row=row,
+        value=getattr(default, "value", default),
+    )
+
+
+AXES: Mapping[str, PlanAxis] = {
+    **{row.name[2:].replace("-", "_"): _axis_of(row) for row in OPTIONS.values() if row.axis},
+    "relay_backend": PlanAxis(
+        "backend of the relay", default="the ping's", option="--backend", row=OPTIONS["backend"]
+    ),
+    "relay_rmw": PlanAxis("ROS middleware of the relay", limits.RMW, default="the ping's", option="--rmw"),
+    "environment": PlanAxis(
+        "folder of the Python environment whose `dds-record` runs; both sides on this machine",
+        default="this environment",
+        of_relay=True,
+        value="",
+    ),
+}
+"""The axes of a plan, by name: options of `dds-record`, and what else two sides may differ in."""
+
+DEFAULTS: dict[str, Any] = {name: axis.value for name, axis in AXES.items()}
+"""Value of each axis where a plan is silent."""
+
+RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.of_relay)
+"""Names of the axes that a relay has to be started with."""
+
+_ALWAYS_NAMED = {"backend", "rmw", "relay_backend", "relay_rmw", "bridge", "data", "size", "rate"}
+OTHER_AXES = tuple(name for name in AXES if name not in _ALWAYS_NAMED)
+"""Names of the axes that a cell's name has only where they differ from the default."""
+
+_Class = TypeVar("_Class")
+
+
+def _with_all_axes(cell: type[_Class]) -> type[_Class]:
+    """Make every axis a field; the class itself declares those that the sweep reads by name."""
+    for name, default in DEFAULTS.items():
+        cell.__annotations__.setdefault(name, "object")
+        setattr(cell, name, default)
+    return cell
 
 
 @dataclass(frozen=True, slots=True)
+@_with_all_axes
 class Cell:
-    """The parameters of one run; each field but `repeat` is an axis of a plan.
+    """The parameters of one run; each field but `repeat`, the number of the pass, is an axis of a plan."""
 
-    Attributes: as the axes say. `rmw`, `relay_backend`, `relay_rmw` and `size` are None, and `congestion_control` and
-        `environment` empty, where their default holds; `repeat` is 1, 2 ... when the plan asks for several passes.
-    """
-
-    backend: str = _axis(
-        "ros2",
-        Axis(
-            "API that carries the messages; `installed` stands for every middleware of this machine, each RMW of ROS 2 "
-            "included",
-            option="--backend",
-            of_relay=True,
-            choices=BACKEND_MODULES,
-        ),
-    )
-    rmw: str | None = _axis(
-        None,
-        Axis(
-            "ROS middleware",
-            limits.RMW,
-            default="the one that the environment chooses",
-            option="--rmw",
-            of_relay=True,
-        ),
-    )
-    relay_backend: str | None = _axis(
-        None, Axis("backend of the relay", default="the ping's", option="--backend", choices=BACKEND_MODULES)
-    )
-    relay_rmw: str | None = _axis(
-        None, Axis("ROS middleware of the relay", limits.RMW, default="the ping's", option="--rmw")
-    )
-    bridge: str = _axis(
-        "none",
-        Axis(
-            "bridge between two domains; `none` puts ping and relay into one",
-            option="--bridge",
-            choices=BRIDGE_MODULES,
-        ),
-    )
-    data: str = _axis(
-        "binary",
-        Axis(
-            "`binary`, `string`, `imu`, or what is sent instead: `file:PATH`, `bag:PATH#TOPIC`, `topic:/NAME` "
-            "([payloads](../how-to/payloads.md))",
-            option="--data",
-        ),
-    )
-    size: int | None = _axis(
-        None,
-        Axis(
-            'payload as a number of bytes, or a text such as `"33KB"`, `"4MB"` (1000), `"1KiB"` (1024)',
-            limits.SIZE_BYTES,
-            unit="bytes",
-            default="33KB; of `string` 91 bytes; what has a size of its own keeps it",
-            option="--size",
-            kind=int,
-        ),
-    )
-    rate: float = _axis(
-        10.0, Axis("messages a second", limits.RATE_HZ, unit="Hz", option="--rate", kind=float)
-    )
-    reliability: str = _axis(
-        "reliable",
-        Axis("QoS, of both sides", option="--reliability", of_relay=True, choices=RANKS["reliability"]),
-    )
-    durability: str = _axis(
-        "volatile",
-        Axis("QoS, of both sides", option="--durability", of_relay=True, choices=RANKS["durability"]),
-    )
-    history: str = _axis(
-        "keep_last",
-        Axis("QoS, of both sides", option="--history", of_relay=True, choices=("keep_last", "keep_all")),
-    )
-    depth: int = _axis(
-        10, Axis("messages that `keep_last` keeps", limits.DEPTH, option="--depth", of_relay=True, kind=int)
-    )
-    serialization: str = _axis(
-        "raw",
-        Axis(
-            "what the client library gets: serialized bytes (`raw`) or message objects (`typed`)",
-            option="--serialization",
-            of_relay=True,
-            choices=[kind.value for kind in Serialization],
-        ),
-    )
-    transport: str = _axis(
-        "default",
-        Axis(
-            "transports that Fast DDS, zenoh or `socket` may use ([middlewares](middlewares.md))",
-            option="--transport",
-            of_relay=True,
-            choices=[kind.value for kind in Transport],
-        ),
-    )
-    executor: str = _axis(
-        "auto",
-        Axis(
-            "executor of rclpy; `auto` is the fastest one",
-            option="--executor",
-            of_relay=True,
-            choices=[kind.value for kind in ExecutorKind],
-        ),
-    )
-    tuned: bool = _axis(
-        False,
-        Axis(
-            "whether the vendor's settings for large messages are applied",
-            limits.FLAG,
-            option="--tuned",
-            of_relay=True,
-            kind=bool,
-        ),
-    )
-    congestion_control: str = _axis(
-        "",
-        Axis(
-            "congestion control of TCP for the backend `socket`: `cubic`, `bbr`, `reno` ...",
-            default="the system's",
-            option="--congestion-control",
-            of_relay=True,
-        ),
-    )
-    environment: str = _axis(
-        "",
-        Axis(
-            "folder of the Python environment whose `dds-record` runs; both sides on this machine",
-            default="this environment",
-            of_relay=True,
-        ),
-    )
+    backend: str = "ros2"
+    rmw: str | None = None
+    relay_backend: str | None = None
+    relay_rmw: str | None = None
+    bridge: str = "none"
+    data: str = "binary"
+    size: int | None = None
+    rate: float = DEFAULT_RATE_HZ
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    history: str = "keep_last"
+    depth: int = 10
+    tuned: bool = False
+    environment: str = ""
     repeat: int = 1
 
     @property
@@ -224,14 +163,25 @@ class Cell:
         return None if self.size is None else self.size * 8 * self.rate
 
     @property
-    def relay(self) -> RelayNeed:
-        """Parameters of the relay of this cell."""
+    def relay(self) -> Cell:
+        """The parameters of this cell's relay; all others are at their defaults, so that equal relays are equal."""
         values = {name: getattr(self, name) for name in RELAY_AXES}
         if self.relay_backend is not None:
             values |= {"backend": self.relay_backend, "rmw": self.relay_rmw}
         elif self.relay_rmw is not None:
             values["rmw"] = self.relay_rmw
-        return RelayNeed(**values)
+        return Cell(**values)
+
+    @property
+    def relay_name(self) -> str:
+        """The relay in words, for progress and reasons."""
+        return " ".join([_middleware_name(self.relay.backend, self.relay.rmw), *self.relay.changed_axes])
+
+    @property
+    def changed_axes(self) -> list[str]:
+        """The values that are in the name only because they are not the default."""
+        values = [(name, getattr(self, name)) for name in OTHER_AXES]
+        return [_other_name(name, value) for name, value in values if value != DEFAULTS[name]]
 
     @property
     def name(self) -> str:
@@ -246,66 +196,16 @@ class Cell:
             else []
         )
         data = self.data if self.size is None else f"{self.data}-{spell_size(self.size)}"
-        others = [
-            _other_name(name, getattr(self, name))
-            for name in OTHER_AXES
-            if getattr(self, name) != DEFAULTS[name]
-        ]
         parts = [
             _middleware_name(self.backend, self.rmw),
             *relay,
             "same" if self.bridge == "none" else self.bridge,
             data,
             f"{self.rate:g}Hz",
-            *others,
+            *self.changed_axes,
             *([f"r{self.repeat}"] if self.repeat > 1 else []),
         ]
         return re.sub(r"[^\w.+-]", "-", "_".join(parts))
-
-
-@dataclass(frozen=True, slots=True)
-class RelayNeed:
-    """Parameters of one relay process, which serves every cell that needs the same ones.
-
-    Attributes: as in `Cell`.
-    """
-
-    backend: str
-    rmw: str | None
-    reliability: str
-    durability: str
-    history: str
-    depth: int
-    serialization: str
-    transport: str
-    executor: str
-    tuned: bool
-    congestion_control: str
-    environment: str
-
-    @property
-    def name(self) -> str:
-        """The relay in words, for progress and reasons."""
-        others = [
-            _other_name(name, getattr(self, name))
-            for name in RELAY_AXES
-            if name not in ("backend", "rmw") and getattr(self, name) != DEFAULTS[name]
-        ]
-        return " ".join([_middleware_name(self.backend, self.rmw), *others])
-
-
-AXES: dict[str, Axis] = {f.name: f.metadata["axis"] for f in fields(Cell) if f.metadata}
-"""The axes of a plan, by name."""
-
-DEFAULTS = {name: getattr(Cell(), name) for name in AXES}
-"""Value of each axis where a plan says nothing."""
-
-RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.of_relay)
-"""Names of the axes that a relay has to be started with."""
-
-_ALWAYS_NAMED = {"backend", "rmw", "relay_backend", "relay_rmw", "bridge", "data", "size", "rate"}
-OTHER_AXES = tuple(name for name in AXES if name not in _ALWAYS_NAMED)
-"""Names of the axes that a cell's name has only where they differ from the default."""
 
 
 def _middleware_name(backend: str, rmw: str | None) -> str:

@@ -11,7 +11,7 @@ from .plan import connects_to_relay
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from .cells import Cell, RelayNeed
+    from .cells import Cell
     from .plan import DeviceSettings, Plan
     from .schedule import CellGroup
 
@@ -22,7 +22,7 @@ AGAINST_LABEL = "against"
 """Label of a run with the name of the cell that it takes turns with, by which an analysis compares two plans cell by cell."""
 
 
-def relay_arguments(plan: Plan, need: RelayNeed, number: int = 1) -> list[str]:
+def relay_arguments(plan: Plan, need: Cell, number: int = 1) -> list[str]:
     """Return the arguments of the relay that serves every cell with this need in pass `number`, without `--out`."""
     return [
         *("--role", "relay", "--domain", str(plan.run.domain)),
@@ -83,7 +83,7 @@ def _common_arguments(plan: Plan, device: DeviceSettings, number: int) -> list[s
     return ["--discovery", plan.discovery, *link, *named, *wire, *cost, *device.options]
 
 
-def _axis_arguments(parameters: Cell | RelayNeed, names: Iterable[str]) -> list[str]:
+def _axis_arguments(parameters: Cell, names: Iterable[str]) -> list[str]:
     """Return options for the values that differ from the default: `dds-record`'s own defaults are the plan's as well."""
     return [
         argument

@@ -233,11 +233,11 @@ def _check(plan: Plan, where: str) -> None:
     Raises:
         OptionError: a rule is broken.
     """
-    run, rates = plan.run, {cell.rate for cell in plan.cells}
-    rules = (
+    run, search, rates = plan.run, plan.search, {cell.rate for cell in plan.cells}
+    faults = (
         (
             (run.messages > 0) == (run.seconds > 0),
-            "[run] takes either messages or seconds, and it is above zero; give one of them, or none for the default",
+            "[run] needs either messages or seconds above zero; give one of them, or none for the default",
         ),
         (
             any(run.messages_at(rate) > limits.MAX_MESSAGES for rate in rates),
@@ -249,29 +249,32 @@ def _check(plan: Plan, where: str) -> None:
         ),
         (
             any(cell.crosses_domains for cell in plan.cells) and run.domain == run.ping_domain,
-            "[run] domain and ping_domain are the same, and a bridge joins two; give two different ones",
+            f"[run] domain and ping_domain are both {run.domain}, but a bridge joins two domains; give different ones",
         ),
         (
             plan.has_two_devices and plan.namespaces,
-            "[link] and [network] need both devices on this machine; leave them or the other device out",
+            "[link] and [network] need both devices on this machine; remove them or the other device",
         ),
         (
             plan.has_two_devices and not plan.relay.reached_at and any(map(plan.needs_address, plan.cells)),
-            "the ping has to be told where the relay is; give [devices.relay] its address",
+            "the ping does not know where the relay is; give [devices.relay] an address",
         ),
         (
             plan.has_two_devices and any(cell.environment for cell in plan.cells),
-            "the axis environment needs both devices on this machine; leave it or the other device out",
+            "the axis environment needs both devices on this machine; remove it or the other device",
         ),
-        (plan.ping.ssh is not None, "the ping is always on this machine; give [devices.relay] the ssh"),
         (
-            plan.search.min_rate >= plan.search.max_rate,
-            "[search] min_rate is below max_rate; give rates in that order",
+            plan.ping.ssh is not None,
+            "[devices.ping] has ssh, but the ping always runs on this machine; give ssh to [devices.relay]",
+        ),
+        (
+            search.min_rate >= search.max_rate,
+            f"[search] min_rate ({search.min_rate:g}) must be below max_rate ({search.max_rate:g})",
         ),
     )
-    for broken, rule in rules:
-        if broken:
-            raise OptionError(f"{where}: {rule}")
+    for is_at_fault, sentence in faults:
+        if is_at_fault:
+            raise OptionError(f"{where}: {sentence}")
 
 
 def _link(table: TomlTable) -> Link | None:

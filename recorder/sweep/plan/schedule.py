@@ -11,7 +11,7 @@ from .plan import Order
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from .cells import Cell, RelayNeed
+    from .cells import Cell
     from .plan import Plan
 
 RUN_OVERHEAD_S = 1.5
@@ -39,7 +39,7 @@ class CellGroup:
     """
 
     number: int
-    need: RelayNeed
+    need: Cell
     bridge: str | None
     cells: tuple[Cell, ...]
 
@@ -107,7 +107,7 @@ _ORDERS: dict[Order, Callable[[list[CellGroup], int, int], list[CellGroup]]] = {
 
 def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
     """Return the cells in groups of one relay, relays and cells in the order of their first appearance."""
-    served: dict[tuple[RelayNeed, str | None], list[Cell]] = {}
+    served: dict[tuple[Cell, str | None], list[Cell]] = {}
     for cell in cells:
         beside_relay = cell.bridge if plan.runs_halves(cell) else None
         served.setdefault((cell.relay, beside_relay), []).append(cell)

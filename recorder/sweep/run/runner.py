@@ -207,7 +207,7 @@ class Runner:
             half_arguments(self.plan, group) if group.bridge else None,
             self._segment_names(group),
         )
-        self._progress.relay(group.need.name)
+        self._progress.relay(group.need.relay_name)
         try:
             yield relay
         finally:

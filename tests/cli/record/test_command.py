@@ -21,7 +21,6 @@ from dds_trace.base.errors import (
 )
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import print_result
-from dds_trace.cli.record.values import parse_percentage
 from dds_trace.recorder import choices
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.qos import RANKS
@@ -29,6 +28,7 @@ from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.choices import Discovery, Serialization, Transport
 from dds_trace.recorder.errors import BridgeError, LossesError
 from dds_trace.recorder.host.recorder_cost import RecorderCost
+from dds_trace.recorder.option import parse_percentage
 from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP
 from dds_trace.recorder.recording import Recorded
 from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
@@ -160,8 +160,8 @@ def test_a_half_of_a_bridge(parsed):
         (["--relay-id", "5"], "ping", "--relay-id cannot be given to a ping"),
         (["--type", "a/msg/B"], "ping", "--type cannot be given to a ping"),
         (["--bridge-running"], "relay", "--bridge-running cannot be given to a relay"),
-        (["--deadline", "20"], "ping", "duration '20' is not understood"),
-        (["--lifespan", "0ms"], "relay", "duration '0ms' is not understood"),
+        (["--deadline", "20"], "ping", "--deadline '20' is not understood"),
+        (["--lifespan", "0ms"], "relay", "--lifespan '0ms' is not understood"),
         (["--rate", "5", "--size", "1"], "relay", "--size, --rate cannot be given to a relay"),
     ],
 )
@@ -290,7 +290,7 @@ def test_the_recorder_ranks_every_reliability_and_durability():
 def test_help_names_every_bridge_backend_and_default():
     output = CliRunner(env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}).invoke(command.app, ["--help"]).output
     assert f"Messages to measure. Default: {DEFAULT_MESSAGES}," in output
-    assert f"Messages before, which do not count. Default: {DEFAULT_WARMUP}\n" in output
+    assert f"Messages sent before them, which do not count. Default: {DEFAULT_WARMUP}\n" in output
     for name in (*BRIDGE_MODULES, *BACKEND_MODULES):
         assert name in output
 

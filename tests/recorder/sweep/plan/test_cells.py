@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from dds_trace.recorder.sweep.plan.cells import RELAY_AXES, Cell, RelayNeed
+from dds_trace.recorder.sweep.plan.cells import AXES, RELAY_AXES, Cell
 
 
 def test_name_has_the_main_parameters_and_whatever_is_not_default():
@@ -18,35 +18,40 @@ def test_name_can_be_a_file_name_whatever_the_data():
     assert Cell(data="file:/home/x/a b.png").name == "ros2_same_file--home-x-a-b.png_10Hz"
 
 
+CHANGES = {
+    "backend": "zenoh",
+    "rmw": "rmw_x_cpp",
+    "relay_backend": "cyclonedds",
+    "relay_rmw": "rmw_y_cpp",
+    "bridge": "builtin",
+    "data": "imu",
+    "size": 91,
+    "rate": 11.0,
+    "reliability": "best_effort",
+    "durability": "transient_local",
+    "history": "keep_all",
+    "depth": 3,
+    "serialization": "typed",
+    "transport": "udp",
+    "executor": "single",
+    "tuned": True,
+    "environment": "/opt/kilted",
+    "congestion_control": "reno",
+    "repeat": 2,
+}
+
+
 def test_every_parameter_shows_in_the_name():
-    changes = {
-        "backend": "zenoh",
-        "rmw": "rmw_x_cpp",
-        "relay_backend": "cyclonedds",
-        "relay_rmw": "rmw_y_cpp",
-        "bridge": "builtin",
-        "data": "imu",
-        "size": 91,
-        "rate": 11.0,
-        "reliability": "best_effort",
-        "durability": "transient_local",
-        "history": "keep_all",
-        "depth": 3,
-        "serialization": "typed",
-        "transport": "udp",
-        "executor": "single",
-        "tuned": True,
-        "environment": "/opt/kilted",
-        "congestion_control": "reno",
-        "repeat": 2,
-    }
-    assert set(changes) == {field.name for field in fields(Cell)}
-    names = {Cell(**{field: value}).name for field, value in changes.items()}
-    assert len(names | {Cell().name}) == len(changes) + 1
+    assert set(CHANGES) == {field.name for field in fields(Cell)}
+    names = {Cell(**{field: value}).name for field, value in CHANGES.items()}
+    assert len(names | {Cell().name}) == len(CHANGES) + 1
 
 
-def test_relay_need_has_exactly_the_parameters_that_concern_the_relay():
-    assert [field.name for field in fields(RelayNeed)] == list(RELAY_AXES)
+def test_every_axis_is_a_field_and_a_relay_differs_only_in_those_that_concern_it():
+    assert {*AXES, "repeat"} == {field.name for field in fields(Cell)}
+    given = Cell(**{name: CHANGES[name] for name in AXES})
+    changed = {name for name in AXES if getattr(given.relay, name) != getattr(Cell(), name)}
+    assert changed == set(RELAY_AXES)
 
 
 def test_one_relay_serves_all_data_rates_and_bridges():
@@ -59,7 +64,7 @@ def test_relay_of_another_vendor():
     cell = Cell(rmw="rmw_fastrtps_cpp", relay_backend="cyclonedds", depth=3)
     assert (cell.relay.backend, cell.relay.rmw, cell.relay.depth) == ("cyclonedds", None, 3)
     assert cell.name == "ros2-fastrtps_to-cyclonedds_same_binary_10Hz_depth-3"
-    assert cell.relay.name == "cyclonedds depth-3"
+    assert cell.relay_name == "cyclonedds depth-3"
 
 
 def test_environment_has_the_name_of_its_folder_or_of_the_one_around_it():

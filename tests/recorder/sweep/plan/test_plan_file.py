@@ -149,7 +149,7 @@ def test_installed_middlewares_are_asked_for_when_the_plan_does():
         ("[run]\nmessages = 1\ndiscovery = 'here'\n", "choose one of localhost, subnet"),
         ("[run]\nmessages = 1\ndomain = 5\n[axes]\nbridge = 'builtin'\n", "a bridge joins two"),
         (RUN + "[devices.realy]\nssh = 'x'\n", r"did you mean 'relay'\?"),
-        (RUN + "[devices.ping]\nssh = 'x'\n", "the ping is always on this machine"),
+        (RUN + "[devices.ping]\nssh = 'x'\n", "the ping always runs on this machine"),
         (RUN + "[devices.relay]\nssh = 'x'\n[network]\nnamespaces = true\n", "both devices on this machine"),
         (RUN + "[axes]\nrate = [1, 1]\n", "is there twice"),
         (RUN + "[axes]\nrate = []\n", "the plan has no cell"),

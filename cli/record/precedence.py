@@ -1,0 +1,54 @@
+"""Why a configured default is overridden: an environment variable of ROS 2, or the role; and what ROS 2's environment says."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import shown
+from dds_trace.recorder.choices import Discovery, Role
+from dds_trace.recorder.option_table import OPTIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+DEFAULT_DOMAIN = 10
+
+
+def overridden(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return field of an option -> why its default in a file does not count, for these values of a call."""
+    role = None if values.get("role") is None else Role(values["role"])
+    is_bridged = role is not Role.RELAY and values.get("bridge") not in (None, "none")
+    reasons = {}
+    for name, row in OPTIONS.items():
+        variable = next((variable for variable in row.variables if os.environ.get(variable)), None)
+        if role and row.role and row.role is not role:
+            reasons[name] = f"default: not of a {role.value}"
+        # The domain of a ping with a bridge is never that of the environment.
+        elif variable is not None and not (name == "domain_id" and is_bridged):
+            reasons[name] = f"environment: {variable}={os.environ[variable]}"
+    return reasons
+
+
+def default_domain() -> int:
+    """Return ROS_DOMAIN_ID, or 10 if it is unset.
+
+    Raises:
+        OptionError: the variable is not a number.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip()
+    if not text:
+        return DEFAULT_DOMAIN
+    if not text.isdecimal() or len(text) > 9:
+        raise OptionError(f"ROS_DOMAIN_ID is {shown(text)}, not a domain id; set a number or unset it")
+    return int(text)
+
+
+def default_discovery() -> Discovery:
+    """Return the discovery range of ROS 2's environment, by default the subnet."""
+    is_local = (
+        os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
+        or os.environ.get("ROS_LOCALHOST_ONLY") == "1"
+    )
+    return Discovery.LOCALHOST if is_local else Discovery.SUBNET

@@ -1,0 +1,79 @@
+"""Options of a command that are rows of the table `recorder/option_table.py`."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import fields
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from dds_trace.recorder.option import Panel
+from dds_trace.recorder.option_table import OPTIONS, help_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+_Record = TypeVar("_Record")
+
+
+def with_options(
+    names: Iterable[str], *, in_panels: bool
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return the decorator that makes rows of the table parameters of a command that takes `**values`.
+
+    Args:
+        names: names of the rows.
+        in_panels: whether the help has them in their panels; else among the command's own.
+    """
+    order = list(Panel)
+    options = [
+        _parameter(name, in_panels) for name in sorted(names, key=lambda n: order.index(OPTIONS[n].panel))
+    ]
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        own = list(inspect.signature(function, eval_str=True).parameters.values())[:-1]
+        version = own[-1].replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        parameters = [*own[:-1], *options, version]
+        function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        function.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+        return function
+
+    return decorate
+
+
+def _parameter(name: str, in_panels: bool) -> inspect.Parameter:
+    row = OPTIONS[name]
+    kind: Any = list[row.kind] if row.is_repeatable else row.kind  # type: ignore[name-defined]
+    option = typer.Option(
+        row.name,
+        metavar=row.metavar,
+        help=help_of(row),
+        rich_help_panel=row.panel.value if in_panels else None,
+        show_default=False,
+    )
+    return inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None if row.metavar else False,
+        annotation=Annotated[kind | None if row.metavar else bool, option],
+    )
+
+
+def given_values(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values that the command line or a file of defaults has."""
+    return {
+        name: value
+        for name, value in values.items()
+        if value is not None and value is not False and value != []  # 0 is given, and equal to False
+    }
+
+
+def read_record(record: type[_Record], given: Mapping[str, Any], **more: object) -> _Record:
+    """Return a record of options with the values that were given, and `more`.
+
+    Raises:
+        OptionError: a value cannot be read.
+    """
+    names = [column.name for column in fields(record) if column.name in given]  # type: ignore[arg-type]
+    return record(**{name: OPTIONS[name].read(given[name]) for name in names}, **more)

@@ -1,0 +1,177 @@
+"""The table of the options of `dds-record`: its rows, and the values and help texts that are made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dds_trace.base import limits
+from dds_trace.base.units import parse_duration
+from dds_trace.tracefile.format.descriptions import Qos
+
+from .backends import BACKEND_MODULES
+from .backends.node import NodeOptions
+from .bridges.base import BRIDGE_MODULES
+from .choices import Durability, FileMode, History, Reliability, Role
+from .option import Axis, Option, Panel, option, options_of, parse_percentage
+from .options import PingOptions, RecordOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class CommandOptions:
+    """The options of `dds-record` that are not a field of the other records as they are."""
+
+    role: Role | None = option(
+        None,
+        "--role ROLE",
+        Panel.OUTPUT,
+        "ping sends messages, relay sends them back.",
+        kind=Role,
+    )
+    out: Path | None = option(
+        None,
+        "--out PATH",
+        Panel.OUTPUT,
+        "Trace to write: a .mcap file, or the name of a rosbag2 folder.",
+        kind=Path,
+    )
+    force: bool = option(False, "--force", Panel.OUTPUT, "Overwrite an existing trace.")
+    fsync: bool = option(
+        False,
+        "--fsync",
+        Panel.OUTPUT,
+        "Flush the trace to the disk twice a second, so that a power loss costs less than the last second.",
+    )
+    file_mode: FileMode = option(
+        FileMode.GROUP,
+        "--file-mode MODE",
+        Panel.OUTPUT,
+        "Rights of the trace: 0640 (you write, your group reads) or 0600.",
+    )
+    as_json: bool = option(False, "--json", Panel.OUTPUT, "Print the result as JSON.")
+    fail_if_lost: float | None = option(
+        None,
+        "--fail-if-lost PERCENT",
+        Panel.OUTPUT,
+        "Exit with 13 if a ping loses more than this share of its messages, e.g. 1%.",
+        parse=lambda text: parse_percentage("--fail-if-lost", text),
+        role=Role.PING,
+    )
+    reliability: Reliability = option(
+        Reliability.RELIABLE,
+        "--reliability QOS",
+        Panel.QOS,
+        "Delivery:",
+        axis=Axis(meaning="QoS reliability of both sides"),
+    )
+    durability: Durability = option(
+        Durability.VOLATILE,
+        "--durability QOS",
+        Panel.QOS,
+        "Messages for late subscribers:",
+        axis=Axis(meaning="QoS durability of both sides"),
+    )
+    history: History = option(
+        History.KEEP_LAST,
+        "--history QOS",
+        Panel.QOS,
+        "Messages in the queue:",
+        axis=Axis(meaning="QoS history of both sides"),
+    )
+    depth: int = option(
+        10,
+        "--depth N",
+        Panel.QOS,
+        "Length of the queue with keep_last.",
+        limit=limits.DEPTH,
+        axis=Axis(meaning="messages that `keep_last` keeps, of both sides"),
+    )
+    deadline: int | None = option(
+        None,
+        "--deadline TIME",
+        Panel.QOS,
+        "Maximum period between two messages, e.g. 20ms.",
+        parse=lambda text: parse_duration(text, "--deadline"),
+    )
+    lifespan: int | None = option(
+        None,
+        "--lifespan TIME",
+        Panel.QOS,
+        "Maximum age of a message at delivery, e.g. 1.5s.",
+        parse=lambda text: parse_duration(text, "--lifespan"),
+    )
+    keep: int | None = option(
+        None,
+        "--keep N",
+        Panel.RELAY,
+        "With --rotate: keep only the newest N files of this recording.",
+        kind=int,
+    )
+    recover_path: Path | None = option(
+        None,
+        "--recover TRACE",
+        Panel.TOOLS,
+        "Turn what a killed recorder left into a closed trace.",
+        kind=Path,
+    )
+    self_test: bool = option(
+        False, "--self-test", Panel.TOOLS, "Measure what recording itself costs on this machine."
+    )
+    check: bool = option(
+        False,
+        "--check",
+        Panel.TOOLS,
+        "Start with these options and stop before the first message; keep no trace. Exit with 0 if recording can begin.",
+    )
+
+    @property
+    def qos(self) -> Qos:
+        """The quality of service of both roles."""
+        durations = {"deadline_ns": self.deadline, "lifespan_ns": self.lifespan}
+        return Qos(
+            self.reliability.value,
+            self.durability.value,
+            self.history.value,
+            self.depth,
+            {name: time_ns for name, time_ns in durations.items() if time_ns is not None},
+        )
+
+
+OPTIONS: Mapping[str, Option] = {
+    name: row
+    for record in (CommandOptions, PingOptions, RecordOptions, NodeOptions)
+    for name, row in options_of(record).items()
+}
+"""Field of a record -> its row; no two records share a name."""
+
+
+_TABLES = {"--backend": BACKEND_MODULES, "--bridge": BRIDGE_MODULES}
+"""Option -> the table whose keys are its values; an entry that is added later is a value, too."""
+
+
+def choices_of(row: Option) -> list[str]:
+    """Return the values of an option, the default first; empty where it takes any of its kind."""
+    values = (
+        [str(value.value) for value in row.kind]
+        if issubclass(row.kind, Enum)
+        else [*_TABLES.get(row.name, ())]
+    )
+    default = getattr(row.field_default, "value", row.field_default)
+    return list(dict.fromkeys([str(default), *values])) if values and default is not None else values
+
+
+def help_of(row: Option) -> str:
+    """Return the help of an option: its text, its choices where that ends with a colon, and its default."""
+    text, default = row.help, row.default
+    if text.endswith(":"):
+        *others, last = (name for name in choices_of(row) if name != "none")
+        text = f"{text} {', '.join(others)} or {last}."
+    if not default and row.metavar and row.field_default not in (None, (), {}, "none"):
+        shown = getattr(row.field_default, "value", row.field_default)
+        default = f"{shown:g}" if isinstance(shown, float) else str(shown)
+    return f"{text} Default: {default}" if default not in ("", "default") else text

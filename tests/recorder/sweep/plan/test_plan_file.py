@@ -151,6 +151,10 @@ def test_installed_middlewares_are_asked_for_when_the_plan_does():
         (RUN + "[devices.realy]\nssh = 'x'\n", r"did you mean 'relay'\?"),
         (RUN + "[devices.ping]\nssh = 'x'\n", "the ping always runs on this machine"),
         (RUN + "[devices.relay]\nssh = 'x'\n[network]\nnamespaces = true\n", "both devices on this machine"),
+        (
+            RUN + "[search]\nmin_rate = 100\nmax_rate = 10\n",
+            r"min_rate \(100\) must be below max_rate \(10\)$",
+        ),
         (RUN + "[axes]\nrate = [1, 1]\n", "is there twice"),
         (RUN + "[axes]\nrate = []\n", "the plan has no cell"),
         ("[run\n", "plan.toml: "),

@@ -137,7 +137,7 @@ def test_relays_address_is_that_of_ssh_or_has_to_be_given():
     assert parse_plan(text + DISTANT, "p", "p.toml").relay.reached_at == "robot"
     other = parse_plan(text + DISTANT + 'address = "10.0.0.7"\n', "p", "p.toml")
     assert other.relay.reached_at == "10.0.0.7"
-    with pytest.raises(OptionError, match=r"\[devices\.relay\] its address"):
+    with pytest.raises(OptionError, match=r"give \[devices\.relay\] an address"):
         parse_plan(text, "p", "p.toml", by_hand=True)
 
 

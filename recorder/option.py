@@ -10,12 +10,10 @@ from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from dds_trace.base.errors import OptionError
-
 from .choices import Role
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from dds_trace.base.limits import Limit
 
@@ -148,33 +146,3 @@ def option(
 def options_of(record: Any) -> dict[str, Option]:
     """Return field -> row of a record of options."""
     return {each.name: each.metadata["option"] for each in fields(record) if "option" in each.metadata}
-
-
-def parse_percentage(name: str, text: str) -> float:
-    """Return the share, 0 to 1, of a text like `1%` or `0.5 %`.
-
-    Raises:
-        OptionError: it is not a percentage from 0 to 100.
-    """
-    try:
-        share = float(text.strip().removesuffix("%")) / 100
-    except ValueError:
-        share = -1.0
-    if not text.strip().endswith("%") or not 0 <= share <= 1:
-        raise OptionError(f"{name} {text!r}: write a percentage from 0% to 100%, for example 1%")
-    return share
-
-
-def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]:
-    """Return keys and values of `KEY=VALUE` texts; `example` is for the error.
-
-    Raises:
-        OptionError: a text has no key or no `=`.
-    """
-    pairs = {}
-    for text in texts:
-        key, equals, value = text.partition("=")
-        if not key or not equals:
-            raise OptionError(f"{name} {text!r}: write KEY=VALUE, for example {example}")
-        pairs[key] = value
-    return pairs

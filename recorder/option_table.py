@@ -15,7 +15,8 @@ from .backends import BACKEND_MODULES
 from .backends.node import NodeOptions
 from .bridges.base import BRIDGE_MODULES
 from .choices import Durability, FileMode, History, Reliability, Role
-from .option import Axis, Option, Panel, option, options_of, parse_percentage
+from .option import Axis, Option, Panel, option, options_of
+from .option_values import parse_percentage
 from .options import PingOptions, RecordOptions
 
 if TYPE_CHECKING:

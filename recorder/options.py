@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, OutputExistsError
-from dds_trace.base.limits import shown
-from dds_trace.base.units import parse_size, split_quantity
+from dds_trace.base.units import parse_size
 
 from .choices import Role, Serialization
-from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, option, parse_pairs, parse_percentage
+from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, option
+from .option_values import KeepFree, Rotation, parse_pairs
 from .payloads import check_data
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10
 DEFAULT_WAIT_S = 20.0
 """Default of `--wait`."""
-AGE_UNITS_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
-"""Unit of a file's age -> its seconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,87 +198,6 @@ class PingOptions:
             raise OptionError("--bridge-running, --bridge-listen and --bridge-peer need --bridge NAME")
         if self.bridge_running and joins_halves:
             raise OptionError("--bridge-running starts nothing; remove --bridge-listen and --bridge-peer")
-
-
-@dataclass(frozen=True, slots=True)
-class Rotation:
-    """When a relay starts a new file, whichever comes first, and how many files it keeps.
-
-    Attributes:
-        file_bytes: length of a file, None for any.
-        age_s: seconds from its first event to the next file, None for any.
-        keep: files of the recording that stay, the current one included; None for all.
-    """
-
-    file_bytes: int | None = None
-    age_s: float | None = None
-    keep: int | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> Rotation:
-        """Return the value of `--rotate`: a size, an age, or both with a comma between.
-
-        Raises:
-            OptionError: a part is neither.
-        """
-        file_bytes: int | None = None
-        age_s: float | None = None
-        for part in text.split(","):
-            value, unit = split_quantity(part.strip()) or (0.0, "")
-            if unit in AGE_UNITS_S and age_s is None:
-                age_s = value * AGE_UNITS_S[unit]
-            elif unit.endswith("b") and file_bytes is None:
-                file_bytes = parse_size(part.strip(), "--rotate")
-            else:
-                raise OptionError(
-                    f"--rotate {shown(text)}: write a size, an age (s, min, h, d) or both: 1GB, 1h, 1GB,1h"
-                )
-        return cls(file_bytes, age_s)
-
-    def check(self, destination: TraceDestination) -> None:
-        """Refuse limits that no file can keep, and a destination that cannot be several files.
-
-        Raises:
-            OptionError: naming the option.
-        """
-        limits.check(limits.FILE_BYTES, self.file_bytes, "--rotate")
-        limits.check(limits.FILE_AGE_S, self.age_s, "--rotate")
-        limits.check(limits.RETAINED_FILES, self.keep, "--keep")
-        if destination.is_bag:
-            raise OptionError(
-                "--rotate writes .mcap files: give --out NAME.mcap, which becomes NAME.00001.mcap and so on"
-            )
-        if destination.force:
-            raise OptionError("--rotate overwrites nothing and numbers on from the last file; remove --force")
-
-
-@dataclass(frozen=True, slots=True)
-class KeepFree:
-    """The free space that a recording leaves on its disk: a share of the disk or a number of bytes, whichever is less.
-
-    Attributes:
-        share: 0 to 1.
-        most_bytes: bytes; None for the share only.
-    """
-
-    share: float = 0.05
-    most_bytes: int | None = 1_000_000_000
-
-    @classmethod
-    def parse(cls, text: str) -> KeepFree:
-        """Return the value of `--keep-free`: a size, or a percentage of the disk.
-
-        Raises:
-            OptionError: the text is neither.
-        """
-        if text.strip().endswith("%"):
-            return cls(parse_percentage("--keep-free", text), None)
-        return cls(1.0, parse_size(text, "--keep-free"))
-
-    def floor_bytes(self, disk_bytes: int) -> int:
-        """Return the bytes to keep free on a disk of this size."""
-        share_bytes = int(self.share * disk_bytes)
-        return share_bytes if self.most_bytes is None else min(share_bytes, self.most_bytes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.writing.destination import TraceDestination
 
-    from ..options import KeepFree
+    from ..option_values import KeepFree
 
 DIGITS = 5
 """Digits of a file's number, so that names sort as the files were written; beyond 99,999 numbers get longer."""

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace, TraceDestination
 
-    from ..options import RecordOptions, Rotation
+    from ..option_values import Rotation
+    from ..options import RecordOptions
 
 
 STATUS_PERIOD_S = 5.0

@@ -1,0 +1,130 @@
+"""Values of options that are more than a number or a word: percentages, pairs, the rotation of files, free space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.base import limits
+from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import shown
+from dds_trace.base.units import parse_size, split_quantity
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from dds_trace.tracefile.writing.destination import TraceDestination
+
+AGE_UNITS_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
+"""Unit of a file's age -> its seconds."""
+
+
+def parse_percentage(name: str, text: str) -> float:
+    """Return the share, 0 to 1, of a text like `1%` or `0.5 %`.
+
+    Raises:
+        OptionError: it is not a percentage from 0 to 100.
+    """
+    try:
+        share = float(text.strip().removesuffix("%")) / 100
+    except ValueError:
+        share = -1.0
+    if not text.strip().endswith("%") or not 0 <= share <= 1:
+        raise OptionError(f"{name} {text!r}: write a percentage from 0% to 100%, for example 1%")
+    return share
+
+
+def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]:
+    """Return keys and values of `KEY=VALUE` texts; `example` is for the error.
+
+    Raises:
+        OptionError: a text has no key or no `=`.
+    """
+    pairs = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not key or not equals:
+            raise OptionError(f"{name} {text!r}: write KEY=VALUE, for example {example}")
+        pairs[key] = value
+    return pairs
+
+
+@dataclass(frozen=True, slots=True)
+class Rotation:
+    """When a relay starts a new file, whichever comes first, and how many files it keeps.
+
+    Attributes:
+        file_bytes: length of a file, None for any.
+        age_s: seconds from its first event to the next file, None for any.
+        keep: files of the recording that stay, the current one included; None for all.
+    """
+
+    file_bytes: int | None = None
+    age_s: float | None = None
+    keep: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Rotation:
+        """Return the value of `--rotate`: a size, an age, or both with a comma between.
+
+        Raises:
+            OptionError: a part is neither.
+        """
+        file_bytes: int | None = None
+        age_s: float | None = None
+        for part in text.split(","):
+            value, unit = split_quantity(part.strip()) or (0.0, "")
+            if unit in AGE_UNITS_S and age_s is None:
+                age_s = value * AGE_UNITS_S[unit]
+            elif unit.endswith("b") and file_bytes is None:
+                file_bytes = parse_size(part.strip(), "--rotate")
+            else:
+                raise OptionError(
+                    f"--rotate {shown(text)}: write a size, an age (s, min, h, d) or both: 1GB, 1h, 1GB,1h"
+                )
+        return cls(file_bytes, age_s)
+
+    def check(self, destination: TraceDestination) -> None:
+        """Refuse limits that no file can keep, and a destination that cannot be several files.
+
+        Raises:
+            OptionError: naming the option.
+        """
+        limits.check(limits.FILE_BYTES, self.file_bytes, "--rotate")
+        limits.check(limits.FILE_AGE_S, self.age_s, "--rotate")
+        limits.check(limits.RETAINED_FILES, self.keep, "--keep")
+        if destination.is_bag:
+            raise OptionError(
+                "--rotate writes .mcap files: give --out NAME.mcap, which becomes NAME.00001.mcap and so on"
+            )
+        if destination.force:
+            raise OptionError("--rotate overwrites nothing and numbers on from the last file; remove --force")
+
+
+@dataclass(frozen=True, slots=True)
+class KeepFree:
+    """The free space that a recording leaves on its disk: a share of the disk or a number of bytes, whichever is less.
+
+    Attributes:
+        share: 0 to 1.
+        most_bytes: bytes; None for the share only.
+    """
+
+    share: float = 0.05
+    most_bytes: int | None = 1_000_000_000
+
+    @classmethod
+    def parse(cls, text: str) -> KeepFree:
+        """Return the value of `--keep-free`: a size, or a percentage of the disk.
+
+        Raises:
+            OptionError: the text is neither.
+        """
+        if text.strip().endswith("%"):
+            return cls(parse_percentage("--keep-free", text), None)
+        return cls(1.0, parse_size(text, "--keep-free"))
+
+    def floor_bytes(self, disk_bytes: int) -> int:
+        """Return the bytes to keep free on a disk of this size."""
+        share_bytes = int(self.share * disk_bytes)
+        return share_bytes if self.most_bytes is None else min(share_bytes, self.most_bytes)

@@ -1,4 +1,4 @@
-"""What communication between different domains costs against the same domain, for equal parameters."""
+"""The cost of a bridge: communication between two domains compared with communication in one, for equal parameters."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) 
 def bridge_cost(
     roundtrips: pl.DataFrame, options: CompareOptions | None = None, passes: Mapping[int, int] | None = None
 ) -> pl.DataFrame:
-    """Compare each bridge's way between domains with the way within a domain, for equal parameters.
+    """Compare each bridge with the same domain without a bridge, for equal parameters.
 
     Args:
         roundtrips: rows of `docs/trace-format.md`.
         options: how to compare; None for the defaults. Bridge and domain mode are never matched.
-        passes: run_id -> pass of the sweep; both ways are compared pass by pass where `options.paired`.
+        passes: run_id -> repeat of the sweep; compared repeat by repeat where `options.paired`.
 
     Returns:
-        One row per bridge, group, metric and statistic: `bridge` str, then the columns of `Comparison.rows` (base is
-        the same domain without a bridge, new is the way through the bridge).
+        One row per bridge, group, metric and statistic: `bridge` str, then the columns of `Comparison.rows`; base is the
+        same domain, new is through the bridge.
     """
     options = options or CompareOptions()
     match = tuple(name for name in options.match if name in BRIDGE_MATCH_COLUMNS)
@@ -60,8 +60,7 @@ def bridge_cost(
     same = match_groups(roundtrips.filter(within), match)
     different = roundtrips.filter(pl.col("domain_mode") == "different")
     tables = []
-    # Of no bridge there are no rows, but the columns.
-    for bridge in [*different["bridge"].unique().sort(), None]:
+    for bridge in [*different["bridge"].unique().sort(), None]:  # None: no rows, but the columns
         through = match_groups(
             different.filter(pl.col("bridge").eq_missing(pl.lit(bridge, pl.String))), match
         )

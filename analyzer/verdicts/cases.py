@@ -1,4 +1,4 @@
-"""Cases and contenders: the parts of a campaign that are judged together, their latencies, and their names."""
+"""Cases and contenders: the kinds of message that are judged each by itself, and the setups compared in each."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     """The values of `CONTENDER_COLUMNS` -> name of the setting."""
 
 MOST_COMPARED_ROWS = 4_000_000
-"""Rows of one kind of message that are compared: they are in memory at once, with what sorting them takes."""
+"""Rows of one kind of message that are compared: they are in memory at once, and sorted."""
 
 
 class GroupRows(Protocol):
-    """The round trips of a campaign, of which those of a few groups at a time are read."""
+    """The round trips of a campaign, read for a few groups at a time."""
 
     @property
     def groups(self) -> pl.DataFrame:
@@ -39,7 +39,7 @@ class GroupRows(Protocol):
 
     @property
     def has_rows(self) -> bool:
-        """Whether round trips were kept; False of a sketch, which has groups only."""
+        """Whether there are round trips; False for a sketch, which has groups only."""
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ...) -> pl.DataFrame:
         """Read columns (by default all) of the round trips of some rows of `groups`, group by group."""
@@ -47,12 +47,12 @@ class GroupRows(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class UnbarredRows:
-    """The round trips of a campaign (`GroupRows`) without groups that no judgement may use.
+    """The round trips of a campaign (`GroupRows`) without groups that are not fit to be judged.
 
     Attributes:
         rows: all round trips.
         barred: numbers of the groups left out.
-        unsent: run_id -> messages that never left: rows stand for them, so that they count as lost.
+        unsent: run_id -> messages that never left; each gets a row, so that it counts as lost.
     """
 
     rows: GroupRows
@@ -67,7 +67,7 @@ class UnbarredRows:
 
     @property
     def has_rows(self) -> bool:
-        """Whether round trips were kept."""
+        """Whether there are round trips."""
         return self.rows.has_rows
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] | None = None) -> pl.DataFrame:
@@ -77,7 +77,7 @@ class UnbarredRows:
 
 
 def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:
-    """Cut groups into parts that agree in some parameter columns; parts are sorted by these.
+    """Split groups into parts that agree in some parameter columns; parts are sorted by these.
 
     Args:
         groups: `GroupRows.groups`, or some of its rows.
@@ -93,7 +93,7 @@ CONDITIONS = "conditions"
 
 
 def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
-    """Append the part of `setting` that surrounds a run and is no choice (`model.setting.condition_of`)."""
+    """Append the part of `setting` that surrounds a run (`model.setting.condition_of`)."""
     settings = groups["setting"].unique()
     conditions = {setting: condition_of(setting) for setting in settings.to_list()}
     return groups.with_columns(
@@ -104,15 +104,15 @@ def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
 
 
 def is_too_large(groups: pl.DataFrame) -> bool:
-    """Tell whether some rows of `GroupRows.groups` have more than `MOST_COMPARED_ROWS` round trips together."""
+    """Return whether some rows of `GroupRows.groups` have more than `MOST_COMPARED_ROWS` round trips together."""
     return int(groups["published"].sum()) > MOST_COMPARED_ROWS
 
 
 def parts_of(roundtrips: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple[Setting, pl.DataFrame]]:
-    """Cut round trips by the values of some columns.
+    """Split round trips by the values of some columns.
 
     Yields:
-        The values and their rows, in the order in which they came; parts are sorted by their values, null first.
+        The values and their rows, in their order; parts are sorted by their values, null first.
     """
 
     def order(part: tuple[Setting, pl.DataFrame]) -> list[tuple[bool, ParameterValue]]:
@@ -127,17 +127,17 @@ def parts_of(roundtrips: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """One setting in one case.
+    """One setup in one case.
 
     Attributes:
-        name: what tells it apart from the others of the campaign: vendor, bridge, and what else varies.
+        name: vendor, bridge, and what else differs from the other setups of the campaign.
         setting: value of each of `CONTENDER_COLUMNS`.
         latency: the compared percentile with its interval, ns; a lost message is infinitely late.
         received: share of messages whose reply came back, with its interval.
-        survivors_ns: the compared percentile of the messages that came back; None if they are too few.
-        loses_more: whether it receives significantly less than another contender of the case.
-        p50_ns: median of a typical run (`interval_of_runs`), below three runs of all messages, ns; infinite where it is that of a
-            lost message, None without messages.
+        survivors_ns: the compared percentile of the received messages; None if they are too few.
+        loses_more: whether it receives significantly less than another setup of the case.
+        p50_ns: median of a typical run, below three runs of all messages, ns; infinite if it is that of a lost message, None
+            without messages.
         p99_ns: p99, likewise; of all messages also where the runs are too short for it, None where these do not support it.
     """
 
@@ -151,39 +151,41 @@ class Contender:
     p99_ns: float | None = None
 
     def order(self) -> tuple[bool, float, float, str]:
-        """Return the key by which contenders are ranked: losses, estimate, upper end (infinite if unknown), name."""
+        """Return the key by which setups are ranked: losses, estimate, upper end (infinite if unknown), name."""
         value, upper = (math.inf if v is None else v for v in (self.latency.value, self.latency.upper))
         return self.loses_more, value, upper, self.name
 
 
-_TOLD_LAST: Mapping[str, tuple[str, str]] = {
+_NAMED_LAST: Mapping[str, tuple[str, str]] = {
     "rmw": ("{}", "no rmw"),
     "relay_vendor": ("relay {}", "relay unknown"),
     "relay_backend": ("relay by {}", "relay unknown"),
 }
-"""Column -> (text of a value, text of a null); named only if nothing else separates two contenders."""
+"""Column -> (text of a value, text of a null); named only if nothing else separates two setups."""
 
 
 def contender_names(parameters: pl.DataFrame) -> ContenderNames:
-    """Name every setting: `fastdds`, `fastdds via builtin`, `fastdds to cyclonedds, reliability best_effort` ...
+    """Name every setup: `fastdds`, `fastdds via builtin`, `fastdds to cyclonedds, reliability best_effort` ...
 
     Args:
-        parameters: has `CONTENDER_COLUMNS`; any number of rows of each setting.
+        parameters: has `CONTENDER_COLUMNS`; any number of rows of each setup.
     """
     settings = parameters.select(CONTENDER_COLUMNS).unique(maintain_order=True).to_dicts()
-    told = {"vendor", "bridge", *_TOLD_LAST}
-    parts = [(where_it_varies, partial(_word, name)) for name in CONTENDER_COLUMNS if name not in told]
-    short = tell_apart(settings, _pair, parts)
-    words_of = [[name] for name in short]
-    for column in _TOLD_LAST:  # of settings that are alike by their short names every difference is told
+    separate = {"vendor", "bridge", *_NAMED_LAST}
+    parts = [(where_it_varies, partial(_word, name)) for name in CONTENDER_COLUMNS if name not in separate]
+    short = tell_apart(settings, _middleware_words, parts)
+    names = [[name] for name in short]
+    for column in _NAMED_LAST:
         words = [_word(column, setting) for setting in settings]
-        for position in where_alike(short, words):
-            words_of[position].append(words[position])
-    names = (", ".join(dict.fromkeys(words)) for words in words_of)
-    return {tuple(setting.values()): name for setting, name in zip(settings, names, strict=True)}
+        for index in where_alike(short, words):
+            names[index].append(words[index])
+    return {
+        tuple(setting.values()): ", ".join(dict.fromkeys(words))
+        for setting, words in zip(settings, names, strict=True)
+    }
 
 
-def _pair(setting: Setting) -> str:
+def _middleware_words(setting: Setting) -> str:
     name = str(setting["vendor"])
     if setting["relay_vendor"] not in {None, setting["vendor"]}:
         name += f" to {setting['relay_vendor']}"
@@ -193,5 +195,5 @@ def _pair(setting: Setting) -> str:
 def _word(column: str, setting: Setting) -> str:
     if column == "setting":
         return choice_of(str(setting[column])) or "nothing else set"
-    known, unknown = _TOLD_LAST.get(column, (f"{column} {{}}", f"{column} None"))
-    return unknown if setting[column] is None else known.format(setting[column])
+    text, null = _NAMED_LAST.get(column, (f"{column} {{}}", f"{column} None"))
+    return null if setting[column] is None else text.format(setting[column])

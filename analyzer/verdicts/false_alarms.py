@@ -1,8 +1,8 @@
-"""The false-alarm rate of a comparison, measured with two sides that are the same (A/A).
+"""How precise a statistic is, and how often a comparison of two equal sides (A/A) calls one better or worse.
 
-Every pass has one run of each side, and in an A/A sweep either could have been the base. So the passes are dealt anew to
-the two sides in every way there is, each way is compared, and what is called better or worse is false. That is more than
-one comparison can say, and less than as many sweeps would: the ways share their runs.
+Every repeat has one run of each side, and in an A/A sweep either could have been the base. So the repeats are dealt to the
+two sides in every possible way, each way is compared, and every better or worse is false. That shows more than one comparison
+and less than as many sweeps would: the ways share their runs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
 
     from ..statistics.intervals import Interval
-    from .compare import Comparison
 
 
 def check_statistic(text: str) -> tuple[str, str]:
@@ -39,8 +38,8 @@ def check_statistic(text: str) -> tuple[str, str]:
     metric, _, statistic = text.partition("_")
     if metric not in METRICS or statistic not in STATISTIC_BY_NAME:
         raise OptionError(
-            f"{text!r} is no statistic; write one of {', '.join(METRICS)} and of {', '.join(STATISTIC_BY_NAME)} "
-            "with an underscore between them, for example latency_p99"
+            f"{text!r} is not a statistic; write METRIC_STATISTIC, for example latency_p99 (metrics: {', '.join(METRICS)}; "
+            f"statistics: {', '.join(STATISTIC_BY_NAME)})"
         )
     return metric, statistic
 
@@ -48,7 +47,7 @@ def check_statistic(text: str) -> tuple[str, str]:
 def half_widths(
     rows: pl.DataFrame, runs: Mapping[str, Collection[int]], text: str, confidence: float = 0.95
 ) -> dict[str, float]:
-    """Return how precisely a statistic is known, losses included, for each of several sets of runs.
+    """Return how precise a statistic is, losses included, for each of several sets of runs.
 
     Args:
         rows: round trips, columns of `docs/trace-format.md`.
@@ -57,8 +56,8 @@ def half_widths(
         confidence: of the interval.
 
     Returns:
-        Name -> half width of the interval between runs in percent of the value. Infinite with fewer than three runs,
-        and where the interval lacks an end: too few episodes beyond a tail, or too many losses.
+        Name -> half width of the interval between runs in percent of the value. Infinite with fewer than three runs, and
+        where the interval lacks an end: too few episodes beyond a tail, or too many losses.
 
     Raises:
         OptionError: there is no such statistic.
@@ -85,45 +84,45 @@ def _half_width_percent(interval: Interval) -> float:
 
 
 MOST_DEALS = 64
-"""Ways to deal the passes that are compared at most; of more, these are drawn."""
+"""Ways to deal the repeats that are compared at most; of more, this many are drawn."""
 
 _ALARMS = ("better", "worse")
 
 
 @dataclass(frozen=True, slots=True)
 class FalseAlarms:
-    """What the comparison of a thing with itself has said.
+    """Verdicts better or worse of two equal sides.
 
     Attributes:
-        measured: verdicts better or worse of the two sides as they were recorded.
-        of_measured: verdicts of that comparison.
-        dealt: verdicts better or worse over all ways to deal the passes.
-        of_dealt: verdicts of all these comparisons.
+        measured: false verdicts on the two sides as they were recorded.
+        measured_verdicts: all verdicts of that comparison.
+        dealt: false verdicts over all ways to deal the repeats.
+        dealt_verdicts: all verdicts of these comparisons.
         deals: ways that were compared, the recorded one included.
     """
 
     measured: int
-    of_measured: int
+    measured_verdicts: int
     dealt: int
-    of_dealt: int
+    dealt_verdicts: int
     deals: int
 
     @property
     def rate(self) -> float:
-        """Share of the verdicts of all ways that are false alarms; 0 without a verdict."""
-        return self.dealt / self.of_dealt if self.of_dealt else 0.0
+        """Share of the verdicts of all ways that are false; 0 without a verdict."""
+        return self.dealt / self.dealt_verdicts if self.dealt_verdicts else 0.0
 
 
 def count_false_alarms(
     base: pl.DataFrame, new: pl.DataFrame, passes: Mapping[int, int], options: CompareOptions | None = None
 ) -> FalseAlarms:
-    """Compare two sides of an A/A sweep in every way to deal their passes, and count what is called better or worse.
+    """Compare two sides of an A/A sweep in every way to deal their repeats, and count the verdicts better or worse.
 
     Args:
         base: round trips of one side.
         new: round trips of the other.
-        passes: run_id -> pass, of both sides; the rows of other runs stay on their side.
-        options: how to compare; None for the defaults, pass by pass.
+        passes: run_id -> repeat, of both sides; the rows of other runs stay on their side.
+        options: how to compare; None for the defaults, repeat by repeat.
     """
     options = options or CompareOptions(paired=True)
     pass_of_row = pl.col("run_id").replace_strict(
@@ -138,20 +137,20 @@ def count_false_alarms(
     counts = []
     for swapped in _deals(sorted(set(passes.values()))):
         is_new = pl.col("_is_new") ^ pl.col("_pass").is_in(list(swapped)).fill_null(value=False)
-        of_base, of_new = (rows.filter(is_new == side).drop("_pass", "_is_new") for side in (False, True))
-        counts.append(_count(compare_roundtrips(of_base, of_new, options, passes=passes)))
-    (measured, of_measured) = counts[0]
+        before, after = (rows.filter(is_new == side).drop("_pass", "_is_new") for side in (False, True))
+        verdicts = compare_roundtrips(before, after, options, passes=passes).rows["verdict"]
+        counts.append((int(verdicts.is_in(_ALARMS).sum()), len(verdicts)))
     return FalseAlarms(
-        measured=measured,
-        of_measured=of_measured,
+        measured=counts[0][0],
+        measured_verdicts=counts[0][1],
         dealt=sum(alarms for alarms, _ in counts),
-        of_dealt=sum(verdicts for _, verdicts in counts),
+        dealt_verdicts=sum(verdicts for _, verdicts in counts),
         deals=len(counts),
     )
 
 
 def _deals(passes: list[int]) -> Iterator[tuple[int, ...]]:
-    """Yield passes whose sides are exchanged, none of them first; the first pass never is, as that is its mirror image."""
+    """Yield the repeats whose sides are exchanged, first none; never the first repeat: that would mirror another way."""
     others = passes[1:]
     if 2 ** len(others) <= MOST_DEALS:
         for size in range(len(others) + 1):
@@ -165,8 +164,3 @@ def _deals(passes: list[int]) -> Iterator[tuple[int, ...]]:
         if deal not in drawn:
             drawn.add(deal)
             yield deal
-
-
-def _count(comparison: Comparison) -> tuple[int, int]:
-    verdicts = comparison.rows["verdict"]
-    return int(verdicts.is_in(_ALARMS).sum()), len(verdicts)

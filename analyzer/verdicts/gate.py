@@ -3,8 +3,8 @@
     gate      = metric ws (">" | ">=" | "<" | "<=") ws limit
     limit     = sign number "%"          change against the base, as a share of it:  latency_p99 > +10%
               | sign number unit         change against the base:                    rtt_p50 > +2ms
-              | number unit              the new side alone:                         latency_p99_9 > 20ms
-              | number "%"               the new side alone, for ratios:             received_ratio < 99%
+              | number unit              the new side itself:                        latency_p99_9 > 20ms
+              | number "%"               the new side itself, for ratios:            received_ratio < 99%
               | sign number "points"     change against the base, for ratios:        received_ratio < -0.5 points
     metric    = ("latency" | "rtt" | "response" | "intermediate") "_" statistic | "received_ratio"
     statistic = "mean" | "p50" | "p90" | "p95" | "p99" | "p99_9"
@@ -12,9 +12,9 @@
 
 `default` stands for `DEFAULT_GATES`.
 
-A gate is about what is surely so: it fails where the whole confidence interval lies beyond the limit, passes where none
-of it does, and is inconclusive in between, where a sample does not support the percentile, or where a setting was asked
-for and not applied: such a group did not measure what it says.
+A gate fails where the whole confidence interval is beyond the limit, passes where none of it is, and is inconclusive in
+between, where a sample does not support the percentile, and where a requested setting was not applied: such a group did not
+measure what its parameters say.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _GATE = re.compile(r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(?P<operator>>=|<=|>|<)\s*(
 
 
 class GateOutcome(Enum):
-    """The outcome of a gate; its exit codes differ from those of `TraceError`."""
+    """The outcome of a gate; its exit codes differ from the ones of `TraceError`."""
 
     PASSED = "passed"
     REGRESSED = "regressed"
@@ -78,7 +78,7 @@ class Against(Enum):
 
     RATIO = "ratio"  # change as a share of the base
     DIFFERENCE = "difference"  # change in ns
-    NEW = "new"  # the new side alone
+    NEW = "new"  # the new side itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +114,13 @@ class Gate:
 
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
-"""Gates that `--fail-if default` stands for: changes that users notice and that five runs of 1000 messages a side find at
-a run-to-run spread of 5 % (`docs/explanation/coverage.md`); half a point of messages is one in two hundred."""
+"""Gates of `--fail-if default`: changes that users notice and that five runs of 1000 messages a side detect at a run-to-run
+spread of 5 % (`docs/explanation/coverage.md`); half a point of messages is one in two hundred."""
 
 
 def parse_gates(texts: Iterable[str]) -> list[Gate]:
     """Read gates, `default` being `DEFAULT_GATES`; errors as for `parse_gate`."""
-    spelled = [DEFAULT_GATES if text.strip().lower() == "default" else (text,) for text in texts]
+    spelled = (DEFAULT_GATES if text.strip().lower() == "default" else (text,) for text in texts)
     return [parse_gate(text) for gates in spelled for text in gates]
 
 
@@ -128,7 +128,7 @@ def parse_gate(text: str) -> Gate:
     """Read a gate in the grammar of this module.
 
     Raises:
-        OptionError: the text is not a gate; the message says where it goes wrong and names the nearest metric.
+        OptionError: the text is not a gate; the message quotes the wrong part and names the nearest metric.
     """
     match = _GATE.fullmatch(text)
     if match is None:

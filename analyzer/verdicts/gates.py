@@ -1,8 +1,8 @@
-"""A comparison judged by gates (`analyzer/verdicts/gate.py`): an outcome for each gate and group, with its reason.
+"""A comparison judged by gates: an outcome for each gate and group, with its reason.
 
-A gate is one test for each group, so that among many groups some interval lies beyond the limit by chance: a group is
-regressed only where its p value, adjusted by Holm over the groups of the gate, stays below half of 1 - confidence.
-A group that the new side does not have, or of which no reply came back there, is regressed whatever the gates are.
+A gate is one test for each group, so that among many groups some interval is beyond the limit by chance: a group is
+regressed only where its p value, adjusted by Holm over the groups of the gate, stays below half of 1 - confidence. A group that
+the new side does not have, or of which it received no replies, is regressed whatever the gates are.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from ..run_statistics.change import Change
-    from ..run_statistics.received import DeliveryChange
+    from ..statistics.intervals import Interval
     from .compare import CompareOptions, Comparison
     from .matching import Key
 
 ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", Against.NEW, 0.0)
 """The gate that a missing or dead group fails."""
 
-NOT_APPLIED = "a setting that was asked for was not applied"
+NOT_APPLIED = "a requested setting was not applied"
 """End of `GateResult.where` of a group that is barred."""
 
 FAMILY = "Holm over groups"
@@ -49,8 +49,8 @@ class GateResult:
         low: lower end of its interval.
         high: upper end of its interval.
         reason: one sentence: why the outcome is inconclusive, and what it takes to decide; or what is missing.
-        smallest_ratio: the smallest ratio above 1 that these runs would have found with a probability of 80 %; None
-            where that cannot be told.
+        smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %; None if
+            unknown.
         smallest_drop: the same of a received ratio: the smallest loss of share; None of a time.
     """
 
@@ -66,16 +66,16 @@ class GateResult:
 
 
 @dataclass(frozen=True, slots=True)
-class _Judged:
-    """A value with its interval, and what gives the probability that it lies beyond a limit by chance.
+class _Measured:
+    """The value that a gate judges in one group.
 
     Attributes:
         where: the group in words.
         group: its match columns.
         value: the measured value; `low` and `high` are the ends of its interval.
         basis: what the interval has seen vary.
-        degrees: degrees of freedom of Student's t behind the interval; None if it is not known.
-        wanted: one sentence: what it takes to decide.
+        degrees: degrees of freedom of Student's t of the interval; None if unknown.
+        advice: one sentence: what it takes to decide.
         smallest_ratio: as in `GateResult`, like `smallest_drop`.
     """
 
@@ -86,7 +86,7 @@ class _Judged:
     high: float | None
     basis: Basis
     degrees: float | None
-    wanted: str
+    advice: str
     smallest_ratio: float | None
     smallest_drop: float | None = None
 
@@ -156,96 +156,92 @@ def varying_columns(comparison: Comparison) -> list[str]:
 
 
 def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResult]:
-    every = comparison.options.match  # what tells a missing group apart may be alike in all others
     for row in comparison.only_base.iter_rows(named=True):
-        where = group_words(row, every)
+        where = group_words(row, comparison.options.match)
         yield GateResult(
             ALL_GROUPS, where, GateOutcome.REGRESSED, None, None, None, "missing on the new side"
         )
     for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
         if row["is_dead"]:
-            new = change.new
             yield GateResult(
                 ALL_GROUPS,
                 group_words(row, names),
                 GateOutcome.REGRESSED,
-                new.value,
-                new.lower,
-                new.upper,
-                "no reply came back on the new side",
+                change.new.value,
+                *change.new.range,
+                "no reply was received on the new side",
             )
 
 
 def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[GateResult]:
     confidence = comparison.options.confidence
-    find = _received if gate.metric == RECEIVED_RATIO else _times
-    judged = list(find(comparison, gate, names))
-    outcomes = [gate.judge(one.value, one.low, one.high) for one in judged]
+    measure = _received if gate.metric == RECEIVED_RATIO else _times
+    groups = list(measure(comparison, gate, names))
+    outcomes = [gate.judge(group.value, group.low, group.high) for group in groups]
     beyond = [
-        place
-        for place, (one, outcome) in enumerate(zip(judged, outcomes, strict=True))
-        if outcome is GateOutcome.REGRESSED and one.basis is Basis.BETWEEN_RUNS
+        index
+        for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True))
+        if outcome is GateOutcome.REGRESSED and group.basis is Basis.BETWEEN_RUNS
     ]
     is_ratio = gate.against is Against.RATIO or bool(gate.statistic and gate.against is Against.NEW)
-    p_values = [judged[place].p_beyond(gate.limit, confidence, is_ratio=is_ratio) for place in beyond]
+    p_values = [groups[index].p_beyond(gate.limit, confidence, is_ratio=is_ratio) for index in beyond]
     # Groups that are not beyond the limit are tests of the family, too: their p values are larger than all of these.
-    adjusted = holm_adjusted([*p_values, *[1.0] * (len(judged) - len(beyond))])
+    adjusted = holm_adjusted([*p_values, *[1.0] * (len(groups) - len(beyond))])
     by_chance = {
-        place for place, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12
+        index for index, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12
     }
-    for place, (one, outcome) in enumerate(zip(judged, outcomes, strict=True)):
-        is_barred = one.group in comparison.barred
-        reason = _reason(comparison, one, outcome, len(judged) if place in by_chance else 0)
+    for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True)):
+        is_barred = group.group in comparison.barred
+        reason = _reason(comparison, group, outcome, len(groups) if index in by_chance else 0)
         yield GateResult(
             gate=gate,
-            where=f"{one.where}; {NOT_APPLIED}" if is_barred else one.where,
+            where=f"{group.where}; {NOT_APPLIED}" if is_barred else group.where,
             outcome=GateOutcome.INCONCLUSIVE if reason or is_barred else outcome,
-            measured=one.value,
-            low=one.low,
-            high=one.high,
+            measured=group.value,
+            low=group.low,
+            high=group.high,
             reason=reason,
-            smallest_ratio=one.smallest_ratio,
-            smallest_drop=one.smallest_drop,
+            smallest_ratio=group.smallest_ratio,
+            smallest_drop=group.smallest_drop,
         )
 
 
-def _reason(comparison: Comparison, one: _Judged, outcome: GateOutcome, by_chance_of: int) -> str:
+def _reason(comparison: Comparison, group: _Measured, outcome: GateOutcome, by_chance_of: int) -> str:
     """Return why a result is inconclusive and what it takes to decide; empty if it is conclusive."""
-    errors = [error.text for error in comparison.errors if error.is_about(one.group)]
+    errors = [error.text for error in comparison.errors if error.is_about(group.group)]
     if errors:
         return f"a side is not fit to be judged: {errors[0]}"
-    if one.basis is Basis.WITHIN_RUN:
-        return f"{Basis.WITHIN_RUN.value}: {one.wanted}"
+    if group.basis is Basis.WITHIN_RUN:
+        return f"{Basis.WITHIN_RUN.value}: {group.advice}"
     if by_chance_of:
-        return f"beyond the limit, but one of {by_chance_of} groups is by chance ({FAMILY}); {one.wanted}"
-    return one.wanted if outcome is GateOutcome.INCONCLUSIVE else ""
+        return f"beyond the limit, but one of {by_chance_of} results is by chance ({FAMILY}); {group.advice}"
+    return group.advice if outcome is GateOutcome.INCONCLUSIVE else ""
 
 
-def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Judged]:
+def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
+    unit = "" if gate.against is Against.RATIO else "_ns"
+    is_of_new = gate.against is Against.NEW
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
         if row["metric"] != gate.metric or row["statistic"] != gate.statistic:
             continue
-        unit = "" if gate.against is Against.RATIO else "_ns"
-        is_alone = gate.against is Against.NEW
-        yield _Judged(
+        yield _Measured(
             where=group_words(row, names),
             group=tuple(row[name] for name in comparison.options.match),
             value=row[f"{gate.against.value}{unit}"],
             low=row[f"{gate.against.value}_low{unit}"],
             high=row[f"{gate.against.value}_high{unit}"],
-            basis=change.new.basis if is_alone else change.basis,
-            degrees=max(1, change.new.units - 1) if is_alone else change.degrees,
-            wanted=_wanted(gate, change),
+            basis=change.new.basis if is_of_new else change.basis,
+            degrees=max(1, change.new.units - 1) if is_of_new else change.degrees,
+            advice=_advice(gate, change),
             smallest_ratio=change.smallest_ratio,
         )
 
 
-def _wanted(gate: Gate, change: Change) -> str:
+def _advice(gate: Gate, change: Change) -> str:
     """Return how many more runs or messages it very likely takes to decide by a gate."""
     sides = [change.new] if gate.against is Against.NEW else [change.base, change.new]
-    have = " and ".join(str(side.runs) for side in sides)
-    if any(side.runs < MIN_RUNS for side in sides):
-        return f"it takes {MIN_RUNS} runs a side, there are {have}"
+    if few := _too_few_runs(sides):
+        return few
     statistic = STATISTIC_BY_NAME[gate.statistic]
     short = [side for side in sides if side.value is None]
     if short:
@@ -253,7 +249,7 @@ def _wanted(gate: Gate, change: Change) -> str:
     if statistic.quantile is not None:
         more = [messages_to_close(side, statistic.quantile) for side in sides if not side.is_two_sided]
         if any(more):
-            return f"the tail rests on too few episodes; record about {max(m or 0 for m in more)} more messages a side"
+            return f"the tail rests on too few bursts; record about {max(m or 0 for m in more)} more messages a side"
     runs = None
     if gate.against is Against.RATIO and gate.limit > 0:
         runs = runs_to_settle_ratio(change, gate.limit)
@@ -262,47 +258,52 @@ def _wanted(gate: Gate, change: Change) -> str:
     elif gate.against is Against.NEW:
         runs = runs_to_settle_value(change.new, gate.limit)
     if runs is None:
-        return "the limit is too close to what was measured, or too much was lost, for more runs to decide"
-    runs = max(runs, *(side.runs + 1 for side in sides))
-    return f"about {runs} runs a side would decide, there are {have}"
+        return "the measured value is too close to the limit, or too much was lost, for more runs to decide"
+    return _runs_would_decide(max(runs, *(side.runs + 1 for side in sides)), sides)
 
 
-def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Judged]:
-    is_alone = gate.against is Against.NEW
+def _too_few_runs(sides: Sequence[Interval]) -> str:
+    if all(side.runs >= MIN_RUNS for side in sides):
+        return ""
+    return f"it takes {MIN_RUNS} runs a side, there are {' and '.join(str(side.runs) for side in sides)}"
+
+
+def _runs_would_decide(runs: int, sides: Sequence[Interval]) -> str:
+    present = " and ".join(str(side.runs) for side in sides)
+    return f"about {runs} runs a side would decide, there are {present}"
+
+
+def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
+    is_of_new = gate.against is Against.NEW
     for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
+        sides = [change.new] if is_of_new else [change.base, change.new]
         value, low, high = (
-            (change.new.value, change.new.lower, change.new.upper)
-            if is_alone
+            (change.new.value, *change.new.range)
+            if is_of_new
             else (change.difference, change.difference_low, change.difference_high)
         )
-        sides = [change.new] if is_alone else [change.base, change.new]
-        yield _Judged(
+        yield _Measured(
             where=group_words(row, names),
             group=tuple(row[name] for name in comparison.options.match),
             value=value,
             low=low,
             high=high,
-            basis=change.new.basis if is_alone else change.basis,
+            basis=change.new.basis if is_of_new else change.basis,
             degrees=max(1, min(side.runs for side in sides) - 1),
-            wanted=_wanted_of_received(gate, change),
+            advice=_advice_on_received(gate.limit, value, low, high, sides),
             smallest_ratio=None,
-            smallest_drop=None if is_alone else change.smallest_drop,
+            smallest_drop=None if is_of_new else change.smallest_drop,
         )
 
 
-def _wanted_of_received(gate: Gate, change: DeliveryChange) -> str:
-    """Return how many runs of this kind it very likely takes: the interval's reach falls with the root of their number."""
-    is_alone = gate.against is Against.NEW
-    sides = [change.new] if is_alone else [change.base, change.new]
-    have = " and ".join(str(side.runs) for side in sides)
-    if any(side.runs < MIN_RUNS for side in sides):
-        return f"it takes {MIN_RUNS} runs a side, there are {have}"
-    value = change.new.value if is_alone else change.difference
-    low = change.new.lower if is_alone else change.difference_low
-    high = change.new.upper if is_alone else change.difference_high
-    if value is None or low is None or high is None or value == gate.limit:
+def _advice_on_received(
+    limit: float, value: float | None, low: float | None, high: float | None, sides: Sequence[Interval]
+) -> str:
+    """Return how many runs it very likely takes: the interval's reach falls with the root of their number."""
+    if few := _too_few_runs(sides):
+        return few
+    if value is None or low is None or high is None or value == limit:
         return "more runs of this kind do not decide"
-    reach = high - value if value < gate.limit else value - low
+    reach = high - value if value < limit else value - low
     fewest = max(side.runs for side in sides)
-    runs = max(fewest + 1, math.ceil(fewest * (reach / (value - gate.limit)) ** 2))
-    return f"about {runs} runs a side would decide, there are {have}"
+    return _runs_would_decide(max(fewest + 1, math.ceil(fewest * (reach / (value - limit)) ** 2)), sides)

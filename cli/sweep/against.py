@@ -127,9 +127,9 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
         if alarms is not None:
             result["false_alarms"] = {
                 "measured": alarms.measured,
-                "of_measured": alarms.of_measured,
+                "of_measured": alarms.measured_verdicts,
                 "dealt": alarms.dealt,
-                "of_dealt": alarms.of_dealt,
+                "of_dealt": alarms.dealt_verdicts,
                 "deals": alarms.deals,
             }
         print(json.dumps(result))
@@ -166,7 +166,7 @@ def _false_alarms(done: AgainstOutcome) -> FalseAlarms:
 
 def _in_words(alarms: FalseAlarms) -> str:
     return (
-        f"A/A: {alarms.measured} of {counted(alarms.of_measured, 'verdict')} better or worse; with the passes dealt to "
-        f"the two sides in {counted(alarms.deals, 'way')}: {alarms.dealt} of {alarms.of_dealt} "
+        f"A/A: {alarms.measured} of {counted(alarms.measured_verdicts, 'verdict')} better or worse; with the passes dealt to "
+        f"the two sides in {counted(alarms.deals, 'way')}: {alarms.dealt} of {alarms.dealt_verdicts} "
         f"({alarms.rate:.1%}), all false"
     )

@@ -94,7 +94,7 @@ def test_a_gate_on_a_group_whose_setting_was_not_applied_is_inconclusive(tmp_pat
     shown = capsys.readouterr()
     assert shown.err.startswith(f"{tmp_path / barred}: ")
     assert words in shown.err
-    assert "a setting that was asked for was not applied" in " ".join(shown.out.split())
+    assert "a requested setting was not applied" in " ".join(shown.out.split())
 
 
 def test_without_a_gate_it_shows_and_passes(folders, capsys):
@@ -159,7 +159,7 @@ def test_a_dead_group_regresses_unless_that_is_allowed(folders, capsys):
     capsys.readouterr()
     assert run_main("compare", folders / "base", folders / "dead") == 20
     shown = capsys.readouterr()
-    assert "no reply came back on the new side" in " ".join(shown.out.split())
+    assert "no reply was received on the new side" in " ".join(shown.out.split())
     assert "100 % → 0 %" in shown.out
     assert shown.err == "dds-analyze compare: regressed\n"
 

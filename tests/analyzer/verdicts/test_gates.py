@@ -12,7 +12,7 @@ import pytest
 from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.model.finding import Finding, Severity
-from dds_trace.analyzer.run_statistics import Change, DeliveryChange, holm_adjusted
+from dds_trace.analyzer.run_statistics import Change, holm_adjusted
 from dds_trace.analyzer.statistics.distributions import shift_for_power, student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.verdicts import gates
@@ -25,9 +25,9 @@ from dds_trace.analyzer.verdicts.gate import (
     parse_gates,
 )
 from dds_trace.analyzer.verdicts.gates import (
-    _Judged,
-    _wanted,
-    _wanted_of_received,
+    _advice,
+    _advice_on_received,
+    _Measured,
     judge_gates,
     options_for,
     overall_outcome,
@@ -195,7 +195,7 @@ def test_a_missing_and_a_dead_group_regress_unless_that_is_allowed():
     results = judge_gates(comparison, gates)
     assert [(r.outcome.value, r.reason) for r in results[:2]] == [
         ("regressed", "missing on the new side"),
-        ("regressed", "no reply came back on the new side"),
+        ("regressed", "no reply was received on the new side"),
     ]
     assert "payload_bytes=3" in results[0].where
     allowed = judge_gates(comparison, gates, allow_missing=True)
@@ -265,7 +265,7 @@ Z = 1.959963984540054
     ],
 )
 def test_how_likely_a_value_this_far_beyond_a_limit_is_by_chance(value, low, high, limit, is_ratio, p):
-    judged = _Judged("", (), value, low, high, Basis.BETWEEN_RUNS, None, "", None)
+    judged = _Measured("", (), value, low, high, Basis.BETWEEN_RUNS, None, "", None)
     assert judged.p_beyond(limit, 0.95, is_ratio=is_ratio) == pytest.approx(p, rel=1e-6)
     few = replace(judged, degrees=2).p_beyond(limit, 0.95, is_ratio=is_ratio)
     assert few > p or p in {0.0, 0.025}
@@ -303,13 +303,15 @@ def side(value, low, high, *, runs=4, basis=Basis.BETWEEN_RUNS, samples=400, spr
     ],
 )
 def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
-    gate = parse_gate(text)
-    base, new = side(1.0, 0.9, 1.0, runs=3), side(value, low, high)
-    change = DeliveryChange(base, new, value, low, high, Basis.BETWEEN_RUNS)
-    assert wanted in _wanted_of_received(gate, change)
-    few = replace(change, base=side(1.0, 0.9, 1.0, runs=2))
-    is_alone = gate.against is Against.NEW
-    assert (_wanted_of_received(gate, few) == "it takes 3 runs a side, there are 2 and 4") is not is_alone
+    gate, new = parse_gate(text), side(value, low, high)
+
+    def advice(base_runs):
+        base = [] if gate.against is Against.NEW else [side(1.0, 0.9, 1.0, runs=base_runs)]
+        return _advice_on_received(gate.limit, value, low, high, [*base, new])
+
+    assert wanted in advice(3)
+    if gate.against is not Against.NEW:
+        assert advice(2) == "it takes 3 runs a side, there are 2 and 4"
 
 
 @pytest.mark.parametrize(
@@ -329,10 +331,10 @@ def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
 def test_how_many_runs_a_time_takes(text, wanted):
     base = side(10.0 * MS, 9.0 * MS, 11.0 * MS, runs=3, spread=0.05)
     new = side(11.0 * MS, 10.0 * MS, 12.0 * MS, spread=0.05)
-    said = _wanted(parse_gate(text), Change(base, new, Basis.BETWEEN_RUNS, ratio=1.1))
+    said = _advice(parse_gate(text), Change(base, new, Basis.BETWEEN_RUNS, ratio=1.1))
     have = "4" if wanted and "> 12ms" in text else "3 and 4"
     if wanted is None:
-        assert said.startswith("the limit is too close to what was measured, or too much was lost")
+        assert said.startswith("the measured value is too close to the limit, or too much was lost")
     else:
         assert said == f"about {wanted} runs a side would decide, there are {have}"
 
@@ -409,8 +411,8 @@ def test_what_keeps_a_time_from_being_decided_comes_first():
         (whole, short, "p99 takes 100 messages, there are 40", "p99 takes 100 messages, there are 40"),
     ):
         change = Change(before, now, Basis.BETWEEN_RUNS, ratio=1.0)
-        assert _wanted(by_ratio, change) == relative
-        said = _wanted(by_value, change)
+        assert _advice(by_ratio, change) == relative
+        said = _advice(by_value, change)
         assert said == alone if alone else said.startswith("about ")
 
 

@@ -1,9 +1,9 @@
-"""The one value that leaves this room: a frozen `Analysis` of a folder of traces."""
+"""The frozen `Analysis` of a folder of traces: what the analyzer returns."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
@@ -14,8 +14,9 @@ from polars.exceptions import PolarsError
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.format.descriptions import Run, Session
 
+from .model.columns import SUMMARY_COLUMNS
+from .model.metrics import schema_of
 from .model.unsent import with_unsent
-from .model.wire import WIRE_FRAMES
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
 from .saving.records import Content, from_json, to_json
@@ -33,47 +34,30 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Details:
-    """What takes a closer look than rows and summary. `group` is the row number in `summary`; times in ns.
+    """Results that take longer than rows and summary. `group` is the row number in `summary`; times in ns.
 
     Attributes:
-        intervals: every percentile with its confidence interval (`intervals.interval_frame`): `group` u32,
-            `metric` str (`rtt`, `intermediate`, `latency`, `response`, `outbound`, `return`), `percentile` str
-            (`p50` ... `p99_9`), `quantile` f64, `estimate_ns`, `low_ns`, `high_ns` f64 null where the sample does
-            not support them, `method` str null, `confidence` f64, `messages` u64, `independent` u64, `runs`, `units` u32,
-            `episodes` u64 null, `basis` str (`between runs` or `within one run`), `between`, `within` f64 null,
-            `typical_ns` f64 null.
-        one_way: way out and way back (`intervals.one_way_frame`): `group` u32, `metric` str (`outbound`,
-            `return`), `messages` u64, `mean_ns`, `min_ns`, `p50_ns` ... `p99_9_ns`, `max_ns` f64, `bound_p50_ns`,
-            `bound_max_ns` f64: asymmetry of the link inside the bound cannot be seen.
-        breakdown: where the time goes (`breakdown.breakdown_frame`), a row per part in the order of time:
-            `group` u32, `part` str, `order` u32, `messages` u64, `mean_ns`, `p50_ns`, `p99_ns`, `bound_ns` f64.
-        responses: response time against round trip time (`breakdown.response_frame`), a row per group
-            with a schedule: `group` u32, `messages` u64, `late_ratio` f64, `waiting_max_ns` i64, `rtt_p50_ns`,
-            `response_p50_ns`, `rtt_p99_ns`, `response_p99_ns`, `hidden_p50_ns`, `hidden_p99_ns` f64. Like `breakdown`
-            without a row of a group that was worked at in parts (`batches.WHOLE_GROUP_EVENTS`); a finding says so.
-        freshness: a row per run and relay: the columns of `freshness.FRESHNESS_SCHEMA`.
-        outages: a row per outage: `group` u32, `run_id` u64, `relay_id` u32, `first_sequence`, `messages` u64,
-            `start_ns`, `end_ns`, `duration_ns`, `recovery_ns` i64 null.
-        clock_fits: a row per pair of devices, boot and stretch without a step (`one_way.segment_table`):
-            `ping_device`, `relay_device` str, `boot` i64, `same_clock` bool, `segment` u32, `start_ns`, `end_ns`,
-            `at_ns`, `offset_ns`, `bound_ns` i64, `drift_ppb`, `drift_bound_ppb` f64, `residual_ns`, `step_before_ns`,
-            `step_bound_ns` i64, `relay_boot` str null.
-        clock_knots: offsets over time, what the fits rest on (`one_way.knots_of`): `group` u32, `run_id` u64,
-            `relay_id` u32, `ping_device`, `relay_device` str, `messages` u64, `at_ns`, `offset_ns`, `bound_ns` i64,
-            `relay_boot` str null, `same_boot` bool null.
-        host_samples: load of the devices over time (`host_samples.host_sample_frame`), columns of
-            `host_samples.HOST_SAMPLE_SCHEMA`.
-        bridge_costs: different domains against the same domain for equal parameters (`bridge_cost.bridge_cost`),
-            every percentile of the latency. A kind of message with more than `cases.MOST_COMPARED_ROWS` rows has
-            none, and a finding says so.
-        wire: what the messages cost on the wire, a row per group recorded with `--wire` (`model.wire`).
+        intervals: every percentile with its confidence interval: columns of `intervals.INTERVAL_SCHEMA`.
+        one_way: way out and way back: columns of `intervals.ONE_WAY_SCHEMA`. Asymmetry of the link within the bound cannot
+            be seen.
+        breakdown: where the time goes, a row per part in the order of time: columns of `breakdown.BREAKDOWN_SCHEMA`.
+        responses: response time against round trip time: columns of `breakdown.RESPONSE_SCHEMA`. Like `breakdown` without
+            groups that were processed in parts (`batch.WHOLE_GROUP_EVENTS`).
+        freshness: a row per run and relay: columns of `freshness.FRESHNESS_SCHEMA`.
+        outages: a row per outage: columns of `freshness.OUTAGE_SCHEMA`.
+        clock_fits: a row per pair of devices, boot and stretch without a step: columns of `one_way.SEGMENT_SCHEMA`.
+        clock_knots: offsets over time, to which the clocks are fitted: columns of `one_way.KNOT_SCHEMA`.
+        host_samples: load of the devices over time: columns of `host_samples.HOST_SAMPLE_SCHEMA`.
+        bridge_costs: different domains against the same domain for equal parameters (`bridge_cost.bridge_cost`), every
+            percentile of the latency; none for a message with more than `cases.MOST_COMPARED_ROWS` rows.
+        wire: cost of the messages on the wire, a row per group recorded with `--wire` (`model.wire`).
         wire_classes: the same by class of traffic.
-        wire_repeats: the same by how often messages were sent again, with their times.
-        answers: the fastest contenders for each kind of message; rows as for `bridge_costs`.
-        deadline_ns: the deadline that `freshness` judges; None for none.
-        deadline_metric: metric that it is for.
+        wire_repeats: the same by number of repeats, with their times.
+        answers: the fastest setups for each message; rows as for `bridge_costs`.
+        deadline_ns: the deadline of `freshness`; None for none.
+        deadline_metric: its metric.
         recommendation: settings for the `job` of the analysis; None without a job.
-        requested: False if the analysis was made with `details=False`: every frame is then empty.
+        requested: False for an analysis with `details=False`, whose frames are empty.
     """
 
     intervals: pl.DataFrame
@@ -98,29 +82,25 @@ class Details:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Analysis:
-    """Everything that was computed from one folder of traces; reports draw it and compute nothing.
-
-    Frames (columns, units and dtypes are documented where each is made):
+    """Everything that was computed from one folder of traces, for reports to draw.
 
     Attributes:
-        title: the analyzed folder's name.
-        sources: the files that were looked at.
-        sessions: the recording processes, sorted by start.
-        runs: the runs, sorted by start.
+        title: name of the folder.
+        sources: the files in it.
+        sessions: the recording processes, by start.
+        runs: the runs, by start.
         rows: one row per published message and relay; read with `load_roundtrips` and `scan_roundtrips`.
-        summary: one row per group (`docs/trace-format.md`), sorted by its parameter columns; row number i
-            is group i wherever another frame has a column `group`.
-        distributions: `group` u32, `metric` str (`rtt`, `intermediate`, `latency`, `response`), `value_ns`
-            f64 (bucket centre), `count` u64: a histogram per group and metric, relative error at most 0.1 %.
-        run_times: when each run of each group sent, and what came back: columns of `run_rows.RUN_SCHEMA`.
-        timeline: `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (scheduled time
-            since the run's first counted message), `latency_ns` i64 null, `rtt_ns` i64 null, `outcome` str: rows of
-            the round trips for drawing, decimated where a run is long (extremes and losses are kept).
-        timeline_decimated: whether `timeline` leaves rows out.
+        summary: one row per group (`docs/trace-format.md`), by its parameter columns; row i is group i wherever another
+            frame has a column `group`.
+        distributions: `group` u32, `metric` str, `value_ns` f64 (bucket centre), `count` u64: a histogram per group and
+            metric, relative error at most 0.1 %.
+        run_times: when each run of each group sent, and what came back: columns of `timeline.RUN_SCHEMA`.
+        timeline: round trips to draw (`timeline.timeline_frame`).
+        timeline_decimated: whether `timeline` leaves rows out; it has all extremes and losses.
         findings: most severe first.
-        details: what takes more time than rows and summary.
+        details: what takes longer than rows and summary.
         outputs: files written, by kind (`roundtrips`, `summary`).
-        unsent: run_id -> messages that were due and never left, of the runs that have any.
+        unsent: run_id -> messages that were due and never left.
     """
 
     title: str
@@ -139,39 +119,30 @@ class Analysis:
     unsent: Mapping[int, int] = field(default_factory=dict)
 
     def load_roundtrips(self) -> pl.DataFrame:
-        """Read all round trips into memory: gigabytes of a large campaign, which `scan_roundtrips` reads in part.
-
-        Returns:
-            One row per published message and relay (`docs/trace-format.md`), by group, run, relay and sequence.
-        """
+        """Read all round trips into memory, gigabytes of a large campaign: by group, run, relay and sequence."""
         return self.rows.load()
 
     def load_messages(self) -> pl.DataFrame:
-        """Read every message that was due into memory: what verdicts rest on.
-
-        Returns:
-            The round trips, and behind those of each run and relay a row of outcome `unsent` for each message that was due
-            and never left (`model.unsent.with_unsent`).
-        """
+        """Read all messages that were due into memory: the round trips and the unsent ones (`unsent.with_unsent`)."""
         return with_unsent(self.load_roundtrips(), self.unsent)
 
     @property
     def barred_groups(self) -> pl.DataFrame:
-        """The rows of `summary` in whose groups a setting was asked for and not applied (finding `not_applied`)."""
-        barred = {group for each in self.findings if each.code == "not_applied" for group in each.groups}
+        """The rows of `summary` in which a requested setting was not applied (finding `not_applied`)."""
+        barred = {
+            group for finding in self.findings if finding.code == "not_applied" for group in finding.groups
+        }
         return self.summary[sorted(barred)]
 
     def scan_roundtrips(self) -> pl.LazyFrame:
-        """Return the round trips as a lazy frame, which reads only the rows and columns that a query takes."""
+        """Return the round trips as a lazy frame, which reads only what a query needs."""
         return self.rows.scan()
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write the analysis into a folder of its own, from which `load_analysis` reads it.
-
-        An analysis that is there already is replaced as a whole, or stays if this one cannot be written.
+        """Write the analysis into a folder of its own, for `load_analysis`; an earlier one there is replaced as a whole.
 
         Raises:
-            OutputExistsError: the folder holds something else than a saved analysis.
+            OutputExistsError: the folder has something else than a saved analysis.
             OutputError: the folder cannot be written.
         """
         content = Content(
@@ -213,9 +184,9 @@ class Analysis:
         Args:
             name: `latency_by_size`, `latency_by_rate`, `vendor_comparison`, `by_device`, `relay_time`, `received`, `run_spread`,
                 `sustainable`, `transfer_by_size`, `transfer_by_rate` or `transfer_rate`.
-            panels: what sets panels apart: `size`, `rate`, `device`, `link`, `middleware` or `bridge`; None as in the report.
-            metric: `latency`, `rtt`, `intermediate` or `response`; None for the report's. For figures of such times.
-            statistic: `mean`, `min`, `p50`, `p90`, `p95`, `p99`, `p99_9` or `max`. For figures of times and of their spread.
+            panels: dimension of the panels: `size`, `rate`, `device`, `link`, `middleware` or `bridge`; None as in the report.
+            metric: `latency`, `rtt`, `intermediate` or `response`; None for the report's. For figures of times.
+            statistic: `mean`, `min`, `p50`, `p90`, `p95`, `p99`, `p99_9` or `max`. For figures of times and their spread.
 
         Raises:
             OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.
@@ -226,7 +197,7 @@ class Analysis:
         """Write the HTML report, open it in this machine's browser and return its path.
 
         Args:
-            folder: where it goes; None for a new temporary folder, which is not removed.
+            folder: its folder; None for a new temporary one, which is not removed.
 
         Raises:
             OutputError: the report cannot be written.
@@ -235,7 +206,7 @@ class Analysis:
 
 
 class Presenter(Protocol):
-    """What shows an analysis: the reports, a room above this one."""
+    """What shows an analysis: the reports, which this room does not import."""
 
     def first_screen(self, analysis: Analysis) -> str:
         """Return the first screen as HTML."""
@@ -250,7 +221,7 @@ class Presenter(Protocol):
 
 
 PRESENTER_MODULE = "dds_trace.reports.notebook"
-"""Module that is the `Presenter`, imported by this name at first use: this room says what it asks for, and needs none of it."""
+"""Module that is the `Presenter`, imported at first use."""
 
 
 def _presenter() -> Presenter:
@@ -258,38 +229,30 @@ def _presenter() -> Presenter:
 
 
 _CONTENT, _ROUNDTRIPS = "content.json", "roundtrips.parquet"
-_FRAMES = ("summary", "distributions", "run_times", "timeline")
-DETAIL_FRAMES = (
-    "intervals",
-    "one_way",
-    "breakdown",
-    "responses",
-    "freshness",
-    "outages",
-    "clock_fits",
-    "clock_knots",
-    "host_samples",
-    "bridge_costs",
-    *WIRE_FRAMES,
+_FRAMES, DETAIL_FRAMES = (
+    tuple(field.name for field in fields(kind) if field.type == "pl.DataFrame")
+    for kind in (Analysis, Details)
 )
-"""Names of the frames of `Details`."""
 
 
 def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
-    """Read an analysis that `Analysis.save` wrote; its round trips stay in the folder until they are asked for.
+    """Read an analysis that `Analysis.save` wrote; its round trips stay in the folder until they are read.
 
     Raises:
-        TraceFormatError: the folder holds no saved analysis, one of another version, or a file that was changed.
+        TraceFormatError: there is no saved analysis, one of another version, or a file of it was changed.
     """
     files = read_folder(Path(folder))
     try:
         content = from_json(Content, json.loads(files[_CONTENT].read_bytes()))
-        frames = {name: _read_frame(files, name) for name in (*_FRAMES, *DETAIL_FRAMES)}
+        frames = {name: pl.read_parquet(files[f"{name}.parquet"]) for name in (*_FRAMES, *DETAIL_FRAMES)}
         rows = RowStore.of(files[_ROUNDTRIPS], frames["summary"])
     except (KeyError, ValueError, RecursionError, OSError, PolarsError) as err:
         raise TraceFormatError(
-            Path(folder), f"the saved analysis cannot be read ({err}); analyze again"
+            Path(folder), f"the saved analysis cannot be read ({err}); analyze the traces again"
         ) from err
+    if missing := [name for name in schema_of(SUMMARY_COLUMNS) if name not in frames["summary"].columns]:
+        what = f"it lacks the columns {', '.join(missing)} of summary; analyze the traces again"
+        raise TraceFormatError(files["summary.parquet"], what)
     where = files[_CONTENT]
     return Analysis(
         title=content.title,
@@ -311,8 +274,3 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
         outputs={kind: Path(path) for kind, path in content.outputs.items()},
         unsent={int(run_id, 16): count for run_id, count in content.unsent.items()},
     )
-
-
-def _read_frame(files: Mapping[str, Path], name: str) -> pl.DataFrame:
-    """Read one frame of a saved analysis."""
-    return pl.read_parquet(files[f"{name}.parquet"])

@@ -1,4 +1,4 @@
-"""`Analysis.details` put together: the frames of all batches, and what only the whole campaign can say."""
+"""`Analysis.details`: the frames of all batches, and what takes the whole campaign."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import polars as pl
 
 from .analysis import Details
 from .clocks.boots import ping_boots
-from .groups.batch import Batch
+from .groups.batch import DEADLINE_METRIC, Batch
 from .groups.frames import DETAIL_MAKERS
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
@@ -26,7 +26,7 @@ from .verdicts.bridge_cost import find_bridge_costs
 from .verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from .verdicts.cases import GroupRows
     from .verdicts.recommend import Recommendation
 
+_BATCH_FRAMES = ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots")
+"""Frames of batches that are details; the others are for findings."""
+
 
 def collect_details(
     campaign: Campaign,
@@ -50,17 +53,17 @@ def collect_details(
     judged: GroupRows,
     mapper: Mapper,
 ) -> Details:
-    """Put the details of a campaign together; without rows if they are not wanted.
+    """Make the details of a campaign, empty ones if they are not requested.
 
     Args:
         campaign: its sessions, runs and traces.
         grouping: its exchanges by group.
-        frames: those of `frames.DETAIL_MAKERS`, of all batches.
+        frames: frames of `frames.DETAIL_MAKERS` of all batches.
         rows: the round trips.
-        in_parts: groups that no batch held whole: the frames lack what only a whole column of their rows gives.
+        in_parts: groups that no batch held whole; their intervals and one-way times are computed here.
         options: the options of the analysis.
-        judged: the messages that groups are compared by, of which those of a few groups are read at a time.
-        mapper: answers the kinds of messages.
+        judged: the messages by which groups are compared.
+        mapper: maps a function over messages, perhaps in other processes.
     """
     if not options.details:
         return details_not_requested()
@@ -72,18 +75,17 @@ def collect_details(
         for row in interval_rows(group, _column_of(rows, group), _run_of_row(rows, group))
     ]
     one_way = [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))]
-    with ThreadPoolExecutor(1, thread_name_prefix="clocks") as beside:  # while others answer
-        clock_fits = beside.submit(_clock_fits, frames["clock_knots"], boots)
+    frames = {
+        **frames,
+        "intervals": _by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
+        "one_way": _by_group(frames["one_way"], pl.DataFrame(one_way, ONE_WAY_SCHEMA)),
+    }
+    with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:  # while `mapper` may use other processes
+        clock_fits = pool.submit(lambda: segment_table(fit_devices(frames["clock_knots"], boots)))
         answers = find_answers(judged, passes=passes, mapper=mapper)
     return Details(
-        intervals=_by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
-        one_way=_by_group(frames["one_way"], pl.DataFrame(one_way, ONE_WAY_SCHEMA)),
-        breakdown=frames["breakdown"],
-        responses=frames["responses"],
-        freshness=frames["freshness"],
-        outages=frames["outages"],
+        **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=clock_fits.result(),
-        clock_knots=frames["clock_knots"],
         host_samples=host_sample_frame(campaign.traces),
         bridge_costs=find_bridge_costs(judged, passes),
         **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
@@ -91,11 +93,12 @@ def collect_details(
         deadline_ns=options.deadline_ns,
         deadline_metric=options.deadline_metric,
         recommendation=_recommendation(judged, options, campaign.runs.values()),
+        requested=True,
     )
 
 
 def details_not_requested() -> Details:
-    """Make details without rows, whose frames have the columns of all details."""
+    """Make empty details; the frames have their columns."""
     no_batch = Batch((), np.empty(0, np.uint32), all_exchanges=0, whole=True)
     no_roundtrips = pair_exchanges([], {}, details=False)
     frames = {name: make(no_batch, no_roundtrips) for name, make in DETAIL_MAKERS.items()}
@@ -103,28 +106,20 @@ def details_not_requested() -> Details:
         pl.DataFrame(schema=schema_of(ROUNDTRIP_COLUMNS)), pl.DataFrame(schema=schema_of(SUMMARY_COLUMNS))
     )
     return Details(
-        intervals=frames["intervals"],
-        one_way=frames["one_way"],
-        breakdown=frames["breakdown"],
-        responses=frames["responses"],
-        freshness=frames["freshness"],
-        outages=frames["outages"],
-        clock_knots=frames["clock_knots"],
+        **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=segment_table(()),
         host_samples=host_sample_frame(()),
         bridge_costs=find_bridge_costs(no_rows),
         **no_wire_frames()._asdict(),
         answers=(),
+        deadline_ns=None,
+        deadline_metric=DEADLINE_METRIC,
+        recommendation=None,
         requested=False,
     )
 
 
-def _clock_fits(knots: pl.DataFrame, boots: Mapping[int, int]) -> pl.DataFrame:
-    return segment_table(fit_devices(knots, boots))
-
-
 def _recommendation(rows: GroupRows, options: AnalysisOptions, runs: Iterable[Run]) -> Recommendation | None:
-    """Recommend settings for the job, if there is one, from the rows of its data type."""
     if options.job is None:
         return None
     groups = rows.groups.filter(data_type=options.job.data_type)
@@ -136,7 +131,7 @@ def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:
 
 
 def _run_of_row(rows: RowStore, group: int) -> NDArray[np.int64]:
-    """Return for each row of a group the number of its run, rising."""
+    """Return the number of the run of each row of a group, ascending."""
     run_ids = rows.frame(rows.groups[group], ["run_id"])["run_id"].to_numpy()
     return np.cumsum(np.diff(run_ids, prepend=run_ids[:1]) != 0)
 

@@ -1,4 +1,4 @@
-"""From a folder of traces to one `Analysis`: load, find exchanges, group, pair and measure batches, merge, judge, find."""
+"""From a folder of traces to one `Analysis`: load, find exchanges, group, process batches, merge, judge, check."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 
 def default_output(path: Paths) -> Path:
-    """Return the folder for the results of `path`, as `Place.default_output` does."""
+    """Return the default folder for the results of `path`."""
     return Place.of(path).default_output
 
 
@@ -69,31 +69,30 @@ def analyze(
     `if __name__ == "__main__"` for them.
 
     Args:
-        path: a folder (looked through to its depths), one trace file, or one rosbag2 folder; or a list of such.
-        out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. It is never looked
-            into for traces, nor is `analysis/` in `path`.
+        path: a folder (with all folders in it), one trace file, or one rosbag2 folder; or a list of such.
+        out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. Traces in it, or in `analysis/` in
+            `path`, are not read.
         cache: keep the events of every trace in the user's cache (`$XDG_CACHE_HOME/dds-trace`), so that the next analysis
-            reads only traces that are new; a third to a half of the bytes that they take in memory.
+            reads only new traces; a third to a half of the bytes that they take in memory.
         cluster: address of a Dask scheduler (`tcp://host:8786`) whose workers do the work; they read the traces
-            themselves, so `path` must be the same for them, or in object storage (`s3://...`). Keeps no cache.
-        sketch: percentiles from histograms, off by `histogram.RELATIVE_ERROR` at most, and no rows: neither
-            `roundtrips` nor its file, and no group compared with another. So no rows travel, and a group may be of
-            any size. Rows that an earlier analysis left in `out` stay there, and a finding says so.
-        details: one-way times, `Analysis.details` and the findings that rest on them; without, these are null, empty
-            and absent, and a large campaign takes a fraction of the time.
+            themselves, so `path` must be the same for them, or in object storage (`s3://...`). Uses no cache.
+        sketch: percentiles from histograms, off by at most `histogram.RELATIVE_ERROR`, and no rows: neither `roundtrips` nor
+            its file, and no comparison of groups. A group may be of any size.
+        details: one-way times, `Analysis.details` and the findings from them; without, these are null, empty and absent, and
+            a large campaign takes a fraction of the time.
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
-        deadline_metric: metric that the deadline is for: `response`, `latency`, `rtt`, `outbound` ...
+        deadline_metric: metric of the deadline: `response`, `latency`, `rtt`, `outbound` ...
         job: what to recommend settings for (`Analysis.details.recommendation`).
         progress: called before each trace is read with the number done, the number of all, and its path.
 
     Raises:
         MissingEventsError: there is no trace, or no published message in any.
-        TraceFormatError: `path` is one file, and it is no trace.
+        TraceFormatError: `path` is one file, and it is not a trace.
         OutputError: the results cannot be written, or `out` is the default folder and a symbolic link.
     """
-    place, target = Place.of(path), Path(out) if out is not None else None
-    if target is not None and target in place.own_folders and target.is_symlink():
-        # Whoever made the folder of traces chose where it leads, not whoever analyzes them.
+    location, target = Place.of(path), Path(out) if out is not None else None
+    if target is not None and target in location.own_folders and target.is_symlink():
+        # The author of the traces chose where it leads, not the user who analyzes them.
         raise OutputError(
             f"{target} is a link to {target.readlink()}; give that folder, or another, with --out"
         )
@@ -106,24 +105,24 @@ def analyze(
             deadline_metric=deadline_metric,
             job=job,
         )
-        return _analyze(engine, place, target, options, progress)
+        return _analyze(engine, location, target, options, progress)
     finally:
         engine.close()
 
 
 def _analyze(
-    engine: Engine, place: Place, out: Path | None, options: AnalysisOptions, progress: Progress | None
+    engine: Engine, location: Place, out: Path | None, options: AnalysisOptions, progress: Progress | None
 ) -> Analysis:
-    own = place.own_folders | ({out} if out is not None else set())
+    own = location.own_folders | ({out} if out is not None else set())
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
     stale_rows = None if options.rows else outputs.pop("roundtrips", None)
 
-    campaign = engine.load(place, own, progress)
+    campaign = engine.load(location, own, progress)
     exchanges = find_exchanges(campaign)
     grouping = group_exchanges(exchanges.held)
     batches = plan_batches(grouping, options)
-    told = provenance(campaign, exchanges)
-    with RowStore(outputs.get("roundtrips"), told) as rows:
+    origin = provenance(campaign, exchanges)
+    with RowStore(outputs.get("roundtrips"), origin) as rows:
         results = _keep_rows(engine.work(batches, campaign.events), rows)
         merged = merge_results(results, grouping, sketch=not options.rows)
     rows.locate(merged.summary.frame)
@@ -148,10 +147,10 @@ def _analyze(
         shapes=merged.frames.get("shapes", pl.DataFrame(schema=SHAPE_SCHEMA)),
     )
     if out is not None:
-        write_summary(merged.summary.frame, outputs["summary"], told)
+        write_summary(merged.summary.frame, outputs["summary"], origin)
     timeline = merged.frames["timeline"]
     return Analysis(
-        title=place.folder.resolve().name,
+        title=location.folder.resolve().name,
         sources=campaign.sources,
         sessions=tuple(sorted(campaign.sessions.values(), key=lambda s: (s.wall_anchor_ns, s.session_id))),
         runs=_runs_by_start(campaign, exchanges),
@@ -169,7 +168,7 @@ def _analyze(
 
 
 def _keep_rows(batches: Iterable[WorkedBatch], rows: RowStore) -> Iterator[BatchResult]:
-    """Put the rows of every batch into the store, and wait for its result then; a large one is measured meanwhile."""
+    """Store the rows of every batch, then wait for its result: a large batch is measured meanwhile."""
     for batch in batches:
         rows.add(batch.rows)
         result = batch.result()
@@ -178,6 +177,6 @@ def _keep_rows(batches: Iterable[WorkedBatch], rows: RowStore) -> Iterator[Batch
 
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:
-    """Order the runs: those with messages as their rows, then those without."""
+    """Return runs with messages in the order of their rows, then runs without."""
     started = {exchange.run.run_id: exchange.run for exchange in exchanges.held}
     return (*started.values(), *(run for run_id, run in campaign.runs.items() if run_id not in started))

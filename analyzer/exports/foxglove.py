@@ -1,9 +1,8 @@
-"""Per-message latency as an MCAP for Foxglove and PlotJuggler, with a Foxglove layout that shows it.
+"""Per-message latency as an MCAP for Foxglove and PlotJuggler, with a Foxglove layout.
 
-One channel per run and relay with `dds_trace_msgs/msg/MessageLatency` in CDR and its definition as `ros2msg`, so that
-Foxglove, PlotJuggler, `ros2 bag` and rosbags all read it without our software. The log time of a message is when it was
-sent, on the wall clock of the ping that sent it: with `outbound_ms` added it is when the relay received it, on the same
-clock, wrong by at most `clock_bound_ms`.
+One channel per run and relay with `dds_trace_msgs/msg/MessageLatency` in CDR and its definition as `ros2msg`, which
+Foxglove, PlotJuggler, `ros2 bag` and rosbags read without our software. The log time of a message is its sending on the wall
+clock of the ping; plus `outbound_ms` it is the reception by the relay, on the same clock, wrong by at most `clock_bound_ms`.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 SCHEMA_NAME = "dds_trace_msgs/msg/MessageLatency"
 _FIRST = ("latency", "rtt", "response", "intermediate")
 TIMES = (*_FIRST, *(name for name in METRICS if name not in _FIRST), "outbound", "return", "clock_bound")
-"""Columns `<name>_ns` of the round trips; the fields of the message are `<name>_ms`, NaN where unknown."""
+"""Columns `<name>_ns` of the round trips; fields `<name>_ms` of the message, NaN where unknown."""
 
 SCHEMA = "".join(
     [
@@ -57,18 +56,18 @@ _RECORD = np.dtype(
 """The serialized message: fields in the order of the schema need no padding."""
 
 PLOTTED_TOPICS = 12
-"""Series of a plot in the layout; more cannot be told apart. The file has all topics."""
+"""Most lines of a plot in the layout, for legibility; the file has all topics."""
 
 
 @dataclass(frozen=True, slots=True)
 class DerivedTrace:
-    """The files that were written, and what is in them.
+    """The written files and their content.
 
     Attributes:
         path: the MCAP file.
         layout: the Foxglove layout (in Foxglove: Layouts, Import from file).
         topics: the channels, in the order of their first message.
-        messages: messages of all channels.
+        messages: number of messages.
         without_wall_clock: runs whose ping has no clock anchor; their times count from the device's boot.
     """
 
@@ -86,7 +85,7 @@ def write_derived(
     *,
     force: bool = False,
 ) -> DerivedTrace:
-    """Write per-message latency to `path`, and beside it the layout `NAME.foxglove.json`.
+    """Write per-message latency to `path`, and the layout to `NAME.foxglove.json` in the same folder.
 
     Args:
         roundtrips: frame of `docs/trace-format.md`; with `outbound_ns`, `return_ns`, `clock_bound_ns` where known.
@@ -115,9 +114,8 @@ def write_derived(
         raise OutputError(
             f"{path}: cannot be written ({err.strerror or err}); check disk space and permissions"
         ) from err
-    known = set(ping_wall or {})
-    unknown = tuple(sorted(run_id for run_id in roundtrips["run_id"].unique() if run_id not in known))
-    return DerivedTrace(path, layout, topics, len(rows), unknown)
+    without_wall_clock = sorted(set(roundtrips["run_id"].unique()) - set(ping_wall or {}))
+    return DerivedTrace(path, layout, topics, len(rows), tuple(without_wall_clock))
 
 
 def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.DataFrame:
@@ -144,10 +142,16 @@ def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.Data
 def topic_name(row: Mapping[str, ParameterValue]) -> str:
     """Name the channel of a run and relay: `/latency/fastdds/builtin/binary_33000B_10Hz/run_RRRRRRRR/relay_PPPPPPPP`.
 
-    Only letters, digits and underscores between the slashes, so that every tool takes it as a topic.
+    Only letters, digits and underscores between the slashes, so that every tool accepts it as a topic.
     """
-    cell = f"{row['data_type']}_{row['payload_bytes']}B_{row['rate_hz']:g}Hz"
-    words = [row["vendor"], row["bridge"], cell, f"run_{row['run_id']:016x}", f"relay_{row['relay_id']:08x}"]
+    message = f"{row['data_type']}_{row['payload_bytes']}B_{row['rate_hz']:g}Hz"
+    words = [
+        row["vendor"],
+        row["bridge"],
+        message,
+        f"run_{row['run_id']:016x}",
+        f"relay_{row['relay_id']:08x}",
+    ]
     return "/latency/" + "/".join(re.sub(r"[^A-Za-z0-9_]+", "_", str(word)) for word in words)
 
 

@@ -1,4 +1,4 @@
-"""Rows and summary in further formats, beside the Parquet files."""
+"""Rows and summary as CSV or Arrow."""
 
 from __future__ import annotations
 
@@ -22,19 +22,11 @@ EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
     "csv": lambda rows, path: rows.sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
     "arrow": lambda rows, path: rows.sink_ipc(path),
 }
-"""Kind, which is also the ending of the files -> function that writes rows without holding all of them."""
+"""Kind and suffix of the files -> function that streams rows into a file."""
 
 
 def export_tables(analysis: Analysis, kind: str, folder: str | os.PathLike[str]) -> list[Path]:
-    """Write `roundtrips` and `summary` as `kind` into a folder; earlier ones are replaced.
-
-    Args:
-        analysis: the analysis.
-        kind: a key of `EXPORTERS`. CSV has no place for units: they are in the names of the columns.
-        folder: folder of the files; it is made if it is missing.
-
-    Returns:
-        The two files.
+    """Write `roundtrips` and `summary` as `kind` (a key of `EXPORTERS`) into a folder, and return the two files.
 
     Raises:
         OutputError: a file cannot be written.

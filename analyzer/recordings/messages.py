@@ -1,4 +1,4 @@
-"""Messages of any recording (rosbag1, rosbag2, MCAP): topic, times, size and header stamp, never the whole content."""
+"""Messages of any recording (rosbag1, rosbag2, MCAP): topic, times, size and header stamp."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 
-_UNSUSPECTED_MESSAGES = 2_000_000
-_MESSAGE_BYTES = 64  # a message takes more of a file than that, or there are few of them
+_UNSUSPECTED_MESSAGES, _MESSAGE_BYTES = 2_000_000, 64
+"""More messages than the first number, of fewer bytes each than the second, are no recording but an attack."""
 
 LATEST_NS = 2**63 - 1
-"""Latest time of a message; MCAP can hold twice that."""
+"""Latest time of a message that 64 bits with a sign hold (year 2262); MCAP has twice that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +42,9 @@ class Topic:
     """A topic of a recording.
 
     Attributes:
-        name: its name.
-        message_type: such as `sensor_msgs/msg/Image`; empty if the recording does not say.
+        message_type: such as `sensor_msgs/msg/Image`; empty if unknown.
         encoding: `cdr`, `ros1`, `json`, `protobuf` ...
-        has_stamp: whether its messages begin with a header or a time, which is then their stamp.
+        has_stamp: whether its messages start with a header or a time, their stamp.
     """
 
     name: str
@@ -59,9 +58,8 @@ class RecordedMessage:
     """One message; times in ns since 1970, or since boot if the recording has such times.
 
     Attributes:
-        topic: its topic.
-        log_ns: time of its recording.
-        publish_ns: time of its publication as the recorder was told; None where the format has no such time.
+        log_ns: time of recording.
+        publish_ns: time of publication by the recorder; None where the format has none.
         stamp_ns: stamp of its header; None without a header, or if the stamp is zero.
         payload_bytes: size as serialized.
     """
@@ -81,7 +79,7 @@ def find_recordings(
     Raises:
         MissingEventsError: there is no such file or folder.
     """
-    path, left_out = Path(path), {Path(other).resolve() for other in skip}
+    path, skipped = Path(path), {Path(other).resolve() for other in skip}
     if path.is_file() or (path / METADATA_NAME).is_file():
         return [path]
     if not path.is_dir():
@@ -89,7 +87,7 @@ def find_recordings(
     recordings: list[Path] = []
     for name, folders, files in os.walk(path):
         here = Path(name)
-        if here.resolve() in left_out:
+        if here.resolve() in skipped:
             folders.clear()
         elif METADATA_NAME in files:
             recordings.append(here)
@@ -107,13 +105,14 @@ def iter_messages(path: Path) -> Iterator[RecordedMessage]:
     """
     if path.is_dir():
         files = sorted(path.glob("*.mcap"))
-        if files and not list(path.glob("*.zstd")):
-            for file in files:
-                yield from _mcap_messages(file)
-            return
+        is_mcap = bool(files) and not list(path.glob("*.zstd"))
+    else:
+        files, is_mcap = [path], path.suffix == ".mcap"
+    if is_mcap:
+        for file in files:
+            yield from _mcap_messages(file)
+    else:
         yield from _bag_messages(path)
-        return
-    yield from (_mcap_messages if path.suffix == ".mcap" else _bag_messages)(path)
 
 
 def _mcap_messages(path: Path) -> Iterator[RecordedMessage]:
@@ -125,7 +124,7 @@ def _mcap_messages(path: Path) -> Iterator[RecordedMessage]:
 
 
 def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
-    """Yield the messages with `StreamReader`, which reads a truncated file up to its end, unlike the indexed reader."""
+    """Yield the messages with `StreamReader`, which reads a truncated file up to its end."""
     schemas: dict[int, Schema] = {}
     topics: dict[int, tuple[Topic, Callable[[bytes], int | None]]] = {}
     messages_left = _UNSUSPECTED_MESSAGES + os.fstat(file.fileno()).st_size // _MESSAGE_BYTES
@@ -159,7 +158,7 @@ def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
 
 
 def _mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
-    """Yield the records of a file, those of its chunks in their place; a chunk is unpacked within bounds."""
+    """Yield the records of a file and, in their order, of its chunks, which are unpacked within bounds."""
     unpacked_bytes = 0
     for record in StreamReader(file, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records:
         if not isinstance(record, Chunk):
@@ -172,8 +171,8 @@ def _mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
         stream = BytesIO(data)
         # A chunk within a chunk stays packed.
         inner = iter(StreamReader(stream, skip_magic=True, emit_chunks=True).records)
-        while stream.tell() < len(data) and (each := next(inner, None)) is not None:
-            yield each
+        while stream.tell() < len(data) and (inner_record := next(inner, None)) is not None:
+            yield inner_record
 
 
 def _bag_messages(path: Path) -> Iterator[RecordedMessage]:
@@ -197,13 +196,8 @@ def _bag_messages(path: Path) -> Iterator[RecordedMessage]:
 
 
 def _checked(time_ns: int) -> int:
-    """Return a time that fits into 64 bits with a sign, which no clock leaves before the year 2262.
-
-    Raises:
-        ValueError: it does not.
-    """
     if not -LATEST_NS <= time_ns <= LATEST_NS:
-        raise ValueError(f"{time_ns} ns is no time")
+        raise ValueError(f"{time_ns} ns is not a time")
     return time_ns
 
 
@@ -216,11 +210,10 @@ def _connection_has_stamp(connection: Connection) -> bool:
 @cache
 def _stamped_types() -> frozenset[str]:
     """Return the stock ROS 2 types whose first field is a header, for bags without definitions."""
-    stamped = set()
-    for name, (_, fields) in get_typestore(Stores.LATEST).fielddefs.items():
-        if fields and fields[0][1][1] == "std_msgs/msg/Header":
-            stamped.add(name)
-    return frozenset(stamped)
+    types = get_typestore(Stores.LATEST).fielddefs.items()
+    return frozenset(
+        name for name, (_, fields) in types if fields and fields[0][1][1] == "std_msgs/msg/Header"
+    )
 
 
 _COMMENT_OR_CONSTANT = re.compile(r"\s*(#.*)?|[^#]*=.*")
@@ -228,11 +221,7 @@ _STAMPED = re.compile(r"\s*((std_msgs/(msg/)?)?Header\s+\w+|builtin_interfaces/(
 
 
 def begins_with_stamp(definition: str) -> bool:
-    """Tell whether the first field of a type is a `std_msgs/Header` or a time.
-
-    Args:
-        definition: the text of its `.msg` file.
-    """
+    """Return whether the first field in the text of a `.msg` file is a `std_msgs/Header` or a time."""
     for line in definition.splitlines():
         if line.startswith("==="):
             return False

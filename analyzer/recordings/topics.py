@@ -1,4 +1,4 @@
-"""Topics of recordings that are not ours: rate, gaps, jitter, size, and age from stamp or publishing to the log."""
+"""Topics of other recordings: rate, gaps, jitter, size, and age from stamp or publishing to the log."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 Int64 = NDArray[np.int64]
 
 GAP_PERIODS = 2.0
-"""Length of a gap in median intervals: at least one message is missing."""
+"""Least length of a gap in median intervals: at least one message is missing."""
 
 _FEWEST_FOR_P99 = 100
 """Messages below which p99 is null."""
 
 _NONE = -(2**63)
-"""Stands for a time that a message does not have."""
+"""In place of a time that a message does not have."""
 
 TOPIC_SCHEMA: dict[str, type[pl.DataType]] = {
     "recording": pl.String,
@@ -70,16 +70,14 @@ class TopicReport:
     """The topics of some recordings.
 
     Attributes:
-        topics: one row per recording and topic with messages, sorted. `recording` (path), `topic`, `message_type`,
-            `encoding` str; `messages`; `start_ns` first log time; `duration_ns` first to last; `rate_hz` =
-            (messages - 1) / duration; `period_*_ns` of the intervals between log times, `jitter_ns` their standard
-            deviation; `gaps` intervals over `GAP_PERIODS` medians, `gap_max_ns` the longest interval;
-            `payload_*_bytes` as serialized; `age_from` `header` (log time - header stamp), `publish` (log time -
-            publish time, where any differs) or null; `age_messages` that have one, `age_negative` of them logged
-            before their stamp: the clocks disagree; p99 of fewer than 100 messages is null;
-            `stamps_backwards` header stamps older than the one logged before. An age is measured with two clocks
-            if another machine stamped, and is then wrong by what they differ.
-        sources: the recordings that were looked at, and what was wrong with them.
+        topics: one row per recording and topic with messages, sorted: columns of `TOPIC_SCHEMA`. `start_ns` first log time;
+            `duration_ns` first to last; `rate_hz` = (messages - 1) / duration; `period_*_ns` of the intervals between log
+            times, `jitter_ns` their standard deviation; `gaps` intervals over `GAP_PERIODS` medians, `gap_max_ns` the longest
+            interval; `payload_*_bytes` as serialized; `age_from` `header` (log time - header stamp), `publish` (log time -
+            publish time, where any differs) or null; `age_messages` with an age, `age_negative` logged before their stamp:
+            the clocks disagree; p99 of fewer than 100 messages is null; `stamps_backwards` header stamps older than the
+            previous one. If another machine stamped, an age is wrong by the difference of the clocks.
+        sources: the recordings, and what was wrong with them.
     """
 
     topics: pl.DataFrame
@@ -105,7 +103,7 @@ def analyze_topics(
     rows: list[Row] = []
     sources: list[Source] = []
     parts = [path] if isinstance(path, str | os.PathLike) else path
-    for recording in sorted({each for part in parts for each in find_recordings(part, skip=skip)}):
+    for recording in sorted({file for part in parts for file in find_recordings(part, skip=skip)}):
         if progress is not None:
             progress(recording)
         columns: dict[Topic, _Columns] = {}
@@ -115,11 +113,13 @@ def analyze_topics(
                 columns.setdefault(message.topic, _Columns()).add(message)
         except TraceFormatError as err:
             status, detail = ("truncated" if columns else "skipped"), err.what
-        messages = sum(len(held.log_ns) for held in columns.values())
+        messages = sum(len(topic.log_ns) for topic in columns.values())
         sources.append(Source(str(recording), status, detail, messages))
         rows += (
-            {"recording": str(recording), **_describe(topic, held)}
-            for topic, held in sorted(columns.items(), key=lambda item: (item[0].name, item[0].message_type))
+            {"recording": str(recording), **_describe(topic, messages_of_topic)}
+            for topic, messages_of_topic in sorted(
+                columns.items(), key=lambda item: (item[0].name, item[0].message_type)
+            )
         )
     if not any(source.status != "skipped" for source in sources):
         reasons = "; ".join(f"{source.path}: {source.detail}" for source in sources[:3])
@@ -139,17 +139,16 @@ class _Columns:
     payload_bytes: array[int] = field(default_factory=lambda: array("q"))
 
     def add(self, message: RecordedMessage) -> None:
-        """Take the next message."""
         self.log_ns.append(message.log_ns)
         self.publish_ns.append(_NONE if message.publish_ns is None else message.publish_ns)
         self.stamp_ns.append(_NONE if message.stamp_ns is None else message.stamp_ns)
         self.payload_bytes.append(message.payload_bytes)
 
 
-def _describe(topic: Topic, held: _Columns) -> Row:
+def _describe(topic: Topic, columns: _Columns) -> Row:
     log_ns, publish_ns, stamp_ns, payload_bytes = (
         np.frombuffer(column, np.int64)
-        for column in (held.log_ns, held.publish_ns, held.stamp_ns, held.payload_bytes)
+        for column in (columns.log_ns, columns.publish_ns, columns.stamp_ns, columns.payload_bytes)
     )
     order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
     log_ns, publish_ns, stamp_ns = log_ns[order], publish_ns[order], stamp_ns[order]

@@ -1,10 +1,9 @@
 """A folder of files with checksums, which is replaced as a whole or not at all.
 
     analysis.json              the manifest: format, version, and for each file its name here, size and SHA-256
-    summary-1f2e3d4c.parquet   a file; those of one save share their eight hexadecimal digits
+    summary-1f2e3d4c.parquet   a file; all files of one save have the same eight hexadecimal digits
 
-The manifest takes its place last. So a reader finds the files of the save before or those of the new one, and
-`analysis.json` never names a file that is not there.
+The manifest is written last, so that it always names the complete files of one save.
 """
 
 from __future__ import annotations
@@ -32,27 +31,19 @@ if TYPE_CHECKING:
 MANIFEST = "analysis.json"
 FORMAT = "dds-trace analysis"
 VERSION = 6
-"""Version 1: first version (2026). Version 2: `setting`, `runs`, `planned`, `unsent` and `environment` in the summary, runs and
-episodes of the intervals, and the unsent messages of each run, without which no report and no verdict of today can be made.
-Version 3: both percentiles of each contender and their leaders, which the first sentence and the table below it are made of.
-Version 4: the UTC columns of the round trips. Version 5: one row for each run. Version 6: value and metric of each candidate.
-"""
+"""Version 2: `setting`, `runs`, `planned`, `unsent` and `environment` in the summary, runs and bursts of the intervals, unsent
+messages of each run. Version 3: both percentiles of each setup and the leaders. Version 4: UTC columns of the round trips.
+Version 5: one row for each run. Version 6: value and metric of each candidate."""
 
 _FILE_NAME = re.compile(r"[a-z_]+-[0-9a-f]{8}\.(json|parquet)")
-"""Names of files beside the manifest: none leads out of the folder."""
+"""Names of files in the folder: no path leads out of it."""
 
 _AT_ONCE_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class SavedFile:
-    """A file of the folder.
-
-    Attributes:
-        file: its name in the folder.
-        bytes: its size.
-        sha256: hexadecimal SHA-256 of its bytes.
-    """
+    """A file of the folder: name, size and hexadecimal SHA-256."""
 
     file: str
     bytes: int
@@ -61,14 +52,7 @@ class SavedFile:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What `analysis.json` holds.
-
-    Attributes:
-        format: `FORMAT`.
-        version: `VERSION`.
-        written_by: version of the program.
-        files: name such as `summary.parquet` -> file.
-    """
+    """The content of `analysis.json`; `files` maps a name such as `summary.parquet` to its file."""
 
     format: str
     version: int
@@ -84,7 +68,7 @@ def write_folder(folder: Path, files: Mapping[str, Callable[[Path], object]]) ->
         files: name such as `summary.parquet` -> function that writes the file at a path.
 
     Raises:
-        OutputExistsError: the folder holds something else.
+        OutputExistsError: the folder has other files.
         OutputError: a file cannot be written; the earlier save stays.
     """
     try:
@@ -105,7 +89,7 @@ def write_folder(folder: Path, files: Mapping[str, Callable[[Path], object]]) ->
 def _write_files(
     folder: Path, files: Mapping[str, Callable[[Path], object]], after_failure: ExitStack
 ) -> dict[str, SavedFile]:
-    """Write the files of one save; `after_failure` gets what removes them."""
+    """Write the files of one save; `after_failure` is to remove them."""
     mark = secrets.token_hex(4)
     written = {}
     for name, write in files.items():
@@ -119,10 +103,10 @@ def _write_files(
 
 
 def read_folder(folder: Path) -> dict[str, Path]:
-    """Check every file of a save, and return the path of each by its name.
+    """Check every file of a save, and return name -> path.
 
     Raises:
-        TraceFormatError: this is no save, a save of another version, or one of its files was changed.
+        TraceFormatError: this is not a save of this version, or one of its files was changed.
     """
     manifest = _read_manifest(folder)
     if manifest.version < VERSION:
@@ -169,17 +153,13 @@ def _read_manifest(folder: Path) -> Manifest:
 
 
 def _earlier_files(folder: Path) -> tuple[SavedFile, ...]:
-    """Return the files of the save that is in the folder, of whatever version up to this; none of a missing or empty one.
-
-    Raises:
-        OutputExistsError: the folder holds something else.
-    """
+    """Return the files of an earlier save, of this version or an older one; none of a missing or empty folder."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return ()
     try:
         return tuple(_read_manifest(folder).files.values())
     except TraceFormatError as err:
-        raise OutputExistsError(f"{folder}: holds something else; give a folder of its own") from err
+        raise OutputExistsError(f"{folder}: has other files; give a folder of its own") from err
 
 
 def _remove(path: Path) -> None:

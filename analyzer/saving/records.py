@@ -1,7 +1,4 @@
-"""Frozen dataclasses as JSON and back: what comes back is equal to what went out, or it is refused.
-
-A float that JSON does not have is written as a text: `inf`, `-inf` or `nan`.
-"""
+"""Frozen dataclasses as JSON and back, equal or refused; a float that JSON lacks is the text `inf`, `-inf` or `nan`."""
 
 from __future__ import annotations
 
@@ -36,18 +33,14 @@ _NAMES = {
     "Setting": Mapping[str, str | int | float | None],
     "Source": Source,
 }
-"""Names in the annotations of the records that are there for type checkers only."""
+"""Names in annotations of the records that are imported for type checkers only."""
 
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """Everything of an analysis that is not a frame; fields as those of `Analysis` and `Details`.
+    """All fields of `Analysis` and `Details` but the frames.
 
-    Attributes:
-        sessions: as JSON texts (`Session.to_json`).
-        runs: as JSON texts (`Run.to_json`).
-        outputs: kind -> path.
-        unsent: run_id, 16 hexadecimal digits -> messages that were due and never left.
+    `sessions` and `runs` are JSON texts; the keys of `unsent` are run_ids of 16 hexadecimal digits.
     """
 
     title: str
@@ -65,17 +58,17 @@ class Content:
     unsent: Mapping[str, int]
 
 
-_AS_IT_IS = frozenset({str, int, bool})
+_PLAIN = frozenset({str, int, bool})
 
 
 def to_json(value: object, not_finite: Callable[[float], object] = str) -> object:
-    """Return a record, or what is in one, as values that `json` writes.
+    """Return a record, or a value in one, as `json` writes it.
 
     Args:
-        value: a dataclass, an Enum, or what JSON holds; mappings and sequences of these.
-        not_finite: what stands for a float that JSON does not have; `from_json` reads what `str` gives.
+        value: a dataclass, an Enum or a JSON value; mappings and sequences of these.
+        not_finite: replaces a float that JSON lacks; `from_json` reads the text of `str`.
     """
-    if value is None or type(value) in _AS_IT_IS:  # nearly all values of a table
+    if value is None or type(value) in _PLAIN:  # nearly all values of a table
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else not_finite(value)
@@ -84,16 +77,12 @@ def to_json(value: object, not_finite: Callable[[float], object] = str) -> objec
     if is_dataclass(value):
         return {field.name: to_json(getattr(value, field.name), not_finite) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {name: to_json(each, not_finite) for name, each in value.items()}
-    return [to_json(each, not_finite) for each in value] if isinstance(value, (list, tuple)) else value
+        return {name: to_json(item, not_finite) for name, item in value.items()}
+    return [to_json(item, not_finite) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 def from_json(kind: type[Record], value: object) -> Record:
-    """Return the record of which `to_json` made `value`.
-
-    Args:
-        kind: a dataclass.
-        value: as `json` reads it.
+    """Return the record from the value of `to_json`.
 
     Raises:
         ValueError: `value` is not of this kind; the message names the field.
@@ -104,19 +93,10 @@ def from_json(kind: type[Record], value: object) -> Record:
 
 
 def _read(hint: object, value: object, where: str) -> object:
-    """Return a value of the annotated type.
-
-    Args:
-        hint: the annotation.
-        value: as `json` reads it.
-        where: name of the field, for the message.
-
-    Raises:
-        ValueError: the value is not of that type.
-    """
+    """Return a value of the annotated type; `where` names the field in an error."""
     reader = _read_record if is_dataclass(hint) else _READERS.get(get_origin(hint) or _plain_type(hint))
     if reader is None:
-        raise ValueError(f"{where} has no type that JSON holds")
+        raise ValueError(f"{where} has no type that JSON has")
     return reader(hint, value, where)
 
 
@@ -126,31 +106,30 @@ def _plain_type(hint: object) -> object:
 
 def _read_record(hint: object, value: object, where: str) -> object:
     assert isinstance(hint, type)
-    held = _expect(dict, value, where)
+    fields_read = _expect(dict, value, where)
     hints = get_type_hints(hint, localns=_NAMES)
     for name in hints:
-        if name not in held:
+        if name not in fields_read:
             raise ValueError(f"{where} lacks {name}")
-    return hint(**{name: _read(of_field, held[name], f"{where}.{name}") for name, of_field in hints.items()})
+    return hint(**{name: _read(kind, fields_read[name], f"{where}.{name}") for name, kind in hints.items()})
 
 
 def _read_union(hint: object, value: object, where: str) -> object:
-    for each in get_args(hint):
+    for kind in get_args(hint):
         with suppress(ValueError):
-            return _read(each, value, where)
+            return _read(kind, value, where)
     raise ValueError(f"{where} is {value!r:.40}")
 
 
 def _read_tuple(hint: object, value: object, where: str) -> object:
-    of_each = get_args(hint)[0]
-    return tuple(_read(of_each, each, where) for each in _expect(list, value, where))
+    kind = get_args(hint)[0]
+    return tuple(_read(kind, item, where) for item in _expect(list, value, where))
 
 
 def _read_mapping(hint: object, value: object, where: str) -> object:
-    of_value = get_args(hint)[1]
-    return {
-        name: _read(of_value, each, f"{where}.{name}") for name, each in _expect(dict, value, where).items()
-    }
+    kind = get_args(hint)[1]
+    items = _expect(dict, value, where).items()
+    return {name: _read(kind, item, f"{where}.{name}") for name, item in items}
 
 
 def _read_enum(hint: object, value: object, where: str) -> object:
@@ -164,7 +143,7 @@ def _read_enum(hint: object, value: object, where: str) -> object:
 def _read_float(_: object, value: object, where: str) -> object:
     if value in _NOT_FINITE:
         return float(str(value))
-    # A whole number that stood for a float stays one, so that a report prints it alike.
+    # A whole number in place of a float stays one, so that a report prints it the same.
     return value if type(value) is int else _expect(float, value, where)
 
 
@@ -186,11 +165,6 @@ _READERS: Mapping[object, Callable[[object, object, str], object]] = {
 
 
 def _expect(kind: type[Record], value: object, where: str) -> Record:
-    """Return a value of exactly one type.
-
-    Raises:
-        ValueError: the value is of another type.
-    """
-    if type(value) is not kind:
+    if type(value) is not kind:  # bool is no int here
         raise ValueError(f"{where} is {value!r:.40}")
     return value

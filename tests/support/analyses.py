@@ -22,6 +22,8 @@ from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
 from dds_trace.analyzer.groups.timeline import run_frame
 from dds_trace.analyzer.groups.wire import no_wire_frames
+from dds_trace.analyzer.model.columns import SUMMARY_COLUMNS
+from dds_trace.analyzer.model.metrics import METRICS, schema_of
 from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
@@ -70,35 +72,18 @@ SETTING: dict[str, Any] = {"setting": pl.String}
 STAMPS: dict[str, Any] = dict.fromkeys(
     ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns"), pl.Int64
 )
-METRICS: dict[str, Any] = dict.fromkeys(("rtt_ns", "intermediate_ns", "latency_ns", "response_ns"), pl.Int64)
 ROUNDTRIPS: dict[str, Any] = {
     "run_id": pl.UInt64,
     "relay_id": pl.UInt32,
     "sequence": pl.UInt64,
     **PARAMETERS,
     **STAMPS,
-    **METRICS,
+    **schema_of(metric.column for metric in METRICS.values()),
     "outcome": pl.String,
     "duplicates": pl.UInt16,
     "reordered": pl.Boolean,
     **dict.fromkeys(("outbound_ns", "return_ns", "clock_bound_ns"), pl.Int64),
     **SETTING,
-}
-SUMMARY: dict[str, Any] = {
-    **PARAMETERS,
-    **dict.fromkeys(("published", "received", *LOSSES, "duplicates", "reordered"), pl.UInt64),
-    "received_ratio": pl.Float64,
-    "achieved_rate_hz": pl.Float64,
-    "transfer_rate_bytes_per_s": pl.Float64,
-    **{
-        f"{metric}_{name}_ns": pl.Float64
-        for metric in ("rtt", "intermediate", "latency", "response")
-        for name in ("mean", "std", "min", *NEEDED, "max")
-    },
-    **SETTING,
-    **dict.fromkeys(("runs", "planned", "unsent"), pl.UInt64),
-    "environment": pl.String,
-    **dict.fromkeys(("own_cost_ns", "own_share"), pl.Float64),
 }
 DISTRIBUTIONS = {"group": pl.UInt32, "metric": pl.String, "value_ns": pl.Float64, "count": pl.UInt64}
 TIMELINE = {
@@ -262,7 +247,7 @@ def make_analysis(
             _run(group, one, number) for group, one in enumerate(ordered) for number in range(one.runs)
         ),
         rows=RowStore.of(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)),
-        summary=pl.DataFrame(summary, schema=SUMMARY),
+        summary=pl.DataFrame(summary, schema=schema_of(SUMMARY_COLUMNS)),
         distributions=pl.DataFrame(buckets, schema=DISTRIBUTIONS),
         run_times=run_frame(*paired(_by_group(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)))),
         timeline=pl.DataFrame(timeline, schema=TIMELINE),

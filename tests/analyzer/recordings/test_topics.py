@@ -259,7 +259,7 @@ def test_a_time_beyond_the_year_2262_ends_the_reading(tmp_path, times):
     write_mcap(tmp_path / "x.mcap", [("/a", 1, 1, b"{}"), ("/a", *times, b"{}")])
     report = analyze_topics(tmp_path)
     assert report.topics["messages"].to_list() == [1]
-    assert "is no time" in report.sources[0].detail
+    assert "is not a time" in report.sources[0].detail
 
 
 def write_chunks(path, *chunks):

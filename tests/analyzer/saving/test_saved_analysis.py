@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import polars as pl
@@ -160,6 +160,15 @@ def test_damage_to_any_file_is_told_in_one_line(saved, damage):
         assert str(saved) in one_line(error)
         path.write_bytes(intact)
     load_analysis(saved)
+
+
+def test_a_save_without_a_column_of_the_summary_is_refused_in_one_line(tmp_path, analysis):
+    replace(analysis, summary=analysis.summary.drop("own_share", "runs")).save(tmp_path / "saved")
+    with pytest.raises(
+        TraceFormatError, match=r"lacks the columns runs, own_share of summary.*analyze the traces again"
+    ) as error:
+        load_analysis(tmp_path / "saved")
+    assert str(tmp_path) in one_line(error)
 
 
 def test_a_zero_anywhere_in_the_manifest_is_refused(saved):

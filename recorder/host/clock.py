@@ -1,4 +1,4 @@
-"""The clocks of a device: as the roles use them (a Protocol, so that tests have their own), and as the kernel corrects them."""
+"""The clocks of a device, and how the kernel corrects them."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class ClockAnchor:
 
     @property
     def offset_ns(self) -> int:
-        """The difference to add to a monotonic time for wall clock ns since 1970."""
+        """Difference from a monotonic time to the wall clock, ns."""
         return self.wall_ns - self.monotonic_ns
 
 
 class Clock(Protocol):
-    """A clock and the waits on it."""
+    """A clock and the waits on it; tests have their own."""
 
     def monotonic_ns(self) -> int:
         """Read CLOCK_MONOTONIC, in ns."""
@@ -44,7 +44,7 @@ class Clock(Protocol):
         """Read the monotonic and the wall clock at one instant."""
 
     def wait_until(self, monotonic_ns: int, stop: threading.Event) -> bool:
-        """Sleep until `monotonic_ns`, or return at once if it has passed; return whether `stop` stayed unset."""
+        """Sleep until `monotonic_ns`; return whether `stop` stayed unset."""
 
 
 class SystemClock:
@@ -58,10 +58,7 @@ class SystemClock:
         return ClockAnchor(wall_ns, monotonic_ns)
 
     def wait_until(self, monotonic_ns: int, stop: threading.Event) -> bool:
-        """Sleep without a final spin, which would hold the interpreter lock while T2 of the last message waits.
-
-        A late send costs nothing in latency: T1 is stamped when the message really goes.
-        """
+        """Sleep without a final spin, which would delay T2 of the last message; a late send costs no latency."""
         while (left_ns := monotonic_ns - time.monotonic_ns()) > 0:
             if stop.is_set():
                 return False
@@ -72,17 +69,17 @@ class SystemClock:
 
 
 def sharpen_sleep() -> None:
-    """Remove the 50 us of slack that the kernel may add to the calling thread's sleeps."""
+    """Remove the 50 us that the kernel may add to the calling thread's sleeps."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def read_monotonic_pair() -> tuple[int, int]:
-    """Return CLOCK_MONOTONIC and CLOCK_MONOTONIC_RAW at one instant, ns; NTP slews the first one only."""
+    """Return CLOCK_MONOTONIC and CLOCK_MONOTONIC_RAW, which NTP does not slew, at one instant, ns."""
     return _read_together(lambda: time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW), _PAIR_READINGS)
 
 
 def _read_together(read_other: Callable[[], int], readings: int) -> tuple[int, int]:
-    """Return CLOCK_MONOTONIC and another clock, by the narrowest of some readings: a preemption widens one."""
+    """Return CLOCK_MONOTONIC and another clock, from the narrowest reading: a preemption widens one."""
     narrowest: tuple[int, int, int] | None = None
     for _ in range(readings):
         before_ns, other_ns, after_ns = time.monotonic_ns(), read_other(), time.monotonic_ns()
@@ -93,7 +90,7 @@ def _read_together(read_other: Callable[[], int], readings: int) -> tuple[int, i
 
 
 class _Timex(ctypes.Structure):
-    """`struct timex` of adjtimex(2) up to the last field that is read; `rest` is room for what the kernel writes."""
+    """`struct timex` of adjtimex(2); `rest` is for the fields that are not read."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),
@@ -115,9 +112,8 @@ def read_adjtimex() -> JsonObject | None:
     """Read how the kernel corrects CLOCK_MONOTONIC, without privileges; None where that is not permitted.
 
     Returns:
-        `frequency_ppb`: correction by NTP or PTP (adjtimex's `freq`); `tick_us`: length of a tick, 10,000 unless
-        something slews by it (chrony does for large corrections); `status`: bits of `STA_*`, where 0x40 means not
-        synchronized.
+        `frequency_ppb`: correction by NTP or PTP (adjtimex's `freq`); `tick_us`: length of a tick, 10,000 unless a large
+        correction changes it (chrony); `status`: bits of `STA_*`, where 0x40 means not synchronized.
     """
     timex = _Timex(modes=0)  # no mode: nothing is set
     try:

@@ -16,12 +16,7 @@ _INLINE_STARTS = ("<", "{", "str://")
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationVariable:
-    """An environment variable with the configuration of a middleware.
-
-    Attributes:
-        name: the environment variable.
-        separator: text between several entries of its value; None if there is only one.
-    """
+    """An environment variable with the configuration of a middleware, in several entries if it has a separator."""
 
     name: str
     separator: str | None = None
@@ -32,9 +27,9 @@ class MiddlewareEnvironment:
     """The variables and files by which a middleware can be configured.
 
     Attributes:
-        settings: variables whose values are settings; a session keeps them whole.
-        configuration: variables that name files or contain their text; a session keeps hashes.
-        files: names of files that the middleware loads from the working directory by itself.
+        settings: variables whose values a session keeps.
+        configuration: variables that name files or contain their text, whose hashes a session keeps.
+        files: files that the middleware loads from the working directory by itself.
     """
 
     settings: tuple[str, ...] = ()
@@ -49,10 +44,6 @@ class MiddlewareEnvironment:
         self, variables: Mapping[str, str], folder: Path
     ) -> dict[str, list[dict[str, str | None]]]:
         """Return the hash of each configuration in effect.
-
-        Args:
-            variables: environment variables.
-            folder: the working directory.
 
         Returns:
             Variable (or, for a file in `folder`, `./NAME`) -> one entry for each file or inline text: `name` (the

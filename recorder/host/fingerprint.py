@@ -1,6 +1,6 @@
-"""The fingerprint of a device: what a reader must know before comparing its numbers with those of another device.
+"""The fingerprint of a device, without host name, address or serial number.
 
-No host name, address or serial number. A field that this system does not report is null or empty, never an error.
+A field that this system does not report is null or empty, never an error.
 """
 
 from __future__ import annotations
@@ -33,14 +33,8 @@ def host_fingerprint(
 ) -> dict[str, Json]:
     """Return the `host` object of a session.
 
-    Args:
-        versions: package name -> version of the middleware and its client library.
-        environment: variables and files by which the middlewares can be configured.
-
-    Returns:
-        `configuration`: variable or file name -> entries of `name` and `sha256`; `settings`: environment variables;
-        `socket_buffers`: `net.core.rmem_max` and so on, bytes; `reassembly`: see `reassembly_limits`; `mtu`: interface ->
-        bytes; `wifi`: interface -> see `wifi_links`; the other fields as they are called.
+    Its `versions` are those of the middleware and its client library; `socket_buffers` are in bytes (or packets), `mtu` in
+    bytes by interface; `reassembly` limits the memory and time (s) of waiting IP fragments.
     """
     environment = environment or MiddlewareEnvironment()
     return {
@@ -53,23 +47,23 @@ def host_fingerprint(
         "cpu_max_mhz": read_mhz("/sys/devices/system/cpu/cpu0/cpufreq/cpuinfo_max_freq"),
         "os": _os_name(),
         "kernel": platform.release(),
-        "kernel_realtime": is_realtime_kernel(),
+        "kernel_realtime": read_text("/sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version(),
         "memory_bytes": psutil.virtual_memory().total,
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "versions": dict(versions or {}),
         "configuration": environment.hash_configuration(os.environ, Path.cwd()),
         "settings": environment.read_settings(os.environ),
-        "socket_buffers": socket_buffers(),
-        "reassembly": reassembly_limits(),
-        "mtu": interface_mtus(),
+        "socket_buffers": _socket_buffers(),
+        "reassembly": {name: n for name, n in read_limits().items() if name.startswith("net.ipv4.ipfrag_")},
+        "mtu": _interface_mtus(),
         "clock_source": read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
-        "container": container_name(),
-        "wifi": wifi_links(),
+        "container": _container_name(),
+        "wifi": _wifi_links(),
     }
 
 
 def read_text(path: str | Path) -> str | None:
-    """Return a file's text without surrounding blanks and NULs, None where there is no such file to read."""
+    """Return a file's text without surrounding blanks and NULs, None if it cannot be read."""
     try:
         return Path(path).read_text(errors="replace").strip("\0 \n")
     except OSError:
@@ -77,21 +71,18 @@ def read_text(path: str | Path) -> str | None:
 
 
 def read_mhz(path: str) -> float | None:
-    """Return the MHz that a file of cpufreq has in kHz, None where there is none."""
+    """Return in MHz what a file of cpufreq has in kHz."""
     khz = read_text(path)
     return int(khz) / 1000 if khz and khz.isdigit() else None
 
 
 def read_boot_id() -> str | None:
-    """Return the random text that the kernel drew at boot: sessions with one text share CLOCK_MONOTONIC."""
+    """Return the kernel's random id of this boot: sessions of one boot share CLOCK_MONOTONIC."""
     return read_text("/proc/sys/kernel/random/boot_id") or None
 
 
-def socket_buffers() -> dict[str, int]:
-    """Return the kernel's limits of socket buffers: `net.core.NAME` -> bytes (or packets).
-
-    Linux before about 6.10 shows only some of them in a network namespace.
-    """
+def _socket_buffers() -> dict[str, int]:
+    # Linux before about 6.10 shows only some of them in a network namespace.
     texts = {f"net.core.{name}": read_text(f"/proc/sys/net/core/{name}") for name in _SOCKET_BUFFERS}
     for protocol in ("udp_mem", "tcp_rmem", "tcp_wmem"):
         values = (read_text(f"/proc/sys/net/ipv4/{protocol}") or "").split()
@@ -100,17 +91,7 @@ def socket_buffers() -> dict[str, int]:
     return {name: int(text) for name, text in texts.items() if text and text.isdigit()}
 
 
-def reassembly_limits() -> dict[str, int]:
-    """Return the kernel's limits of IP reassembly.
-
-    `net.ipv4.ipfrag_time`: seconds that a fragment waits for the others; `ipfrag_high_thresh` and `ipfrag_low_thresh`:
-    bytes of all waiting fragments; `ipfrag_max_dist`: fragments of other datagrams in between.
-    """
-    return {name: value for name, value in read_limits().items() if name.startswith("net.ipv4.ipfrag_")}
-
-
-def interface_mtus() -> dict[str, int]:
-    """Return the MTU in bytes of each network interface that is up."""
+def _interface_mtus() -> dict[str, int]:
     try:
         return {name: stats.mtu for name, stats in psutil.net_if_stats().items() if stats.isup}
     except OSError:
@@ -118,7 +99,7 @@ def interface_mtus() -> dict[str, int]:
 
 
 def wifi_signals() -> dict[str, dict[str, float]]:
-    """Return the signal of each wireless interface with a link: name -> `link_quality`, `signal_dbm`, `noise_dbm`."""
+    """Return `link_quality`, `signal_dbm` and `noise_dbm` of each wireless interface with a link."""
     signals: dict[str, dict[str, float]] = {}
     for line in (read_text("/proc/net/wireless") or "").splitlines()[2:]:
         interface, _, rest = line.partition(":")
@@ -129,8 +110,8 @@ def wifi_signals() -> dict[str, dict[str, float]]:
     return signals
 
 
-def wifi_links() -> dict[str, dict[str, float]]:
-    """Return the links of `wifi_signals` and, where `iw` is installed, their `frequency_mhz` and `bitrate_mbit_s`."""
+def _wifi_links() -> dict[str, dict[str, float]]:
+    """Return `wifi_signals` and, where `iw` is installed, `frequency_mhz` and `bitrate_mbit_s`."""
     links = wifi_signals()
     iw = shutil.which("iw", path=os.environ.get("PATH", "") + ":/usr/sbin:/sbin")
     for interface, link in links.items():
@@ -155,13 +136,7 @@ def _run_iw(iw: str, interface: str) -> str:
         return ""
 
 
-def is_realtime_kernel() -> bool:
-    """Return whether the kernel is PREEMPT_RT."""
-    return read_text("/sys/kernel/realtime") == "1" or "PREEMPT_RT" in platform.version()
-
-
-def container_name() -> str | None:
-    """Return the kind of container of this process (`docker`, `podman`, `lxc` ...), None on the bare system."""
+def _container_name() -> str | None:
     for path, name in (("/.dockerenv", "docker"), ("/run/.containerenv", "podman")):
         if Path(path).exists():
             return name
@@ -173,7 +148,6 @@ def container_name() -> str | None:
 
 
 def _board() -> str | None:
-    """Return a board's model (`Raspberry Pi 4 Model B Rev 1.4`) or a PC's product name."""
     return read_text("/proc/device-tree/model") or read_text("/sys/class/dmi/id/product_name")
 
 

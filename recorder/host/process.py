@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 SWITCH_INTERVAL_S = 0.0005
-"""Longest time that a computing thread keeps the interpreter lock from one that received a message (5 ms by default)."""
+"""Longest time that a computing thread delays one that received a message (by default 5 ms)."""
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # <sys/mman.h>, equal on x86_64 and aarch64
 
@@ -43,38 +43,29 @@ _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
 def apply_privileges(
     cpu_affinity: str | None = None, realtime_priority: int | None = None
 ) -> dict[str, Json]:
-    """Give this process its CPUs and its real-time priority; threads started later inherit both.
+    """Give this process its CPUs and its real-time priority (SCHED_FIFO, all memory locked); later threads inherit both.
 
     Call it before the middleware starts its threads. Threads that write the trace or sample the host give the priority
     back (`base.threads.run_in_background`).
 
-    Args:
-        cpu_affinity: CPUs as `--cpu-affinity` names them: `3`, `0,2`, `2-3`.
-        realtime_priority: 1 (lowest) to 99 for SCHED_FIFO; all memory is locked as well.
-
     Returns:
-        The session's fields `cpu_affinity` (list of CPU numbers), `realtime_priority` and `memory_locked`, as far as
-        they were requested.
+        The session's fields `cpu_affinity` (list of CPU numbers), `realtime_priority` and `memory_locked`, if requested.
 
     Raises:
         OptionError: a value is impossible on this machine, or the system does not permit it.
     """
     applied: dict[str, Json] = {}
     if cpu_affinity is not None:
-        applied["cpu_affinity"] = pin_cpus(cpu_affinity)
+        applied["cpu_affinity"] = _pin_cpus(cpu_affinity)
     if realtime_priority is not None:
-        lock_memory()
+        _lock_memory()
         set_realtime(realtime_priority)
         applied |= {"realtime_priority": realtime_priority, "memory_locked": True}
     return applied
 
 
 def parse_cpus(text: str) -> list[int]:
-    """Return the CPU numbers in `0,2-3`, sorted.
-
-    Raises:
-        OptionError: not a list of numbers and ranges.
-    """
+    """Return the CPU numbers in `0,2-3`, sorted; raise an OptionError for other text."""
     limits.check(limits.CPUS, text, "--cpu-affinity")
     cpus: set[int] = set()
     for part in text.split(","):
@@ -85,12 +76,7 @@ def parse_cpus(text: str) -> list[int]:
     return sorted(cpus)
 
 
-def pin_cpus(text: str) -> list[int]:
-    """Let every thread of this process run on these CPUs only, and return their numbers.
-
-    Raises:
-        OptionError: not a list of CPUs, or a CPU that this process may not use.
-    """
+def _pin_cpus(text: str) -> list[int]:
     cpus = parse_cpus(text)
     allowed = os.sched_getaffinity(0)
     missing = [cpu for cpu in cpus if cpu not in allowed]
@@ -107,11 +93,7 @@ def pin_cpus(text: str) -> list[int]:
 
 
 def set_realtime(priority: int) -> None:
-    """Run the calling thread, and those it starts, under SCHED_FIFO.
-
-    Raises:
-        OptionError: the priority is not 1 to 99, or the system does not permit it.
-    """
+    """Run the calling thread, and the ones it starts, under SCHED_FIFO; raise an OptionError if that is refused."""
     limits.check(limits.REALTIME_PRIORITY, priority, "--realtime")
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -121,12 +103,8 @@ def set_realtime(priority: int) -> None:
         ) from err
 
 
-def lock_memory() -> None:
-    """Keep every page of this process in memory, now and later, so that no page fault delays a stamp.
-
-    Raises:
-        OptionError: the system does not permit it.
-    """
+def _lock_memory() -> None:
+    """Keep every page of this process in memory, so that no page fault delays a stamp."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         reason = os.strerror(ctypes.get_errno())
@@ -156,8 +134,8 @@ def tuned_gc() -> Iterator[None]:
 def stop_at_signals() -> threading.Event:
     """Return an event that SIGINT and SIGTERM set from now on.
 
-    A handler runs between any two steps of the main thread, even while that holds the event's lock in `wait()`: a
-    handler that called `set()` would deadlock. `SimpleQueue.put` is reentrant, so a thread behind a queue sets the event.
+    A handler may run while the main thread has the event's lock in `wait()`, where `set()` would deadlock.
+    `SimpleQueue.put` is reentrant, so a thread that reads a queue sets the event.
     """
     stop = threading.Event()
     received: SimpleQueue[int] = SimpleQueue()
@@ -175,8 +153,8 @@ def stop_at_signals() -> threading.Event:
 def ending_with_parent() -> list[str]:
     """Return the words before a command that make the kernel end it by SIGTERM when this process ends.
 
-    Empty where the system has no `setpriv` (util-linux). The kernel sends nothing if the parent ended before `setpriv`
-    asked, so a shell, which the command replaces, compares its parent with this process first.
+    Empty without `setpriv` (util-linux). The kernel sends nothing if the parent ended before `setpriv` asked, so a shell
+    first compares its parent with this process.
     """
     setpriv = shutil.which("setpriv")
     if setpriv is None:

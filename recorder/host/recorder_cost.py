@@ -40,10 +40,9 @@ class RecorderCost:
 
     Attributes:
         timer_ns: time of one reading of the monotonic clock in a loop.
-        record_median_ns: median time of keeping one event; likewise `record_p99_ns` and `record_max_ns`.
+        record_median_ns: median time of recording one event; likewise `record_p99_ns` and `record_max_ns`.
         stall_of_ten_ns: maximum time of ten consecutive events together.
-        events: number of measured events.
-        cold_timer_ns: time of one reading of the clock after a sleep, which is subtracted from the times of events.
+        cold_timer_ns: time of one reading of the clock after a sleep, which is subtracted from the others.
     """
 
     timer_ns: float
@@ -56,11 +55,7 @@ class RecorderCost:
 
 
 def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> RecorderCost:
-    """Measure the cost of recording on this machine with a trace that is deleted again.
-
-    Args:
-        folder: folder of the coming traces, whose disk may add to the cost; else the temporary folder.
-        seconds: duration of the measurement.
+    """Measure the cost of recording with a trace in `folder` (by default a temporary one) that is deleted again.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -99,15 +94,12 @@ def measure_timer_ns() -> float:
 
 
 def measure_cold_timer_ns(readings: int) -> float:
-    """Return the median time in ns from one reading of the clock to the next, of pairs of readings at 1 kHz."""
+    """Return the median time in ns of one reading of the clock after a sleep."""
     return float(statistics.median(time_paced_events(None, readings).tolist()))
 
 
 def time_paced_events(record: Record | None, count: int) -> NDArray[np.float64]:
-    """Return the time in ns of each of `count` calls of `record` at 1 kHz, one reading of the clock included.
-
-    The thread sleeps between events, as one that waits for messages does; None records nothing.
-    """
+    """Return the time in ns of each of `count` calls of `record` (None: no call) and one reading of the clock, at 1 kHz."""
     now = time.monotonic_ns
     times = np.zeros(count)
     planned_ns = now()
@@ -128,7 +120,7 @@ def worst_stall_ns(times: NDArray[np.float64]) -> float:
 
 
 def measuring_session() -> Session:
-    """Return the session of a measurement, which has neither middleware nor domain."""
+    """Return a session without middleware and domain."""
     return Session(
         session_id=0,
         role="relay",

@@ -1,4 +1,4 @@
-"""Samples of the host's load once a second: CPU, memory, network, Wi-Fi signal, and the load of named processes."""
+"""Samples of the host's load: CPU, memory, network, Wi-Fi signal, and named processes."""
 
 from __future__ import annotations
 
@@ -27,22 +27,16 @@ _DROP_COUNTERS = {
     "Udp:": ("InErrors", "RcvbufErrors", "SndbufErrors"),
     "Ip:": ("ReasmFails", "ReasmTimeout", "FragFails"),
 }
-"""Datagrams that the kernel threw away: the usual cause of loss and of slow reliable delivery of large messages."""
+"""Datagrams that the kernel dropped, the usual cause of loss and of late large messages."""
 
 
 @dataclass(slots=True)
 class HostSampler:
-    """A thread that hands one sample a second to a callback, from `start` to `stop`.
+    """A context manager: a thread hands a sample to `write` each period, and a last one at the end.
 
-    Of a sample's fields, `monotonic_raw_ns` is not slewed by NTP; totals since boot are `network` (by interface), `udp`
-    (`RcvbufErrors` ...), `steal_ns` (time that a hypervisor gave to others, all processors together) and `pressure_us`
-    (time in which some task waited for `cpu`, `io` or `memory`); `cpu_percent` of a process is of one core;
-    `sampling_cpu_ns` is the CPU time that the preceding sample took.
-
-    Attributes:
-        write: callback that takes each sample, such as `functools.partial(sink.write_json, HOST_TOPIC)`.
-        processes: further processes to follow, name -> pid (`{"bridge": 4711}`); this one is `self`.
-        period_s: time between two samples.
+    Totals since boot are `network`, `udp`, `steal_ns` (of all processors together) and `pressure_us` (time in which some
+    task waited for `cpu`, `io` or `memory`). `cpu_percent` of a process is of one core; `sampling_cpu_ns` is the CPU time
+    of the preceding sample. `processes` maps names to ids (`{"bridge": 4711}`); this process is `self`.
     """
 
     write: Callable[[JsonObject], None]
@@ -53,21 +47,10 @@ class HostSampler:
     _followed: dict[int, psutil.Process] = field(default_factory=dict, init=False)
     _sampling_cpu_ns: int = field(default=0, init=False)
 
-    def start(self) -> Self:
-        """Start the thread; the first sample comes one period later, as CPU shares need an interval."""
+    def __enter__(self) -> Self:
         self._thread = threading.Thread(target=self._run, name="host-sampler", daemon=True)
         self._thread.start()
         return self
-
-    def stop(self) -> None:
-        """Take one last sample, so that a run shorter than a period has one, and end the thread."""
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-
-    def __enter__(self) -> Self:
-        return self.start()
 
     def __exit__(
         self,
@@ -75,17 +58,19 @@ class HostSampler:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.stop()
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
 
     def _run(self) -> None:
         run_in_background()
-        self.sample()  # psutil's shares count from the preceding call
+        self.sample()  # from which the shares of the next one count
         while not self._stop.wait(self.period_s):
             self.write(self.sample())
         self.write(self.sample())
 
     def sample(self) -> dict[str, Json]:
-        """Take one sample now; shares of CPU count from the preceding call."""
+        """Take one sample; shares of CPU count from the preceding one."""
         began_ns = time.thread_time_ns()
         monotonic_ns, monotonic_raw_ns = read_monotonic_pair()
         sample: dict[str, Json] = {
@@ -142,7 +127,6 @@ def _host_load() -> dict[str, Json]:
 
 
 def _pressure_us() -> dict[str, Json]:
-    """Read `/proc/pressure` (Linux 4.20); empty where there is none."""
     totals: dict[str, Json] = {}
     for resource in ("cpu", "io", "memory"):
         some = (read_text(f"/proc/pressure/{resource}") or "").partition("\n")[0]
@@ -153,7 +137,6 @@ def _pressure_us() -> dict[str, Json]:
 
 
 def _temperature_c() -> float | None:
-    """Read the first thermal zone: on a Raspberry Pi the SoC."""
     millidegrees = read_text("/sys/class/thermal/thermal_zone0/temp")
     return int(millidegrees) / 1000 if millidegrees and millidegrees.lstrip("-").isdigit() else None
 

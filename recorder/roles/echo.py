@@ -22,13 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RelayView:
-    """The endpoints of relays that a ping sees for its data type.
+    """The relays' endpoints that a ping sees: subscriptions on its topic, publishers on the topic of the replies.
 
     Attributes:
-        subscriptions: subscriptions of others on the topic that the ping sends on.
-        publishers: publishers of others on the topic of the replies.
-        incompatible: on both topics, one line for each pair whose quality of service can never match.
-        unassignable: likewise, one line for each side whose type has the same name but another definition.
+        incompatible: one line for each pair whose quality of service can never match.
+        unassignable: one line for each side whose type has the same name but another definition.
     """
 
     subscriptions: tuple[Endpoint, ...]
@@ -58,7 +56,7 @@ def look_for_relays(node: Node, data_type: DataType) -> RelayView:
 def find_loss(node: Node, data_type: DataType, silence: Silence, *, ended: bool) -> RelayLostError | None:
     """Return the error of a relay that no longer answers, None while it may come back.
 
-    While the run lasts, a relay that still publishes is not lost: a link that fails for some seconds is to be measured.
+    Before the run has ended, a relay that is still visible is not lost: an outage of some seconds is to be measured.
     """
     if not silence.is_lasting or (not ended and look_for_relays(node, data_type).publishers):
         return None
@@ -71,7 +69,7 @@ def find_loss(node: Node, data_type: DataType, silence: Silence, *, ended: bool)
 def explain_silence(
     node: Node, plan: RunPlan, waited_s: float, not_applied: tuple[Difference, ...] = ()
 ) -> str:
-    """Return the message of a `NoEchoError`: looked for, saw, try, and the settings that the ping does not use."""
+    """Return the text of a `NoEchoError`: looked for, saw, try, not applied."""
     options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
     view = look_for_relays(node, data_type)
     through = (

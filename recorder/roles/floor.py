@@ -1,4 +1,4 @@
-"""The cost of recording on this machine, and the floor of the client library: the least latency of one process."""
+"""The cost of recording, and the floor of the client library: the latency within one process."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..host.recorder_cost import RecorderCost
 
 BRIEF_S = 0.15
-"""Length of the measurement before each session, enough for a median; `dds-record --self-test` takes longer."""
+"""Length of the measurement before a session, enough for a median."""
 FLOOR_TOPIC = "dds_trace_floor"
 FLOOR_MESSAGES = 200
 BRIEF_FLOOR_MESSAGES = 50
@@ -38,10 +38,7 @@ COLDEST_GAP_S = 0.01
 class FloorCost:
     """The time from publish to callback within one process: client library, middleware and interpreter.
 
-    Attributes:
-        median_ns: median over the messages, in ns; `p99_ns` likewise.
-        messages: number of messages.
-        rate_hz: messages a second, on which the temperature of the caches depends.
+    Caches are the colder the lower the rate.
     """
 
     median_ns: float
@@ -62,7 +59,7 @@ def measured_cost() -> dict[str, Json]:
 def measured_floor(backend: str, options: NodeOptions, rate_hz: float | None = None) -> dict[str, Json]:
     """Return the session's field `client_library_floor`, times in ns; empty where it cannot be measured.
 
-    Call it before the role's node is open. A relay does not know the rate.
+    A relay does not know the rate.
     """
     try:
         floor = measure_floor(backend, options, BRIEF_FLOOR_MESSAGES, BRIEF_FLOOR_PATIENCE_S, rate_hz)
@@ -84,9 +81,9 @@ def measure_floor(
 
     Args:
         backend: name of the backend.
-        options: options of the role's node; its peers are left out.
+        options: options of the role's node.
         messages: number of messages.
-        patience_s: longest time for publisher and subscription to find each other.
+        patience_s: longest time for publisher and subscription to match.
         rate_hz: messages a second; `COLDEST_GAP_S` is the longest gap and the default.
 
     Raises:

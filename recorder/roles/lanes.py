@@ -21,14 +21,7 @@ ReceivedT = TypeVar("ReceivedT")
 
 @dataclass(frozen=True, slots=True)
 class Lane(Generic[SentT, ReceivedT]):
-    """One form of messages on a node, and the endpoints that carry it.
-
-    Attributes:
-        form_of: returns the form of a data type's messages; an OptionError if the type does not have it.
-        message_of: returns a message of the payload as it is sent.
-        create_publisher: as `Node.create_publisher`.
-        create_subscription: as `Node.create_subscription`.
-    """
+    """One form of messages on a node; `form_of` raises an OptionError for a data type that does not have it."""
 
     form_of: Callable[[DataType], Form[SentT, ReceivedT]]
     message_of: Callable[[DataType, Message], SentT]

@@ -33,7 +33,7 @@ ReceivedT = TypeVar("ReceivedT")
 LEAD_NS = SECOND_NS // 20
 """Time from the end of the preparations to the first planned send."""
 PROBE_PERIODS_NS = tuple(SECOND_NS // part for part in (10, 5, 5, 2, 2, 1))
-"""Times between readiness probes; the last one repeats. Probes are as large as the messages and must not queue up."""
+"""Times between readiness probes, which are as large as the messages and must not queue up; the last one repeats."""
 SETTLE_NS = SECOND_NS // 5
 """Silence after the last echo of a probe before the run may start."""
 DRAIN_NS = 2 * SECOND_NS
@@ -65,7 +65,7 @@ AnyPing: TypeAlias = "Ping[bytearray, RawMessage] | Ping[RosMessage, RosMessage]
 
 
 def open_ping(node: Node, plan: RunPlan, clock: Clock | None = None) -> AnyPing:
-    """Open the ping of `plan` on a node that is not started yet.
+    """Open the ping of a plan on a node that is not started yet.
 
     Raises:
         OptionError: the node or the data has no messages of the plan's serialization.
@@ -76,13 +76,7 @@ def open_ping(node: Node, plan: RunPlan, clock: Clock | None = None) -> AnyPing:
 
 
 class Ping(Generic[SentT, ReceivedT]):
-    """One run on one node: `wait_for_echo`, then `run`, then `close`.
-
-    Args:
-        lane: lane of the node for the messages; the node's thread calls `_receive`.
-        plan: the messages and their schedule.
-        clock: time of this device.
-    """
+    """One run on one node: `wait_for_echo`, then `run`, then `close`; the node's thread calls `_receive`."""
 
     def __init__(self, lane: Lane[SentT, ReceivedT], plan: RunPlan, clock: Clock | None = None) -> None:
         self.plan = plan
@@ -131,11 +125,7 @@ class Ping(Generic[SentT, ReceivedT]):
         replies.note(sequence, relay_id, receive_ns)
 
     def wait_for_echo(self, timeout_s: float, stop: threading.Event, relays: int = 1) -> bool:
-        """Send probes until `relays` relays have sent one back and echoes have ceased.
-
-        Returns:
-            Whether that happened within `timeout_s` and before `stop` was set.
-        """
+        """Send probes until `relays` relays have sent one back and echoes have ceased; return whether that happened."""
         began_ns = next_ns = self._now()
         message, nonce, sent = self._messages[0], secrets.randbits(63), 0
         while not stop.is_set():
@@ -182,10 +172,7 @@ class Ping(Generic[SentT, ReceivedT]):
     def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
         """Send the plan on this thread, collect the replies, and return the finished run.
 
-        Args:
-            sink: trace for the events and the run's description.
-            stop: ends the sending early, but not the wait for replies.
-            hopeless: ends the wait for replies too.
+        `stop` ends the sending early; `hopeless` also ends the wait for replies.
         """
         description = self.plan.describe(self.run_id)
         sink.write_run(description)
@@ -216,7 +203,7 @@ class Ping(Generic[SentT, ReceivedT]):
                 now()
             )  # for a reply that arrives before the exact time is stored below
             second_ns = write_second(message, before_ns + wall_offset_ns) - wall_offset_ns
-            # Recorded before the message leaves: a killed ping has the T1 of every message that a relay answered.
+            # Recorded before the message leaves: a killed ping has T1 of every answered message.
             publish_ns = stamp(T1, run_id, sequence, scheduled_ns, 0, 0, payload_bytes)
             write_nanoseconds(message, publish_ns - second_ns)
             publish(message)
@@ -238,7 +225,7 @@ class Ping(Generic[SentT, ReceivedT]):
             yield message, sizes[position], scheduled_ns
 
     def _arriving(self, feed: Feed, stop: threading.Event) -> Iterator[tuple[SentT, int, int]]:
-        """Yield each message of a live source, stamped, with its bytes and T0, the time of its arrival here."""
+        """Yield each message of a live source, stamped, with its bytes and T0, its arrival."""
         feed.begin()
         for sequence in range(self.plan.total):
             arrival = feed.take(stop)
@@ -259,7 +246,7 @@ class Ping(Generic[SentT, ReceivedT]):
             self._clock.wait_until(self._now() + POLL_NS, hopeless)
 
     def progress(self) -> PingProgress:
-        """Return the progress of the run; any thread may call this."""
+        """Return the progress of the run, on any thread."""
         replies = self._replies
         p50_ns, p99_ns = replies.percentiles_ns()
         received = replies.received

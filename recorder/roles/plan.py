@@ -1,4 +1,4 @@
-"""The plan of a run, from the options and the data, which decides rate and count where the options do not."""
+"""The plan of a run, from the options and the data."""
 
 from __future__ import annotations
 
@@ -25,13 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """The messages of one run of a ping and their schedule.
-
-    Attributes:
-        messages: messages that count.
-        warmup: messages sent before them on the same schedule, which no statistic counts.
-        extra: further fields for the trace's description of the run.
-    """
+    """The messages of one run of a ping and their schedule; no statistic counts `warmup`, the first ones."""
 
     payload: Payload
     rate_hz: float
@@ -74,11 +68,7 @@ class RunPlan:
 def plan_run(
     options: RecordOptions, ping: PingOptions, payload: Payload, *, session_id: int, seed: int
 ) -> RunPlan:
-    """Return the run of these options with this payload.
-
-    Raises:
-        OptionError: the payload cannot be sent like this.
-    """
+    """Return the run of these options with this payload; raise an OptionError if it cannot be sent like this."""
     check_serialization([payload.data_type], options.serialization)
     check_rate(ping, is_live=payload.feed is not None)
     rate_hz = ping.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
@@ -101,11 +91,7 @@ def plan_run(
 
 
 def count_messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
-    """Return the requested number of messages, or the number that fits the duration after the warm-up.
-
-    Raises:
-        OptionError: it is more than memory has room for.
-    """
+    """Return the requested number of messages, or the number that fits the duration after the warm-up."""
     if messages is not None:
         return messages
     if duration_s is None:
@@ -122,7 +108,7 @@ def check_rate(ping: PingOptions, *, is_live: bool) -> None:
 
 
 def check_serialization(data_types: Iterable[DataType], serialization: Serialization) -> None:
-    """Raise an OptionError that names a data type without message objects, if they are requested."""
+    """Raise an OptionError for a data type without message objects, if they are requested."""
     if serialization is Serialization.TYPED:
         for data_type in data_types:
             data_type.object_form()

@@ -21,11 +21,9 @@ CHANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class PingProgress:
-    """The progress of a ping's run.
+    """The progress of a ping's run, in messages, warm-up included.
 
     Attributes:
-        planned: messages of the schedule, warm-up included.
-        sent: messages handed to the middleware.
         received: messages with at least one reply.
         lost: messages without a reply although a later one has one; at the end, all without one.
         rtt_p50_ns: median round trip so far, None before the first reply; likewise `rtt_p99_ns`.
@@ -45,13 +43,7 @@ class PingProgress:
 
 @dataclass(frozen=True, slots=True)
 class RelayProgress:
-    """The progress of a relay.
-
-    Attributes:
-        relayed: messages sent back, without readiness probes.
-        runs: different runs among them.
-        foreign: ignored messages on our topics, without our stamp.
-    """
+    """Messages that a relay has sent back (no probes), their runs, and ignored messages without our stamp."""
 
     relayed: int
     runs: int
@@ -59,7 +51,7 @@ class RelayProgress:
 
 
 class Watch(Protocol):
-    """An observer of a recording; called from the thread that called `record`, twice a second."""
+    """An observer of a recording, called twice a second from the thread that called `record`."""
 
     def note(self, text: str) -> None:
         """Take a line that the user should read now."""
@@ -70,11 +62,11 @@ class Watch(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Silence:
-    """The unanswered end of a run so far.
+    """The messages after the last answered one.
 
     Attributes:
-        messages: messages sent after the last answered one.
-        duration_ns: time since the first of them was sent; after the run, until the last one was.
+        messages: their number.
+        duration_ns: time since the first of them; after the run, until the last one.
         before: messages sent before them.
         answered: messages with a reply among those.
     """
@@ -98,16 +90,12 @@ class Replies:
 
     The sending thread writes `publish_ns` and `payload_bytes`, the node's thread calls `note`; any thread may read.
 
-    Args:
-        messages: messages of the schedule.
-
     Attributes:
         publish_ns: T1 of each message by its sequence number; 0 before it is sent.
         payload_bytes: application bytes of each message, likewise.
         received: messages with at least one reply.
         highest: highest sequence number with a reply, -1 before the first.
-        last_ns: monotonic time of the last reply, 0 before the first.
-        longest_rtt_ns: longest round trip.
+        last_ns: monotonic time of the last reply.
     """
 
     __slots__ = (
@@ -150,7 +138,7 @@ class Replies:
         self.last_ns = receive_ns
 
     def are_complete(self, published: int) -> bool:
-        """Return whether every relay that has answered anything has answered all `published` messages."""
+        """Return whether every relay that has answered at all has answered all `published` messages."""
         counts = list(self._counts.values())
         return published == 0 or (bool(counts) and min(counts) >= published)
 
@@ -165,6 +153,6 @@ class Replies:
         values = np.sort(values[values > 0])
         if not len(values):
             return None, None
-        # The nearest order statistics: np.percentile's first call imports for 0.1 s, in the middle of a run.
+        # The nearest order statistics: np.percentile's first call imports for 0.1 s.
         p50, p99 = values[round(0.50 * (len(values) - 1))], values[round(0.99 * (len(values) - 1))]
         return int(p50), int(p99)

@@ -58,10 +58,7 @@ class ReadBack:
         self._reported: set[tuple[Setting, str]] = set()
 
     def read_begin(self) -> None:
-        """Read what the process uses before the first message; a second call changes nothing.
-
-        It takes some milliseconds, and any thread may call it: only `report` notes the differences.
-        """
+        """Read what the process uses before the first message, on any thread, once."""
         if self._applied is None:
             applied = read_applied()
             self._own = differences(self.requested, applied)
@@ -84,8 +81,7 @@ class ReadBack:
     def wait(self, stop: threading.Event, seconds: float) -> bool:
         """Wait for `stop`, but only until there is something to `report`; return whether `stop` is set.
 
-        The thread that answers a relay's first probe reads, and the ping's first message comes 0.2 s after its last echo:
-        until then this looks often.
+        The read of a relay comes with the first probe, 0.2 s before the first message: until then this looks often.
         """
         left_s = seconds
         while self._applied is None and left_s > 0:
@@ -104,10 +100,7 @@ class ReadBack:
         ]
 
     def report(self, trace: Path | None = None) -> None:
-        """Note each setting that was not applied, once.
-
-        Args:
-            trace: path of the complete trace, at the end of a recording.
+        """Note each setting that was not applied, once; at the end of a recording, with the path of its trace.
 
         Raises:
             NotAppliedError: there is one, and the recording is strict.
@@ -125,7 +118,7 @@ class ReadBack:
             self._note(f"not applied: {difference.words}; no answer will use this recording")
 
     def explain(self, traffic: Traffic) -> tuple[Difference, ...]:
-        """Return the settings that may keep messages from arriving, after sending `traffic` without a reply."""
+        """Return the settings that may keep messages from arriving, after `traffic` without a reply."""
         return differences(self.requested, read_applied(), traffic)
 
     def fields(self) -> JsonObject:

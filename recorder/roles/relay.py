@@ -30,18 +30,18 @@ T3, T4 = 3, 4
 _Forecast: TypeAlias = "tuple[bytes, int, ExpectedPair, int, int, int]"
 """An expected message: its bytes from the stamp on, its length, its events, run, sequence and payload bytes."""
 RECENT_RUNS = 1000
-"""Runs that a relay remembers, which may serve for weeks; an older one counts as new."""
+"""Runs that a relay remembers; an older one counts as new."""
 
 
 class Relay:
-    """The relay of `data_types` on a node, from its start until `close`.
+    """The relay of `data_types` on a node, whose thread does all the work.
 
     Args:
-        node: node that subscribes and publishes; its thread does all the work.
+        node: node that subscribes and publishes.
         sink: trace for the events.
         relay_id: number in every reply, not 0.
         data_types: data types whose topics are served.
-        qos: quality of service of both ways; must suit the pings (`recorder.backends.qos`).
+        qos: quality of service of both ways; must suit the pings.
         serialization: form in which the messages pass the client library.
         clock: time of this device.
         on_probe: called after the reply to each readiness probe.
@@ -100,8 +100,8 @@ class Relay:
         begin_at = 0 if form.sizing_bytes_of is None else cast("RawStampPlace", form.stamp).begin_at
         forecast: _Forecast | None = None
 
-        # T3 and T4 are recorded before the reply leaves, so a killed relay has both of every reply; the 2 us between them
-        # are subtracted from the latency. After the reply the next message of the run is prepared.
+        # T3 and T4 are recorded before the reply leaves, so a killed relay has both of every reply; the time between them
+        # is subtracted from the latency. After the reply the next message of the run is prepared.
         def receive(message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
             nonlocal forecast
             relay_in_ns = now()
@@ -138,7 +138,7 @@ class Relay:
         return receive
 
     def _forecaster(self, form: Form[SentT, ReceivedT]) -> Callable[[Any, int, int, int], _Forecast | None]:
-        """Return a function that prepares the next message of a run, as long as this one and of the same payload."""
+        """Return a function that prepares the next message of a run, by the size of this one."""
         sizing_bytes_of = form.sizing_bytes_of
         if sizing_bytes_of is None:
             return lambda *_: None
@@ -170,5 +170,5 @@ class Relay:
         return Traffic(count, count, self._payload_bytes // max(count, 1))
 
     def progress(self) -> RelayProgress:
-        """Return the work done so far; any thread may call this."""
+        """Return the work done so far, on any thread."""
         return RelayProgress(self._relayed, self._runs, self._foreign)

@@ -40,8 +40,8 @@ def describe_session(
         role: `ping` or `relay`.
         session_id: 64 random bits.
         device: name of the device, by default its host name.
-        connectivity: the device's link to the others, by default `default_connectivity`.
-        relay_id: number of a relay, None for a ping.
+        connectivity: by default `default_connectivity`.
+        relay_id: None for a ping.
         extra: further fields.
     """
     middleware = node.middleware

@@ -1,4 +1,4 @@
-"""The capture of one role's interfaces; its counts and records are written to the trace after a run, never during it."""
+"""The capture of a role's interfaces; counts and records are written to the trace after a run, never during it."""
 
 from __future__ import annotations
 
@@ -28,11 +28,7 @@ def open_wire(
 ) -> Iterator[WireRecord]:
     """Open the capture of a role, before its node: the first announcement of a participant counts.
 
-    Args:
-        enabled: whether the wire is captured; if not, the record does nothing.
-        discovery: range of the node's discovery, which decides on the interfaces.
-        domain_ids: domains of the run; `socket` and `zenoh` use ports of a domain's range too.
-        note: takes a line for the user.
+    The interfaces depend on the discovery, the ports on the domains (also of `socket` and `zenoh`).
 
     Raises:
         OptionError: no CAP_NET_RAW, or a system without packet sockets.
@@ -69,11 +65,7 @@ class WireRecord:
         return {} if self._capture is None else {"wire": self._capture.pid}
 
     def begin(self, run_id: int | None = None) -> None:
-        """Restart counting, which takes a quarter of a second.
-
-        Args:
-            run_id: the run whose messages get records; None for all runs (a relay).
-        """
+        """Restart counting (0.25 s), with records of the messages of one run, by default (a relay) of all."""
         if self._capture is None:
             return
         try:
@@ -92,14 +84,7 @@ class WireRecord:
         return described
 
     def write_relay(self, relayed: int, session_id: int, sink: TraceSink, *, go_on: bool = False) -> None:
-        """Write the counts of a relay's capture, if messages were relayed since the preceding call.
-
-        Args:
-            relayed: messages that the relay has sent back so far.
-            session_id: session of the relay.
-            sink: its trace.
-            go_on: whether counting restarts afterwards.
-        """
+        """Write the counts of a relay's capture if messages were relayed since the preceding call, and `go_on` counting."""
         if relayed == self._relayed:
             return
         result = self._take()

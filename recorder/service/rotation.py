@@ -1,4 +1,4 @@
-"""The files of one rotating recording (which comes next, which of the oldest may go), and the free space on their disk."""
+"""The files of a rotating recording, and the free space on their disk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..option_values import KeepFree
 
 DIGITS = 5
-"""Digits of a file's number, so that names sort as the files were written; beyond 99,999 numbers get longer."""
+"""Least digits of a file's number, so that names sort by time."""
 
 MOST_MORE_BYTES = 100_000_000
 """Largest reserve above `--keep-free` that must be free before writing resumes."""
@@ -37,7 +37,7 @@ _NUMBERED = re.compile(rf"(?P<stem>.+)\.(?P<number>\d{{{DIGITS},}})\.mcap(?P<rin
 class RotatedFiles:
     """The files `NAME.00001.mcap`, `NAME.00002.mcap` ... of one recording, whose `--out` is `NAME.mcap`.
 
-    Numbers continue after the highest existing one of any recording: no file is ever overwritten.
+    Numbers continue after the highest existing one: no file is ever overwritten.
     """
 
     def __init__(self, destination: TraceDestination, session_id: int) -> None:
@@ -52,10 +52,7 @@ class RotatedFiles:
         return replace(self._destination, path=folder / f"{self._stem}.{number:0{DIGITS}d}.mcap", force=False)
 
     def drop_oldest(self, keep: int) -> list[Path]:
-        """Delete the oldest files of this recording except the newest `keep`, and return the deleted paths.
-
-        Deletes only regular files of our names that start with this session and have no ring, whose events would be lost.
-        """
+        """Delete all but the newest `keep` files of this session, except files with a ring; return the deleted paths."""
         folder = self._destination.path.parent
         matches = sorted((m for m in self._matches() if not m["ring"]), key=lambda m: int(m["number"]))
         own = [path for m in matches if _is_of_session(path := folder / m.string, self._session_id)]
@@ -75,7 +72,7 @@ class RotatedFiles:
 
 
 def later_files(path: Path, session_id: int) -> list[Path]:
-    """Return the files that a rotating recording wrote after `path`, in order; none if `path` is not of such a recording."""
+    """Return the files that a rotating recording wrote after `path`, in order."""
     matched = _NUMBERED.fullmatch(path.name)
     if matched is None:
         return []
@@ -86,7 +83,6 @@ def later_files(path: Path, session_id: int) -> list[Path]:
 
 
 def _is_of_session(path: Path, session_id: int) -> bool:
-    """Return whether a regular file starts with this session."""
     with suppress(OSError):
         if stat.S_ISREG(path.lstat().st_mode):
             session = read_first_session(path)
@@ -97,11 +93,8 @@ def _is_of_session(path: Path, session_id: int) -> bool:
 def find_shortage(trace: Path, keep_free: KeepFree, *, was_short: bool = False) -> OutputError | None:
     """Return the error of a disk with too little free space; None if it has enough, or does not report it.
 
-    Args:
-        trace: path of a trace; its nearest existing folder is on the disk.
-        keep_free: space that must stay free.
-        was_short: whether the disk was short before: then a fifth more must be free, at most `MOST_MORE_BYTES`, so that
-            recording does not stop and resume every second while other programs write and delete.
+    A disk that was short needs a fifth more, at most `MOST_MORE_BYTES`, so that recording does not stop and resume every
+    second while other programs write and delete.
     """
     try:
         disk = os.statvfs(next(folder for folder in trace.absolute().parents if folder.is_dir()))

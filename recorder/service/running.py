@@ -1,7 +1,6 @@
-"""The recordings that run on this machine: a file for each in a runtime folder, locked by its process while that runs.
+"""The recordings that run on this machine: an entry (a file) for each in a runtime folder, locked by its process.
 
-A recording runs only if its entry is locked and its process exists, by id and start time. Another entry was left by
-a killed process, and names the file whose events wait in the ring.
+An entry without a lock was left by a killed process, and names the file whose events wait in the ring.
 """
 
 from __future__ import annotations
@@ -41,16 +40,14 @@ class Entry:
     """The state of a recording, as `dds-record status --json` prints it.
 
     Attributes:
-        role: `ping` or `relay`.
-        path: the trace file that is written now, absolute.
+        path: absolute path of the file that is written now.
         pid_start: start time of the process in clock ticks since boot: ids of processes are reused.
         session_id: 16 hex digits.
-        rmw: its ROS middleware, None without one.
         began_ns: its start, ns since 1970.
         told_ns: time of this state, ns since 1970.
         messages: messages that a relay has sent back, or replies that a ping has received.
-        files: number of files so far, above 1 with `--rotate`.
-        stopped: reason why recording has stopped while the node continues; None while it records.
+        files: number of files so far.
+        stopped: why recording has stopped while the node continues.
     """
 
     role: str
@@ -79,13 +76,7 @@ class State(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One recording as `dds-record status` lists it.
-
-    Attributes:
-        entry: its latest state.
-        state: state of its process.
-        waiting: the trace of a killed one, if events wait in its ring.
-    """
+    """One recording as `dds-record status` lists it; `waiting` is the trace of a killed one with events in its ring."""
 
     entry: Entry
     state: State
@@ -93,7 +84,7 @@ class Listed:
 
 
 def runtime_folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder of this process's entry: the service's, else the user's runtime folder, else a temporary one."""
+    """Return the folder for this process's entry: the service's, else the user's, else a temporary one."""
     service = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
     if service:
         return Path(service)
@@ -102,7 +93,7 @@ def runtime_folder(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def runtime_folders(environment: Mapping[str, str] = os.environ) -> list[Path]:
-    """Return the folders with entries of this machine: this user's first, then services' and other users'."""
+    """Return all folders with entries, this user's first."""
     others = [
         *Path("/run").glob("dds-trace/*/"),
         *Path("/run/user").glob("*/dds-trace/"),
@@ -112,13 +103,7 @@ def runtime_folders(environment: Mapping[str, str] = os.environ) -> list[Path]:
 
 
 class RunningRecording:
-    """The entry of this process until `close`; where none can be made, every method does nothing.
-
-    Args:
-        session: the recording.
-        path: its trace file.
-        folder: the folder of the entry, by default `runtime_folder()`.
-    """
+    """The entry of this process in `folder`, until `close`; where none can be made, every method does nothing."""
 
     def __init__(self, session: Session, path: Path, folder: Path | None = None) -> None:
         folder = runtime_folder() if folder is None else folder
@@ -194,7 +179,6 @@ def list_recordings(folders: Iterable[Path] | None = None) -> list[Listed]:
 
 
 def _read_entry(path: Path) -> Listed | None:
-    """Return the recording of an entry; None if it cannot be read, or was removed meanwhile."""
     with suppress(OSError), open_regular(path, follow_links=False) as file:
         for _ in range(_TRIES):  # a reading may fall into the middle of a writing
             entry = _parse(os.pread(file.fileno(), _MOST_ENTRY_BYTES, 0))
@@ -212,7 +196,7 @@ def _read_entry(path: Path) -> Listed | None:
 
 
 def _waiting_trace(path: Path, session_id: int) -> Path | None:
-    """Return the file whose ring was left: that of the entry, or a later one, if the process was killed before an update."""
+    """Return the file whose ring was left: the entry's, or a later one of a process killed before its update."""
     return next((file for file in (path, *later_files(path, session_id)) if ring_path(file).exists()), None)
 
 
@@ -234,7 +218,7 @@ def _is_locked(descriptor: int) -> bool:
 
 
 def _start_of(pid: int) -> int | None:
-    """Return the start time of a process in clock ticks since boot; None if there is no such process."""
+    """Return the start time of a process in clock ticks since boot."""
     try:
         return int(Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[19])
     except (OSError, ValueError, IndexError):

@@ -1,4 +1,4 @@
-"""`Upkeep`: the trace of a recording, its rotation, its disk, and its reports to the service manager and to `status`."""
+"""`Upkeep`: the trace of a recording, its rotation and disk, and reports to systemd and `dds-record status`."""
 
 from __future__ import annotations
 
@@ -42,10 +42,6 @@ class ServiceManager:
 
     Not the library sdnotify: it blocks while the manager is stuck, and drops a status that is not Latin-1. The variables
     are removed from the environment, so that child processes do not notify.
-
-    Args:
-        environment: environment variables.
-        clock_s: a monotonic clock in seconds.
     """
 
     def __init__(
@@ -95,14 +91,8 @@ class ServiceManager:
 class Upkeep:
     """A context manager: opens the sink of a recording, looks after it, and closes it on exit.
 
-    Args:
-        options: options of the recording.
-        session: its session; with `--rotate` its field `part` counts the files from 1.
-        clock_ns: the monotonic clock of the events.
-        note: takes a line for the user.
-
     Attributes:
-        sink: the sink.
+        sink: the sink; with `--rotate` its session's field `part` counts the files from 1.
         destination: the file that is written now.
         shortage: the first lack of disk space that dropped events, or that ends a ping's run.
 
@@ -151,12 +141,7 @@ class Upkeep:
         self._running.close()
 
     def look(self, messages: int, describe: Callable[[], JsonObject]) -> None:
-        """Check disk space, rotate the file if it is due, and report the state; call it twice a second.
-
-        Args:
-            messages: messages so far.
-            describe: returns the present fields of the session.
-        """
+        """Check disk space, rotate the file if it is due, and report the state; `describe` returns fields of the session."""
         was_short = self._short is not None
         shortage = find_shortage(self.destination.trace_path, self._options.keep_free, was_short=was_short)
         self._blame_disk()
@@ -227,11 +212,7 @@ class Upkeep:
         self._note(f"the recording continues in {self.destination.path.name}{deleted}")
 
     def _go_on(self, described: JsonObject) -> TraceDestination | None:
-        """Switch to the next file; return its destination, None if events wait for the disk.
-
-        Raises:
-            OutputError: it cannot be made.
-        """
+        """Switch to the next file; return its destination, None if events wait for the disk."""
         while True:
             destination = self._files.next()
             try:

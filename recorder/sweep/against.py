@@ -1,7 +1,6 @@
 """Two plans interleaved: base, new, new, base ... each in a folder of its own.
 
-Folders recorded one after the other differ first of all by the time between them. Interleaved runs meet the same
-machine, and can be compared as pairs, repeat by repeat.
+Folders recorded one after the other differ first of all by time; interleaved runs can be compared as pairs.
 """
 
 from __future__ import annotations
@@ -100,7 +99,7 @@ def run_against(
         commands: `dds-record` of each side; None for the installed one.
 
     Raises:
-        TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
+        TraceError: as `run_sweep`.
     """
     runs = interleave(base, new)
     partners = {

@@ -25,10 +25,10 @@ POLL_S = 0.2
 PARTS = ".parts"
 
 TRACE_ENDINGS = ("", RING_SUFFIX)
-"""What follows a segment's name in the names of its trace and of that trace's ring."""
+"""After a segment's name: its trace and ring."""
 
 LOG_ENDINGS = (".log", ".half.log")
-"""What follows it in the names of the logs of the relay and of its half of a bridge."""
+"""After a segment's name: the logs of the relay and of its half of a bridge."""
 
 _SEGMENT = r"\d{1,6}-\d{1,15}-\d{1,6}\.mcap"
 _CELL_TRACE = r"[\w+-][\w.+-]*\.ping\.mcap"
@@ -36,7 +36,7 @@ _OWN_NAME = re.compile(
     rf"({_SEGMENT}({'|'.join(map(re.escape, (*TRACE_ENDINGS, *LOG_ENDINGS)))})|{_CELL_TRACE}(\.ring|\.log)?)"
     r"(\.[0-9a-f]{8}\.part)?"
 )
-"""Names of the files that a sweep makes below `PARTS`, and of their drafts."""
+"""Names of a sweep's files below `PARTS`, and of their drafts."""
 
 
 @contextlib.contextmanager
@@ -76,11 +76,7 @@ def _try_lock(lock: int) -> bool:
 
 
 def make_parts(folder: Path) -> Path:
-    """Make the folder for unfinished traces below a sweep's folder, and return its path.
-
-    Raises:
-        OutputError: it cannot be made, or is a link, which would lead writing and deleting elsewhere.
-    """
+    """Make the folder for unfinished traces; raise an OutputError if it is a link, which would lead elsewhere."""
     parts = folder / PARTS
     try:
         parts.mkdir(parents=True, exist_ok=True)

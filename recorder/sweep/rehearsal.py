@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     """Function that raises an `OptionError` where `dds-record` would refuse its arguments."""
 
 _TOO_OLD = "No such option: --check"
-"""Part of the refusal by a `dds-record` of another environment that has no rehearsal."""
+"""What an older `dds-record` of another environment prints."""
 
 
 def rehearse_plan(
@@ -55,10 +55,10 @@ def rehearse_plan(
         command: `dds-record` on this machine; the installed one by default.
 
     Returns:
-        Name of each cell, of all repeats, that cannot be recorded -> the reason.
+        Name of each such cell, of all repeats -> the reason.
 
     Raises:
-        TraceError: no cell can be recorded at all, as `run_sweep`.
+        TraceError: as `run_sweep`.
     """
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
@@ -86,8 +86,6 @@ def _check_folder(plan: Plan, folder: Path) -> None:
 
 
 class _Rehearsal:
-    """The rehearsal of a plan at its station; arguments as for `rehearse_plan`."""
-
     def __init__(
         self,
         plan: Plan,
@@ -135,7 +133,6 @@ class _Rehearsal:
         return ping_arguments(self._plan, cell, self._station.wait_s, self._station.relay_address)
 
     def _refusal(self, arguments: Sequence[str]) -> str | None:
-        """Return why `dds-record` refuses arguments, None if it does not."""
         try:
             self._check_arguments([*arguments, "--out", str(self._scratch / "rehearsal.mcap")])
         except TraceError as err:

@@ -31,7 +31,7 @@ MESSAGES_FOR_PERCENTILE = 1.0
 """Messages beyond a percentile: p99 takes 100 messages."""
 
 KNEE_STEPS = 10
-"""Most steps by which repeats may move the rate away from the end of the bisection."""
+"""Most steps by which repeats may move the rate after the bisection."""
 
 
 class RateAnswer(Enum):
@@ -40,7 +40,7 @@ class RateAnswer(Enum):
     FOUND = "found"
     AT_LEAST = "at least"  # even the highest rate of the plan is sustained
     BELOW = "below"  # not even the lowest rate of the plan is
-    FAILED = "failed"  # a trial could not be run at all
+    FAILED = "failed"  # a trial could not be run
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,7 @@ class MaxRate:
 
     Attributes:
         cell: the searched parameters; its `rate` is the answer.
-        answer: meaning of the rate.
-        failing_hz: the lowest rate that was not sustained, None without one.
+        failing_hz: the lowest rate that was not sustained.
         held_repeats: runs at the answer that sustained it, and all runs at it.
         reason: why the next rate was not sustained, or why the search failed.
     """
@@ -77,12 +76,7 @@ class Knee(NamedTuple):
 
 @dataclass(slots=True)
 class Bisection:
-    """A search between two rates.
-
-    Attributes:
-        search: the rates and the conditions.
-        trial: runs the n-th trial at a rate; returns why it was not sustained, else an empty text.
-    """
+    """A search between two rates; `trial` runs the n-th trial at a rate and returns why it was not sustained."""
 
     search: Search
     trial: Callable[[float, int], str]
@@ -99,7 +93,7 @@ class Bisection:
                 high, why = middle, reason
             else:
                 low, is_low_sustained = middle, True
-        # The two given rates cost the most, so they are tried only if the search ended at one of them.
+        # The two given rates cost the most: tried only if the search ended at one of them.
         if not is_low_sustained and (reason := self._majority(low)):
             return Knee(RateAnswer.BELOW, low, low, reason)
         if not why and not (why := self._majority(high)):
@@ -107,7 +101,7 @@ class Bisection:
         return self._settle(low, high, why)
 
     def _settle(self, low: float, high: float, reason: str) -> Knee:
-        """Repeat the trials at the knee; move it by one step where the majority contradicts the single trial."""
+        """Repeat the trials at the knee; move it where the majority contradicts the single trial."""
         for _ in range(KNEE_STEPS):
             if why := self._majority(low):
                 high, reason = low, why
@@ -123,7 +117,7 @@ class Bisection:
         return Knee(RateAnswer.FOUND, low, high, reason)
 
     def _majority(self, rate_hz: float) -> str:
-        """Return why most repeats did not sustain this rate, or an empty text if most did."""
+        """Return why most repeats did not sustain this rate, if so."""
         repeats = self.search.knee_repeats
         reasons = []
         for number in range(1, repeats + 1):
@@ -142,7 +136,7 @@ def round_rate(rate_hz: float) -> float:
 
 
 def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str:
-    """Return the reason why a run did not sustain the requested rate, or an empty text if it did."""
+    """Return why a run did not sustain the requested rate, or an empty text if it did."""
     achieved_hz = result.achieved_rate_hz or 0.0
     percentile = f"p{search.percentile:g}"
     response_ms = result.response_ms[percentile] if result.response_ms else math.inf
@@ -176,12 +170,12 @@ def search_plan(plan: Plan) -> Plan:
 
 
 def messages_needed(search: Search) -> int:
-    """Return the fewest messages at which the search's percentile is not simply the largest value."""
+    """Return the fewest messages at which the percentile is not just the largest value."""
     return math.ceil(MESSAGES_FOR_PERCENTILE / (1 - search.percentile / 100) - 1e-9)
 
 
 def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:
-    """Yield the answer for each cell of a `search_plan`; trials that are complete are not run again."""
+    """Yield the answer for each cell of a `search_plan`; complete trials are not run again."""
     for group in group_by_relay(plan, plan.cells):
         knees: list[tuple[Cell, Knee]] = []
         with runner.relay(group) as relay:
@@ -208,7 +202,6 @@ def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:
 
 
 def _count_sustained(plan: Plan, runner: Runner, cell: Cell, rate_hz: float) -> tuple[int, int]:
-    """Return the number of complete runs that sustained a rate, and of all complete runs at it."""
     names = [
         replace(cell, rate=rate_hz, repeat=number).name for number in range(1, plan.search.knee_repeats + 1)
     ]

@@ -53,7 +53,7 @@ class Until:
         statistic: such as `latency_p99`.
         percent: widest half width of its interval, in percent of the value.
         max_passes: most passes, including the plan's.
-        measure: returns the half width of each cell's interval in percent, infinite for an open interval.
+        measure: half width of each cell's interval in percent, infinite for an open one.
     """
 
     statistic: str
@@ -109,7 +109,7 @@ def run_sweep(
         out: folder for the plan's folder.
         progress: receiver of every step.
         command: `dds-record` on this machine; the installed one by default.
-        until: precision up to which passes are added to the plan's.
+        until: precision up to which passes are added.
 
     Raises:
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.
@@ -135,7 +135,7 @@ def run_sweep(
 def _run_further_passes(
     plan: Plan, runner: Runner, until: Until, note: Callable[[str], None]
 ) -> tuple[list[Cell], dict[str, float]]:
-    """Repeat the cells that are too wide until none is or the passes are used up; return the new cells and too wide ones."""
+    """Repeat cells that are too wide until none is or the passes are used up; return the new and the too wide cells."""
     cells: list[Cell] = []
     measured: RunIds = {}
     widths: Mapping[str, float] = {}
@@ -161,7 +161,6 @@ def _run_further_passes(
 
 
 def _complete_runs(plan: Plan, runner: Runner, passes: int) -> Iterator[tuple[str, tuple[int, ...]]]:
-    """Yield name and complete runs of each cell that has one."""
     for cell in plan.cells:
         states = [runner.state[replace(cell, repeat=number).name] for number in range(1, passes + 1)]
         run_ids = tuple(int(state.run_id, 16) for state in states if state.status is Status.COMPLETE)

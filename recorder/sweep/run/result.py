@@ -1,7 +1,4 @@
-"""The result of one cell: a few numbers of its ping trace, for progress, the state file and the search of rates.
-
-Publish the analyzer's figures, not these.
-"""
+"""The result of one cell, for progress, state file and search of rates; the analyzer's figures are the ones to publish."""
 
 from __future__ import annotations
 
@@ -57,7 +54,7 @@ class CellResult:
 
     @property
     def loss_percent(self) -> float:
-        """Percent of the published messages without a reply; 100 if nothing was published."""
+        """Percent of the published messages without a reply."""
         return 100.0 * (self.published - self.received) / self.published if self.published else 100.0
 
     def __str__(self) -> str:
@@ -71,11 +68,7 @@ class CellResult:
 
 
 def read_result(path: Path) -> CellResult:
-    """Return the result of the one run in a ping's trace.
-
-    Raises:
-        TraceFormatError: `path` is not a trace of exactly one finished run.
-    """
+    """Return the result of a ping's trace; raise a TraceFormatError unless it has exactly one run, finished."""
     trace = read_trace(path)
     if len(trace.runs) != 1:
         raise TraceFormatError(path, f"has {counted(len(trace.runs), 'run')} where a cell has one")

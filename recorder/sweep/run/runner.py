@@ -1,8 +1,8 @@
 """The runner of a sweep: records cell after cell and leaves one closed trace per device and cell.
 
-The relay of a group of cells starts once and writes one trace, a *segment*, into `.parts/`. Each cell's ping writes
-its trace there too; a complete one moves to its final name. When the relay is stopped, its segment is split into the
-cells' relay files. After an interrupted sweep, segments in `.parts/` are split and traces of pings deleted.
+The relay of a group of cells writes one trace, a *segment*, into `.parts/`. Each ping writes there too; a complete
+trace moves to its final name. When the relay stops, its segment is split into the cells' relay files, also after an
+interrupted sweep.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .result import CellResult
 
 START_ALLOWANCE_S = 40.0
-"""Time for a ping to start, with its bridge; the wait for an echo and the schedule come on top."""
+"""Time for a ping to start, with its bridge."""
 
 POLL_S = 0.2
 
@@ -60,14 +60,7 @@ class CellFailedError(Exception):
 
 
 class GroupRelay:
-    """The relay of a group of cells and its half of a bridge, started again in a new segment after it ended by itself.
-
-    Args:
-        device: the relay's device.
-        arguments: arguments of `dds-record`, without `--out`.
-        half: arguments of `dds-bridge`, None without a half next to the relay.
-        new_segments: a name for the trace of each start.
-    """
+    """The relay of a group of cells and its half of a bridge (if any), restarted in a new segment if it ended by itself."""
 
     def __init__(
         self,
@@ -85,11 +78,7 @@ class GroupRelay:
         self._hopeless: CellFailedError | None = None
 
     def serve(self) -> str:
-        """Start the relay unless it runs, and return the name of the segment that it writes.
-
-        Raises:
-            CellFailedError: the relay cannot run on its device at all.
-        """
+        """Start the relay unless it runs, and return the name of its segment; raise again if it cannot run at all."""
         if self._hopeless is not None:
             raise self._hopeless
         if not self._running:
@@ -123,13 +112,7 @@ class GroupRelay:
 
 
 class Runner:
-    """One sweep in its folder.
-
-    Args:
-        plan: the plan to record.
-        folder: `runs/NAME`, locked with `locked_folder`.
-        station: the devices of ping and relay.
-        progress: receiver of every step.
+    """One sweep in its folder, which is locked with `locked_folder`.
 
     Raises:
         TraceFormatError, OptionError: the folder's state is unreadable or of another plan (`SweepState`).
@@ -200,7 +183,7 @@ class Runner:
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
-        """Yield a relay for the cells of this group; after the block each cell has its relay trace."""
+        """Yield the relay of a group; after the block each cell has its relay trace."""
         relay = GroupRelay(
             self._station.within(group.need.environment).device,
             relay_arguments(self.plan, group.need, group.cells[0].repeat),
@@ -215,7 +198,7 @@ class Runner:
                 self._collect(segment)
 
     def record(self, cell: Cell, relay: GroupRelay) -> CellState:
-        """Record one cell, trying as often as the plan allows, and return its new state."""
+        """Record one cell, as often as the plan allows, and return its new state."""
         for _ in range(self.plan.run.attempts):
             before = self.state[cell.name]
             running = replace(before, status=Status.RUNNING, attempts=before.attempts + 1, reason="")
@@ -355,6 +338,6 @@ class Runner:
         return self.folder / f"{name}.relay.mcap"
 
     def _segment_names(self, group: CellGroup) -> Iterator[str]:
-        """Return names that no earlier sweep in this folder has used; each starts with the group's number."""
+        """Return names, with the group's number, that no earlier sweep in this folder has used."""
         began_ms = time.time_ns() // 1_000_000
         return (f"{group.number}-{began_ms}-{start}.mcap" for start in itertools.count(1))

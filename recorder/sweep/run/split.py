@@ -1,7 +1,6 @@
 """Split a relay's trace of many runs into one trace for each cell.
 
-A relay serves cell after cell and writes one file; a sweep hands on one file per device and cell. Each part keeps the
-relay's session (same `session_id` and clock anchor), so that a reader sees one recording over several files.
+Each part keeps the relay's session (`session_id` and clock anchor): a reader sees one recording over several files.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from ..plan.link import LinkReport
 
 _SAMPLE_MARGIN_NS = 1_000_000_000
-"""Longest time from the end of a run to a host sample that still belongs to it: one sampling period."""
+"""Longest time from the end of a run to its last host sample: one sampling period."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,6 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
 
     Raises:
         TraceFormatError: `segment` is not a trace, or describes no session.
-        OutputError: a part cannot be written; `segment` is untouched.
     """
     trace = read_trace(segment)
     if not trace.sessions:

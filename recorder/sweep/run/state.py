@@ -38,7 +38,7 @@ class CellState:
 
     Attributes:
         reason: reason of the last failure; empty without one.
-        run_id: the run that counts, 16 hex digits; empty before there is one.
+        run_id: the run that counts, 16 hex digits, or empty.
         segment: name of the relay's own trace that still contains this cell's part, else empty.
         result: numbers of the ping's trace; `{}` in the file for None.
         link: report of the emulated link for the run; `{}` in the file for None.
@@ -61,18 +61,13 @@ class CellState:
 class SweepState:
     """The state of one sweep, saved after every change.
 
-    Args:
-        path: path of the state file.
-        plan_name: name of the plan.
-        digest: digest of the plan's settings.
-
     Attributes:
         planned: number of cells of the sweep, for `dds-analyze watch`; 0 while it is open.
         left_s: estimate of the time left.
 
     Raises:
         TraceFormatError: the file is not a state of this version.
-        OptionError: it belongs to a plan that records the same cells differently.
+        OptionError: its plan has another digest, and records the same cells differently.
     """
 
     def __init__(self, path: Path, plan_name: str, digest: str) -> None:
@@ -153,11 +148,7 @@ class SweepState:
 
 
 def _check_names(name: str, cell: CellState) -> None:
-    """Check what becomes part of a path: a state file may come with a folder from somebody else.
-
-    Raises:
-        ValueError: a sweep does not give such a name.
-    """
+    """Raise a ValueError for a name that is not a sweep's: names become paths, and the file may be somebody else's."""
     if not re.fullmatch(r"[\w+-][\w.+-]*", name):
         raise ValueError(f"{name!r} is not the name of a cell")
     if cell.segment and not is_segment_name(cell.segment):

@@ -29,13 +29,10 @@ class StartedProgram(Protocol):
 
 
 class RelayDevice:
-    """A device that starts relays and hands over their traces; each kind overrides what it needs.
-
-    Attributes:
-        keeps_traces: whether the traces stay on the device until a person copies them.
-    """
+    """A device that starts relays and hands over their traces; each kind overrides what it needs."""
 
     keeps_traces = False
+    """Whether the traces stay on the device until a person copies them."""
 
     def check(self) -> None:
         """Check that relays can start on the device.
@@ -50,7 +47,7 @@ class RelayDevice:
         return None
 
     def rehearse_half(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002
-        """Look for the program of the relay's half of a bridge; return why it cannot start, None if it can."""
+        """Look for the program of a half of a bridge; return why it cannot start, None if it can."""
         return None
 
     def prepare(self) -> None:
@@ -76,13 +73,7 @@ class RelayDevice:
 
 
 class LocalDevice(RelayDevice):
-    """This machine; both halves of a bridge are run by the ping's `dds-record`.
-
-    Args:
-        folder: folder for traces and logs.
-        command: `dds-record`, with the words that must precede it.
-        lock: file descriptor of the folder's lock.
-    """
+    """This machine, whose pings run both halves of a bridge; `command` is `dds-record` with the words before it."""
 
     def __init__(self, folder: Path, command: Sequence[str], lock: int | None = None) -> None:
         self._folder = folder

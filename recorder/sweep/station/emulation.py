@@ -1,4 +1,4 @@
-"""The parts of an emulated link: the system's `ip` and `tc`, queue disciplines, TAP devices and the forwarder of frames."""
+"""The parts of an emulated link: `ip` and `tc`, queue disciplines, TAP devices, the forwarder of frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _IFF_TAP, _IFF_NO_PI = 0x0002, 0x1000
 
 _TBF_BURST_FRAMES_BYTES = 2 * 1514
 _TBF_BURST_S = 0.0002
-"""Largest burst of a token bucket, as time at the full rate: as little as the kernel's timers allow; at least two frames."""
+"""Largest burst of a token bucket at the full rate: as short as the kernel's timers allow."""
 
 
 def ip(*arguments: str) -> str:

@@ -60,10 +60,7 @@ class Side:
 
 
 class NamespacePair:
-    """The namespaces `ping` and `relay` and the link between them, from `__enter__` to `__exit__`.
-
-    Args:
-        link: the link to emulate; None for a bare veth, which is as fast as the machine.
+    """A context manager: the namespaces `ping` and `relay` and the link between them, by default a bare veth.
 
     Raises:
         OptionError: this user is not root.
@@ -102,11 +99,7 @@ class NamespacePair:
         self._remove()
 
     def report(self) -> LinkReport:
-        """Return the work of the link since the preceding call, as written to the trace.
-
-        Raises:
-            BackendUnavailableError: the forwarder of frames has ended by itself.
-        """
+        """Return the work of the link since the preceding call, as written to the trace."""
         return {
             "monotonic_ns": time.monotonic_ns(),
             "link": self.link.to_dict() if self.link else None,

@@ -1,4 +1,4 @@
-"""A `dds-record` process of a sweep: started, waited for, stopped; it ends with the sweep even when that is killed."""
+"""A `dds-record` process of a sweep, which ends with the sweep even when that is killed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STOP_PATIENCE_S = 60.0
 """Time for a recorder to wait for late replies, close its trace and stop its bridge."""
 
 REHEARSAL_PATIENCE_S = 60.0
-"""Time for a recorder to start and end again, with a bridge that takes up to 20 s to come up."""
+"""Time for a recorder to start and end again; a bridge takes up to 20 s to start."""
 
 REHEARSAL_STOP_S = 10.0
 LAST_WORDS_BYTES = 4096
@@ -63,11 +63,7 @@ def environment_program(folder: Path, name: str) -> tuple[str, ...]:
 class Program:
     """One running program; its output goes to a log file.
 
-    Args:
-        command: program and arguments.
-        log: file for its output.
-        stops_by_input: whether it ends when its standard input closes (a program on another device), not by SIGTERM.
-        lock: file descriptor of a lock that the program inherits.
+    A program on another device `stops_by_input`: it ends when its standard input closes, not by SIGTERM.
 
     Raises:
         BackendUnavailableError: there is no such program.
@@ -120,7 +116,7 @@ class Program:
         return None
 
     def stop(self, patience_s: float = STOP_PATIENCE_S) -> int:
-        """End the program, by force after `patience_s`, and return its exit code; a second call does nothing."""
+        """End the program, by force after `patience_s`, and return its exit code."""
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()

@@ -49,11 +49,6 @@ class SshDevice(RelayDevice):
 
     The shell there ends the relay when its standard input closes, also because the connection or this machine is gone.
     Traces wait in `~/.cache/dds-trace/SWEEP/` there. The device is not trusted: its names and numbers of bytes are checked.
-
-    Args:
-        settings: the device of the plan; its `ssh` is set.
-        folder: folder on this machine for traces and logs.
-        sweep: name of the folder there.
     """
 
     def __init__(self, settings: DeviceSettings, folder: Path, sweep: str) -> None:

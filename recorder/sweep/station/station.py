@@ -32,8 +32,7 @@ class Station:
     """Where the two roles of a sweep run.
 
     Attributes:
-        ping_command: `dds-record` on this machine, with the words that must precede it.
-        device: device of the relay.
+        ping_command: `dds-record` on this machine, with the words before it.
         lock: file descriptor of the folder's lock, for the programs to inherit.
         wait_s: longest time that a ping waits for an echo.
         relay_address: address of the relay's device, None on one machine.
@@ -71,8 +70,8 @@ def open_station(
     Args:
         plan: the plan, which names the devices and the link.
         folder: folder of the sweep.
-        lock: file descriptor of the folder's lock, None for a rehearsal.
-        show: prints a line, such as a command for a person to start.
+        lock: file descriptor of its lock, None for a rehearsal.
+        show: prints a line, such as a command for a person.
         command: `dds-record` on this machine; the installed one by default.
 
     Raises:

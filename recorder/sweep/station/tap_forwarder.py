@@ -1,15 +1,12 @@
-"""The forwarder of an emulated link: carries frames between two TAP devices with delay, jitter, loss and outages.
+"""The forwarder of an emulated link, for kernels without netem: carries frames between two TAP devices.
 
-For kernels without netem. It runs as a process of its own, so that the sweep's Python never delays a frame:
+It applies delay, jitter, loss and outages; the kernel's token bucket applies the rate and slows the sender down as a
+network card does. As a process of its own it is not delayed by the sweep's Python:
 
     tap_forwarder.py FD FD JSON
 
-takes the two TAP devices as open file descriptors and a `Link` as JSON. It answers every line on standard input with
-a line of JSON, the report of each direction since the preceding line (`Wire.report`), and ends when standard input
-closes.
-
-The kernel's token bucket on the TAP devices applies the link's rate: there a full line slows the sender down as a
-network card does, which this process cannot.
+takes the TAP devices as open file descriptors and a `Link` as JSON. It answers every line on standard input with a
+line of JSON (`Wire.report` of both directions) and ends when standard input closes.
 """
 
 from __future__ import annotations
@@ -113,7 +110,7 @@ class Wire:
 
 
 def quantile(counts: Counter[int], share: float) -> int | None:
-    """Return the smallest value that at least this share of the counted values does not exceed, None without values."""
+    """Return the smallest value that at least this share of the counted values does not exceed."""
     rank = share * counts.total()
     reached = 0
     for value in sorted(counts):

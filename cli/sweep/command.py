@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import signal
 import sys
 from enum import Enum
@@ -17,7 +16,6 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted
 
-from .. import defaults
 from ..program import run_program
 from ..quick_help import Version, command_app, declare_command
 from . import new
@@ -110,9 +108,6 @@ def main_command(
     """
     from dds_trace.recorder.backends import installed_middlewares
     from dds_trace.recorder.sweep.plan.plan_file import read_plan
-
-    # A plan says all of what is measured: no file of defaults adds to it.
-    os.environ[defaults.VARIABLE] = ""
 
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of

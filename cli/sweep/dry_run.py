@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter, defaultdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -55,14 +55,14 @@ def dry_run(
         sides = [(asked, out / asked.name, None)]
     refused: dict[str, str] = {}
     for side, folder, command in sides:
-        refused |= rehearse_plan(side, folder, _check_arguments, note=_note, command=command)
+        refused |= rehearse_plan(side, folder, check_arguments, note=_note, command=command)
     if as_json:
         print(json.dumps({**described, "cannot_start": refused}))
     _tell(refused)
     return INCOMPLETE_EXIT_CODE if refused else 0
 
 
-def _check_arguments(arguments: Sequence[str]) -> None:
+def check_arguments(arguments: Sequence[str]) -> None:
     """Refuse what `dds-record` would refuse of its arguments before it opens anything.
 
     Raises:
@@ -73,10 +73,10 @@ def _check_arguments(arguments: Sequence[str]) -> None:
 
     from ..record.command import app
 
+    command: Any = typer.main.get_command(app)
+    command.table = ""  # a plan says all that is measured: no file of defaults adds to it
     try:
-        typer.main.get_command(app).main(
-            list(arguments), "dds-record", standalone_mode=False, obj=check_options
-        )
+        command.main(list(arguments), "dds-record", standalone_mode=False, obj=check_options)
     except Exception as err:  # typer's own errors have no name that all its versions know
         said = getattr(err, "format_message", None)
         if said is None:

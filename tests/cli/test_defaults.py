@@ -11,7 +11,9 @@ from dds_trace.cli.defaults import FILE_NAME, VARIABLE, find_files
 from dds_trace.cli.errors import run_command
 from dds_trace.cli.record import command as record
 from dds_trace.cli.sweep import command as sweep
+from dds_trace.cli.sweep.dry_run import check_arguments
 from dds_trace.recorder.sweep.station.devices import printed_command
+from dds_trace.recorder.sweep.station.programs import Program
 
 ROS = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
 
@@ -176,16 +178,23 @@ def test_a_named_file_that_is_missing_and_one_of_a_stranger_are_refused(home, ru
     assert (code, "No such file or directory" in err) == (2, True)
 
 
-def test_a_sweep_starts_its_programs_without_any_file(home, run, monkeypatch):
+def test_a_sweep_has_defaults_and_its_recordings_have_none(home, run, monkeypatch):
     write(home / "repository", "[record]\nreliability = 'best_effort'\n[sweep]\nout = 'there'\n")
     (home / "plan.toml").write_text("[run]\nmessages = 1\n")
-    seen = {}
+    folders, checked = [], []
 
     def dry_run(_plan, out, *_rest, **_options):
-        seen.update(out=str(out), variable=os.environ[VARIABLE], files=find_files())
+        folders.append(str(out))
         return 0
 
     monkeypatch.setattr("dds_trace.cli.sweep.dry_run.dry_run", dry_run)
     assert run(sweep.app, str(home / "plan.toml"), "--dry-run")[0] == 0
-    assert seen == {"out": "there", "variable": "", "files": []}
+    assert folders == ["there"]
+    assert VARIABLE not in os.environ
+    monkeypatch.setattr("dds_trace.recorder.rehearsal.check_options", checked.append)
+    check_arguments(["--role", "relay", "--out", "x.mcap"])
+    assert checked[0].node.qos.reliability == "reliable"
+    program = Program(["env"], home / "env.log")
+    assert program.wait(60) == 0
+    assert f"{VARIABLE}=" in (home / "env.log").read_text().splitlines()
     assert printed_command(["--role", "relay"], 1).startswith(f"{VARIABLE}= dds-record ")

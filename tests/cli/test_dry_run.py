@@ -17,7 +17,7 @@ from rich.console import Console
 
 from dds_trace.base.errors import OptionError
 from dds_trace.cli.sweep import command
-from dds_trace.cli.sweep.dry_run import _check_arguments
+from dds_trace.cli.sweep.dry_run import check_arguments
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.rehearsal import rehearse_plan
 from dds_trace.recorder.sweep.run.progress import make_progress
@@ -214,7 +214,7 @@ def _not_started(text, folder):
         plan = parse_plan(text, "plan", "plan.toml")
     except OptionError:
         return {}, 0
-    refused = rehearse_plan(plan, folder / "plan", _check_arguments, note=str)
+    refused = rehearse_plan(plan, folder / "plan", check_arguments, note=str)
     passed = [cell for cell in plan.cells if cell.name not in refused][:2]
     if not passed:
         return {}, 0

@@ -11,6 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from dds_trace.recorder.option_table import OPTIONS
+from dds_trace.recorder.options import DEFAULT_WAIT_S, DEFAULT_WARMUP, PingOptions
+from dds_trace.recorder.sweep.plan.plan import RunSettings
+from dds_trace.recorder.sweep.station.station import Station
+
 TOP = Path(__file__).parents[2]
 ROW = """
     toy_level: int | None = option(
@@ -105,3 +110,9 @@ def test_it_reaches_recordings_plans_and_the_reference(ran):
         "schema": True,
         "reference": [True, True],
     }
+
+
+def test_defaults_that_several_modules_need_are_one_number():
+    assert PingOptions().wait_s == DEFAULT_WAIT_S == Station((), None).wait_s
+    assert PingOptions().warmup == RunSettings().warmup == DEFAULT_WARMUP
+    assert OPTIONS["wait_s"].field_default == DEFAULT_WAIT_S

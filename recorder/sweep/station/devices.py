@@ -6,7 +6,7 @@ import shlex
 from typing import TYPE_CHECKING, Protocol
 
 from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
-from .programs import Program, rehearse_program
+from .programs import DEFAULTS_VARIABLE, Program, rehearse_program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -125,7 +125,7 @@ class PrintedDevice(RelayDevice):
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
     """Return the command line of a group's relay, without the defaults of that device."""
-    return f"DDS_TRACE_CONFIG= dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
+    return f"{DEFAULTS_VARIABLE}= dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
 
 
 class _PrintedProgram:

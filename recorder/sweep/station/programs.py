@@ -22,6 +22,9 @@ from ...host.process import ending_with_parent
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+DEFAULTS_VARIABLE = "DDS_TRACE_CONFIG"
+"""Empty for the programs of a sweep: a plan says all that is measured, so no file of defaults adds to it."""
+
 STOP_PATIENCE_S = 60.0
 """Time for a recorder to wait for late replies, close its trace and stop its bridge."""
 
@@ -95,6 +98,7 @@ class Program:
                 stdin=subprocess.PIPE if stops_by_input else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
+                env={**os.environ, DEFAULTS_VARIABLE: ""},
                 pass_fds=() if lock is None else (lock,),
                 start_new_session=True,  # Ctrl-C is for the sweep, which ends its programs in order
             )

@@ -22,7 +22,7 @@ from dds_trace.base.version import __version__
 
 from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
 from .devices import RelayDevice
-from .programs import Program
+from .programs import DEFAULTS_VARIABLE, Program
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -61,7 +61,9 @@ class SshDevice(RelayDevice):
         # Not quoted, so that the shell there expands its ~.
         path = f"PATH={settings.path}:$PATH" if settings.path else ":"
         # The setup prints to stderr, so that its output is not taken for an answer.
-        self._setup = f"export DDS_TRACE_CONFIG=; {{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
+        self._setup = (
+            f"export {DEFAULTS_VARIABLE}=; {{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
+        )
         self._folder = folder
         self._remote = f'"$HOME"/.cache/dds-trace/{shlex.quote(sweep)}'
 

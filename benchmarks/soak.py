@@ -23,7 +23,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.recorder.backends import NodeOptions, open_node
+from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.host.recorder_cost import measuring_session
 from dds_trace.recorder.options import PingOptions, RecordOptions

@@ -14,7 +14,8 @@ from .bridges.requested import check_requested_bridge
 from .domains import check_domain_id
 from .errors import StoppedError
 from .host.process import parse_cpus
-from .payloads import BINARY, is_live, open_payload, served_data_types
+from .payloads import is_live, open_payload, served_data_types
+from .payloads.binary import BINARY
 from .recording import record
 from .roles.plan import check_rate, check_serialization
 

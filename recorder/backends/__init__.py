@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 
-from .base import Backend, Meeting
-from .node import NodeOptions
-
 if TYPE_CHECKING:
-    from .node import Node
+    from .base import Backend
+    from .node import Node, NodeOptions
 
 BACKEND_MODULES = {
     "ros2": "dds_trace.recorder.backends.ros2",
@@ -48,15 +46,3 @@ def open_node(name: str, options: NodeOptions) -> Node:
 def installed_middlewares() -> list[tuple[str, str | None]]:
     """Return (backend, rmw) of every middleware on this machine; rmw None is the environment's own choice."""
     return [(backend.name, rmw) for backend in load_backends() for rmw in backend.find_installed()]
-
-
-__all__ = [
-    "BACKEND_MODULES",
-    "Backend",
-    "Meeting",
-    "NodeOptions",
-    "installed_middlewares",
-    "load_backend",
-    "load_backends",
-    "open_node",
-]

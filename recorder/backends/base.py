@@ -24,7 +24,7 @@ class Meeting(Enum):
     """How the nodes of a ping and a relay meet."""
 
     DISCOVERY = "discovery"
-    """They discover each other; an address is refused."""
+    """They discover each other."""
     DISCOVERY_OR_PEERS = "discovery or peers"
     """They discover each other, or use the addresses given."""
     PEERS = "peers"
@@ -35,7 +35,7 @@ DDS_MEETING = (
     "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), and the network lets "
     "multicast through"
 )
-"""Start of `Backend.meeting_needs` of a backend that speaks DDS."""
+"""Start of `meeting_needs` of a backend that speaks DDS."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,24 +45,21 @@ class Backend:
     Attributes:
         name: name in `--backend` and in a session.
         label: name for people.
-        make_node: opens a node that has joined the domain and is not started; an `ImportError` means that the package
-            is missing or broken.
-        find_installed: returns the ROS middlewares that a node can run on here, without loading them; `[None]` where
-            there is no choice, empty where the backend cannot run.
-        install: instruction to install the middleware, for the end of a message.
-        meeting: how ping and relay meet.
-        meeting_needs: what that requires, for the end of a sentence, with `{port}` in place of the relay's port and
-            `{dds_backends}` in place of the names of all backends that speak DDS.
+        make_node: opens a node, not started; an `ImportError` means that the package is missing or broken.
+        find_installed: returns the ROS middlewares of this machine, without loading them; `[None]` where there is no
+            choice, empty where the backend cannot run.
+        install: how to install the middleware, for the end of a message.
+        meeting_needs: what ping and relay need to meet, for the end of a sentence; with `{port}` for the relay's port and
+            `{dds_backends}` for the backends that speak DDS.
         speaks_dds: whether its nodes meet nodes of other backends that speak DDS.
-        relay_port: number of the relay's port among the 250 of the domain, 2 to 9, which DDS participants do not use; None
-            where the relay does not listen.
-        make_pair: opens two nodes on this device, one that subscribes and one that publishes, for a backend whose nodes do
-            not receive their own messages; None where one node does both.
-        has_ros: whether it has a ROS middleware and an executor, which can be chosen.
+        relay_port: number of the relay's port among the 250 of the domain: 2 to 9, which DDS does not use.
+        make_pair: opens a node that subscribes and one that publishes, for a backend whose nodes do not receive their own
+            messages.
+        has_ros: whether the ROS middleware and the executor can be chosen.
         has_congestion_control: whether TCP's congestion control can be chosen.
         transports: transports that can be chosen.
-        environment: variables and files that change what the middleware does.
-        check_settings: raises an `OptionError` for further options that have no meaning.
+        environment: variables and files that configure the middleware.
+        check_settings: raises an `OptionError` for further options that have no effect.
     """
 
     name: str
@@ -85,9 +82,8 @@ class Backend:
         """Open a node that has joined the domain and is not started.
 
         Raises:
-            BackendUnavailableError: the middleware or its licence is not on this machine; the message says how to
-                get it.
-            OptionError: an option has no meaning for this backend.
+            BackendUnavailableError: the middleware or its licence is not on this machine.
+            OptionError: an option has no effect in this backend.
         """
         self.check(options)
         try:
@@ -96,7 +92,7 @@ class Backend:
             raise BackendUnavailableError(f"{self.label} cannot be loaded ({err}); {self.install}") from err
 
     def open_pair(self, options: NodeOptions) -> tuple[Node, Node]:
-        """Open a node that subscribes and one that publishes to it, which may be the same; errors as for `open_node`."""
+        """Open a node that subscribes and one that publishes to it, maybe the same; errors as for `open_node`."""
         if self.make_pair is None:
             node = self.open_node(options)
             return node, node
@@ -104,11 +100,7 @@ class Backend:
         return self.make_pair(options)
 
     def check(self, options: NodeOptions) -> None:
-        """Refuse options that would have no effect.
-
-        Raises:
-            OptionError: naming the option and what this backend has.
-        """
+        """Raise an `OptionError` for an option that would have no effect."""
         check_domain_id(options.domain_id)
         if options.rmw is not None and not self.has_ros:
             raise OptionError(
@@ -135,7 +127,7 @@ class Backend:
             self.check_settings(options)
 
     def port_of(self, domain_id: int) -> int:
-        """Return the port of the relay of `domain_id`, one that no DDS participant uses."""
+        """Return the port of the relay of `domain_id`."""
         assert self.relay_port is not None
         return first_port(domain_id) + self.relay_port
 
@@ -148,7 +140,7 @@ class Backend:
         """Return host and port of each relay that a ping connects to.
 
         Raises:
-            OptionError: an address cannot be read, or there is none and the relay need not be on this device.
+            OptionError: an address is wrong, or there is none and the relay need not be on this device.
         """
         port = self.port_of(options.domain_id)
         if options.discovery is Discovery.LOCALHOST and not options.peers:

@@ -1,4 +1,4 @@
-"""A participant as the roles use it: `Node`, its publishers and subscriptions, and what all backends share of one."""
+"""A participant as the roles use it: `Node`, its publishers and subscriptions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 ROUND_S = 0.1
-"""Longest round of a node's thread, and so the longest time for which `close` waits for it."""
+"""Longest round of a node's thread, and so the longest wait of `close`."""
 LAST_ACKNOWLEDGEMENT_S = 0.5
 """Longest wait of a closing publisher: a participant that leaves at once takes its last messages with it."""
 
@@ -29,7 +29,7 @@ RawMessage: TypeAlias = "bytes | bytearray"
 """A whole serialized message: 4 bytes of encapsulation, then CDR. A callback may change a received `bytearray`."""
 
 RosMessage: TypeAlias = Any
-"""An object of a class that ROS 2 generates from a `.msg` file; such classes have no types."""
+"""An object of a class that ROS 2 generates from a `.msg` file, without types."""
 
 MessageT_contra = TypeVar("MessageT_contra", contravariant=True)
 
@@ -126,9 +126,9 @@ class Middleware:
         backend: key of `BACKEND_MODULES`.
         vendor: `fastdds`, `cyclonedds`, `connext`, `zenoh`, `socket`, or what the backend reports.
         rmw: identifier of the running ROS middleware, None outside ROS.
-        versions: version of each library, by name.
-        settings: settings in effect, by name.
-        vendor_label: name of the vendor for people, empty where it is the backend's label.
+        versions: name of a library -> its version.
+        settings: settings in effect.
+        vendor_label: name of the vendor for people, empty for the backend's label.
     """
 
     backend: str
@@ -144,9 +144,9 @@ class Endpoint:
     """One publisher or subscription that a node sees on a topic, its own included.
 
     Attributes:
-        node_name: name of the endpoint's node, empty if unknown.
+        node_name: name of its node, empty if unknown.
         type_name: message type, such as `sensor_msgs/msg/Image`.
-        qos: quality of service offered or requested, None if the middleware does not report it.
+        qos: None if the middleware does not report it.
     """
 
     node_name: str
@@ -156,12 +156,11 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class TopicView:
-    """The endpoints that a node sees on one topic at one moment.
+    """The endpoints that a node sees on one topic.
 
     Attributes:
-        incompatible: one line for each pair that can never match, with the policy and both sides.
-        unassignable: one line for each endpoint whose message type has this node's name but another definition, where
-            the middleware reports it.
+        incompatible: one line for each pair that can never match.
+        unassignable: one line for each endpoint whose message type has the same name as ours but another definition.
     """
 
     topic: str
@@ -172,9 +171,9 @@ class TopicView:
 
 
 class Receive(Protocol[MessageT_contra]):
-    """A callback of a subscription; it runs on the node's thread and stamps T2 or T3 in its first instruction.
+    """A callback of a subscription, on the node's thread; it stamps T2 or T3 in its first instruction.
 
-    The two time stamps of the middleware (ns since 1970) are 0 where it does not report them.
+    The middleware's two time stamps (ns since 1970) are 0 where it does not report them.
     """
 
     def __call__(self, message: MessageT_contra, source_ns: int = 0, received_ns: int = 0, /) -> None:
@@ -185,7 +184,7 @@ class Publisher(Protocol[MessageT_contra]):
     """The sending end of a topic."""
 
     def publish(self, message: MessageT_contra, /) -> None:
-        """Hand `message` to the middleware; the buffer may change as soon as this returns. One thread at a time."""
+        """Hand `message` to the middleware, from one thread at a time; the buffer may change afterwards."""
 
     def close(self) -> None:
         """Take the publisher off the topic."""
@@ -195,15 +194,14 @@ class Subscription(Protocol):
     """The receiving end of a topic."""
 
     def close(self) -> None:
-        """Take the subscription off the topic; its callback is not called after the thread's current round."""
+        """Take the subscription off the topic, at the end of the thread's current round."""
 
 
 class Node(ABC):
-    """One participant in one domain. Create the endpoints, then `start`, then `close`, or use it as a context manager.
+    """One participant in one domain: create the endpoints, `start`, then `close`, or use it as a context manager.
 
     Attributes:
-        options: options that the node was opened with.
-        error: the exception that ended a thread of the node, None while all is well.
+        error: the exception that ended a thread of the node.
     """
 
     _middleware: Middleware
@@ -242,7 +240,7 @@ class Node(ABC):
 
     @abstractmethod
     def start(self) -> None:
-        """Start to call the subscriptions; an exception that one raises becomes `error`."""
+        """Start to call the subscriptions."""
 
     @abstractmethod
     def look_at(self, topic: str) -> TopicView:
@@ -250,7 +248,7 @@ class Node(ABC):
 
     @abstractmethod
     def count_participants(self) -> int | None:
-        """Count the participants (ROS: nodes) of the domain, this one included; None if the backend cannot."""
+        """Count the participants (ROS: nodes) of the domain; None if the backend cannot."""
 
     def close(self) -> None:
         """Stop receiving, send what is queued, leave the domain; a second call does nothing."""
@@ -265,7 +263,7 @@ class Node(ABC):
 
     @abstractmethod
     def _leave(self) -> None:
-        """Send what is queued and leave the domain; no subscription is called any more."""
+        """Send what is queued and leave the domain."""
 
     def __enter__(self) -> Self:
         return self
@@ -277,14 +275,13 @@ class Node(ABC):
 
 
 class ThreadedNode(Node):
-    """A node with one thread of ours that waits for messages and calls the subscriptions."""
+    """A node with one thread of ours that calls the subscriptions."""
 
     def __init__(self, options: NodeOptions) -> None:
         super().__init__(options)
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the thread that calls the subscriptions."""
         name = f"{self.middleware.backend}-domain-{self.options.domain_id}"
         self._thread = threading.Thread(target=self._receive_until_closed, name=name, daemon=True)
         self._thread.start()
@@ -299,7 +296,7 @@ class ThreadedNode(Node):
 
     @abstractmethod
     def _make_round(self) -> Callable[[], None]:
-        """Return the body of the thread's loop, which waits for at most `ROUND_S` and delivers what has arrived."""
+        """Return the body of the thread's loop, which waits at most `ROUND_S` and delivers what has arrived."""
 
     def _wake(self) -> None:
         """Cut the thread's current wait short, where the middleware can."""
@@ -312,28 +309,24 @@ class ThreadedNode(Node):
 
 @dataclass(frozen=True, slots=True)
 class NodeSubscription:
-    """A subscription that its node closes.
-
-    Attributes:
-        close: takes it off the topic; a second call does nothing.
-    """
+    """A subscription that its node closes; a second call of `close` does nothing."""
 
     close: Callable[[], None]
 
 
 @runtime_checkable
 class ObjectNode(Protocol):
-    """The further abilities of a node whose client library has message objects (ROS 2)."""
+    """What a node can do whose client library has message objects (ROS 2)."""
 
     def create_object_publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None
     ) -> Publisher[RosMessage]:
-        """Create a publisher of message objects; see `Node.create_publisher`."""
+        """Create a publisher of message objects."""
 
     def create_object_subscription(
         self, topic: str, type_name: str, receive: Receive[RosMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a subscription of message objects; see `Node.create_subscription`."""
+        """Create a subscription of message objects."""
 
     def message_from_cdr(self, type_name: str, data: RawMessage) -> RosMessage:
         """Deserialize a message."""

@@ -1,7 +1,4 @@
-"""A bridge between two DDS domains: the table of bridges, the record of one (`Bridge`), and its options.
-
-Nothing here starts a program.
-"""
+"""A bridge between two DDS domains: the table of bridges, the record of one (`Bridge`), and its options."""
 
 from __future__ import annotations
 
@@ -39,7 +36,7 @@ LOCAL_LINK = "127.0.0.1:7447"
 
 
 class Half(Enum):
-    """Part of a bridge that runs here; a bridge of one program only has `BOTH`."""
+    """Part of a bridge that runs here."""
 
     BOTH = "both"
     PING = "ping"
@@ -47,7 +44,7 @@ class Half(Enum):
 
 
 class Halves(Enum):
-    """Whether a bridge runs as one process for each domain, joined by a link between the two."""
+    """Whether a bridge runs as one process for each domain, joined by a link."""
 
     NEVER = "never"
     OPTIONAL = "optional"  # one process for both domains, or a half on each device
@@ -56,12 +53,7 @@ class Halves(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BridgedTopic:
-    """A topic that crosses from the ping's domain to the relay's; its `_relay` twin crosses back.
-
-    Attributes:
-        name: ROS name without the first slash.
-        type_name: message type, such as `sensor_msgs/msg/Image`.
-    """
+    """A topic (ROS name, message type) that crosses from the ping's domain to the relay's; its twin crosses back."""
 
     name: str
     type_name: str
@@ -98,13 +90,7 @@ BRIDGED_TOPICS = tuple(BridgedTopic(data.topic, data.type_name) for data in data
 
 @dataclass(frozen=True, slots=True)
 class BridgeSide:
-    """One domain that a bridge joins; no topic is in both tuples, so no message circles.
-
-    Attributes:
-        domain_id: the DDS domain.
-        takes: names of the topics that leave this domain through the bridge.
-        puts: names of the topics that come in.
-    """
+    """One domain that a bridge joins: it takes topics from it and puts others into it, so no message circles."""
 
     domain_id: int
     takes: tuple[str, ...]
@@ -116,11 +102,8 @@ class BridgeOptions:
     """All values that the configuration of a bridge depends on.
 
     Attributes:
-        ping_domain_id: domain of the ping, which `topics` leave.
-        relay_domain_id: domain of the relay, which the `_relay` topics leave.
         topics: the only topics that cross.
-        qos: quality of service of every bridged topic in both domains.
-        discovery: how far the bridge looks for nodes.
+        qos: quality of service of every topic in both domains.
         transport: transport of our own bridges' nodes (see `NodeOptions`).
         tuned: whether our own nodes, and the Cyclone DDS in zenoh's bridges, get the settings for large messages.
         half: part of the bridge that runs here.
@@ -178,7 +161,7 @@ class BridgeOptions:
         return tuple(sides.values()) if self.half is Half.BOTH else (sides[self.half],)
 
     def topic_of(self, name: str) -> BridgedTopic:
-        """Return the topic whose name, or whose twin's name, is `name`."""
+        """Return the topic with this name, or whose twin has it."""
         return next(topic for topic in self.topics if name in (topic.name, topic.reply_name))
 
     def type_of(self, name: str) -> str:
@@ -198,33 +181,21 @@ def split_address(address: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def no_arguments(_program: Path) -> Sequence[str]:
-    """Return no arguments: the program takes the path of its configuration only."""
-    return ()
-
-
-def no_variables(_options: BridgeOptions) -> Mapping[str, str]:
-    """Return no variables."""
-    return {}
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bridge:
     """One bridging program; each module in `BRIDGE_MODULES` has one, named `BRIDGE`.
 
     Attributes:
         name: name in `--bridge` and in a run.
-        install: instruction to install the program, in one line.
-        suffix: suffix of the configuration file: `.json5`, `.yaml`, `.xml`.
+        install: how to install the program, in one line.
+        suffix: suffix of the configuration file.
         configuration: returns the text of the configuration file.
-        find: returns the program's path on this machine, None if it is not installed.
+        find: returns the program's path, None if it is not installed.
         version: returns the version that the program reports, empty if it reports none.
         arguments: returns the arguments between the program and the path of its configuration.
-        environment: returns the variables that the program needs in addition to this process's.
-        halves: whether it runs as one process for each domain.
-        up_pattern: regular expression of the log line that says the bridge is up; None if its log has no such line.
-        needs_ros_nodes: whether it finds nodes by `ros_discovery_info`, which only ROS 2 publishes, so that plain DDS
-            programs do not cross it.
+        environment: returns the variables to add.
+        up_pattern: regular expression of the log line that says the bridge is up, None if there is no such line.
+        needs_ros_nodes: whether it finds nodes by `ros_discovery_info`, which only ROS 2 publishes.
     """
 
     name: str
@@ -233,8 +204,8 @@ class Bridge:
     configuration: Callable[[BridgeOptions], str]
     find: Callable[[], Path | None]
     version: Callable[[Path], str]
-    arguments: Callable[[Path], Sequence[str]] = no_arguments
-    environment: Callable[[BridgeOptions], Mapping[str, str]] = no_variables
+    arguments: Callable[[Path], Sequence[str]] = lambda _: ()
+    environment: Callable[[BridgeOptions], Mapping[str, str]] = lambda _: {}
     halves: Halves = Halves.NEVER
     up_pattern: str | None = None
     needs_ros_nodes: bool = False
@@ -255,11 +226,11 @@ def load_bridge(name: str) -> Bridge:
 def split_halves(bridge: Bridge, options: BridgeOptions, link: str = LOCAL_LINK) -> tuple[BridgeOptions, ...]:
     """Return the options of each process to start here.
 
-    There are two when both halves run on this machine, where they meet at `link`; else one. With `listen` or `peers`
-    the other half is elsewhere, and this one is the ping's unless the options say the relay's.
+    There are two if both halves run on this machine and meet at `link`. With `listen` or `peers` there is one, by default
+    the ping's half.
 
     Raises:
-        OptionError: the bridge has no halves and one is requested, or the half could never meet the other.
+        OptionError: the bridge has no halves, or the half could never meet the other.
     """
     has_link = bool(options.listen or options.peers)
     half = Half.PING if options.half is Half.BOTH and has_link else options.half

@@ -9,7 +9,6 @@ import sys
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.version import __version__
 
@@ -25,15 +24,6 @@ from .builtin_common import (
     serve,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-
-def arguments(_program: Path) -> Sequence[str]:
-    """Return the arguments with which Python runs this module."""
-    return ("-m", __name__)
-
-
 BRIDGE = Bridge(
     name="builtin",
     install=INSTALL_ROS2,
@@ -41,7 +31,7 @@ BRIDGE = Bridge(
     configuration=options_to_json,
     find=lambda: Path(sys.executable) if find_spec("rclpy") else None,
     version=lambda _: __version__,
-    arguments=arguments,
+    arguments=lambda _: ("-m", __name__),
     up_pattern=f"^{UP_LINE}",
 )
 

@@ -1,4 +1,4 @@
-"""The parts that our own two bridge programs share: configuration file, ROS 2 nodes, and serving until a signal."""
+"""The parts that our own two bridge programs share."""
 
 from __future__ import annotations
 
@@ -117,11 +117,7 @@ class Forwarder:
 
 
 def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
-    """Start the nodes, print `UP_LINE`, wait for SIGINT or SIGTERM, and print the number of forwarded messages.
-
-    Raises:
-        BaseException: the exception that ended a node's thread.
-    """
+    """Start the nodes, print `UP_LINE`, and forward until SIGINT or SIGTERM; raise the error of a node."""
     stop = stop_at_signals()
     for node in nodes:
         node.start()

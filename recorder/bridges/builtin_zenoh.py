@@ -1,6 +1,6 @@
 """`builtin-zenoh`: our own bridge over zenoh, one half on each device.
 
-Each half is a ROS 2 node in its domain and a zenoh peer; the peers meet over TCP at an address that both are given.
+Each half is a ROS 2 node in its domain and a zenoh peer; the peers meet over TCP at a given address.
 `python -m dds_trace.recorder.bridges.builtin_zenoh CONFIGURATION` serves one half until SIGINT or SIGTERM.
 """
 
@@ -31,17 +31,12 @@ from .builtin_common import (
 from .zenoh_link import zenoh_link
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from ..backends.node import RawMessage, Receive
 
 KEY_PREFIX = "dds_trace/bridge"
 """A topic crosses the link as the zenoh key `dds_trace/bridge/TOPIC`."""
-
-
-def arguments(_program: Path) -> Sequence[str]:
-    """Return the arguments with which Python runs this module."""
-    return ("-m", __name__)
 
 
 BRIDGE = Bridge(
@@ -51,7 +46,7 @@ BRIDGE = Bridge(
     configuration=options_to_json,
     find=lambda: Path(sys.executable) if find_spec("rclpy") and find_spec("zenoh") else None,
     version=lambda _: f"{__version__} (eclipse-zenoh {metadata.version('eclipse-zenoh')})",
-    arguments=arguments,
+    arguments=lambda _: ("-m", __name__),
     halves=Halves.ALWAYS,
     up_pattern=f"^{UP_LINE}",
 )

@@ -25,8 +25,7 @@ def open_requested_bridge(
 
     Raises:
         OptionError: there is no such bridge, or it does not support the options or the backend.
-        BackendUnavailableError: its program is not on this machine.
-        BridgeError: it did not come up.
+        TraceError: it cannot run; see `open_bridge`.
     """
     bridge_options = check_requested_bridge(options, ping, data_type)
     if bridge_options is None:

@@ -32,17 +32,14 @@ def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
 
 
 def plugin_configuration(plugin: str, settings: Mapping[str, object], options: BridgeOptions) -> str:
-    """Return the configuration of a bridge, program or router with plugin, as JSON, which is JSON5."""
+    """Return the configuration of a bridge as JSON, which is JSON5."""
     return json.dumps({"plugins": {plugin: settings}, **zenoh_link(options, mode="router")}, indent=2) + "\n"
 
 
 def zenoh_environment(options: BridgeOptions, *, names_loopback: bool) -> Mapping[str, str]:
     """Return the settings of the Cyclone DDS in a zenoh bridge, and of its log.
 
-    Args:
-        options: options of the bridge.
-        names_loopback: whether the bridge itself keeps Cyclone DDS on the loopback interface; named twice, Cyclone DDS
-            does not start.
+    A bridge that itself names the loopback interface must not get its name again: Cyclone DDS would not start.
     """
     log = {"RUST_LOG": "z=info", "NO_COLOR": "1"}
     loopback = "" if names_loopback else cyclone_loopback(options.discovery)
@@ -58,7 +55,7 @@ def router_with(plugin: str) -> Path | None:
 
 
 def plugin_arguments(program: Path, plugin: str) -> Sequence[str]:
-    """Return the arguments of a bridge's program, or of zenoh's router, which loads the plugin or ends."""
+    """Return the arguments of a bridge's program, or of zenoh's router with the plugin."""
     required = ("-P", f"{plugin}:{_library(program, plugin)}") if program.name == "zenohd" else ()
     return (*required, "-c")
 

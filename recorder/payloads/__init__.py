@@ -59,18 +59,18 @@ def open_payload(
     wait_s: float,
     stop: threading.Event,
 ) -> AbstractContextManager[Payload]:
-    """Open the payload that `--data` names, while the block runs.
+    """Open the payload that `--data` names.
 
     Args:
         data: value of `--data`.
         size_bytes: application bytes of a message, None for the default of its type.
         seed: seed of random content.
         open_node: opens a second node, for a live source.
-        wait_s: longest wait for a live source, in seconds.
-        stop: event that ends this work.
+        wait_s: longest wait for a live source.
+        stop: event that ends the work.
 
     Raises:
-        StoppedError: `stop` was set before there was a message.
+        StoppedError: `stop` was set.
         OptionError: there is no such data, or it cannot have that size.
         BackendUnavailableError: a package to read it is not installed.
     """
@@ -85,11 +85,7 @@ def open_payload(
 
 
 def check_data(data: str) -> None:
-    """Refuse a value of `--data` that names no data, without opening any.
-
-    Raises:
-        OptionError: there is no such data type, or the text after the colon is wrong.
-    """
+    """Raise an `OptionError` for a value of `--data` that names no data."""
     limits.check(limits.TEXT, data, "--data")
     source, name = _split_source(data)
     if source is None:
@@ -104,18 +100,14 @@ def is_live(data: str) -> bool:
 
 
 def _split_source(data: str) -> tuple[Source | None, str]:
-    """Return the source that `--data` names and the text after the colon; no source if it names a data type."""
+    """Return the source in `--data`, if any, and the text after the colon."""
     kind, colon, name = data.partition(":")
     source = PAYLOADS.get(kind)
     return (source, name) if colon and isinstance(source, Source) else (None, data)
 
 
 def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
-    """Return the data types that a relay serves: the built-in ones, and one for each further message type.
-
-    Raises:
-        OptionError: one of `type_names` is not a message type.
-    """
+    """Return the data types that a relay serves: the built-in ones, and one for each further message type."""
     own_types = _own_types()
     further = dict.fromkeys(name for name in type_names if name not in own_types)
     return (*data_types().values(), *map(header_data_type, further))
@@ -123,18 +115,3 @@ def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
 
 def _own_types() -> dict[str, DataType]:
     return {data_type.type_name: data_type for data_type in data_types().values()}
-
-
-__all__ = [
-    "BINARY",
-    "IMU",
-    "PAYLOADS",
-    "STRING",
-    "check_data",
-    "data_types",
-    "find_data_type",
-    "header_data_type",
-    "is_live",
-    "open_payload",
-    "served_data_types",
-]

@@ -29,11 +29,11 @@ NAMED_FIELD = 2
 def load_payload(
     where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None
 ) -> Payload:
-    """Read the messages of `PATH#TOPIC` as CDR, each with room for the stamp, and their mean rate.
+    """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate.
 
     Raises:
         StoppedError: `stop` was set.
-        OptionError: no bag, no such topic in it, a type that cannot carry the stamp, or too much data.
+        OptionError: the bag, the topic or its type cannot be used, or there is too much data.
         BackendUnavailableError: rosbags is not installed.
     """
     name, topic = split_topic(where)
@@ -66,11 +66,7 @@ def load_payload(
 
 
 def split_topic(where: str) -> tuple[str, str]:
-    """Return path and topic of `PATH#TOPIC`.
-
-    Raises:
-        OptionError: one of them is missing.
-    """
+    """Return path and topic of `PATH#TOPIC`; raise an `OptionError` if one is missing."""
     name, hash_sign, topic = where.rpartition("#")
     if not (hash_sign and name and topic) or "\0" in where:
         raise OptionError(
@@ -121,7 +117,7 @@ def _connections_of(reader: AnyReader, topic: str, path: Path) -> list[Connectio
 
 
 class _Stamper:
-    """A converter of recorded messages of one type to CDR with room for the stamp."""
+    """A converter of messages of one type to CDR with room for the stamp."""
 
     def __init__(
         self, reader: AnyReader, type_name: str, path: Path, own_types: Mapping[str, DataType]

@@ -28,12 +28,7 @@ RELAY_SUFFIX = "_relay"
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One serialized message with room for the stamp.
-
-    Attributes:
-        data: the whole buffer, encapsulation included, in which the ping changes the stamp.
-        payload_bytes: application bytes, without the stamp.
-    """
+    """One serialized message with room for the stamp; `payload_bytes` are its application bytes, without the stamp."""
 
     data: bytearray
     payload_bytes: int
@@ -59,9 +54,9 @@ class Payload:
 
     Attributes:
         payload_bytes: application bytes of the largest message.
-        rate_hz: rate at which the data was recorded, None if it has no rate.
-        source: origin of the data as in `--data`; empty for random data.
-        feed: live source of the messages, None for recorded ones; with it `messages` are for probes.
+        rate_hz: recorded rate, None if there is none.
+        source: value of `--data`; empty for random data.
+        feed: live source of the messages; then `messages` are for probes.
     """
 
     data_type: DataType
@@ -77,9 +72,8 @@ class Form(Generic[SentT, ReceivedT]):
     """One form of a data type's messages: serialized, or as message objects.
 
     Attributes:
-        stamp: place of the stamp in a message.
         payload_bytes_of: returns the application bytes of a received message.
-        sizing_bytes_of: returns how many first bytes of a message determine, with its length, its `payload_bytes_of`;
+        sizing_bytes_of: returns how many first bytes determine, with the length of the message, its `payload_bytes_of`;
             None for message objects.
     """
 
@@ -89,7 +83,7 @@ class Form(Generic[SentT, ReceivedT]):
 
 
 def sized_by_length(_message: RawMessage) -> int:
-    """Return 0, the `Form.sizing_bytes_of` of a type whose payload follows from the length of message and first string."""
+    """Return 0: the payload follows from the lengths of message and first string."""
     return 0
 
 
@@ -112,11 +106,8 @@ class DataType:
     Attributes:
         name: name in the trace and in `--data`: `binary`, `string`, `imu`.
         topic: topic of the way out.
-        type_name: ROS name of the message type.
-        raw: its serialized messages.
-        objects: its message objects, None for a type that is only sent in serialized form.
-        object_stamp: place of the stamp in a message object, also of other programs.
-        make: makes up the payload.
+        objects: None for a type that is only sent in serialized form.
+        object_stamp: place of the stamp in a message object, also of another program.
     """
 
     name: str
@@ -129,7 +120,7 @@ class DataType:
 
     @property
     def relay_topic(self) -> str:
-        """The topic of the way back."""
+        """Topic of the way back."""
         return self.topic + RELAY_SUFFIX
 
     def object_form(self) -> Form[RosMessage, RosMessage]:
@@ -145,14 +136,7 @@ class DataType:
 
 @dataclass(frozen=True, slots=True)
 class PayloadContext:
-    """What a source needs of the recording.
-
-    Attributes:
-        own_types: built-in data types by message type.
-        open_node: opens a second node, not started.
-        wait_s: longest wait for a live source.
-        stop: event that ends the work.
-    """
+    """What a source needs of the recording: built-in data types by message type, a second node, when to end."""
 
     own_types: Mapping[str, DataType]
     open_node: Callable[[], Node]
@@ -166,9 +150,9 @@ class Source:
 
     Attributes:
         name: text before the colon in `--data`.
-        usage: form of the whole value of `--data`, such as `file:PATH`.
-        open: opens the payload for the text after the colon, while the block runs.
-        check: raises an `OptionError` for a wrong text after the colon, without opening anything.
+        usage: form of `--data`, such as `file:PATH`.
+        open: opens the payload for the text after the colon.
+        check: raises an `OptionError` for a wrong text after the colon.
     """
 
     name: str
@@ -178,21 +162,13 @@ class Source:
 
 
 def check_stop(stop: threading.Event | None) -> None:
-    """End the work on a payload when the recording stops.
-
-    Raises:
-        StoppedError: `stop` is set.
-    """
+    """Raise a `StoppedError` if `stop` is set."""
     if stop is not None and stop.is_set():
         raise StoppedError("stopped before there was anything to send; nothing is recorded")
 
 
 def check_size(size_bytes: int, path: Path) -> None:
-    """Refuse data that is too large for memory.
-
-    Raises:
-        OptionError: there are more than `MAX_PAYLOAD_BYTES`.
-    """
+    """Raise an `OptionError` for data that is too large for memory."""
     if size_bytes > MAX_PAYLOAD_BYTES:
         raise OptionError(
             f"{path} has more than {MAX_PAYLOAD_BYTES >> 30} GiB of data to send, which must fit into memory; give a part of it"

@@ -24,7 +24,7 @@ _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 
 
 def header_data_type(type_name: str) -> DataType:
-    """Return the data type of messages of `type_name`, on the topic `data_PACKAGE_TYPE`.
+    """Return the data type of a message type, with the topic `data_PACKAGE_TYPE`.
 
     Raises:
         OptionError: it is not a message type.
@@ -59,16 +59,10 @@ def _refuse_to_make(
 def recognize_data_type(
     type_name: str, first_field_type: str, where: str, own_types: Mapping[str, DataType]
 ) -> DataType:
-    """Return the data type of messages of other programs.
-
-    Args:
-        type_name: ROS name of the type.
-        first_field_type: type of its first field.
-        where: origin of the messages, for the error.
-        own_types: built-in data types by message type.
+    """Return the data type of messages of another program, which come from `where`.
 
     Raises:
-        OptionError: there is no room for the stamp.
+        OptionError: the type does not start with a header, so that there is no room for the stamp.
     """
     if type_name in own_types:
         return own_types[type_name]

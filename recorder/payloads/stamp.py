@@ -99,18 +99,15 @@ class RawStampPlace:
         self._last = (b"", 0)  # text and id of the last run
 
     def write(self, message: bytearray, run_id: int, sequence: int) -> None:
-        """Write the stamp into the buffer."""
         message[self._start : self._end] = stamp_text(run_id, sequence)
 
     def write_second(self, message: bytearray, wall_ns: int) -> int:
-        """Write the second into the buffer's `header.stamp`."""
         second = wall_ns // _SECOND_NS
         if self._time is not None:
             _TIME.pack_into(message, self._time, second, 0)
         return second * _SECOND_NS
 
     def write_nanoseconds(self, message: bytearray, nanoseconds: int) -> None:
-        """Write the nanoseconds into the buffer's `header.stamp`."""
         offset = self._nanoseconds
         if offset is None:
             return
@@ -122,7 +119,6 @@ class RawStampPlace:
             _TIME.pack_into(message, at, second + nanoseconds // _SECOND_NS, nanoseconds % _SECOND_NS)
 
     def read(self, message: RawMessage) -> Stamp | None:
-        """Return the stamp."""
         text = message[self._start : self._end]
         run_text, run_id = self._last
         if len(text) == STAMP_BYTES and text.startswith(run_text) and run_text:  # usually the same run
@@ -145,7 +141,6 @@ class RawStampPlace:
         )
 
     def reply(self, message: RawMessage, relay_id_text: bytes) -> bytearray | None:
-        """Return the message with the relay's id: a `bytearray` itself, else a copy."""
         if not message.startswith(STAMP_PREFIX, self._start):
             return None
         reply = message if isinstance(message, bytearray) else bytearray(message)
@@ -157,16 +152,13 @@ class HeaderStampPlace:
     """The stamp in `header.frame_id` of a message object."""
 
     def write(self, message: RosMessage, run_id: int, sequence: int) -> None:
-        """Write the stamp into `header.frame_id`."""
         message.header.frame_id = stamp_text(run_id, sequence).decode()
 
     def write_second(self, message: RosMessage, wall_ns: int) -> int:
-        """Write the second into `header.stamp`."""
         second = message.header.stamp.sec = wall_ns // _SECOND_NS
         return second * _SECOND_NS
 
     def write_nanoseconds(self, message: RosMessage, nanoseconds: int) -> None:
-        """Write the nanoseconds into `header.stamp`."""
         stamp = message.header.stamp
         if nanoseconds >= _SECOND_NS:
             stamp.sec += nanoseconds // _SECOND_NS
@@ -174,11 +166,9 @@ class HeaderStampPlace:
         stamp.nanosec = nanoseconds
 
     def read(self, message: RosMessage) -> Stamp | None:
-        """Return the stamp in `header.frame_id`."""
         return parse_stamp(message.header.frame_id)
 
     def reply(self, message: RosMessage, relay_id_text: bytes) -> RosMessage | None:
-        """Write the relay's id in place and return the same object."""
         text = message.header.frame_id
         if not text.startswith("dt1:"):
             return None
@@ -186,7 +176,6 @@ class HeaderStampPlace:
         return message
 
     def make_room(self, message: RosMessage) -> None:
-        """Replace the `frame_id` of another program's message by a stamp."""
         self.write(message, 0, 0)
 
 
@@ -194,22 +183,18 @@ class StringStampPlace:
     """The stamp in the first 46 characters of a `std_msgs/msg/String` object."""
 
     def write(self, message: RosMessage, run_id: int, sequence: int) -> None:
-        """Write the stamp before the payload."""
         message.data = stamp_text(run_id, sequence).decode() + message.data[STAMP_BYTES:]
 
     def write_second(self, message: RosMessage, wall_ns: int) -> int:  # noqa: ARG002 - the role's signature
-        """Write nothing: a String has no time."""
         return wall_ns
 
     def write_nanoseconds(self, message: RosMessage, nanoseconds: int) -> None:
         """Write nothing: a String has no time."""
 
     def read(self, message: RosMessage) -> Stamp | None:
-        """Return the stamp before the payload."""
         return parse_stamp(message.data[:STAMP_BYTES])
 
     def reply(self, message: RosMessage, relay_id_text: bytes) -> RosMessage | None:
-        """Write the relay's id in place and return the same object."""
         text = message.data
         if not text.startswith("dt1:"):
             return None
@@ -217,7 +202,6 @@ class StringStampPlace:
         return message
 
     def make_room(self, message: RosMessage) -> None:
-        """Write a stamp before the payload of another program's message."""
         message.data = stamp_text(0, 0).decode() + message.data
 
 

@@ -29,12 +29,7 @@ _UINT32 = struct.Struct("<I")
 
 
 def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
-    """Make up one string of `size_bytes` characters after the stamp (91 by default; the paper's: 4, 91, 1405, 2675).
-
-    Raises:
-        OptionError: a string cannot have that size.
-        StoppedError: `stop` was set.
-    """
+    """Make up one string of `size_bytes` characters after the stamp (91 by default; the paper's: 4, 91, 1405, 2675)."""
     size = DEFAULT_BYTES if size_bytes is None else size_bytes
     if not 0 <= size <= MAX_BYTES:
         raise OptionError(f"--size {size}: a string payload has 0 to {MAX_BYTES} bytes")

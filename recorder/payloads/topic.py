@@ -102,11 +102,9 @@ class LiveFeed:
             self._waiting.put((converted, arrival_ns))
 
     def begin(self) -> None:
-        """Keep the messages that arrive from now on."""
         self._has_begun = True
 
     def take(self, stop: threading.Event) -> tuple[Message, int] | None:
-        """Wait for the next message; return it and its arrival (monotonic ns), or None once `stop` is set."""
         while not stop.is_set():
             with suppress(queue.Empty):
                 return self._waiting.get(timeout=CHECK_PERIOD_S)

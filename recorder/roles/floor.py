@@ -15,7 +15,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 from ..backends import load_backend
 from ..errors import NoEchoError
 from ..host.recorder_cost import measure_recorder_cost
-from ..payloads import STRING
+from ..payloads.string import STRING
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json

@@ -1,11 +1,10 @@
 """A Fast DDS profile of our own for ROS 2's LOCALHOST range, where FASTDDS_BUILTIN_TRANSPORTS changes nothing.
 
-In that range rmw_fastrtps adds a shared-memory and a UDP transport of its own to the default profile
-(rmw_fastrtps_shared_cpp/src/participant.cpp), so neither the variable nor a profile removes shared memory. Instead we set the
-range SYSTEM_DEFAULT, which leaves the profile as it is, and load a profile that does what the LOCALHOST range does: sockets
-on 127.0.0.1 only, no multicast beyond it, unicast search for participants.
+In that range rmw_fastrtps adds shared memory and UDP to the default profile (rmw_fastrtps_shared_cpp/src/participant.cpp),
+so nothing removes shared memory. Instead we set the range SYSTEM_DEFAULT and load a profile that does what the LOCALHOST
+range does: sockets on 127.0.0.1 only, no multicast beyond it, unicast search for participants.
 
-Fast DDS loads one profile file, once in each process, with its first participant. So all nodes of a process have the same
+Fast DDS loads one profile file in each process, with its first participant. So all nodes of a process have the same
 transports, and the options are refused if the user has a profile.
 """
 
@@ -88,7 +87,7 @@ _LARGE_DATA_DISCOVERY = """\
 
 _PROFILE = """\
 <?xml version="1.0" encoding="UTF-8"?>
-<!-- Written by dds-trace: {transport} on this machine alone. -->
+<!-- Written by dds-trace: {transport} on this machine only. -->
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
   <profiles>
     <transport_descriptors>
@@ -114,11 +113,7 @@ _LAYOUTS = {
 
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
-    """Return the text of a profile that keeps UDP, SHM or LARGE_DATA on this machine.
-
-    Args:
-        transport: the transport.
-        buffer_bytes: send and receive buffer of the UDP sockets, None for the system's default.
+    """Return a profile that keeps UDP, SHM or LARGE_DATA on this machine, with buffers of UDP sockets of that size.
 
     Raises:
         OptionError: the transport needs no profile, or has no buffers to set.
@@ -189,9 +184,7 @@ def written_profile(text: str) -> Iterator[Path]:
 
 @contextmanager
 def loaded_profile(text: str) -> Iterator[Path]:
-    """Make the first participant of this process, opened within the block, load the profile, and so all later ones.
-
-    The environment is restored, so that no child process inherits the profile.
+    """Make the first participant of this process load the profile; no child process inherits it.
 
     Raises:
         OptionError: the user has a profile file already.
@@ -211,19 +204,15 @@ def loaded_profile(text: str) -> Iterator[Path]:
 
 
 _loaded: list[str | None] = []
-"""Profile of this process's first Fast DDS node under localhost discovery, None for ROS 2's own; empty before that node."""
+"""Profile of this process's first Fast DDS node under localhost discovery, None for ROS 2's own."""
 
 
 @contextmanager
 def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]]:
-    """Make the node that is opened within the block use the transport and the tuning of its options.
-
-    Yields:
-        Settings for the session.
+    """Make the node of the block use the transport and the tuning of its options; yield settings for the session.
 
     Raises:
-        OptionError: the middleware is not Fast DDS, the transport cannot be tuned, the user has a profile file, or an
-            earlier node of this process has other transports.
+        OptionError: the middleware, the user's profile or an earlier node of this process does not allow it.
     """
     if ros_middleware(rmw).vendor != "fastdds" or options.discovery is not Discovery.LOCALHOST:
         set_transport(options, rmw)
@@ -237,4 +226,4 @@ def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]
         )
     with nullcontext() if text is None else loaded_profile(text):
         _loaded[:] = [text]
-        yield {} if text is None else {"profile": "written by dds-trace for this machine alone"}
+        yield {} if text is None else {"profile": "written by dds-trace for this machine only"}

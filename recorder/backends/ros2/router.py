@@ -1,8 +1,7 @@
 """The router of rmw_zenoh, without which its nodes do not find each other.
 
-A router that listens is used. Else a node under localhost discovery starts the program of the RMW's package and ends it
-when it closes; on a network, where the user has to connect the routers of several devices, a node waits for one and then
-reports that it is missing.
+A running router is used. Else a node under localhost discovery starts one and ends it when it closes; on a network the
+user has to start and connect the routers of the devices.
 """
 
 from __future__ import annotations
@@ -35,12 +34,7 @@ _ENDPOINT = re.compile(r"connect/endpoints\s*=\s*\[\s*\"tcp/(?P<host>\[[^\]]+\]|
 
 @dataclass(slots=True)
 class Router:
-    """The router of a node.
-
-    Attributes:
-        settings: settings for the session; empty where the RMW needs no router.
-        process: the router that we started, None for another's.
-    """
+    """The router of a node: settings for the session, and its process if we started it."""
 
     settings: Mapping[str, str] = field(default_factory=dict)
     process: subprocess.Popen[bytes] | None = None
@@ -59,12 +53,7 @@ class Router:
 
 
 def open_router(rmw: str, discovery: Discovery, patience_s: float = PATIENCE_S) -> Router:
-    """Return the router that nodes of an RMW need: one that listens, or under localhost discovery a new one.
-
-    Args:
-        rmw: identifier of the running ROS middleware.
-        discovery: range of the node.
-        patience_s: longest wait until it listens.
+    """Return the router that nodes of `rmw` need: one that listens, or under localhost discovery a new one.
 
     Raises:
         BackendUnavailableError: no router listens, and none can be started.

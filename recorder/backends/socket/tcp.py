@@ -42,11 +42,11 @@ class TcpLinks:
     """Connections to peers, and from peers on one listening socket.
 
     Args:
-        own: the node's own greeting, sent to each new peer.
+        own: greeting for each new peer.
         listen: address at which connections are accepted, None for none.
-        peers: addresses to connect to, until it works.
-        receivers: the callbacks of each topic.
-        prepare: sets the options of each connection's socket.
+        peers: addresses to connect to.
+        receivers: callbacks of each topic.
+        prepare: sets the options of a connection's socket.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class TcpLinks:
         return [peer.greeting for peer in self._connected]
 
     def announce(self) -> None:
-        """Send the node's own greeting to all peers."""
+        """Send the own greeting to all peers."""
         for peer in self._connected:
             peer.greet(self._own)
 
@@ -104,7 +104,7 @@ class TcpLinks:
         return send
 
     def poll(self) -> None:
-        """Make and accept connections for one round; raise the error of a callback."""
+        """Make and accept connections for at most `ROUND_S`; raise the error of a callback."""
         if self._error is not None:
             raise self._error
         now_s = time.monotonic()
@@ -189,7 +189,7 @@ class TcpLinks:
 
 
 def set_congestion_control(connection: socket.socket, name: str | None) -> str:
-    """Choose the congestion control of a TCP socket, the system's if `name` is None; return what the kernel reports.
+    """Set the congestion control of a TCP socket, unless `name` is None; return what the kernel reports.
 
     Raises:
         OptionError: the kernel does not have it or does not allow it.
@@ -237,7 +237,6 @@ class _TcpPeer:
         self._take, self._give = self._writing.take, self._writing.give
 
     def greet(self, own: Greeting) -> None:
-        """Send the own greeting."""
         text = own.to_bytes()
         self.send(_head(b"", len(text)), text)
 
@@ -261,12 +260,7 @@ class _TcpPeer:
     def read(self, receivers: Receivers, delivering: FastLock) -> None:
         """Deliver each frame until the connection ends, or something arrives that is not a frame.
 
-        Each read expects a frame like the last one, in memory allocated beforehand: such a frame costs one call of the
-        kernel and no copy.
-
-        Args:
-            receivers: the callbacks of each topic.
-            delivering: lock of the callbacks of all connections.
+        Each read expects a frame like the last one, in memory allocated beforehand: one call of the kernel and no copy.
         """
         receive_into, take, give = self._receive, delivering.take, delivering.give
         head, topic, head_bytes, expected_bytes = b"", "", 0, 0  # 0: nothing is expected
@@ -299,10 +293,9 @@ class _TcpPeer:
             head_bytes = len(head)
 
     def _read_frames(self, data: memoryview) -> list[tuple[bytes, str, bytearray]] | None:
-        """Complete the frames that start in `data`; return head, topic and message of each that is not a greeting.
+        """Complete the frames that start in `data`; return head, topic and message of each, without greetings.
 
-        Returns:
-            None when the connection has ended, or something arrived that is not a frame.
+        Returns None if the connection ends, or something arrives that is not a frame.
         """
         frames = []
         if not data:
@@ -319,7 +312,7 @@ class _TcpPeer:
         return frames
 
     def _read_frame(self, data: memoryview) -> tuple[bytes, str, bytearray, memoryview] | None:
-        """Complete the frame that starts in `data`; return head, topic, message and the rest of `data`, or None as above."""
+        """Complete the frame that starts in `data`; return head, topic, message and the rest of `data`."""
         parts: list[bytearray] = []
         sizes = [_HEADER.size]
         while sizes:
@@ -358,12 +351,11 @@ class _TcpPeer:
         return greeting is not None
 
     def shut_down(self) -> None:
-        """End the connection in both directions; the reader then sees its end."""
+        """End the connection; the reader sees its end."""
         with suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Close the socket, which nobody reads any more."""
         self.shut_down()
         with self._writing:  # no send may use the number of another file
             self._connection.close()

@@ -1,12 +1,11 @@
 """The guard of one bridge program: bounds its log and ends it with all its children.
 
 `supervise.py` starts it as a file, so that it imports no module of ours. It ends the program when its standard input
-closes, as the kernel does when the recorder is killed.
+closes, also by a kill of the recorder.
 
     guard.py FOLDER UP_PATTERN PATIENCE_S PROGRAM ARGUMENTS...
 
-prints the program's pid, creates the file `FOLDER/up` when a line of the program's output matches UP_PATTERN, and prints a
-line of JSON at the end (`GuardReport`).
+prints the program's pid, creates `FOLDER/up` when the output matches UP_PATTERN, and prints a `GuardReport` at the end.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ CANNOT_START = 127
 
 
 class BoundedLog:
-    """The end of a log in `FOLDER/log` and `FOLDER/log.1`; creates `FOLDER/up` when `up_pattern` matches."""
+    """The last part of a log, in `FOLDER/log` and `FOLDER/log.1`."""
 
     def __init__(self, folder: Path, up_pattern: str) -> None:
         self._path = folder / "log"
@@ -51,7 +50,7 @@ class BoundedLog:
         self.total_bytes = 0
 
     def write(self, data: bytes) -> None:
-        """Append `data`; when the newer file is full, the older one is dropped."""
+        """Append `data`, to a new file if this one is full."""
         self.total_bytes += len(data)
         with contextlib.suppress(OSError):  # a full disk costs the log, not the bridge
             self._look_for_up(data)
@@ -71,7 +70,7 @@ class BoundedLog:
 
 
 def descendants() -> list[int]:
-    """Return the pids of all processes below this one that still run, in any process group."""
+    """Return the pids of all running processes below this one."""
     children: dict[int, list[int]] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):  # it has ended
@@ -125,7 +124,7 @@ class Drain:
             self._selector.register(source, selectors.EVENT_READ)
 
     def until(self, deadline: float | None, program: subprocess.Popen[bytes]) -> None:
-        """Read output until the program has ended, the deadline has passed or, without a deadline, `stopping` is set."""
+        """Read output until the program ends, the deadline passes or, without a deadline, `stopping` is set."""
         while program.poll() is None and not (deadline is None and self.stopping):
             left_s = None if deadline is None else deadline - time.monotonic()
             if left_s is not None and left_s <= 0:
@@ -157,7 +156,7 @@ class Drain:
 
 
 def die_with(guard_pid: int) -> None:
-    """Have the kernel kill this process, the program before it runs, when the guard dies; end it if that has happened."""
+    """Have the kernel kill this process, the future program, when the guard dies."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != guard_pid:
         os.kill(os.getpid(), signal.SIGKILL)

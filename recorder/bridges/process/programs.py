@@ -57,12 +57,10 @@ def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
 
 
 def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:
-    """Return the environment variables of a program.
+    """Return the environment variables of a program, with `extra` ones.
 
-    Args:
-        extra: variables to add.
-        foreign: whether the program brings libraries of its own; then it must not get the search path that the ROS 2
-            wheels set for themselves (`docs/reference/bridges.md`).
+    A `foreign` program, which has libraries of its own, must not get the search path that the ROS 2 wheels set for
+    themselves (`docs/reference/bridges.md`).
     """
     variables = {**os.environ, **extra}
     if foreign and variables.pop(_WHEELS_GUARD, ""):

@@ -28,18 +28,12 @@ LINK_MIDDLEWARES = ("zenoh", "socket")
 
 
 class ProgramReadBack:
-    """What one program of a bridge uses, read after the first echo and again before the program is stopped.
-
-    Args:
-        bridge: name of the bridge.
-        options: options of the program, whose `transport` and `tuned` are compared with what it uses.
-        pid: its process; if that one is a script, its first child that has sockets is read.
-    """
+    """What one program of a bridge uses, read after the first echo and before the program is stopped."""
 
     def __init__(self, bridge: str, options: BridgeOptions, pid: int) -> None:
         self._bridge = bridge
         self._options = options
-        self._pid = pid
+        self._pid = pid  # or its first child that has sockets, if it is a script
         self._requested: tuple[Asked, ...] = ()
         self._applied: Applied | None = None
 
@@ -75,7 +69,7 @@ class ProgramReadBack:
 
     @property
     def not_applied(self) -> tuple[Difference, ...]:
-        """The requested settings that the program does not use, each once, in words that name the bridge."""
+        """The requested settings that the program does not use, each once."""
         if self._applied is None:
             return ()
         by_setting = {

@@ -1,4 +1,4 @@
-"""A running bridge: `open_bridge` starts its programs on this machine and ends them again."""
+"""A running bridge: `open_bridge` starts its programs and ends them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class BridgeState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _RunningHalf:
-    """One program of a bridge, with its options, configuration and environment."""
+    """One program of a bridge."""
 
     options: BridgeOptions
     version: str
@@ -88,7 +88,7 @@ class RunningBridge:
 
     @property
     def failure(self) -> str | None:
-        """One line that says which program ended by itself and how; None while all run."""
+        """How a program ended by itself, in one line; None while all run."""
         failed = self._failed_half()
         if failed is None or failed.program.report is None:
             return None
@@ -99,7 +99,7 @@ class RunningBridge:
         )
 
     def check(self) -> None:
-        """Raise if a program has ended by itself; cheap enough to call between two messages.
+        """Raise if a program has ended by itself.
 
         Raises:
             BridgeError: a program has ended.
@@ -199,8 +199,8 @@ def open_bridge(
 
     Raises:
         OptionError: there is no such bridge, or it does not support the options.
-        BackendUnavailableError: its program is not on this machine; the message says how to install it.
-        BridgeError: a program ended at once or did not come up within `up_timeout_s`.
+        BackendUnavailableError: its program is not on this machine.
+        BridgeError: a program ended or did not come up in time.
     """
     bridge = load_bridge(name)
     program = find_program(bridge)
@@ -226,7 +226,7 @@ def find_program(bridge: Bridge) -> Path:
     """Return the path of the bridge's program.
 
     Raises:
-        BackendUnavailableError: the program is not on this machine; the message says how to install it.
+        BackendUnavailableError: the program is not on this machine.
     """
     program = bridge.find()
     if program is None:

@@ -1,7 +1,6 @@
 """A bridge's program as a supervised child process: started, watched, sampled, ended, never orphaned.
 
-This process starts `guard.py`, and that starts the program. The program ends when the pipe to the guard closes, which
-the kernel does if this process dies.
+This process starts `guard.py`, which starts the program and ends it when the pipe to this process closes.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 STOP_PATIENCE_S = 4.0
-"""Time for a program to end after SIGINT, then after SIGTERM, before it is killed."""
+"""Time to end after SIGINT, then after SIGTERM, before SIGKILL."""
 
 LAST_LINES = 40
 """Most lines of the log in messages and traces."""
@@ -42,8 +41,8 @@ class GuardReport:
     Attributes:
         asked: whether it still ran when it was asked to stop.
         exit_code: its exit code, or 128 + signal.
-        left_behind: number of its children that outlived it and had to be ended.
-        log_bytes: bytes that it wrote to its log in total.
+        left_behind: number of children that outlived it.
+        log_bytes: size of its whole log.
     """
 
     asked: bool
@@ -54,13 +53,7 @@ class GuardReport:
 
 @dataclass(frozen=True, slots=True)
 class ProgramLoad:
-    """The present load of a program and its children.
-
-    Attributes:
-        cpu_percent: CPU time since the previous sample, in percent of one core; 0 in the first.
-        memory_bytes: resident memory.
-        processes: number of processes.
-    """
+    """The present load of a program and its children: CPU since the previous sample (of one core), resident memory."""
 
     cpu_percent: float
     memory_bytes: int
@@ -72,8 +65,8 @@ class SupervisedProgram:
 
     Args:
         command: program and arguments.
-        folder: folder of its log, `log` and `log.1`; the guard removes it if this process dies.
-        environment: all environment variables of the program.
+        folder: folder of its log, `log` and `log.1`.
+        environment: all its environment variables.
         up_pattern: as in `Bridge`.
 
     Raises:
@@ -91,7 +84,7 @@ class SupervisedProgram:
         self._stopping = False
         self._processes: dict[int, psutil.Process] = {}
         guard = Path(__file__).with_name("guard.py")
-        # -I -S: the guard only needs the standard library, and nothing of ours may keep it from starting.
+        # -I -S: the guard only needs the standard library, and must start whatever is installed.
         self._guard = subprocess.Popen(
             [
                 sys.executable,
@@ -126,7 +119,7 @@ class SupervisedProgram:
         return self._up_pattern is None or (self._folder / "up").exists()
 
     def log_tail(self) -> str:
-        """Return the last lines of the program's log, at most 8 KiB, also after it was stopped."""
+        """Return the last lines of the program's log, also after it has ended."""
         if self._last_log is not None:
             return self._last_log
         content = b""
@@ -137,7 +130,7 @@ class SupervisedProgram:
         return "\n".join(text.splitlines()[-LAST_LINES:])
 
     def last_line(self) -> str:
-        """Return the last line of the log that is not empty."""
+        """Return the last line of the log."""
         return next(
             (line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it logged nothing"
         )
@@ -188,11 +181,7 @@ class SupervisedProgram:
 
 
 def killing_signal(exit_code: int) -> signal.Signals | None:
-    """Return the signal that ended a program, None if it ended by itself.
-
-    Args:
-        exit_code: its exit code, or -signal (`subprocess`), or 128 + signal (a shell and the guard).
-    """
+    """Return the signal of an exit code, -signal (`subprocess`) or 128 + signal (a shell, the guard); None for others."""
     try:
         return signal.Signals(-exit_code if exit_code < 0 else exit_code - 128)
     except ValueError:

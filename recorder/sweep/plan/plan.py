@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 
-from ...backends import Meeting, load_backend
+from ...backends import load_backend
+from ...backends.base import Meeting
 from ...backends.qos import warn_of_depth
 from ...bridges.base import Halves, load_bridge
 from ...choices import Discovery

@@ -7,11 +7,11 @@ import pytest
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.backends import (
     BACKEND_MODULES,
-    Meeting,
     installed_middlewares,
     load_backend,
     load_backends,
 )
+from dds_trace.recorder.backends.base import Meeting
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
 

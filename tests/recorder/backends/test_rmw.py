@@ -8,7 +8,8 @@ import pytest
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.applied.vendors import ROS_MIDDLEWARES, VENDORS, ros_middleware
-from dds_trace.recorder.backends import NodeOptions, load_backend
+from dds_trace.recorder.backends import load_backend
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.ros2 import fastdds_profile, installation
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.tracefile.format.descriptions import Qos

@@ -129,7 +129,7 @@ def test_transports_and_tuning_are_recorded(domain_id):
         """
     )
     # Under localhost discovery a profile of ours does what FASTDDS_BUILTIN_TRANSPORTS cannot.
-    words = "events localhost udp true written by dds-trace for this machine alone"
+    words = "events localhost udp true written by dds-trace for this machine only"
     assert done.stdout.split() == words.split(), done.stderr
 
 

@@ -9,7 +9,7 @@ import pytest
 from trace_files import relay_session
 
 from dds_trace.base.errors import OutputError
-from dds_trace.recorder.backends import NodeOptions
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.options import RecordOptions
 from dds_trace.recorder.service import upkeep
 from dds_trace.tracefile.reading.reader import read_trace

@@ -23,12 +23,11 @@ if TYPE_CHECKING:
 @check(
     "not_applied",
     Severity.ERROR,
-    "The middleware did not apply a requested setting",
-    "No answer, bridge cost, recommendation or gate uses this result: request what the middleware can do, and record again.",
     Subject.RESULT,
+    "No answer, bridge cost, recommendation or gate uses this result: request what the middleware can do, and record again.",
 )
 def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
-    """Name each setting with the sides that lack it."""
+    """The middleware did not apply a requested setting."""
     roles: dict[int, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
     for exchange, group in evidence.exchanges_by_group():
         for role, session in (("ping", exchange.ping), ("relay", exchange.relay)):
@@ -44,12 +43,11 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "udp_buffer_overflow",
     Severity.WARNING,
-    "The recording's own sockets ran out of receive buffer",
-    "Expect losses and late large messages: raise net.core.rmem_max and net.core.rmem_default, or record with --tuned.",
     Subject.RECORDING,
+    "Expect losses and late large messages: raise net.core.rmem_max and net.core.rmem_default, or record with --tuned.",
 )
 def dropped_datagrams(evidence: Evidence) -> Iterator[Observation]:
-    """Count the drops at the sockets of each process."""
+    """The recording's own sockets ran out of receive buffer."""
     for session in evidence.campaign.sessions.values():
         if count := socket_drops(session):
             yield evidence.recording(
@@ -61,15 +59,14 @@ def dropped_datagrams(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "fragments_lost",
     Severity.WARNING,
-    "A host lost IP fragments while messages were under way",
-    f"One lost fragment loses its whole datagram{{limits}}: {SMALLER_DATAGRAMS}.",
     Subject.RECORDING,
+    f"One lost fragment loses its whole datagram{{limits}}: {SMALLER_DATAGRAMS}.",
 )
 def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
-    """Look at the kernel's counters, which are those of all programs of a network namespace.
+    """A host lost IP fragments while messages were under way.
 
-    So only results whose messages were cut into fragments are named; captured ones have counts of their own
-    (`wire.lost_fragments`).
+    The kernel counts for all programs of a network namespace, so only results whose messages were cut are named. Captured
+    results have counts of their own (`wire.lost_fragments`).
     """
     captured = set(evidence.details.wire["group"])
     cut = evidence.groups_by_session(may_be_cut)

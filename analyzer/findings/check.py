@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from functools import partial
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
@@ -37,6 +36,7 @@ class Check:
         code: as in `Finding`.
         title: what is wrong, without figures.
         action: what to do next; `{names}` are filled by the observation.
+        observe: yields where it holds and the figures.
     """
 
     code: str
@@ -55,8 +55,11 @@ class Check:
             )
 
 
-def check(
-    code: str, severity: Severity, title: str, action: str, subject: Subject
-) -> Callable[[Observe], Check]:
-    """Make a `Check` of the function below, which yields where it holds and the figures."""
-    return partial(Check, code, severity, title, action, subject)
+def check(code: str, severity: Severity, subject: Subject, action: str) -> Callable[[Observe], Check]:
+    """Make a `Check` of the function below; the first line of its docstring is the title."""
+
+    def decorate(observe: Observe) -> Check:
+        title = (observe.__doc__ or code).partition("\n")[0].rstrip(".")
+        return Check(code, severity, title, action, subject, observe)
+
+    return decorate

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import polars as pl
 
@@ -24,16 +23,8 @@ _SHORTEST_SLEEP_NS = 1_000_000_000
 """Shortest time in which a device goes to sleep and wakes."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """A step between the clocks of two devices.
-
-    Attributes:
-        before_ns: first message after the step, ping's monotonic clock.
-        size_ns: how far the relay's clock jumped against the ping's.
-        bound_ns: largest error of the size.
-        asleep: the device whose clock stood still; None if neither did.
-    """
+class _Step(NamedTuple):
+    """A step between two clocks: how far the relay's clock jumped before a message, and the device that slept, if any."""
 
     ping_device: str
     relay_device: str
@@ -46,13 +37,12 @@ class _Step:
 @check(
     "suspend",
     Severity.WARNING,
-    "A device was suspended",
+    Subject.DEVICE,
     "Repeat the runs about that time with suspending switched off: messages were lost or late for it. If the stamps are not of "
     "CLOCK_MONOTONIC, that clock was set.",
-    Subject.DEVICE,
 )
 def suspends(evidence: Evidence) -> Iterator[Observation]:
-    """Look for a monotonic clock that stood still while the processes went on."""
+    """A device was suspended."""
     for step in _steps(evidence):
         if step.asleep is not None:
             yield Observation(
@@ -66,13 +56,12 @@ def suspends(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "clock_step",
     Severity.WARNING,
-    "A clock jumped against the other device's",
+    Subject.DEVICE,
     "One-way times are fitted separately before and after; a message under way at the jump has a wrong round trip. Do not "
     "restart devices while recording.",
-    Subject.DEVICE,
 )
 def clock_steps(evidence: Evidence) -> Iterator[Observation]:
-    """Look for steps that are no sleep: a restart, or stamps of another clock."""
+    """A clock jumped against the other device's."""
     for step in _steps(evidence):
         if step.asleep is None:
             yield Observation(
@@ -99,25 +88,18 @@ def _steps(evidence: Evidence) -> Iterator[_Step]:
             went_on = 0 < after < len(at_ns) and relay_id[after - 1] == relay_id[after]
             slept = went_on and abs(size_ns) - bound_ns >= _SHORTEST_SLEEP_NS
             asleep = fit["relay_device"] if size_ns < 0 else fit["ping_device"]
-            yield _Step(
-                ping_device=fit["ping_device"],
-                relay_device=fit["relay_device"],
-                before_ns=fit["start_ns"],
-                size_ns=size_ns,
-                bound_ns=bound_ns,
-                asleep=asleep if slept else None,
-            )
+            devices = fit["ping_device"], fit["relay_device"]
+            yield _Step(*devices, fit["start_ns"], size_ns, bound_ns, asleep if slept else None)
 
 
 @check(
     "slewed",
     Severity.WARNING,
-    "A clock was slewed against the other device's",
-    "Let NTP settle before recording; durations and one-way times of that time are wrong by that share.",
     Subject.DEVICE,
+    "Let NTP settle before recording; durations and one-way times of that time are wrong by that share.",
 )
 def slews(evidence: Evidence) -> Iterator[Observation]:
-    """Report a slew beyond 500 ppm, which shows in the offsets of two devices, once for all its steps of the fit."""
+    """A clock was slewed against the other device's."""
     for pair in evidence.device_pairs:
         first = pair.segments[0]
         for slew in pair.slews:
@@ -132,12 +114,11 @@ def slews(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "slewed",
     Severity.INFO,
-    "A clock was slewed against CLOCK_MONOTONIC_RAW",
-    "Durations of that time are wrong by that share: let NTP settle before recording if that matters.",
     Subject.DEVICE,
+    "Durations of that time are wrong by that share: let NTP settle before recording if that matters.",
 )
 def slow_slews(evidence: Evidence) -> Iterator[Observation]:
-    """Report devices whose CLOCK_MONOTONIC gained on CLOCK_MONOTONIC_RAW, unless `slews` names them."""
+    """A clock was slewed against CLOCK_MONOTONIC_RAW."""
     segments = (pair.segments[0] for pair in evidence.device_pairs if pair.slews)
     reported = {first[f"{role}_device"] for first in segments for role in ("ping", "relay")}
     gains: dict[str, float] = {}
@@ -158,12 +139,11 @@ def slow_slews(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "clock_drift",
     Severity.WARNING,
-    "Two clocks drift apart faster than crystals do",
-    "Let NTP settle before recording; durations of one of the devices are wrong by that share.",
     Subject.DEVICE,
+    "Let NTP settle before recording; durations of one of the devices are wrong by that share.",
 )
 def clock_drifts(evidence: Evidence) -> Iterator[Observation]:
-    """Compare the drift of each segment, but for those of a slew, with the most that a crystal drifts."""
+    """Two clocks drift apart faster than crystals do."""
     for pair in evidence.device_pairs:
         slewed = {index for slew in pair.slews for index in range(slew.first - 1, slew.after)}
         for index, fit in enumerate(pair.segments):
@@ -191,12 +171,11 @@ _SATURATED_SECONDS = 2
 @check(
     "cpu_saturated",
     Severity.WARNING,
-    "The machine or the recording process ran out of processor time",
-    "Latencies here include waiting for the processor: lower rate or size, or free the device.",
     Subject.RECORDING,
+    "Latencies here include waiting for the processor: lower rate or size, or free the device.",
 )
 def cpu_saturation(evidence: Evidence) -> Iterator[Observation]:
-    """Count the seconds in which the machine, or the one processor of the process, was full."""
+    """The machine or the recording process ran out of processor time."""
     full = (pl.col("cpu_free_processors") < _FREE_PROCESSORS, pl.col("node_cpu_percent") >= _FULL_PERCENT)
     words = (
         f"the machine had less than {_FREE_PROCESSORS:g} processors free",

@@ -66,7 +66,7 @@ class Evidence:
         rows: the round trips; a sketch has none.
         in_parts: groups that no batch held whole.
         options: the options of the analysis.
-        stale_rows: file with the rows of an earlier analysis that this one does not replace.
+        stale_rows: file with rows of an earlier analysis that this one does not replace.
         sending: how each run was sent (`sending.sending_frame`).
         shapes: latency over the time of each run (`shapes.shape_frame`); empty without details.
     """

@@ -37,12 +37,11 @@ def _lost_where(row: Mapping[str, int]) -> str:
 @check(
     "nothing_received",
     Severity.ERROR,
-    "No message came back",
-    "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
     Subject.RESULT,
+    "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
 )
 def nothing_received(evidence: Evidence) -> Iterator[Observation]:
-    """Report results without a single reply."""
+    """No message came back."""
     for group, row in evidence.rows_by_group("published", "received", *_LOST):
         if row["published"] and not row["received"]:
             yield evidence.result(
@@ -53,12 +52,11 @@ def nothing_received(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "loss",
     Severity.WARNING,
-    "Messages were lost",
-    "Percentiles here are of the received messages only; look at reliability, socket buffers and rate.",
     Subject.RESULT,
+    "Percentiles here are of the received messages only; look at reliability, socket buffers and rate.",
 )
 def losses(evidence: Evidence) -> Iterator[Observation]:
-    """Report results of which some messages came back."""
+    """Messages were lost."""
     for group, row in evidence.rows_by_group("published", "received", *_LOST):
         published, lost = row["published"], row["published"] - row["received"]
         if row["received"] and (where := _lost_where(row)):
@@ -69,29 +67,19 @@ def losses(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check(
-    "nothing_counted",
-    Severity.WARNING,
-    "All messages were warm-up",
-    "Record more messages than warm-up messages.",
-    Subject.RESULT,
-)
+@check("nothing_counted", Severity.WARNING, Subject.RESULT, "Record more messages than warm-up messages.")
 def unmeasured_groups(evidence: Evidence) -> Iterator[Observation]:
-    """Report results without a counted message."""
+    """All messages were warm-up."""
     for group, row in evidence.rows_by_group("published"):
         if not row["published"]:
             yield evidence.result(group, "All messages were warm-up; nothing is counted.")
 
 
 @check(
-    "duplicates",
-    Severity.WARNING,
-    "Replies came more than once",
-    "Look for a second bridge or route between the two sides.",
-    Subject.RESULT,
+    "duplicates", Severity.WARNING, Subject.RESULT, "Look for a second bridge or route between the two sides."
 )
 def duplicates(evidence: Evidence) -> Iterator[Observation]:
-    """Count the further replies."""
+    """Replies came more than once."""
     for group, row in evidence.rows_by_group("duplicates", "received"):
         if count := row["duplicates"]:
             yield evidence.result(
@@ -104,12 +92,11 @@ def duplicates(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "reordering",
     Severity.WARNING,
-    "Replies overtook each other",
-    "With reliable QoS on one topic this should not happen: look for several routes or relays.",
     Subject.RESULT,
+    "With reliable QoS on one topic this should not happen: look for several routes or relays.",
 )
 def reordering(evidence: Evidence) -> Iterator[Observation]:
-    """Count the replies that came after a later message's."""
+    """Replies overtook each other."""
     for group, row in evidence.rows_by_group("reordered", "received"):
         if count := row["reordered"]:
             yield evidence.result(
@@ -122,13 +109,12 @@ def reordering(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "negative_times",
     Severity.ERROR,
-    "Times are below zero: a clock stepped, or stamps do not belong together",
+    Subject.RUN,
     "Do not use these numbers: check that stamps are CLOCK_MONOTONIC of one device each, and that no two relays share a "
     "relay_id.",
-    Subject.RUN,
 )
 def impossible_times(evidence: Evidence) -> Iterator[Observation]:
-    """Count the negative times of each exchange."""
+    """Times are below zero: a clock stepped, or stamps do not belong together."""
     for exchange, group, counts in evidence.counts_by_exchange():
         below_zero = [
             f"{name} of {counted(count, 'message')}"
@@ -147,12 +133,11 @@ _REPEAT_LABELS = frozenset({"attempt", "iteration", "pass", "repeat", "round", "
 @check(
     "mixed_labels",
     Severity.WARNING,
-    "A result has runs with different labels",
-    "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
     Subject.RESULT,
+    "Analyze them as separate folders, or compare them by run in roundtrips.parquet.",
 )
 def mixed_labels(evidence: Evidence) -> Iterator[Observation]:
-    """Compare the labels of the runs of a result, as labels are no parameter; numbers of repeats may differ."""
+    """A result has runs with different labels."""
     for group, members in enumerate(evidence.grouping.members()):
         runs = [evidence.grouping.exchanges[member].run for member in members]
         labels = {label for run in runs for label in run.labels if label.lower() not in _REPEAT_LABELS}
@@ -173,12 +158,11 @@ _MOST_FIELDS = 5
 @check(
     "environment_differs",
     Severity.WARNING,
-    "A result has runs of different environments",
-    "Analyze them as separate folders, or record again under equal conditions.",
     Subject.RESULT,
+    "Analyze them as separate folders, or record again under equal conditions.",
 )
 def unlike_group_environments(evidence: Evidence) -> Iterator[Observation]:
-    """List the fields in which the environments of a result's runs differ."""
+    """A result has runs of different environments."""
     for group, members in enumerate(evidence.grouping.members()):
         exchanges = [evidence.grouping.exchanges[member] for member in members]
         differences = environment_differences((exchange.ping, exchange.relay) for exchange in exchanges)
@@ -194,12 +178,11 @@ def unlike_group_environments(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "few_samples",
     Severity.INFO,
-    "Too few messages for a percentile",
-    "Record at least {needed} messages for each result to see all of them.",
     Subject.RESULT,
+    "Record at least {needed} messages for each result to see all of them.",
 )
 def few_samples(evidence: Evidence) -> Iterator[Observation]:
-    """Report percentiles that are null; results that lack the same percentiles share a finding."""
+    """Too few messages for a percentile."""
     names, samples = evidence.group_names, evidence.summary.samples
     lacking: dict[tuple[tuple[int, ...], tuple[str, ...]], list[Percentile]] = defaultdict(list)
     for percentile in PERCENTILES:
@@ -230,12 +213,11 @@ def few_samples(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "outage",
     Severity.WARNING,
-    "Several messages in a row were lost",
-    "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
     Subject.RESULT,
+    "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
 )
 def outages(evidence: Evidence) -> Iterator[Observation]:
-    """Count the outages of a result, with the longest one."""
+    """Several messages in a row were lost."""
     published = evidence.summary.frame["published"].to_list()
     for (key,), rows in evidence.details.outages.group_by(["group"], maintain_order=True):
         group = int(str(key))
@@ -261,12 +243,11 @@ _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
 @check(
     "waits_in_reader",
     Severity.WARNING,
-    "Messages wait for the program that reads them",
-    "This is the {role}'s program, not the link: look at its CPU and at --executor, and record again with a fresh process.",
     Subject.RESULT,
+    "This is the {role}'s program, not the link: look at its CPU and at --executor, and record again with a fresh process.",
 )
 def waits_in_readers(evidence: Evidence) -> Iterator[Observation]:
-    """Report messages that waited in the middleware for periods before the callback took them.
+    """Messages wait for the program that reads them.
 
     A reader that has fallen back takes each message when a later one arrives: the latency is then a multiple of the
     period, and says nothing of the link.

@@ -23,12 +23,11 @@ if TYPE_CHECKING:
 @check(
     "sketched",
     Severity.INFO,
-    "Percentiles come from histograms, and there are no rows",
-    "Analyze without --sketch for exact percentiles, the rows in roundtrips.parquet, and who is fastest.",
     Subject.ANALYSIS,
+    "Analyze without --sketch for exact percentiles, the rows in roundtrips.parquet, and who is fastest.",
 )
 def sketched(evidence: Evidence) -> Iterator[Observation]:
-    """Say what a sketch lacks."""
+    """Percentiles come from histograms, and there are no rows."""
     if not evidence.options.rows:
         yield Observation(
             "all results",
@@ -40,12 +39,11 @@ def sketched(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "earlier_rows",
     Severity.INFO,
-    "The folder has the rows of an earlier analysis",
-    "Analyze without --sketch to replace them, or give a sketch a folder of its own with --out.",
     Subject.FILE,
+    "Analyze without --sketch to replace them, or give a sketch a folder of its own with --out.",
 )
 def stale_rows(evidence: Evidence) -> Iterator[Observation]:
-    """Name the file of rows that a sketch, which replaces only what it writes, left there."""
+    """The folder has the rows of an earlier analysis."""
     if evidence.stale_rows is not None:
         yield Observation(
             evidence.stale_rows.name,
@@ -54,14 +52,10 @@ def stale_rows(evidence: Evidence) -> Iterator[Observation]:
 
 
 @check(
-    "group_in_parts",
-    Severity.INFO,
-    "A result has no breakdown and no responses, as it is too large",
-    "Analyze a folder with fewer of their runs to see these.",
-    Subject.RESULT,
+    "group_in_parts", Severity.INFO, Subject.RESULT, "Analyze a folder with fewer of their runs to see these."
 )
 def groups_in_parts(evidence: Evidence) -> Iterator[Observation]:
-    """Name the groups that no batch held whole."""
+    """A result has no breakdown and no responses, as it is too large."""
     names, in_parts = evidence.group_names, evidence.in_parts
     if in_parts and evidence.details.requested:
         yield Observation(
@@ -76,12 +70,11 @@ def groups_in_parts(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "not_compared",
     Severity.INFO,
-    "A kind of message has too many rows for comparing results",
-    "Analyze a folder with fewer runs of each result to compare them.",
     Subject.RESULT,
+    "Analyze a folder with fewer runs of each result to compare them.",
 )
 def cases_not_compared(evidence: Evidence) -> Iterator[Observation]:
-    """Name the results that are not compared; a sketch compares none and says so itself."""
+    """A kind of message has too many rows for comparing results."""
     if not evidence.details.requested or not evidence.rows.has_rows:
         return
     groups = sorted(

@@ -21,39 +21,26 @@ if TYPE_CHECKING:
 @check(
     "orphan_relay_events",
     Severity.WARNING,
-    "The ping's trace is missing",
-    "Copy the ping's trace into the folder, or ignore this if those runs do not matter.",
     Subject.FILE,
+    "Copy the ping's trace into the folder, or ignore this if those runs do not matter.",
 )
 def runs_without_ping(evidence: Evidence) -> Iterator[Observation]:
-    """Report events of relays whose run has no T1."""
+    """The ping's trace is missing."""
     return _unplaced(
         evidence, "no_ping_trace", "No T1 of these runs is here: the trace of their ping is missing."
     )
 
 
-@check(
-    "undescribed_run",
-    Severity.ERROR,
-    "No trace describes a run",
-    "Keep that topic when filtering bags.",
-    Subject.FILE,
-)
+@check("undescribed_run", Severity.ERROR, Subject.FILE, "Keep that topic when filtering bags.")
 def undescribed_runs(evidence: Evidence) -> Iterator[Observation]:
-    """Report events whose run has no description."""
+    """No trace describes a run."""
     what = "No trace describes these runs (topic /dds_trace/run), so their messages were left out."
     return _unplaced(evidence, "no_run_description", what)
 
 
-@check(
-    "undescribed_session",
-    Severity.ERROR,
-    "No trace describes the ping's session",
-    "Keep that topic when filtering bags.",
-    Subject.FILE,
-)
+@check("undescribed_session", Severity.ERROR, Subject.FILE, "Keep that topic when filtering bags.")
 def undescribed_sessions(evidence: Evidence) -> Iterator[Observation]:
-    """Report events whose ping has no description."""
+    """No trace describes the ping's session."""
     what = (
         "No trace describes the ping session of these runs (topic /dds_trace/session), so they were left out."
     )
@@ -79,13 +66,12 @@ def _unplaced(evidence: Evidence, reason: str, what: str) -> Iterator[Observatio
 @check(
     "unfinished_run",
     Severity.WARNING,
-    "A run has no end",
+    Subject.RUN,
     "Messages that were under way are censored: whether they would have come is unknown, so they count neither as received nor as "
     "lost. Repeat the run if that matters.",
-    Subject.RUN,
 )
 def runs_without_end(evidence: Evidence) -> Iterator[Observation]:
-    """Report runs that were cut short."""
+    """A run has no end."""
     groups: dict[int, set[int]] = defaultdict(set)
     for exchange, group in evidence.exchanges_by_group():
         groups[exchange.run.run_id].add(group)
@@ -104,12 +90,11 @@ def runs_without_end(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "unfinished_run",
     Severity.WARNING,
-    "A run was stopped before its plan",
-    "Percentiles rest on fewer samples than planned; repeat the run if that matters.",
     Subject.RUN,
+    "Percentiles rest on fewer samples than planned; repeat the run if that matters.",
 )
 def stopped_runs(evidence: Evidence) -> Iterator[Observation]:
-    """Report runs that ended with fewer messages than planned."""
+    """A run was stopped before its plan."""
     for run_id, (exchange, _) in evidence.counts_by_run().items():
         run = exchange.run
         if run.state == "finished" and run.published < run.planned_messages:
@@ -123,12 +108,11 @@ def stopped_runs(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "missing_publications",
     Severity.ERROR,
-    "Publications are missing in the trace",
-    "Use the whole trace; if it is whole, the recorder dropped events.",
     Subject.RUN,
+    "Use the whole trace; if it is whole, the recorder dropped events.",
 )
 def missing_publications(evidence: Evidence) -> Iterator[Observation]:
-    """Report finished runs that published more messages than have a T1."""
+    """Publications are missing in the trace."""
     for run_id, (exchange, counts) in evidence.counts_by_run().items():
         run, recorded = exchange.run, counts["with_warmup"]
         missing = run.published - recorded
@@ -144,24 +128,25 @@ def missing_publications(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "unpublished_run",
     Severity.ERROR,
-    "A run published nothing",
-    "See what stopped the ping before its first message, and repeat the run or remove its trace.",
     Subject.RUN,
+    "See what stopped the ping before its first message, and repeat the run or remove its trace.",
 )
 def unpublished_runs(evidence: Evidence) -> Iterator[Observation]:
-    """Report finished runs without a message: no row stands for them, so without this error a gate would pass."""
+    """A run published nothing.
+
+    It has no row, so that a gate would pass without this error.
+    """
     return _unpublished(evidence, finished=True)
 
 
 @check(
     "unpublished_run",
     Severity.WARNING,
-    "A run that may be going on has published nothing",
-    "See what stopped the ping before its first message, and repeat the run or remove its trace.",
     Subject.RUN,
+    "See what stopped the ping before its first message, and repeat the run or remove its trace.",
 )
 def unpublished_open_runs(evidence: Evidence) -> Iterator[Observation]:
-    """Report runs without a message and without an end."""
+    """A run that may be going on has published nothing."""
     return _unpublished(evidence, finished=False)
 
 
@@ -178,12 +163,11 @@ def _unpublished(evidence: Evidence, *, finished: bool) -> Iterator[Observation]
 @check(
     "repeated_publications",
     Severity.ERROR,
-    "A sequence number was published more than once",
-    "Each run needs its own random run_id, and each message its own sequence number.",
     Subject.RUN,
+    "Each run needs its own random run_id, and each message its own sequence number.",
 )
 def repeated_publications(evidence: Evidence) -> Iterator[Observation]:
-    """Report messages with more than one T1."""
+    """A sequence number was published more than once."""
     for run_id, (_, counts) in evidence.counts_by_run().items():
         if counts["repeated"]:
             repeats = counted(counts["repeated"], "T1 event repeats", "T1 events repeat")
@@ -193,12 +177,11 @@ def repeated_publications(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "orphan_events",
     Severity.WARNING,
-    "Events name messages that were never published",
-    "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
     Subject.RUN,
+    "Use the whole trace of the ping; if it is whole, its recorder dropped events.",
 )
 def orphan_events(evidence: Evidence) -> Iterator[Observation]:
-    """Report events of a run whose message has no T1."""
+    """Events name messages that were never published."""
     for exchange, group, counts in evidence.counts_by_exchange():
         if counts["orphans"]:
             what = counted(
@@ -212,12 +195,11 @@ def orphan_events(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "no_schedule",
     Severity.INFO,
-    "Runs have no planned send times",
-    "Record T0 (scheduled_ns of T1) to see what a late sender hides.",
     Subject.RUN,
+    "Record T0 (scheduled_ns of T1) to see what a late sender hides.",
 )
 def missing_schedule(evidence: Evidence) -> Iterator[Observation]:
-    """Report runs whose T1 have no T0."""
+    """Runs have no planned send times."""
     unscheduled = {
         exchange.run.run_id
         for exchange, _, counts in evidence.counts_by_exchange()
@@ -237,12 +219,11 @@ def missing_schedule(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "no_relay",
     Severity.ERROR,
-    "No relay took part in a run",
-    "Start the relay first, in the same domain or on the other side of the bridge, and add its trace.",
     Subject.RUN,
+    "Start the relay first, in the same domain or on the other side of the bridge, and add its trace.",
 )
 def runs_without_relay(evidence: Evidence) -> Iterator[Observation]:
-    """Report runs without a reply and without a relay's trace."""
+    """No relay took part in a run."""
     for exchange, group in evidence.exchanges_by_group():
         if not exchange.took_part:
             yield evidence.run(
@@ -255,24 +236,22 @@ def runs_without_relay(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "missing_relay_trace",
     Severity.WARNING,
-    "The relay's trace is missing",
-    "Copy the relay's trace into the folder and analyze again.",
     Subject.RELAY,
+    "Copy the relay's trace into the folder and analyze again.",
 )
 def missing_relay_traces(evidence: Evidence) -> Iterator[Observation]:
-    """Report relays that replied and have no trace here."""
+    """The relay's trace is missing."""
     return _without_events(evidence, described=False)
 
 
 @check(
     "missing_relay_trace",
     Severity.WARNING,
-    "The relay's trace lacks runs",
-    "Its trace here does not have these runs: use the whole trace, or add the one that is missing.",
     Subject.RELAY,
+    "Its trace here does not have these runs: use the whole trace, or add the one that is missing.",
 )
 def incomplete_relay_traces(evidence: Evidence) -> Iterator[Observation]:
-    """Report relays whose trace here lacks runs to which they replied."""
+    """The relay's trace lacks runs."""
     return _without_events(evidence, described=True)
 
 
@@ -291,12 +270,11 @@ def _without_events(evidence: Evidence, *, described: bool) -> Iterator[Observat
 @check(
     "undescribed_relay",
     Severity.WARNING,
-    "No trace describes the relay's session",
-    "Keep the topic /dds_trace/session when filtering bags.",
     Subject.RELAY,
+    "Keep the topic /dds_trace/session when filtering bags.",
 )
 def undescribed_relays(evidence: Evidence) -> Iterator[Observation]:
-    """Report relays with events and without a description."""
+    """No trace describes the relay's session."""
     runs: dict[int, int] = defaultdict(int)
     for exchange in evidence.grouping.exchanges:
         if exchange.took_part and exchange.relay_recorded and exchange.relay is None:
@@ -311,15 +289,9 @@ def _of_relays(runs: Mapping[int, int], what: str) -> Iterator[Observation]:
         yield Observation(f"relay {relay_id:08x}", f"{counted(count, 'run has', 'runs have')} {what}")
 
 
-@check(
-    "relay_trace_gaps",
-    Severity.WARNING,
-    "The relay's trace has gaps",
-    "Use the whole trace of the relay.",
-    Subject.RUN,
-)
+@check("relay_trace_gaps", Severity.WARNING, Subject.RUN, "Use the whole trace of the relay.")
 def gaps_of_relays(evidence: Evidence) -> Iterator[Observation]:
-    """Report messages that came back though the relay's trace lacks them, which makes its losses doubtful, too."""
+    """The relay's trace has gaps."""
     for exchange, group, counts in evidence.counts_by_exchange():
         gaps, received = counts["relay_gaps"], counts["received"]
         if exchange.relay_recorded and gaps:
@@ -333,14 +305,10 @@ def gaps_of_relays(evidence: Evidence) -> Iterator[Observation]:
 
 
 @check(
-    "unlike_domains",
-    Severity.WARNING,
-    "The relay was in another domain than the ping was given",
-    "Check the options --domain and --bridge of both sides.",
-    Subject.RUN,
+    "unlike_domains", Severity.WARNING, Subject.RUN, "Check the options --domain and --bridge of both sides."
 )
 def unlike_domains(evidence: Evidence) -> Iterator[Observation]:
-    """Compare the relay's domain with the one in the description of the run."""
+    """The relay was in another domain than the ping was given."""
     for exchange, group in evidence.exchanges_by_group():
         given = exchange.run.relay_domain_id
         if exchange.relay and given is not None and given != exchange.relay.domain_id:
@@ -348,15 +316,9 @@ def unlike_domains(evidence: Evidence) -> Iterator[Observation]:
             yield Observation(exchange_name(exchange), what, (group,))
 
 
-@check(
-    "unlike_payloads",
-    Severity.WARNING,
-    "Messages are not of the described size",
-    "Give each size a run of its own.",
-    Subject.RUN,
-)
+@check("unlike_payloads", Severity.WARNING, Subject.RUN, "Give each size a run of its own.")
 def unlike_payloads(evidence: Evidence) -> Iterator[Observation]:
-    """Compare the sizes of T1 events with the description of the run."""
+    """Messages are not of the described size."""
     for run_id, (exchange, counts) in evidence.counts_by_run().items():
         described = exchange.run.payload_bytes
         low, high = counts["least_payload_bytes"], counts["most_payload_bytes"]
@@ -371,12 +333,11 @@ def unlike_payloads(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "relay_restarted",
     Severity.WARNING,
-    "A relay was restarted during a run",
-    "Every message has a row for each relay, and is lost with all but one: repeat the run with one relay throughout.",
     Subject.RUN,
+    "Every message has a row for each relay, and is lost with all but one: repeat the run with one relay throughout.",
 )
 def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
-    """Report relays of one device that took part one after the other.
+    """A relay was restarted during a run.
 
     Relays that all answered at one time were there together on purpose; `relays` in the setting of their result counts them.
     """

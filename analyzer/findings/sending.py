@@ -30,12 +30,11 @@ _LAG_NS = 10_000_000
 @check(
     "schedule_not_held",
     Severity.WARNING,
-    "Messages were published slower than requested",
-    "Do not compare this result with others of the requested rate; lower the rate or free the CPU.",
     Subject.RESULT,
+    "Do not compare this result with others of the requested rate; lower the rate or free the CPU.",
 )
 def schedule_not_held(evidence: Evidence) -> Iterator[Observation]:
-    """Judge each result by the last tenth of its runs, not by their last message."""
+    """Messages were published slower than requested."""
     totals = (
         evidence.sending.drop_nulls("behind_ns")
         .group_by("group")
@@ -64,13 +63,12 @@ _LATE_MESSAGES = 3
 @check(
     "late_sends",
     Severity.WARNING,
-    "Messages left later than planned",
+    Subject.RESULT,
     "Latency does not include that wait; read response (T2 - T0). A publish that blocks or a busy processor delays the sender: "
     "lower rate or size, or free the CPU.",
-    Subject.RESULT,
 )
 def late_sends(evidence: Evidence) -> Iterator[Observation]:
-    """Report results of which so many messages left late that it shows in the tail of the response."""
+    """Messages left later than planned."""
     totals = (
         evidence.sending.unique(["group", "run_id"], maintain_order=True)
         .drop_nulls("late_max_ns")
@@ -95,13 +93,12 @@ _SAMPLES_NS = 2_000_000_000
 @check(
     "stood_still",
     Severity.WARNING,
-    "The ping sent nothing though messages were due",
+    Subject.RUN,
     "Latency does not include that time, response (T2 - T0) does. Repeat the run; a stopped process, a paused machine and a "
     "publish that blocks look alike to a subscriber.",
-    Subject.RUN,
 )
 def stand_stills(evidence: Evidence) -> Iterator[Observation]:
-    """Report pauses of a second or longer, with what the host's samples show of them."""
+    """The ping sent nothing though messages were due."""
     stood = evidence.sending.unique(["group", "run_id"], maintain_order=True).filter(pl.col("still") > 0)
     sessions = {exchange.run.run_id: exchange.ping for exchange in evidence.grouping.exchanges}
     machines = {session.session_id: machine_of(session) for session in evidence.campaign.sessions.values()}

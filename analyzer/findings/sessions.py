@@ -25,12 +25,11 @@ if TYPE_CHECKING:
 @check(
     "recorder_drops",
     Severity.ERROR,
-    "The recorder dropped events",
-    "Do not trust losses here; record to a faster disk, at a lower rate or with a larger ring.",
     Subject.RECORDING,
+    "Do not trust losses here; record to a faster disk, at a lower rate or with a larger ring.",
 )
 def recorder_drops(evidence: Evidence) -> Iterator[Observation]:
-    """Report dropped events: their messages may seem lost."""
+    """The recorder dropped events."""
     for session in evidence.campaign.sessions.values():
         if session.dropped_events:
             events = counted(session.dropped_events, "event")
@@ -51,12 +50,11 @@ def _failed_bridge(session: Session) -> Mapping[str, object] | None:
 @check(
     "bridge_failed",
     Severity.ERROR,
-    "A bridge ended by itself, or never carried a message",
-    "Losses here are the bridge's: repeat the runs; its whole output is in the session of the trace.",
     Subject.RECORDING,
+    "Losses here are the bridge's: repeat the runs; its whole output is in the session of the trace.",
 )
 def failed_bridges(evidence: Evidence) -> Iterator[Observation]:
-    """Report failed bridges with the end of their output."""
+    """A bridge ended by itself, or never carried a message."""
     for session in evidence.campaign.sessions.values():
         if bridge := _failed_bridge(session):
             failure = str(bridge.get("failure") or "it said nothing").rstrip(".")
@@ -79,12 +77,11 @@ def _last_words(bridge: Mapping[str, object]) -> str:
 @check(
     "ended_by_error",
     Severity.ERROR,
-    "An error ended a run before its plan",
-    "Messages after the failure count as lost: repeat the run.",
     Subject.RECORDING,
+    "Messages after the failure count as lost: repeat the run.",
 )
 def failed_recordings(evidence: Evidence) -> Iterator[Observation]:
-    """Report errors other than a failed bridge, which is its own finding."""
+    """An error ended a run before its plan."""
     for session in evidence.campaign.sessions.values():
         error = session.extra.get("error")
         if isinstance(error, str) and error and not _failed_bridge(session):
@@ -96,13 +93,12 @@ def failed_recordings(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "recording_stopped",
     Severity.ERROR,
-    "A relay could not record all that it sent back",
+    Subject.RECORDING,
     "Messages of that time have no T3 and T4, and count as lost on the way out if they did not come back: make room and record "
     "again.",
-    Subject.RECORDING,
 )
 def stopped_recordings(evidence: Evidence) -> Iterator[Observation]:
-    """Report relays that dropped events while their disk was short, and went on sending back."""
+    """A relay could not record all that it sent back."""
     for session in evidence.campaign.sessions.values():
         reason = session.extra.get("stopped")
         if isinstance(reason, str) and reason:
@@ -122,12 +118,11 @@ def _shortened(error: str) -> str:
 @check(
     "missing_files",
     Severity.INFO,
-    "Files of a rotating recording are missing",
-    "If you need those runs, copy the missing files into this folder.",
     Subject.RECORDING,
+    "If you need those runs, copy the missing files into this folder.",
 )
 def missing_files(evidence: Evidence) -> Iterator[Observation]:
-    """Report files of a recording that are not here: deleted by `--keep`, or not copied."""
+    """Files of a rotating recording are missing."""
     parts: dict[int, dict[int, Session]] = defaultdict(dict)
     for trace in evidence.campaign.traces:
         for session in trace.sessions:
@@ -148,12 +143,11 @@ def missing_files(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "unclosed_session",
     Severity.WARNING,
-    "A recording has no clean end",
-    "Stop recordings with Ctrl-C or --duration and analyze again.",
     Subject.RECORDING,
+    "Stop recordings with Ctrl-C or --duration and analyze again.",
 )
 def unclosed_sessions(evidence: Evidence) -> Iterator[Observation]:
-    """Report sessions that were not closed."""
+    """A recording has no clean end."""
     for session in evidence.campaign.sessions.values():
         if session.state != "closed":
             yield evidence.recording(
@@ -170,12 +164,11 @@ _UNSAVED_NS = 1_000_000_000
 @check(
     "slow_to_disk",
     Severity.INFO,
-    "Events waited longer for the disk than --fsync promises",
-    "Nothing is missing here; to be safe the next time, record to a faster disk, or put less load on the machine.",
     Subject.RECORDING,
+    "Nothing is missing here; to be safe the next time, record to a faster disk, or put less load on the machine.",
 )
 def slow_disks(evidence: Evidence) -> Iterator[Observation]:
-    """Report recordings with `--fsync` and a slow disk."""
+    """Events waited longer for the disk than --fsync promises."""
     for session in evidence.campaign.sessions.values():
         unsaved_ns = session.extra.get("longest_unsaved_ns")
         if isinstance(unsaved_ns, int) and unsaved_ns > _UNSAVED_NS:
@@ -186,15 +179,9 @@ def slow_disks(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check(
-    "doubtful_session",
-    Severity.WARNING,
-    "More than one session could have recorded a run",
-    "Keep each recording in its own file.",
-    Subject.RECORDING,
-)
+@check("doubtful_session", Severity.WARNING, Subject.RECORDING, "Keep each recording in its own file.")
 def doubtful_sessions(evidence: Evidence) -> Iterator[Observation]:
-    """Report events that more than one session of a trace could have recorded."""
+    """More than one session could have recorded a run."""
     runs = Counter((doubt.role, doubt.candidates) for doubt in evidence.exchanges.doubts)
     for (role, candidates), count in runs.items():
         yield Observation(
@@ -211,12 +198,11 @@ _MIDDLEWARE_PARTS = ("versions", "configuration", "settings")
 @check(
     "unlike_environments",
     Severity.WARNING,
-    "Sessions ran in different environments",
-    "Compare numbers across these sessions with care, or record again under equal conditions.",
     Subject.RECORDING,
+    "Compare numbers across these sessions with care, or record again under equal conditions.",
 )
 def unlike_environments(evidence: Evidence) -> Iterator[Observation]:
-    """Compare pings with pings and relays with relays; the middleware's versions and settings within one vendor."""
+    """Sessions ran in different environments."""
     taking_part = {id(s): s for e in evidence.grouping.exchanges for s in (e.ping, e.relay) if s is not None}
     by_role: dict[str, list[Session]] = defaultdict(list)
     by_vendor: dict[str, list[Session]] = defaultdict(list)

@@ -37,14 +37,13 @@ _HALF = 2
 @check(
     "short_warm_up",
     Severity.WARNING,
-    "The first messages are not like the others",
-    "Record with --warmup {messages}, which leaves them out.",
     Subject.RESULT,
+    "Record with --warmup {messages}, which leaves them out.",
 )
 def short_warm_up(evidence: Evidence) -> Iterator[Observation]:
-    """Report counted messages of a warm-up, and propose its length (MSER-5).
+    """The first messages are not like the others.
 
-    Of simulated runs without a warm-up, independent or with correlations up to 0.95, about 1 % at most are reported (6 of 500
+    MSER-5 proposes the warm-up. Of simulated runs without a warm-up, independent or with correlations up to 0.95, about 1 % at most are reported (6 of 500
     with 300 messages and 0.9), and 3.1 % where one message in twenty is in a burst (`run_statistics.warm_up`).
     """
     warmups: dict[int, int] = defaultdict(int)
@@ -65,13 +64,12 @@ def short_warm_up(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "latency_rises",
     Severity.WARNING,
-    "The latency rises during a run",
+    Subject.RESULT,
     "Look at the timeline: a queue that fills, a processor that gets hot, a link that degrades. Longer runs will give other "
     "percentiles.",
-    Subject.RESULT,
 )
 def rising_latency(evidence: Evidence) -> Iterator[Observation]:
-    """Report a latency that rises through the runs.
+    """The latency rises during a run.
 
     Of simulated runs without a trend at most 0.5 % are reported (correlations up to 0.95; 1.1 % at 0.99;
     `run_statistics.trend`).
@@ -90,12 +88,11 @@ def rising_latency(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "two_modes",
     Severity.INFO,
-    "The latency is mostly one of two values",
-    "Do not read a median or a mean as typical; look for two paths: a retransmission, a sleeping core, two transports.",
     Subject.RESULT,
+    "Do not read a median or a mean as typical; look for two paths: a retransmission, a sleeping core, two transports.",
 )
 def two_modes(evidence: Evidence) -> Iterator[Observation]:
-    """Report two modes, between which a median or a mean is no message's latency.
+    """The latency is mostly one of two values.
 
     Of simulated runs with one mode none is reported, and 1.4 % where one message in twenty is in a burst of twenty that is
     five times as slow (`run_statistics.modes`).
@@ -134,18 +131,17 @@ _SEGMENT_BYTES = 512 * 1024
 """Fast DDS's shared-memory segment: a message that does not fit goes another way (eProsima, SHM transport)."""
 
 _JUMP = 2.0
-"""Growth of the latency over that of the size from which on a cost in proportion to the size is no explanation."""
+"""Growth of the latency over growth of the size that no cost in proportion to the size explains."""
 
 
 @check(
     "latency_falls_with_size",
     Severity.INFO,
-    "Larger messages are faster",
-    "Measure sizes between the two, and compare the transports and buffers of both devices, before you rely on either.",
     Subject.RESULT,
+    "Measure sizes between the two, and compare the transports and buffers of both devices, before you rely on either.",
 )
 def falls_with_size(evidence: Evidence) -> Iterator[Observation]:
-    """Report a p50 latency that surely falls to the next size, all else equal.
+    """Larger messages are faster.
 
     Of 20,000 simulated pairs of equal sizes, three or five runs each that differ by 5 %, 0.2 and 0.3 % fall.
     """
@@ -157,12 +153,11 @@ def falls_with_size(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "latency_jumps_with_size",
     Severity.INFO,
-    "Larger messages are much slower",
-    "Measure sizes between the two, and compare the transports and buffers of both devices, before you rely on either.",
     Subject.RESULT,
+    "Measure sizes between the two, and compare the transports and buffers of both devices, before you rely on either.",
 )
 def jumps_with_size(evidence: Evidence) -> Iterator[Observation]:
-    """Report a p50 latency that surely grows much faster than the size, all else equal."""
+    """Larger messages are much slower."""
     for pair in _neighbouring_sizes(evidence):
         proportional_ns = pair.large_bytes / max(pair.small_bytes, 1) * max(pair.small["high_ns"], 1.0)
         if pair.small_bytes > 0 and pair.large["low_ns"] > _JUMP * proportional_ns:

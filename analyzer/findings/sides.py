@@ -26,12 +26,11 @@ if TYPE_CHECKING:
 @check(
     "overlapping_pings",
     Severity.WARNING,
-    "Runs went on at the same time on one machine",
-    "Each was the other's load: record one after the other, or read both as measured under load.",
     Subject.RESULT,
+    "Each was the other's load: record one after the other, or read both as measured under load.",
 )
 def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
-    """Report runs that overlap and are no flows.
+    """Runs went on at the same time on one machine.
 
     Runs of one result in the middle of each other are flows on purpose; `flows` in the setting of their result counts them.
     """
@@ -60,12 +59,11 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "unlike_versions",
     Severity.WARNING,
-    "Ping and relay ran different versions",
-    "Latency here is neither version's: install one version on both devices, unless you want to test the pair.",
     Subject.DEVICE,
+    "Latency here is neither version's: install one version on both devices, unless you want to test the pair.",
 )
 def unlike_versions(evidence: Evidence) -> Iterator[Observation]:
-    """Compare the versions of dds-trace and of the libraries of the middleware."""
+    """Ping and relay ran different versions."""
     different: dict[tuple[str, str, str], dict[int, None]] = defaultdict(dict)
     for exchange, group in evidence.exchanges_by_group():
         if exchange.relay is None:
@@ -99,12 +97,11 @@ def _versions(session: Session) -> dict[str, str]:
 @check(
     "wireless_on_one_machine",
     Severity.WARNING,
-    "A link called wireless was within one machine",
-    "Give --connectivity loopback, or run the relay on the other device.",
     Subject.RESULT,
+    "Give --connectivity loopback, or run the relay on the other device.",
 )
 def wireless_on_one_machine(evidence: Evidence) -> Iterator[Observation]:
-    """Report wireless results both of whose sides ran on one machine."""
+    """A link called wireless was within one machine."""
     fits = evidence.details.clock_fits.filter(evidence.details.clock_fits["same_clock"])
     one_clock = set(fits.select("ping_device", "relay_device").iter_rows())
     devices: dict[int, str] = {}

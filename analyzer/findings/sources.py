@@ -21,26 +21,19 @@ if TYPE_CHECKING:
 @check(
     "skipped_file",
     Severity.WARNING,
-    "An .mcap file was not used",
-    "If this should be a trace, look at it with `mcap doctor`; else move it elsewhere.",
     Subject.FILE,
+    "If this should be a trace, look at it with `mcap doctor`; else move it elsewhere.",
 )
 def skipped_traces(evidence: Evidence) -> Iterator[Observation]:
-    """Report unusable files that are traces by their name."""
+    """An .mcap file was not used."""
     for source in evidence.campaign.sources:
         if source.status == "skipped" and source.path.endswith(".mcap"):
             yield Observation(source.path, f"Not used: {source.detail}.")
 
 
-@check(
-    "skipped_file",
-    Severity.INFO,
-    "Other files were not used",
-    "Nothing to do, unless one of them should be a trace.",
-    Subject.FILE,
-)
+@check("skipped_file", Severity.INFO, Subject.FILE, "Nothing to do, unless one of them should be a trace.")
 def skipped_files(evidence: Evidence) -> Iterator[Observation]:
-    """Report all other files together."""
+    """Other files were not used."""
     others = [
         source.path
         for source in evidence.campaign.sources
@@ -59,12 +52,11 @@ def _named_traces(evidence: Evidence) -> Iterator[tuple[str, Trace]]:
 @check(
     "truncated_file",
     Severity.WARNING,
-    "A file ends early",
-    "Messages near the end may count as lost though they were not: record again if that matters.",
     Subject.FILE,
+    "Messages near the end may count as lost though they were not: record again if that matters.",
 )
 def truncated_files(evidence: Evidence) -> Iterator[Observation]:
-    """Report files that end early."""
+    """A file ends early."""
     for name, trace in _named_traces(evidence):
         if trace.truncated:
             yield Observation(
@@ -75,12 +67,11 @@ def truncated_files(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "unreadable_messages",
     Severity.WARNING,
-    "Messages on event topics are not events",
-    "Compare what wrote the file with docs/trace-format.md.",
     Subject.FILE,
+    "Compare what wrote the file with docs/trace-format.md.",
 )
 def unreadable_messages(evidence: Evidence) -> Iterator[Observation]:
-    """Count the messages that no event is in."""
+    """Messages on event topics are not events."""
     for name, trace in _named_traces(evidence):
         if trace.unreadable_messages:
             what = counted(
@@ -92,29 +83,19 @@ def unreadable_messages(evidence: Evidence) -> Iterator[Observation]:
 
 
 @check(
-    "ring_recovered",
-    Severity.INFO,
-    "Events were recovered from the ring of a killed recorder",
-    "Nothing to do; keep the ring file in the trace's folder.",
-    Subject.FILE,
+    "ring_recovered", Severity.INFO, Subject.FILE, "Nothing to do; keep the ring file in the trace's folder."
 )
 def recovered_events(evidence: Evidence) -> Iterator[Observation]:
-    """Count the events that a recorder was killed before it wrote."""
+    """Events were recovered from the ring of a killed recorder."""
     for name, trace in _named_traces(evidence):
         if trace.ring_events:
             events = counted(trace.ring_events, "event comes", "events come")
             yield Observation(name, f"{events} from the ring that a killed recorder left next to the file.")
 
 
-@check(
-    "duplicate_file",
-    Severity.INFO,
-    "A file is a copy of another",
-    "Nothing to do; remove the copy to save time.",
-    Subject.FILE,
-)
+@check("duplicate_file", Severity.INFO, Subject.FILE, "Nothing to do; remove the copy to save time.")
 def copied_files(evidence: Evidence) -> Iterator[Observation]:
-    """Report files that add no event."""
+    """A file is a copy of another."""
     for source in evidence.campaign.sources:
         if source.status == "duplicate":
             yield Observation(source.path, f"Not counted again: {source.detail}.")
@@ -123,12 +104,11 @@ def copied_files(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "overlapping_files",
     Severity.INFO,
-    "Files share events",
-    "Nothing to do; keep the more complete file to save time.",
     Subject.FILE,
+    "Nothing to do; keep the more complete file to save time.",
 )
 def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
-    """Report files that share some events with another one; each event counts once."""
+    """Files share events."""
     read = {source.path for source in evidence.campaign.sources if source.status != "duplicate"}
     for copy in evidence.campaign.copies:
         name = evidence.campaign.name(copy.trace)
@@ -141,15 +121,9 @@ def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check(
-    "reader_note",
-    Severity.INFO,
-    "The reader noticed something else",
-    "Judge whether it affects the numbers.",
-    Subject.FILE,
-)
+@check("reader_note", Severity.INFO, Subject.FILE, "Judge whether it affects the numbers.")
 def reader_notes(evidence: Evidence) -> Iterator[Observation]:
-    """Report each note of the reader."""
+    """The reader noticed something else."""
     for name, trace in _named_traces(evidence):
         for note in trace.notes:
             yield Observation(name, note)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypedDict, cast
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.units import counted, format_ms
 
@@ -17,30 +17,12 @@ if TYPE_CHECKING:
     from .evidence import Evidence, Observation
 
 
-class _Row(TypedDict):
-    """The columns of `Details.wire` that the checks read."""
-
-    group: int
-    complete: bool
-    kernel_drops: int
-    again_bytes_share: float | None
-    messages: int
-    again_messages: int
-    requests: int
-    resent_after_p50_ns: float | None
-    waited_heartbeats_p50: float | None
-    discovery_share: float | None
-    discovery_bytes_per_minute: float | None
-    runs: int
-    total_bytes: int
-    payload_bytes: int
-    reassembly_failed: int
-    udp_receive_buffer_full: int
-    shared_counts: int
+_Row = dict[str, Any]
+"""A row of `Details.wire`."""
 
 
 def _rows(evidence: Evidence) -> Iterator[_Row]:
-    return cast("Iterator[_Row]", evidence.details.wire.iter_rows(named=True))
+    return evidence.details.wire.iter_rows(named=True)
 
 
 def _complete_rows(evidence: Evidence) -> Iterator[_Row]:
@@ -50,12 +32,11 @@ def _complete_rows(evidence: Evidence) -> Iterator[_Row]:
 @check(
     "wire_incomplete",
     Severity.WARNING,
-    "The capture of the wire missed packets",
-    "Record with fewer bytes a second, or on a machine with a processor to spare.",
     Subject.RESULT,
+    "Record with fewer bytes a second, or on a machine with a processor to spare.",
 )
 def incomplete_captures(evidence: Evidence) -> Iterator[Observation]:
-    """Report captures whose packets the kernel dropped in part: nothing else is said of their wire."""
+    """The capture of the wire missed packets."""
     for row in _rows(evidence):
         if not row["complete"]:
             failed = row["reassembly_failed"]
@@ -70,12 +51,11 @@ def incomplete_captures(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "wire_counts_shared",
     Severity.INFO,
-    "Counts of the relay's capture are of several results",
-    "Leave two seconds without a message between runs, or give each run a relay of its own.",
     Subject.RESULT,
+    "Leave two seconds without a message between runs, or give each run a relay of its own.",
 )
 def shared_counts(evidence: Evidence) -> Iterator[Observation]:
-    """Report counts that cannot be divided among the results that share them."""
+    """Counts of the relay's capture are of several results."""
     for row in _rows(evidence):
         if count := row["shared_counts"]:
             yield evidence.result(
@@ -88,12 +68,11 @@ def shared_counts(evidence: Evidence) -> Iterator[Observation]:
 @check(
     "fragments_lost",
     Severity.WARNING,
-    "A result's datagrams lost IP fragments",
-    f"One lost fragment loses its whole datagram: {SMALLER_DATAGRAMS}.",
     Subject.RESULT,
+    f"One lost fragment loses its whole datagram: {SMALLER_DATAGRAMS}.",
 )
 def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
-    """Report datagrams that were cut, and could not be put together while they were captured."""
+    """A result's datagrams lost IP fragments."""
     cut = {
         group
         for exchange, group in evidence.exchanges_by_group()
@@ -126,12 +105,11 @@ FEWEST_AGAIN = 5
 @check(
     "retransmission_storm",
     Severity.WARNING,
-    "Much of the traffic is repeats",
-    "Repeats take the room of new messages, and latency waits for them: {remedy}.",
     Subject.RESULT,
+    "Repeats take the room of new messages, and latency waits for them: {remedy}.",
 )
 def retransmission_storms(evidence: Evidence) -> Iterator[Observation]:
-    """Report repeats that are a large part of all bytes, or of all messages."""
+    """Much of the traffic is repeats."""
     for row in _complete_rows(evidence):
         byte_share = row["again_bytes_share"] or 0.0
         message_share = row["again_messages"] / row["messages"] if row["messages"] else 0.0
@@ -169,12 +147,11 @@ HEARTBEATS_WAITED = 2
 @check(
     "heartbeat_bound_recovery",
     Severity.WARNING,
-    "Lost messages waited for a heartbeat",
-    "Shorten the writer's heartbeat period: heartbeat_period in a Fast DDS profile, Internal/HeartbeatInterval of Cyclone DDS.",
     Subject.RESULT,
+    "Shorten the writer's heartbeat period: heartbeat_period in a Fast DDS profile, Internal/HeartbeatInterval of Cyclone DDS.",
 )
 def heartbeat_bound_recoveries(evidence: Evidence) -> Iterator[Observation]:
-    """Report messages that were sent again only after heartbeats of their writer."""
+    """Lost messages waited for a heartbeat."""
     for row in _complete_rows(evidence):
         waited, delay_ns = row["waited_heartbeats_p50"], row["resent_after_p50_ns"]
         if waited is None or delay_ns is None or waited < HEARTBEATS_WAITED:
@@ -197,12 +174,11 @@ feels: 13 kbit/s. A pair of Fast DDS on one machine announces itself with 64 KB.
 @check(
     "discovery_traffic",
     Severity.WARNING,
-    "Discovery is a large part of the traffic",
-    "Use a discovery server, fewer participants (nodes in one process) or a longer lease and announcement period.",
     Subject.RESULT,
+    "Use a discovery server, fewer participants (nodes in one process) or a longer lease and announcement period.",
 )
 def discovery_traffic(evidence: Evidence) -> Iterator[Observation]:
-    """Report discovery that is out of proportion."""
+    """Discovery is a large part of the traffic."""
     for row in _complete_rows(evidence):
         share, rate = row["discovery_share"], row["discovery_bytes_per_minute"]
         if share is None or rate is None:

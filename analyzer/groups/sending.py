@@ -55,7 +55,7 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     Returns:
         Columns of `SENDING_SCHEMA`. `messages` published; `elapsed_ns`, `behind_ns`: see `schedule_lag`; `late`: messages
         with T1 - T0 above `LATE_NS`, and `late_max_ns` the largest T1 - T0, without messages delayed by a stand-still;
-        `late_p99_ns`: 99th percentile of T1 - T0 of all messages; `still`: number of stand-stills, of which the longest took
+        `late_p99_ns`: 99th percentile of T1 - T0 of all messages; `still`: number of stand-stills; the longest one took
         `still_ns` and ended at `still_end_ns`, ping's monotonic clock.
     """
     rows: list[dict[str, object]] = []

@@ -41,7 +41,7 @@ class Finding:
         what: one sentence with the figures.
         action: what to do next.
         groups: rows of `summary` that it is about, or that its recording took part in; empty for a file or device.
-        count: number of findings that it stands for; more than one only for the last of very many.
+        count: number of findings in it; more than one only for the last of very many.
         effect: share of the messages or of the value that it affects, 0 to 1.
     """
 

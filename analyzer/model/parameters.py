@@ -188,7 +188,7 @@ SETTING_COLUMNS = names_of(
 )
 """Parameters of a recommendation: the setup, and the domains, link and devices for which it holds."""
 
-PLACE_COLUMNS = names_of(KeyPart.DEVICES, KeyPart.LINK)
+SITE_COLUMNS = names_of(KeyPart.DEVICES, KeyPart.LINK)
 """Parameters of where something was measured; setups measured elsewhere are no alternatives."""
 
 CASE_COLUMNS = (

@@ -19,7 +19,7 @@ import polars as pl
 
 from dds_trace.base.units import SECOND_NS, counted
 
-from ..model.parameters import PLACE_COLUMNS, SETTING_COLUMNS
+from ..model.parameters import SETTING_COLUMNS, SITE_COLUMNS
 from ..model.setting import condition_of
 from ..run_statistics.between_runs import interval_of_runs
 from ..run_statistics.runs import Statistic
@@ -173,7 +173,7 @@ def recommend_settings(
 
 def place_of(setting: Setting) -> tuple[ParameterValue, ...]:
     """Return device pair, link and conditions of a setting: candidates of different places are no alternatives."""
-    return *(setting[name] for name in PLACE_COLUMNS), condition_of(str(setting["setting"]))
+    return *(setting[name] for name in SITE_COLUMNS), condition_of(str(setting["setting"]))
 
 
 def _by_place(candidates: Iterable[Candidate]) -> dict[tuple[ParameterValue, ...], list[Candidate]]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.model.parameters import PLACE_COLUMNS
+from dds_trace.analyzer.model.parameters import SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of
 from dds_trace.analyzer.verdicts.recommend import Fit, place_of
 from dds_trace.base.printable import printable
@@ -85,7 +85,7 @@ _FITS = {Fit.INCONCLUSIVE: "not known"}
 
 def _choice(setting: Setting) -> Setting:
     """Return a setting without its place, which is told apart."""
-    return {**setting, **dict.fromkeys(PLACE_COLUMNS, ""), "setting": choice_of(str(setting["setting"]))}
+    return {**setting, **dict.fromkeys(SITE_COLUMNS, ""), "setting": choice_of(str(setting["setting"]))}
 
 
 def _place(candidate: Candidate) -> str:

@@ -18,7 +18,7 @@ from ..cache.event_index import merge_parts
 from ..cache.parquet_join import RowPart
 from ..groups.batch import WHOLE_GROUP_EVENTS, Batch
 from ..groups.frames import CAMPAIGN_MAKERS, GROUP_DETAIL_MAKERS, MAKERS, RUN_DETAIL_MAKERS, begin_frames
-from ..groups.measure import Statistics, measure_batch, metric_values
+from ..groups.summary import Statistics, measure_batch, metric_values
 from ..model.metrics import METRICS
 from ..pairing.parquet import encode_rows, tables_of
 from ..pairing.roundtrips import pair_exchanges

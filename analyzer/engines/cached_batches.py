@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from ..cache.parquet_join import RowPart
 from ..groups.frames import CAMPAIGN_MAKERS
-from ..groups.measure import Statistics
+from ..groups.summary import Statistics
 from ..groups.timeline import points_of_exchange
 from .batches import BatchResult, WorkedBatch, work_at
 from .cached_details import UNUSABLE, pack_frames, shifted, unpack_frames

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from ..groups.frames import concatenate_frames
-from ..groups.measure import Statistics
-from ..groups.summary import summarize_groups
+from ..groups.summary import Statistics, summarize_groups
 from .oversized import ValueSpool, merge_sketches
 
 if TYPE_CHECKING:

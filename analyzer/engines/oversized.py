@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..groups.measure import Statistics, measure_groups
+from ..groups.summary import Statistics, measure_groups
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.groups.outages import age_of_information
+from dds_trace.analyzer.groups.freshness import age_of_information
 
 
 def times(*values):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dds_trace.analyzer.groups.outages import Outage, find_outages, longest_run, runs_of
+from dds_trace.analyzer.groups.freshness import Outage, find_outages, longest_run, runs_of
 
 
 def test_runs_of_true_have_start_stop_and_a_longest():

@@ -111,9 +111,8 @@ class _Timex(ctypes.Structure):
 def read_adjtimex() -> JsonObject | None:
     """Read how the kernel corrects CLOCK_MONOTONIC, without privileges; None where that is not permitted.
 
-    Returns:
-        `frequency_ppb`: correction by NTP or PTP (adjtimex's `freq`); `tick_us`: length of a tick, 10,000 unless a large
-        correction changes it (chrony); `status`: bits of `STA_*`, where 0x40 means not synchronized.
+    `frequency_ppb` is the correction by NTP or PTP; `tick_us` is 10,000 unless a large correction changes it (chrony);
+    `status` has bits `STA_*` (0x40: not synchronized).
     """
     timex = _Timex(modes=0)  # no mode: nothing is set
     try:

@@ -28,7 +28,7 @@ class MiddlewareEnvironment:
 
     Attributes:
         settings: variables whose values a session keeps.
-        configuration: variables that name files or contain their text, whose hashes a session keeps.
+        configuration: variables with files or their text, whose hashes a session keeps.
         files: files that the middleware loads from the working directory by itself.
     """
 
@@ -43,11 +43,9 @@ class MiddlewareEnvironment:
     def hash_configuration(
         self, variables: Mapping[str, str], folder: Path
     ) -> dict[str, list[dict[str, str | None]]]:
-        """Return the hash of each configuration in effect.
+        """Return each configuration in effect: variable, or `./NAME` for a file in `folder` -> `name` and `sha256` of each entry.
 
-        Returns:
-            Variable (or, for a file in `folder`, `./NAME`) -> one entry for each file or inline text: `name` (the
-            file's base name or `inline`) and `sha256`, null where the file cannot be read.
+        The name of inline text is `inline`; the hash of a file that cannot be read is null.
         """
         hashes = {
             variable.name: [

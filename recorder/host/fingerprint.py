@@ -33,7 +33,7 @@ def host_fingerprint(
 ) -> dict[str, Json]:
     """Return the `host` object of a session.
 
-    Its `versions` are those of the middleware and its client library; `socket_buffers` are in bytes (or packets), `mtu` in
+    `versions` lists the middleware and its client library; `socket_buffers` are in bytes (or packets), `mtu` in
     bytes by interface; `reassembly` limits the memory and time (s) of waiting IP fragments.
     """
     environment = environment or MiddlewareEnvironment()

@@ -46,10 +46,7 @@ def apply_privileges(
     """Give this process its CPUs and its real-time priority (SCHED_FIFO, all memory locked); later threads inherit both.
 
     Call it before the middleware starts its threads. Threads that write the trace or sample the host give the priority
-    back (`base.threads.run_in_background`).
-
-    Returns:
-        The session's fields `cpu_affinity` (list of CPU numbers), `realtime_priority` and `memory_locked`, if requested.
+    back (`base.threads.run_in_background`). Returns the session's fields of what was requested.
 
     Raises:
         OptionError: a value is impossible on this machine, or the system does not permit it.
@@ -115,7 +112,7 @@ def _lock_memory() -> None:
 def tuned_gc() -> Iterator[None]:
     """Switch garbage collection off within the block, and let received messages wait less for other threads.
 
-    Reference counts free the objects of a message; call `gc.collect` in a quiet moment for the rest.
+    Reference counts free the objects of a message; call `gc.collect` in a quiet moment.
     """
     was_enabled, interval_s = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
@@ -153,8 +150,7 @@ def stop_at_signals() -> threading.Event:
 def ending_with_parent() -> list[str]:
     """Return the words before a command that make the kernel end it by SIGTERM when this process ends.
 
-    Empty without `setpriv` (util-linux). The kernel sends nothing if the parent ended before `setpriv` asked, so a shell
-    first compares its parent with this process.
+    Empty without `setpriv` (util-linux). Before `setpriv` runs the parent may have ended, so a shell compares it first.
     """
     setpriv = shutil.which("setpriv")
     if setpriv is None:

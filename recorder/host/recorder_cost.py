@@ -36,13 +36,13 @@ _CHUNK_SECONDS = 0.25  # so that a measurement of a few seconds has several chun
 
 @dataclass(frozen=True, slots=True)
 class RecorderCost:
-    """The recorder's own cost in ns, with caches as cold as in a node at 1 kHz; times of events exclude reading the clock.
+    """The recorder's own cost in ns, with caches as cold as in a node at 1 kHz.
 
     Attributes:
-        timer_ns: time of one reading of the monotonic clock in a loop.
-        record_median_ns: median time of recording one event; likewise `record_p99_ns` and `record_max_ns`.
-        stall_of_ten_ns: maximum time of ten consecutive events together.
-        cold_timer_ns: time of one reading of the clock after a sleep, which is subtracted from the others.
+        timer_ns: one reading of the monotonic clock in a loop.
+        record_median_ns: recording one event; likewise `record_p99_ns` and `record_max_ns`.
+        stall_of_ten_ns: longest time of ten consecutive events together.
+        cold_timer_ns: one reading of the clock after a sleep, which is subtracted from the times of events.
     """
 
     timer_ns: float
@@ -55,11 +55,7 @@ class RecorderCost:
 
 
 def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> RecorderCost:
-    """Measure the cost of recording with a trace in `folder` (by default a temporary one) that is deleted again.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
+    """Measure the cost of recording with a trace in `folder` (by default a temporary one) that is deleted again."""
     count = max(int(seconds * 1e9) // PACE_NS, STALL_EVENTS)
     try:
         scratch = tempfile.TemporaryDirectory(prefix="dds-trace-cost-", dir=folder)
@@ -99,7 +95,7 @@ def measure_cold_timer_ns(readings: int) -> float:
 
 
 def time_paced_events(record: Record | None, count: int) -> NDArray[np.float64]:
-    """Return the time in ns of each of `count` calls of `record` (None: no call) and one reading of the clock, at 1 kHz."""
+    """Return the time in ns of each of `count` calls of `record`, or of none, and one reading of the clock, at 1 kHz."""
     now = time.monotonic_ns
     times = np.zeros(count)
     planned_ns = now()

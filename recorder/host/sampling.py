@@ -34,9 +34,9 @@ _DROP_COUNTERS = {
 class HostSampler:
     """A context manager: a thread hands a sample to `write` each period, and a last one at the end.
 
-    Totals since boot are `network`, `udp`, `steal_ns` (of all processors together) and `pressure_us` (time in which some
-    task waited for `cpu`, `io` or `memory`). `cpu_percent` of a process is of one core; `sampling_cpu_ns` is the CPU time
-    of the preceding sample. `processes` maps names to ids (`{"bridge": 4711}`); this process is `self`.
+    Totals since boot are `network`, `udp`, `steal_ns` (of all processors) and `pressure_us` (time in which some task waited for
+    `cpu`, `io` or `memory`). `cpu_percent` of a process is of one core; `sampling_cpu_ns` is the CPU time of the preceding
+    sample. `processes` maps names to ids; this process is `self`.
     """
 
     write: Callable[[JsonObject], None]

@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 class RelayView:
     """The relays' endpoints that a ping sees: subscriptions on its topic, publishers on the topic of the replies.
 
-    Attributes:
-        incompatible: one line for each pair whose quality of service can never match.
-        unassignable: one line for each side whose type has the same name but another definition.
+    `incompatible` has a line for each pair whose quality of service never matches, `unassignable` for each side whose type
+    has another definition.
     """
 
     subscriptions: tuple[Endpoint, ...]
@@ -56,7 +55,7 @@ def look_for_relays(node: Node, data_type: DataType) -> RelayView:
 def find_loss(node: Node, data_type: DataType, silence: Silence, *, ended: bool) -> RelayLostError | None:
     """Return the error of a relay that no longer answers, None while it may come back.
 
-    Before the run has ended, a relay that is still visible is not lost: an outage of some seconds is to be measured.
+    Until the run has ended, a visible relay is not lost: an outage of some seconds is to be measured.
     """
     if not silence.is_lasting or (not ended and look_for_relays(node, data_type).publishers):
         return None

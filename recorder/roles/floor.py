@@ -75,20 +75,12 @@ def measure_floor(
     patience_s: float = FLOOR_PATIENCE_S,
     rate_hz: float | None = None,
 ) -> FloorCost:
-    """Send small messages within this process, at the rate of a run, and time them.
+    """Send small messages from a node of this process to itself, at the rate of a run, and time them.
 
-    A node sends to itself; where nodes do not receive their own messages (sockets), to another node.
-
-    Args:
-        backend: name of the backend.
-        options: options of the role's node.
-        messages: number of messages.
-        patience_s: longest time for publisher and subscription to match.
-        rate_hz: messages a second; `COLDEST_GAP_S` is the longest gap and the default.
+    Where nodes do not receive their own messages (sockets), to another node.
 
     Raises:
-        BackendUnavailableError: the middleware is not on this machine.
-        NoEchoError: the messages do not arrive.
+        NoEchoError: the messages do not arrive within `patience_s`.
     """
     received_at_ns, arrived = [0], threading.Event()
 

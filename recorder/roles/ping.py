@@ -65,11 +65,7 @@ AnyPing: TypeAlias = "Ping[bytearray, RawMessage] | Ping[RosMessage, RosMessage]
 
 
 def open_ping(node: Node, plan: RunPlan, clock: Clock | None = None) -> AnyPing:
-    """Open the ping of a plan on a node that is not started yet.
-
-    Raises:
-        OptionError: the node or the data has no messages of the plan's serialization.
-    """
+    """Open the ping of a plan on a node that is not started yet."""
     if plan.serialization is Serialization.TYPED:
         return Ping(object_lane(node), plan, clock)
     return Ping(raw_lane(node), plan, clock)
@@ -170,10 +166,7 @@ class Ping(Generic[SentT, ReceivedT]):
         return len(self._echoes)
 
     def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
-        """Send the plan on this thread, collect the replies, and return the finished run.
-
-        `stop` ends the sending early; `hopeless` also ends the wait for replies.
-        """
+        """Send the plan on this thread and return the finished run; `stop` ends the sending, `hopeless` the wait for replies."""
         description = self.plan.describe(self.run_id)
         sink.write_run(description)
         self._record = sink.record

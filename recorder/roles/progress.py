@@ -1,4 +1,4 @@
-"""The progress of a role while it runs: the replies of a ping's run, and the figures shown of both roles."""
+"""The progress of a role while it runs."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class PingProgress:
     Attributes:
         received: messages with at least one reply.
         lost: messages without a reply although a later one has one; at the end, all without one.
-        rtt_p50_ns: median round trip so far, None before the first reply; likewise `rtt_p99_ns`.
-        warmup: planned messages of the warm-up; likewise `warmup_received` and `warmup_lost` so far.
+        rtt_p50_ns: median round trip so far; likewise `rtt_p99_ns`.
+        warmup: planned messages of the warm-up.
     """
 
     planned: int
@@ -65,10 +65,8 @@ class Silence:
     """The messages after the last answered one.
 
     Attributes:
-        messages: their number.
         duration_ns: time since the first of them; after the run, until the last one.
-        before: messages sent before them.
-        answered: messages with a reply among those.
+        before: messages sent before them; `answered` of these have a reply.
     """
 
     messages: int
@@ -95,7 +93,6 @@ class Replies:
         payload_bytes: application bytes of each message, likewise.
         received: messages with at least one reply.
         highest: highest sequence number with a reply, -1 before the first.
-        last_ns: monotonic time of the last reply.
     """
 
     __slots__ = (

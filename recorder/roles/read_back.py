@@ -29,11 +29,7 @@ NEWS_S = 0.02
 class ReadBack:
     """The settings of one role, read back before the first message and at the end, never between messages.
 
-    Args:
-        node: the open node of the role.
-        environment: variables as the user set them, without the recorder's own.
-        strict: whether a setting that was not applied ends the recording.
-        note: takes a line for the user.
+    `environment` has the variables as the user set them; `strict` ends the recording if a setting was not applied.
     """
 
     def __init__(
@@ -81,7 +77,7 @@ class ReadBack:
     def wait(self, stop: threading.Event, seconds: float) -> bool:
         """Wait for `stop`, but only until there is something to `report`; return whether `stop` is set.
 
-        The read of a relay comes with the first probe, 0.2 s before the first message: until then this looks often.
+        A relay reads at its first probe, 0.2 s before the first message: until then this looks often.
         """
         left_s = seconds
         while self._applied is None and left_s > 0:

@@ -41,7 +41,7 @@ class Relay:
         sink: trace for the events.
         relay_id: number in every reply, not 0.
         data_types: data types whose topics are served.
-        qos: quality of service of both ways; must suit the pings.
+        qos: quality of service of both ways.
         serialization: form in which the messages pass the client library.
         clock: time of this device.
         on_probe: called after the reply to each readiness probe.

@@ -34,15 +34,7 @@ def describe_session(
 ) -> Session:
     """Describe the session of a role on an open node, its middleware and this device.
 
-    Args:
-        node: node of the role.
-        anchor: one instant on the events' monotonic clock and on the wall clock.
-        role: `ping` or `relay`.
-        session_id: 64 random bits.
-        device: name of the device, by default its host name.
-        connectivity: by default `default_connectivity`.
-        relay_id: None for a ping.
-        extra: further fields.
+    By default the device has its host name, and `default_connectivity`; a ping has no `relay_id`.
     """
     middleware = node.middleware
     # Of all backends: ROS middleware reads its vendor's files, and a bridge may run on another vendor.

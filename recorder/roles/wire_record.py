@@ -28,10 +28,7 @@ def open_wire(
 ) -> Iterator[WireRecord]:
     """Open the capture of a role, before its node: the first announcement of a participant counts.
 
-    The interfaces depend on the discovery, the ports on the domains (also of `socket` and `zenoh`).
-
-    Raises:
-        OptionError: no CAP_NET_RAW, or a system without packet sockets.
+    The interfaces depend on the discovery, the ports on the domains.
     """
     if not enabled:
         yield WireRecord(None, note)
@@ -49,10 +46,7 @@ def open_wire(
 
 
 class WireRecord:
-    """Writes the counts of a role's capture into the trace; without a capture every method does nothing.
-
-    A capture that ends by itself is reported once; the recording goes on without it.
-    """
+    """Writes the counts of a role's capture into the trace; does nothing without a capture, or after it ended by itself."""
 
     def __init__(self, capture: WireCapture | None, note: Callable[[str], None]) -> None:
         self._capture = capture
@@ -65,7 +59,7 @@ class WireRecord:
         return {} if self._capture is None else {"wire": self._capture.pid}
 
     def begin(self, run_id: int | None = None) -> None:
-        """Restart counting (0.25 s), with records of the messages of one run, by default (a relay) of all."""
+        """Restart counting (0.25 s), with records of one run's messages, or of all (a relay)."""
         if self._capture is None:
             return
         try:
@@ -84,7 +78,7 @@ class WireRecord:
         return described
 
     def write_relay(self, relayed: int, session_id: int, sink: TraceSink, *, go_on: bool = False) -> None:
-        """Write the counts of a relay's capture if messages were relayed since the preceding call, and `go_on` counting."""
+        """Write the counts of a relay's capture if it has relayed messages since the preceding call, and `go_on` counting."""
         if relayed == self._relayed:
             return
         result = self._take()

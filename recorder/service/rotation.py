@@ -91,10 +91,10 @@ def _is_of_session(path: Path, session_id: int) -> bool:
 
 
 def find_shortage(trace: Path, keep_free: KeepFree, *, was_short: bool = False) -> OutputError | None:
-    """Return the error of a disk with too little free space; None if it has enough, or does not report it.
+    """Return the error of a disk with too little free space, None if it has enough.
 
     A disk that was short needs a fifth more, at most `MOST_MORE_BYTES`, so that recording does not stop and resume every
-    second while other programs write and delete.
+    second.
     """
     try:
         disk = os.statvfs(next(folder for folder in trace.absolute().parents if folder.is_dir()))

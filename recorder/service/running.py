@@ -45,8 +45,7 @@ class Entry:
         session_id: 16 hex digits.
         began_ns: its start, ns since 1970.
         told_ns: time of this state, ns since 1970.
-        messages: messages that a relay has sent back, or replies that a ping has received.
-        files: number of files so far.
+        messages: messages sent back by a relay, or replies received by a ping.
         stopped: why recording has stopped while the node continues.
     """
 
@@ -76,7 +75,7 @@ class State(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One recording as `dds-record status` lists it; `waiting` is the trace of a killed one with events in its ring."""
+    """One recording; `waiting` is the trace of a killed one with events in its ring."""
 
     entry: Entry
     state: State

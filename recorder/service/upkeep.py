@@ -40,8 +40,8 @@ RETRY_S = 60.0
 class ServiceManager:
     """The protocol of sd_notify(3); without a manager at NOTIFY_SOCKET every method does nothing.
 
-    Not the library sdnotify: it blocks while the manager is stuck, and drops a status that is not Latin-1. The variables
-    are removed from the environment, so that child processes do not notify.
+    The library sdnotify blocks while the manager is stuck, and drops a status that is not Latin-1. Removed variables keep
+    child processes from notifying.
     """
 
     def __init__(
@@ -95,10 +95,6 @@ class Upkeep:
         sink: the sink; with `--rotate` its session's field `part` counts the files from 1.
         destination: the file that is written now.
         shortage: the first lack of disk space that dropped events, or that ends a ping's run.
-
-    Raises:
-        OutputExistsError: there is a trace already.
-        OutputError: the trace cannot be made, or the disk has too little free space.
     """
 
     def __init__(
@@ -141,7 +137,7 @@ class Upkeep:
         self._running.close()
 
     def look(self, messages: int, describe: Callable[[], JsonObject]) -> None:
-        """Check disk space, rotate the file if it is due, and report the state; `describe` returns fields of the session."""
+        """Check disk space, rotate the file if it is due, and report the state."""
         was_short = self._short is not None
         shortage = find_shortage(self.destination.trace_path, self._options.keep_free, was_short=was_short)
         self._blame_disk()

@@ -50,11 +50,7 @@ class AgainstOutcome:
 def interleave(base: Plan, new: Plan) -> list[InterleavedRun]:
     """Return every cell of both sides in the order of the base's plan; of each cell base, new, new, base ... by repeat.
 
-    The runs of a cell are adjacent and the first side alternates: a linear drift, and an effect of the first run on the
-    second, cancel over two repeats.
-
-    Raises:
-        OptionError: the plans differ in their number of cells.
+    A linear drift, and an effect of the first run on the second, cancel over two repeats.
     """
     if len(base.cells) != len(new.cells):
         raise OptionError(
@@ -89,17 +85,14 @@ def run_against(
     *,
     commands: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
 ) -> AgainstOutcome:
-    """Record every cell of both sides, interleaved.
+    """Record every cell of both sides, interleaved; order and repeats are the base's.
 
     Args:
-        base: plan whose order and number of repeats count for both.
+        base: plan of the base.
         new: plan of the other side.
         folder: folder for the folders `base` and `new`.
         progress: receiver of every step.
         commands: `dds-record` of each side; None for the installed one.
-
-    Raises:
-        TraceError: as `run_sweep`.
     """
     runs = interleave(base, new)
     partners = {
@@ -134,7 +127,7 @@ def run_against(
 
 
 class _SideProgress(SweepProgress):
-    """Hands the steps of one side on, with its name; both sides start and end as one sweep."""
+    """Hands the steps of one side on, with its name."""
 
     def __init__(self, progress: SweepProgress, side: str) -> None:
         self._progress = progress

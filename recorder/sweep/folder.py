@@ -1,4 +1,4 @@
-"""The folder of a sweep: its lock, the folder `.parts/` for unfinished traces, the names of the files in it."""
+"""The folder of a sweep: its lock, the folder `.parts/` for unfinished traces, names of files."""
 
 from __future__ import annotations
 
@@ -41,13 +41,12 @@ _OWN_NAME = re.compile(
 
 @contextlib.contextmanager
 def locked_folder(folder: Path, note: Callable[[str], None]) -> Iterator[int]:
-    """Make the folder, lock it for one sweep within the block, and yield the file descriptor of the lock.
+    """Make the folder and lock it for one sweep within the block; yield the file descriptor of the lock.
 
-    The programs of a sweep inherit the lock, so a killed sweep is resumed only after the last of them has closed its trace.
+    The programs of a sweep inherit the lock, so a killed sweep is resumed only after the last of them has ended.
 
     Raises:
-        OutputError: the folder cannot be made.
-        OptionError: another sweep uses it.
+        OptionError: another sweep uses the folder.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -88,7 +87,7 @@ def make_parts(folder: Path) -> Path:
 
 
 def clear_parts(parts: Path) -> list[str]:
-    """Remove a sweep's unfinished traces, and return the names of all other files."""
+    """Remove a sweep's unfinished traces, and return the names of other files."""
     foreign = []
     for path in sorted(parts.iterdir()):
         if _OWN_NAME.fullmatch(path.name) and (path.is_symlink() or path.is_file()):
@@ -99,7 +98,7 @@ def clear_parts(parts: Path) -> list[str]:
 
 
 def remove_files(folder: Path, name: str, endings: Collection[str]) -> None:
-    """Remove the files NAME + ENDING that are in a folder; a folder of that name stays."""
+    """Remove the files NAME + ENDING in a folder; a folder of that name stays."""
     for ending in endings:
         path = folder / f"{name}{ending}"
         if path.is_symlink() or path.is_file():
@@ -107,7 +106,7 @@ def remove_files(folder: Path, name: str, endings: Collection[str]) -> None:
 
 
 def is_segment_name(name: str) -> bool:
-    """Return whether a text is the name of a relay's trace of one start: GROUP-MILLISECONDS-START.mcap."""
+    """Return whether a name is a relay's: GROUP-MILLISECONDS-START.mcap."""
     return re.fullmatch(_SEGMENT, name, re.ASCII) is not None
 
 
@@ -117,7 +116,7 @@ def log_path(folder: Path, segment: str) -> Path:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replace a file so that a reader, or a reboot, sees either the old text or the new one."""
+    """Replace a file so that a reader, or a reboot, sees either the old or the new text."""
     try:
         with replacing(path, fsync=True) as draft, create_file(draft) as file:
             file.write(text.encode())

@@ -34,7 +34,7 @@ _COLOURS = {
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:
-    """Write `max_rate.json`, `.csv` and `.svg` into `folder` and return their paths."""
+    """Write `max_rate.json`, `.csv` and `.svg` and return their paths."""
     texts = {
         "max_rate.json": json.dumps(
             {
@@ -79,7 +79,7 @@ def max_rate_csv(answers: list[MaxRate]) -> str:
 
 
 def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
-    """Return an SVG figure: a bar for each answer on a logarithmic axis of messages a second."""
+    """Return an SVG figure: a bar for each answer on a logarithmic axis."""
     height = _TOP_PX + _ROW_PX * len(answers) + 20
     lines = [_HEAD.format(width=_LABEL_PX + _BAR_PX + 200, height=height, search=search)]
     lines += [

@@ -41,11 +41,10 @@ def rehearse_plan(
     note: Callable[[str], None],
     command: Sequence[str] | None = None,
 ) -> dict[str, str]:
-    """Return the cells of a plan that cannot be recorded here.
+    """Return each cell of a plan that cannot be recorded here, of all repeats, with the reason.
 
-    The arguments of every cell are checked. Of cells that differ only in size and rate, one ping starts and ends before
-    its first message, and so does each relay on its device, with namespaces, bridges and middleware. The network between
-    two devices and a full disk stay untested.
+    All arguments are checked. Of cells that differ only in size and rate, one ping starts and ends before its first message,
+    and so does each relay on its device, with namespaces, bridges and middleware; network and disk space stay untested.
 
     Args:
         plan: the plan.
@@ -53,12 +52,6 @@ def rehearse_plan(
         check_arguments: raises what `dds-record` would.
         note: takes a line about what could not be rehearsed.
         command: `dds-record` on this machine; the installed one by default.
-
-    Returns:
-        Name of each such cell, of all repeats -> the reason.
-
-    Raises:
-        TraceError: as `run_sweep`.
     """
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
@@ -140,7 +133,7 @@ class _Rehearsal:
         return None
 
     def _unless_old(self, environment: str, reason: str | None) -> str | None:
-        """Return the reason, or None with a note if the environment's dds-trace has no rehearsal."""
+        """Return the reason, or None with a note if the environment's dds-trace is too old for a rehearsal."""
         if reason is None or not environment or _TOO_OLD not in reason:
             return reason
         if environment not in self._too_old:

@@ -1,7 +1,7 @@
 """The search for the highest rate that a setup sustains: bisection between two rates, repeated at the knee.
 
-A run sustains its rate if it kept the schedule, lost no more than allowed, and the percentile of the response time
-(planned send to reply, so that a late sender counts) met the deadline.
+A run sustains its rate if it kept the schedule, lost no more than allowed, and met the deadline at a percentile of the
+response time (planned send to reply, so that a late sender counts).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ KNEE_STEPS = 10
 
 
 class RateAnswer(Enum):
-    """The meaning of the rate that a search gives."""
+    """Meaning of a rate."""
 
     FOUND = "found"
     AT_LEAST = "at least"  # even the highest rate of the plan is sustained
@@ -45,10 +45,9 @@ class RateAnswer(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MaxRate:
-    """The answer of a search for one cell.
+    """The answer of a search for one cell, whose `rate` is the answer.
 
     Attributes:
-        cell: the searched parameters; its `rate` is the answer.
         failing_hz: the lowest rate that was not sustained.
         held_repeats: runs at the answer that sustained it, and all runs at it.
         reason: why the next rate was not sustained, or why the search failed.
@@ -82,7 +81,7 @@ class Bisection:
     trial: Callable[[float, int], str]
 
     def run(self) -> Knee:
-        """Run trials until the highest sustained rate is known within the resolution, and return it."""
+        """Return the highest rate that is sustained, within the resolution."""
         low, high = self.search.min_rate, self.search.max_rate
         is_low_sustained, why = False, ""
         while high / low > self.search.resolution:
@@ -131,12 +130,12 @@ class Bisection:
 
 
 def round_rate(rate_hz: float) -> float:
-    """Round to three digits, so that a rate has a short name and is tried once."""
+    """Round to three digits: a short name, tried once."""
     return float(f"{rate_hz:.3g}")
 
 
 def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str:
-    """Return why a run did not sustain the requested rate, or an empty text if it did."""
+    """Return why a run did not sustain the requested rate, or an empty text."""
     achieved_hz = result.achieved_rate_hz or 0.0
     percentile = f"p{search.percentile:g}"
     response_ms = result.response_ms[percentile] if result.response_ms else math.inf
@@ -157,7 +156,7 @@ def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str
 
 
 def search_plan(plan: Plan) -> Plan:
-    """Return a plan with one cell for all rates of a cell, and runs long enough for the percentile."""
+    """Return a plan with one cell for all rates of a cell, in runs long enough for the percentile."""
     cells = dict.fromkeys(replace(cell, rate=plan.search.max_rate) for cell in plan.cells)
     return replace(
         plan,
@@ -170,7 +169,7 @@ def search_plan(plan: Plan) -> Plan:
 
 
 def messages_needed(search: Search) -> int:
-    """Return the fewest messages at which the percentile is not just the largest value."""
+    """Return the fewest messages for the search's percentile."""
     return math.ceil(MESSAGES_FOR_PERCENTILE / (1 - search.percentile / 100) - 1e-9)
 
 

@@ -47,13 +47,9 @@ _TARGET = re.compile(r"\s*(\w+)\s*:\s*([0-9.]+)\s*%\s*")
 
 @dataclass(frozen=True, slots=True)
 class Until:
-    """The precision at which a sweep ends.
+    """The precision at which a sweep ends: half width of a statistic's interval, in percent.
 
-    Attributes:
-        statistic: such as `latency_p99`.
-        percent: widest half width of its interval, in percent of the value.
-        max_passes: most passes, including the plan's.
-        measure: half width of each cell's interval in percent, infinite for an open one.
+    `measure` returns it for each cell, infinite for an open interval; `max_passes` includes the plan's.
     """
 
     statistic: str
@@ -82,7 +78,6 @@ class SweepOutcome:
     """Result of a sweep.
 
     Attributes:
-        folder: folder with the traces and `state.json`.
         cells: number of cells, repeats included.
         missing: name of each cell without a complete recording -> the reason.
         too_wide: name of each cell with too wide an interval -> half width in percent.
@@ -102,7 +97,7 @@ def run_sweep(
     command: Sequence[str] | None = None,
     until: Until | None = None,
 ) -> SweepOutcome:
-    """Record every cell of the plan that is not complete below `out`.
+    """Record every cell of the plan that is not complete, in a folder below `out`.
 
     Args:
         plan: the plan to record.

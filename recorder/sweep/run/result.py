@@ -32,10 +32,9 @@ class CellResult:
     Attributes:
         run_id: 16 hex digits.
         received: published messages with a reply.
-        sent_bytes: application bytes of all published messages, warm-up included.
+        sent_bytes: application bytes of all published messages.
         achieved_rate_hz: rate of publishing, None with fewer than two messages.
-        rtt_ms: percentile (`p50`, `p90`, `p95`, `p99`, `p99.9`) -> T2 - T1, None without replies.
-        response_ms: percentile -> T2 - T0, likewise.
+        rtt_ms: percentile (`p50` ... `p99.9`) -> T2 - T1, None without replies; likewise `response_ms`, T2 - T0.
         cut_off: whether the run ended before its schedule.
         not_applied: requested settings that the ping's middleware did not use, in words.
     """
@@ -68,7 +67,7 @@ class CellResult:
 
 
 def read_result(path: Path) -> CellResult:
-    """Return the result of a ping's trace; raise a TraceFormatError unless it has exactly one run, finished."""
+    """Return the result of a ping's trace, which must have exactly one run, finished."""
     trace = read_trace(path)
     if len(trace.runs) != 1:
         raise TraceFormatError(path, f"has {counted(len(trace.runs), 'run')} where a cell has one")

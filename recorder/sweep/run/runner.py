@@ -60,7 +60,7 @@ class CellFailedError(Exception):
 
 
 class GroupRelay:
-    """The relay of a group of cells and its half of a bridge (if any), restarted in a new segment if it ended by itself."""
+    """The relay of a group of cells and its half of a bridge (if any); restarted in a new segment if one ended by itself."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class GroupRelay:
         self._hopeless: CellFailedError | None = None
 
     def serve(self) -> str:
-        """Start the relay unless it runs, and return the name of its segment; raise again if it cannot run at all."""
+        """Start the relay unless it runs, and return the name of its segment."""
         if self._hopeless is not None:
             raise self._hopeless
         if not self._running:
@@ -90,7 +90,7 @@ class GroupRelay:
         return self._segments[-1]
 
     def check(self) -> None:
-        """Raise a `CellFailedError` if either program has ended by itself; `serve` then starts both again."""
+        """Raise a `CellFailedError` if a program has ended by itself; `serve` then starts both again."""
         ended = next((name for name, program in self._running.items() if program.failure is not None), None)
         if ended is None:
             return
@@ -112,11 +112,7 @@ class GroupRelay:
 
 
 class Runner:
-    """One sweep in its folder, which is locked with `locked_folder`.
-
-    Raises:
-        TraceFormatError, OptionError: the folder's state is unreadable or of another plan (`SweepState`).
-    """
+    """One sweep in its locked folder."""
 
     def __init__(self, plan: Plan, folder: Path, station: Station, progress: SweepProgress) -> None:
         self.plan = plan
@@ -152,7 +148,7 @@ class Runner:
         self._station.device.clear(self.state.segments)
 
     def reasons(self, cells: Iterable[Cell]) -> dict[str, str]:
-        """Return the name of each cell without a complete recording, and the reason."""
+        """Return the name of each incomplete cell, and the reason."""
         return {
             cell.name: self.state[cell.name].reason or "the relay's trace is still on its device"
             for cell in cells
@@ -160,7 +156,7 @@ class Runner:
         }
 
     def resume(self) -> None:
-        """Split the segments that an interrupted sweep left, and delete its unfinished cells."""
+        """Split the segments of an interrupted sweep, and delete its unfinished cells."""
         for segment in self.state.segments:
             self._collect(segment)
         if foreign := clear_parts(self._parts):
@@ -169,7 +165,7 @@ class Runner:
             )
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
-        """Run the cells of a group that are not complete; the time left is that of `all_cells`."""
+        """Run the cells of a group that are not complete; the time left counts `all_cells`."""
         waiting = [cell for cell in group.cells if not self.state[cell.name].done]
         if not waiting:
             return
@@ -232,8 +228,7 @@ class Runner:
     def _refresh(self, relay: GroupRelay) -> None:
         """Stop a relay that may have parts of messages, so that the next cell gets a new one.
 
-        A Fast DDS reader with half a message of a closed writer delivers later messages late
-        (docs/reference/middlewares.md).
+        A Fast DDS reader with half a message delivers later ones late (docs/reference/middlewares.md).
         """
         if not self.plan.by_hand:
             relay.stop()
@@ -296,7 +291,6 @@ class Runner:
         return None if self._station.report_link is None else self._station.report_link()
 
     def _collect(self, segment: str) -> None:
-        """Split a segment into the relay files of its cells."""
         cells = self.state.in_segment(segment)
         device = self._station.device
         try:

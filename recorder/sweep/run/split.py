@@ -43,10 +43,7 @@ class CellPart:
 
 
 def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
-    """Write the file of each part, replacing an older one; a part without events gets no file.
-
-    Returns:
-        Run id -> number of its events in `segment`.
+    """Write the file of each part that has events, and return run id -> number of its events in `segment`.
 
     Raises:
         TraceFormatError: `segment` is not a trace, or describes no session.
@@ -68,7 +65,7 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
 
 
 def wire_of_run(trace: Trace, run_id: int) -> list[JsonObject]:
-    """Return a run's records of the wire, and the relay's counts while it served only this run."""
+    """Return a run's records of the wire, and the relay's counts while it served only that run."""
     name = f"{run_id:016x}"
     return [text for text in trace.wire if name == text.get("run_id") or text.get("run_ids") == [name]]
 

@@ -1,4 +1,4 @@
-"""The state of a sweep: `state.json`, replaced as a whole so that any interruption leaves a valid file."""
+"""The state of a sweep: `state.json`, valid after any interruption."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """One cell's entry in the state file.
+    """One cell's entry in the state file, which has `{}` for None.
 
     Attributes:
-        reason: reason of the last failure; empty without one.
-        run_id: the run that counts, 16 hex digits, or empty.
-        segment: name of the relay's own trace that still contains this cell's part, else empty.
-        result: numbers of the ping's trace; `{}` in the file for None.
-        link: report of the emulated link for the run; `{}` in the file for None.
+        reason: reason of the last failure.
+        run_id: the run that counts, 16 hex digits.
+        segment: name of the relay's own trace that still contains this cell's part.
+        result: numbers of the ping's trace.
+        link: report of the emulated link for the run.
     """
 
     status: Status = Status.PENDING

@@ -1,4 +1,4 @@
-"""The devices that a relay may run on: this machine, and one that a person operates; `ssh.py` has the third."""
+"""The devices for a relay: this machine, and one that a person operates; `ssh.py` has the third."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class StartedProgram(Protocol):
-    """A relay, or a half of a bridge, that was started on its device."""
+    """A relay, or a half of a bridge, on its device."""
 
     @property
     def failure(self) -> str | None:
@@ -35,41 +35,36 @@ class RelayDevice:
     """Whether the traces stay on the device until a person copies them."""
 
     def check(self) -> None:
-        """Check that relays can start on the device.
-
-        Raises:
-            BackendUnavailableError: the device or its `dds-record` cannot be reached.
-            OptionError: the device has another version of dds-trace.
-        """
+        """Check that relays can start on the device, and that its version is this one's."""
 
     def rehearse(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002 - the signature of all devices
-        """Start a relay that ends before its first message; return why it cannot start, None if it can."""
+        """Start a relay that ends before its first message; return why it cannot start."""
         return None
 
     def rehearse_half(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002
-        """Look for the program of a half of a bridge; return why it cannot start, None if it can."""
+        """Look for the program of a half of a bridge; return why it cannot start."""
         return None
 
     def prepare(self) -> None:
-        """Check the device as `check`, and make a folder for traces there."""
+        """Check the device, and make a folder for traces there."""
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """Start a relay that writes the trace `segment`."""
         raise NotImplementedError
 
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Start the half of a bridge next to the relay that writes `segment`."""
+        """Start the half of a bridge next to that relay."""
         raise NotImplementedError
 
     def collect(self, segment: str) -> Path | None:  # noqa: ARG002
-        """Bring the trace `segment` to this machine and return its path, None if the device has none."""
+        """Bring a trace to this machine and return its path, None if the device has none."""
         return None
 
     def discard(self, segment: str) -> None:
         """Remove the trace `segment` after it is split."""
 
     def clear(self, keep: Collection[str]) -> None:
-        """Remove what an interrupted sweep left on the device, except the segments `keep`."""
+        """Remove what an interrupted sweep left on the device, except these segments."""
 
 
 class LocalDevice(RelayDevice):
@@ -100,7 +95,7 @@ class LocalDevice(RelayDevice):
 
 
 class PrintedDevice(RelayDevice):
-    """A device that a person operates: each relay's command is printed, and the pings wait for its echo."""
+    """A device whose person starts each relay by a printed command, while the pings wait."""
 
     keeps_traces = True
 
@@ -124,7 +119,7 @@ class PrintedDevice(RelayDevice):
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
-    """Return the command line of a group's relay, without the defaults of that device."""
+    """Return the command line of a group's relay, without the device's defaults."""
     return f"{DEFAULTS_VARIABLE}= dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
 
 

@@ -34,12 +34,12 @@ _TBF_BURST_S = 0.0002
 
 
 def ip(*arguments: str) -> str:
-    """Run the system's `ip` and return its output; raise a BackendUnavailableError if that fails."""
+    """Run the system's `ip` and return its output."""
     return _system("ip", *arguments)
 
 
 def tc(*arguments: str) -> str:
-    """Run the system's `tc` and return its output; errors as for `ip`."""
+    """Run the system's `tc` and return its output."""
     return _system("tc", *arguments)
 
 
@@ -68,10 +68,7 @@ def count_traffic(namespace: str) -> EndCounters:
 
 
 def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
-    """Return the words after `tc qdisc add dev DEVICE` for a link: a token bucket, and netem below it.
-
-    Netem applies everything but the rate if `kernel_does_all`, else the forwarder does.
-    """
+    """Return the words after `tc qdisc add dev DEVICE`: a token bucket, and netem unless the forwarder does the rest."""
     disciplines: list[list[str]] = []
     parent = ["root"]
     if link.rate_mbit_s:
@@ -91,7 +88,7 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
 
 
 def open_tap(name: str, namespace: str) -> int:
-    """Open a TAP device, move it into a namespace under the link's name, and return its non-blocking descriptor."""
+    """Open a TAP device, move it into a namespace as `INTERFACE`, and return its non-blocking descriptor."""
     try:
         descriptor = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
         fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), _IFF_TAP | _IFF_NO_PI))

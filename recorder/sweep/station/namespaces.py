@@ -51,8 +51,7 @@ class Side:
     def prefix(self) -> list[str]:
         """Words before a command that make it run in this namespace, with shared memory of its own.
 
-        With one `/dev/shm` for both sides some middleware (Zenoh) would bypass the link. `ip netns exec` gives the
-        command its own view of mounts.
+        With one `/dev/shm` for both sides some middleware (Zenoh) would bypass the link.
         """
         own_memory = 'mount -t tmpfs -o mode=1777 tmpfs /dev/shm && exec "$@"'
         system_ip = shutil.which("ip", path=SYSTEM_PATH) or "ip"
@@ -60,12 +59,7 @@ class Side:
 
 
 class NamespacePair:
-    """A context manager: the namespaces `ping` and `relay` and the link between them, by default a bare veth.
-
-    Raises:
-        OptionError: this user is not root.
-        BackendUnavailableError: `ip` and `tc` are not installed, or the kernel refuses.
-    """
+    """A context manager: the namespaces `ping` and `relay` and the link between them, by default a bare veth."""
 
     def __init__(self, link: Link | None) -> None:
         self.link = link
@@ -188,7 +182,7 @@ class NamespacePair:
 
 
 def remove_stale() -> list[str]:
-    """Remove the namespaces that a killed sweep left behind, and return their names."""
+    """Remove the namespaces of killed sweeps, and return their names."""
     removed = []
     for match in map(_NAME.match, ip("netns", "list").splitlines()):
         if match and not Path("/proc", match[1]).exists():

@@ -48,10 +48,7 @@ def local_program(name: str) -> list[str]:
 def environment_program(folder: Path, name: str) -> tuple[str, ...]:
     """Return the words that run the command `name` of another Python environment.
 
-    They remove the variables that ROS 2 from wheels sets in this process, with which the other ROS 2 would load ours.
-
-    Raises:
-        OptionError: the environment has no such command.
+    They remove the variables of ROS 2 from wheels, with which the other ROS 2 would load ours.
     """
     program = folder / "bin" / name
     if not program.exists():
@@ -66,11 +63,7 @@ def environment_program(folder: Path, name: str) -> tuple[str, ...]:
 class Program:
     """One running program; its output goes to a log file.
 
-    A program on another device `stops_by_input`: it ends when its standard input closes, not by SIGTERM.
-
-    Raises:
-        BackendUnavailableError: there is no such program.
-        OutputError: the log cannot be made.
+    A program on another device `stops_by_input`: it ends when its standard input closes.
     """
 
     def __init__(
@@ -144,7 +137,7 @@ class Program:
 
 
 def rehearse_program(command: Sequence[str], folder: Path) -> str | None:
-    """Run a `dds-record` with `--check`, which ends before its first message; return why it cannot start, else None."""
+    """Run a `dds-record` with `--check`, which ends before its first message; return why it cannot start."""
     trace = folder / "rehearsal.mcap"
     try:
         program = Program([*command, "--out", str(trace), "--check"], folder / "rehearsal.log")

@@ -47,8 +47,8 @@ _WAIT_FOR_END = (
 class SshDevice(RelayDevice):
     """Another machine, through the system's `ssh` and with its keys.
 
-    The shell there ends the relay when its standard input closes, also because the connection or this machine is gone.
-    Traces wait in `~/.cache/dds-trace/SWEEP/` there. The device is not trusted: its names and numbers of bytes are checked.
+    The shell there ends the relay when its standard input closes, also because this machine is gone. Traces wait in
+    `~/.cache/dds-trace/SWEEP/` there. The device is not trusted: its names and numbers of bytes are checked.
     """
 
     def __init__(self, settings: DeviceSettings, folder: Path, sweep: str) -> None:
@@ -168,11 +168,6 @@ class SshDevice(RelayDevice):
             return file.read().decode(errors="replace")
 
     def _call(self, script: str, output: BinaryIO, most_bytes: int) -> None:
-        """Run shell commands there and write their output.
-
-        Raises:
-            BackendUnavailableError: the device cannot be reached, a command failed, or it printed more than `most_bytes`.
-        """
         if shutil.which("ssh") is None:
             raise BackendUnavailableError("ssh is not installed; apt install openssh-client")
         with tempfile.TemporaryFile() as errors:
@@ -218,10 +213,7 @@ def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int
 
 
 def folder_there(plan: str, folder: Path) -> str:
-    """Return the name of a sweep's folder on the device.
-
-    A hash of this machine and folder keeps sweeps of plans of one name apart.
-    """
+    """Return the name of a sweep's folder on the device, with a hash of this machine and folder: plans may share a name."""
     id_file = Path("/etc/machine-id")
     machine = id_file.read_text() if id_file.is_file() else platform.node()
     mark = hashlib.sha256(f"{machine}\0{folder.resolve()}".encode(errors="surrogateescape")).hexdigest()[:8]

@@ -34,7 +34,6 @@ class Station:
     Attributes:
         ping_command: `dds-record` on this machine, with the words before it.
         lock: file descriptor of the folder's lock, for the programs to inherit.
-        wait_s: longest time that a ping waits for an echo.
         relay_address: address of the relay's device, None on one machine.
         report_link: `NamespacePair.report`, None without an emulated link.
         environments: folder of each other Python environment of the plan -> command of the ping and device of the relay.
@@ -73,10 +72,6 @@ def open_station(
         lock: file descriptor of its lock, None for a rehearsal.
         show: prints a line, such as a command for a person.
         command: `dds-record` on this machine; the installed one by default.
-
-    Raises:
-        OptionError: not root, or an environment without `dds-record`.
-        BackendUnavailableError: `ip` and `tc` are not installed, or the kernel refuses.
     """
     own = list(command or local_program("dds-record"))
     parts = make_parts(folder)

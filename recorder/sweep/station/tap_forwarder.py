@@ -1,12 +1,12 @@
 """The forwarder of an emulated link, for kernels without netem: carries frames between two TAP devices.
 
-It applies delay, jitter, loss and outages; the kernel's token bucket applies the rate and slows the sender down as a
-network card does. As a process of its own it is not delayed by the sweep's Python:
+It applies delay, jitter, loss and outages; the kernel's token bucket applies the rate, which slows the sender down as a
+network card does. As a process of its own it is not delayed by the sweep:
 
     tap_forwarder.py FD FD JSON
 
-takes the TAP devices as open file descriptors and a `Link` as JSON. It answers every line on standard input with a
-line of JSON (`Wire.report` of both directions) and ends when standard input closes.
+takes the TAP devices as file descriptors and a `Link`. It answers every line on standard input with a line of JSON
+(`Wire.report` of both directions) and ends when standard input closes.
 """
 
 from __future__ import annotations
@@ -33,14 +33,7 @@ WIRE_PRIORITY = 10
 
 
 class Wire:
-    """One direction of the link, between two TAP devices.
-
-    Args:
-        source: non-blocking descriptor to read from.
-        sink: descriptor to write to.
-        link: fields of a `Link`.
-        started_ns: monotonic time from which periods of outages count.
-    """
+    """One direction of the link, between non-blocking descriptors of two TAP devices; outages count from `started_ns`."""
 
     def __init__(self, source: int, sink: int, link: dict[str, float], started_ns: int) -> None:
         self.source = source

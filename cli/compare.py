@@ -105,7 +105,8 @@ def compare_command(
     from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
     from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
     from dds_trace.analyzer.verdicts.ignoring import match_without
-    from dds_trace.reports.comparison import comparison_info, terminal
+    from dds_trace.reports.comparison import terminal
+    from dds_trace.reports.comparison.info import comparison_info
 
     for path, where, limit in (
         (base, "BASE", limits.INPUT),

@@ -1,4 +1,4 @@
-"""JSON report for scripts: everything that the page says, under the contract of `report.schema.json`."""
+"""JSON report for scripts: everything on the page, under the contract of `report.schema.json`."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ FORMAT_VERSION = 1
 """Version 1: first version (2026). A field may be added without a new version; none changes its meaning."""
 
 _IDENTIFIERS = ("run_id", "session_id")
-"""Columns written as hex digits, as in `sessions` and `runs`: a JSON number does not hold 64 bits."""
+"""Columns written as hex digits, as in `sessions` and `runs`: a JSON number has no 64 bits."""
 
 
 def render(book: Book) -> str:
-    """Return the report with one list item per line; strings stay as in the traces, escaped beyond ASCII."""
+    """Return the report with one list item per line; strings are as in the traces, escaped beyond ASCII."""
     parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in _document(book).items()]
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
@@ -42,10 +42,9 @@ def write(book: Book, folder: Path) -> Path:
 
 def schema() -> dict[str, object]:
     """Return the JSON Schema (2020-12) of reports of this version."""
-    schema_of_report: dict[str, object] = json.loads(
-        (files("dds_trace.reports") / "report.schema.json").read_text(encoding="utf-8")
-    )
-    return schema_of_report
+    text = (files("dds_trace.reports") / "report.schema.json").read_text(encoding="utf-8")
+    made: dict[str, object] = json.loads(text)
+    return made
 
 
 def _document(book: Book) -> dict[str, object]:
@@ -82,9 +81,9 @@ def _lines(value: object) -> str:
 
 
 def _rows(frame: pl.DataFrame) -> list[str]:
-    """Write each row of a table as a JSON object, column by column: a campaign has a row for each ten seconds."""
-    named = ", ".join(f"{json.dumps(name)}: %s" for name in frame.columns)
-    return ["{" + named % values + "}" for values in zip(*map(_column, frame), strict=True)]
+    """Write each row of a table as a JSON object, column by column, which is faster."""
+    template = ", ".join(f"{json.dumps(name)}: %s" for name in frame.columns)
+    return ["{" + template % values + "}" for values in zip(*map(_column, frame), strict=True)]
 
 
 def _column(series: pl.Series) -> list[str]:
@@ -103,6 +102,6 @@ def _column(series: pl.Series) -> list[str]:
 
 def _text(value: object) -> str:
     """Write a value as JSON in one line; NaN and infinity become null."""
-    with suppress(TypeError, ValueError):  # nearly all rows of a table are what JSON holds
+    with suppress(TypeError, ValueError):  # nearly all values are plain JSON
         return json.dumps(value, allow_nan=False)
     return json.dumps(to_json(value, not_finite=lambda _: None), allow_nan=False)

@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .book.book import Book
+    from .book.groups import Group
     from .book.numbers import Intervals, Values
     from .book.sizes import SizeCell
     from .figures.bridge_cost import Cost
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150
-"""Most groups listed, because a comment on a pull request is read and not searched."""
+"""Most results in a table, because a comment on a pull request is read and not searched."""
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
     "Latency through the bridge less that of the same domain, its 95 % interval, and the ratio of the two, with the runs and the "
-    "shares received of the same domain and of the bridge; a lost message is "
-    "infinitely late. Without an interval the samples show no more than the difference, and from fewer than three runs a way "
-    "the interval holds within one run."
+    "shares received of the same domain and of the bridge; a lost message is infinitely late. Without an interval the samples show no "
+    "more than the difference; with fewer than three runs a side the interval holds within one run."
 )
 SHOWN_STATISTICS = ("p50", "p90", "p99", "max")
 
@@ -58,7 +58,7 @@ def render(book: Book) -> str:
         markdown(LATENCY_MEANING),
         "## Findings",
         _findings(book),
-        "## Groups",
+        "## Results",
         _groups(book),
         *_section("What a bridge costs", _bridge_costs(book)),
         *_section("What a message costs on the wire", _wire_costs(book)),
@@ -76,41 +76,37 @@ def write(book: Book, folder: Path) -> Path:
 
 
 def _advice(book: Book) -> list[str]:
-    """Return the recommendation with its job in words; nothing without one."""
     advice = book.advice
     if advice is None:
         return []
     table = [_table(COLUMNS, advice.rows)] if advice.rows else []
-    return [f"**{markdown(advice.said)}** Asked: {markdown(advice.asked)}", *table]
+    return [f"**{markdown(advice.sentence)}** Job: {markdown(advice.job)}", *table]
 
 
 def _sizes(book: Book) -> Iterator[str]:
-    """Yield a table of sizes by choice for each place, then how to read them; nothing without answers."""
+    """Yield a table of sizes by setup for each device pair, then how to read them; nothing without answers."""
     table = book.sizes
     if table is None:
         return
     for place in table.places:
         rows = [(markdown(row.size), *map(_size_cell, row.cells)) for row in place.rows]
         if place.thresholds:
-            judged = (
-                "" if one is None else f"{one.outcome}{one.why and f': {one.why}'}"
-                for one in place.thresholds
+            outcomes = (
+                "" if threshold is None else markdown(threshold.text) for threshold in place.thresholds
             )
-            rows.insert(0, (markdown(table.deadline), *map(markdown, judged)))
+            rows.insert(0, (markdown(table.deadline), *outcomes))
         heads = ("Size", *map(markdown, table.choices))
-        lines = [f"| {' | '.join(cells)} |" for cells in (heads, ("---",) * len(heads), *rows)]
         yield f"Latency {markdown(table.rates)}, median / p99, on {markdown(place.place)}:"
-        yield "\n".join(lines)
+        yield "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, ("---",) * len(heads), *rows))
     yield HOW_TO_READ
 
 
 def _size_cell(cell: SizeCell | None) -> str:
-    """Format both percentiles, those that lead in bold, and the share lost; empty where nothing was measured."""
+    """Format both percentiles, the best in bold, and the share lost; empty where nothing was measured."""
     if cell is None:
         return ""
-    times = ((cell.p50, cell.leads_p50), (cell.p99, cell.leads_p99))
-    said = " / ".join(f"**{markdown(text)}**" if leads else markdown(text) for text, leads in times)
-    return f"{said}, {cell.lost}" if cell.lost else said
+    times = " / ".join(f"**{markdown(text)}**" if leads else markdown(text) for text, leads in cell.times)
+    return f"{times}, {cell.lost}" if cell.lost else times
 
 
 def _findings(book: Book) -> str:
@@ -132,77 +128,78 @@ def _findings(book: Book) -> str:
 
 OWN_SHARE_NOTE = (
     "Own share: what the nodes of ping and relay themselves take of the median round trip, as each measured it at the run's rate "
-    "before it began; a dash where a side measured none."
+    "before it started; a dash where a side measured none."
 )
+_INTERVAL_NOTE = (
+    "In brackets: 95 % confidence intervals, from the runs where there are three or more, else within one run; a dash is "
+    "an end that the sample does not support. A tail of fewer than ten bursts has no end."
+)
+
+_MESSAGE_COLUMNS = ("Data", "Size", "Rate", "Setup")
+
+
+def _message_cells(book: Book, group: Group) -> tuple[str, str, str, str]:
+    cell = book.groups.cell_of(group)
+    label = book.groups.labels[group.series]
+    return data_type_label(cell.data_type), format_size(cell.payload_bytes), format_rate(cell.rate_hz), label
 
 
 def _groups(book: Book) -> str:
-    groups, values = book.groups, book.values
-    if not groups.groups:
+    groups, values = book.groups.in_order, book.values
+    if not groups:
         return "No measurement was found."
     metric = values.default_metric
     intervals = book.intervals
     ends = [side.get(metric, {}) for side in (intervals.low_ns, intervals.high_ns)]
-    rows = []
-    for group in sorted(groups.groups, key=lambda group: (group.cell, group.series))[:MOST_GROUPS]:
-        cell = groups.cell_of(group)
-        rows.append(
-            (
-                data_type_label(cell.data_type),
-                format_size(cell.payload_bytes),
-                format_rate(cell.rate_hz),
-                groups.labels[group.series],
-                format_ratio(values.plain["own_share"][group.index]),
-                _received(values, group.index),
-                _runs(book, group.index),
-                *(
-                    _with_interval(values.times_ns[metric][name], ends, name, group.index)
-                    + _episodes_words(intervals, metric, name, group.index)
-                    for name in SHOWN_STATISTICS
-                ),
-            )
+    rows = [
+        (
+            *_message_cells(book, group),
+            format_ratio(values.plain["own_share"][group.index]),
+            _received(values, group.index),
+            _runs(book, group.index),
+            *(
+                _with_interval(values.times_ns[metric][name], ends, name, group.index)
+                + _bursts(intervals, metric, name, group.index)
+                for name in SHOWN_STATISTICS
+            ),
         )
+        for group in groups[:MOST_GROUPS]
+    ]
     names = (f"{METRIC_LABELS[metric]} {STATISTIC_LABELS[name]}" for name in SHOWN_STATISTICS)
-    table = _table(("Data", "Size", "Rate", "Choice", "Own share", "Received", "Runs", *names), rows)
-    left = len(groups.groups) - len(rows)
-    notes = [f"{counted(left, 'more group is', 'more groups are')} in `summary.parquet`."] if left else []
-    notes.insert(0, "Times are those of the survivors, the messages that came back.")
-    if any(share is not None for share in values.plain["own_share"]):
-        notes.insert(1, OWN_SHARE_NOTE)
-    if any(ends):
-        notes.insert(
-            1,
-            "In brackets: 95 % confidence intervals, from the runs where there are three or more, else within one run; a dash is "
-            "an end that the sample does not support. A tail of fewer than ten episodes has no end.",
-        )
-    return "\n\n".join([table, *notes])
+    left = len(groups) - len(rows)
+    has_own_share = any(share is not None for share in values.plain["own_share"])
+    notes = (
+        "Times are those of the received messages.",
+        _INTERVAL_NOTE if any(ends) else "",
+        OWN_SHARE_NOTE if has_own_share else "",
+        f"{counted(left, 'more result is', 'more results are')} in `summary.parquet`." if left else "",
+    )
+    table = _table((*_MESSAGE_COLUMNS, "Own share", "Received", "Runs", *names), rows)
+    return "\n\n".join([table, *filter(None, notes)])
 
 
 def _received(values: Values, group: int) -> str:
-    """Format the share received of what was sent, and what was due and never left: `99.5 %, 120 unsent`."""
+    """Format the received share of the sent messages, and the unsent ones: `99.5 %, 120 unsent`."""
     unsent = values.plain["unsent"][group]
     return format_ratio(values.plain["received_ratio"][group]) + (f", {unsent:.0f} unsent" if unsent else "")
 
 
 def _runs(book: Book, group: int) -> str:
-    """Return the runs of a group, with what its intervals rest on; without intervals their number alone."""
-    basis, runs = (
-        book.intervals.basis(book.values.default_metric, "p50", group),
-        book.values.plain["runs"][group],
-    )
+    """Return the runs of a group, with what its intervals rest on."""
+    basis = book.intervals.basis(book.values.default_metric, "p50", group)
+    runs = book.values.plain["runs"][group]
     return basis if basis != MISSING or runs is None else f"{runs:.0f}"
 
 
-def _episodes_words(intervals: Intervals, metric: str, name: str, group: int) -> str:
-    """Say on how many episodes a tail rests, as in ` (rests on 12 episodes)`; nothing of a median."""
-    episodes = intervals.tail_episodes(metric, name, group)
-    return "" if episodes is None else f" (rests on {counted(episodes, 'episode')})"
+def _bursts(intervals: Intervals, metric: str, name: str, group: int) -> str:
+    bursts = intervals.tail_episodes(metric, name, group)
+    return "" if bursts is None else f" (rests on {counted(bursts, 'burst')})"
 
 
 def _with_interval(
     values_ns: Sequence[int | None], ends: Sequence[Mapping[str, Sequence[int | None]]], name: str, group: int
 ) -> str:
-    """Format a value with its interval, as in `1.2 ms [1.1 ms, 1.4 ms]`; without brackets if neither end is known."""
+    """Format a value with its interval, as in `1.2 ms [1.1 ms, 1.4 ms]`; without brackets if it has neither end."""
     low, high = (end[name][group] if name in end else None for end in ends)
     shown = format_duration(values_ns[group])
     return (
@@ -213,49 +210,35 @@ def _with_interval(
 
 
 def _bridge_costs(book: Book) -> str:
-    groups = book.groups
     cells = bridge_cost_info(book).cells
+    if not cells:
+        return ""
     rows = []
     for index, bridged in list(cells.items())[:MOST_GROUPS]:
-        group = groups.groups[index]
-        cell = groups.cell_of(group)
+        first = next(iter(bridged.costs.values()))  # runs and shares are the same for every statistic
+        load = bridged.bridge_cpu_percent
         rows.append(
             (
-                data_type_label(cell.data_type),
-                format_size(cell.payload_bytes),
-                format_rate(cell.rate_hz),
-                groups.labels[group.series],
-                *_sides(bridged.costs),
+                *_message_cells(book, book.groups.groups[index]),
+                first.runs,
+                first.received,
                 *(_added(bridged.costs.get(name)) for name in COST_STATISTICS),
-                format_duration(None)
-                if bridged.bridge_cpu_percent is None
-                else f"{bridged.bridge_cpu_percent:.0f} %",
+                MISSING if load is None else f"{load:.0f} %",
             )
         )
     names = (f"Added, {STATISTIC_LABELS[name]}" for name in COST_STATISTICS)
-    table = _table(("Data", "Size", "Rate", "Choice", "Runs", "Received", *names, "Bridge CPU"), rows)
-    left = len(cells) - len(rows)
-    notes = [
-        HOW_TO_READ_COSTS,
-        *(
-            [f"{counted(left, 'more combination is', 'more combinations are')} in the JSON report."]
-            if left
-            else []
-        ),
-    ]
-    return "\n\n".join([table, *notes]) if rows else ""
+    table = _table((*_MESSAGE_COLUMNS, "Runs", "Received", *names, "Bridge CPU"), rows)
+    return "\n\n".join([table, HOW_TO_READ_COSTS, *_more(len(cells) - len(rows))])
 
 
-def _sides(costs: Mapping[str, Cost]) -> tuple[str, str]:
-    """Return the runs of both ways and the shares that they received, which are the same of every statistic."""
-    first = next(iter(costs.values()))
-    return first.runs, first.received
+def _more(left: int) -> list[str]:
+    return [f"{counted(left, 'more result is', 'more results are')} in the JSON report."] if left > 0 else []
 
 
 def _added(cost: Cost | None) -> str:
     """Format a cost with interval and ratio, as in `+0.3 ms [0.2 ms, 0.4 ms], x1.5`."""
     if cost is None:
-        return format_duration(None)
+        return MISSING
     within = ""
     if cost.low_ns is not None and cost.high_ns is not None:
         within = f" [{format_added_ns(cost.low_ns)}, {format_added_ns(cost.high_ns)}]"
@@ -265,53 +248,36 @@ def _added(cost: Cost | None) -> str:
 
 def _wire_costs(book: Book) -> str:
     """Tabulate the groups that were recorded with `--wire`, by cell, then series."""
-    groups = book.groups
-    of_wire = {row["group"]: row for row in book.analysis.details.wire.iter_rows(named=True)}
+    costs = {row["group"]: row for row in book.analysis.details.wire.iter_rows(named=True)}
     rows = []
-    for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
-        row = of_wire.get(group.index)
+    for group in book.groups.in_order:
+        row = costs.get(group.index)
         if row is None:
             continue
-        cell = groups.cell_of(group)
-        ratio = row["bytes_per_payload_byte"]
+        ratio, rtt_ns = row["bytes_per_payload_byte"], row["tcp_rtt_p50_ns"]
+        messages = f"{row['again_messages']} of {counted(row['messages'], 'message')}"
+        segments = counted(row["tcp_retransmitted_segments"], "segment")
         rows.append(
             (
-                data_type_label(cell.data_type),
-                format_size(cell.payload_bytes),
-                format_rate(cell.rate_hz),
-                groups.labels[group.series],
-                format_duration(None) if ratio is None else f"{ratio:.3g}",
+                *_message_cells(book, group),
+                MISSING if ratio is None else f"{ratio:.3g}",
                 format_ratio(row["again_bytes_share"]),
-                f"{row['again_messages']} of {counted(row['messages'], 'message')}"
-                if row["messages"]
-                else "not seen",
-                _tcp_connections(row["tcp_retransmitted_segments"], row["tcp_rtt_p50_ns"]),
+                messages if row["messages"] else "not seen",
+                "" if rtt_ns is None else f"{segments} again, round trip {format_duration(rtt_ns)}",
                 format_duration(row["match_p50_ns"]),
                 "" if row["complete"] else f"{counted(row['kernel_drops'], 'packet')} dropped by the kernel",
             )
         )
     columns = (
-        "Bytes per payload byte",
-        "Sent again",
-        "Messages sent again",
-        "TCP",
-        "First message after",
-        "Incomplete",
+        *("Bytes per payload byte", "Sent again", "Messages sent again"),
+        *("TCP", "First message after", "Incomplete"),
     )
-    left = len(rows) - MOST_GROUPS
-    note = f"\n\n{counted(left, 'more group is', 'more groups are')} in the JSON report." if left > 0 else ""
-    return _table(("Data", "Size", "Rate", "Choice", *columns), rows[:MOST_GROUPS]) + note
-
-
-def _tcp_connections(again: int, rtt_ns: float | None) -> str:
-    """Return how TCP connections fared, empty without any (`tcp_retransmitted_segments` and `tcp_rtt_p50_ns`)."""
-    return (
-        "" if rtt_ns is None else f"{counted(again, 'segment')} again, round trip {format_duration(rtt_ns)}"
-    )
+    table = _table((*_MESSAGE_COLUMNS, *columns), rows[:MOST_GROUPS])
+    return "\n\n".join([table, *_more(len(rows) - MOST_GROUPS)])
 
 
 def _clocks(book: Book) -> str:
-    """Tabulate the clock fits: a row per pair of devices with two clocks, and per segment without a step."""
+    """Tabulate the clock fits: a row per device pair with two clocks, and per segment without a step."""
     rows = [
         (
             f"{row['ping_device']} → {row['relay_device']}",

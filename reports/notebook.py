@@ -1,6 +1,6 @@
 """An analysis in a notebook: its first screen as HTML, its figures as plotly values, its whole report in the browser.
 
-`analyzer.analysis.Presenter` names these functions; the analyzer finds this module by its name, as imports run one way.
+`analyzer.analysis.Presenter` has these functions; the analyzer loads this module by its name, as imports run one way.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ if TYPE_CHECKING:
     from .book.sizes import PlaceRows, SizeCell, SizeTable
 
 MOST_CHARACTERS = 12_000
-"""Longest first screen: a notebook keeps it in its file at every run."""
+"""Longest first screen, which a notebook saves in its file."""
 
 _BELOW = 700
-"""Characters that are kept for what stands below the table."""
+"""Characters reserved for what is below the table."""
 
-# No colour but that of losses: the text takes the notebook's own, light or dark. This red has a contrast of 4.5 on both grounds.
+# Only losses have a colour: a red with a contrast of 4.5 on a light and a dark notebook.
 _LOST = "color:#e5484d"
 _SOFT = "font-size:90%"
 _CELL = "text-align:left;white-space:nowrap"
 
 
 def first_screen(analysis: Analysis) -> str:
-    """Return headline, what follows from it and the table of sizes as HTML without a script, at most `MOST_CHARACTERS`."""
+    """Return headline, points and the table of sizes as HTML without a script, at most `MOST_CHARACTERS`."""
     book = Book(analysis)
     answer, sizes = book.answer, book.sizes
     counts = ", ".join(text for _, text in severity_counts(book.findings))
     above = [
         f"<p style='{_SOFT}'>Latency report: {escape(book.overview.title)}</p>",
-        *([f"<p><b>{escape(book.advice.said)}</b></p>"] if book.advice else []),
+        *([f"<p><b>{escape(book.advice.sentence)}</b></p>"] if book.advice else []),
         f"<p><b>{escape(answer.headline)}</b></p>",
         "<ul>" + "".join(f"<li>{escape(point)}</li>" for point in answer.points) + "</ul>"
         if answer.points
@@ -55,20 +55,15 @@ def first_screen(analysis: Analysis) -> str:
     ]
     further = f"Findings: {counts}. " if counts else ""
     below = f"<p style='{_SOFT}'>{further}The whole report: <code>show()</code>, its figures: <code>plot()</code>.</p>"
-    said = _cut("".join(above))
-    table = "" if sizes is None else _table(sizes, MOST_CHARACTERS - len(said) - len(below) - _BELOW)
-    return f"<div>{said}{table}{below}</div>"
-
-
-def _cut(above: str) -> str:
-    """Return what stands above the table, unless it alone is too long: strings of a trace may be."""
-    return (
-        above if len(above) < MOST_CHARACTERS // 2 else f"<p>{escape(above[: MOST_CHARACTERS // 4])} ...</p>"
-    )
+    top = "".join(above)
+    if len(top) >= MOST_CHARACTERS // 2:  # strings of a trace may be long
+        top = f"<p>{escape(top[: MOST_CHARACTERS // 4])} ...</p>"
+    table = "" if sizes is None else _table(sizes, MOST_CHARACTERS - len(top) - len(below) - _BELOW)
+    return f"<div>{top}{table}{below}</div>"
 
 
 def _table(sizes: SizeTable, room: int) -> str:
-    """Return as many places as there is room for, and count the others."""
+    """Return as many device pairs as there is room for, and count the others."""
     span = len(sizes.choices) + 1
     names = "".join(f"<th style='{_CELL}'>{escape(choice)}</th>" for choice in sizes.choices)
     start = (
@@ -76,8 +71,8 @@ def _table(sizes: SizeTable, room: int) -> str:
         f"<thead><tr><th style='{_CELL}'>Size</th>{names}</tr></thead>"
     )
     bodies: list[str] = []
-    for place in sizes.places:
-        body = _place(place, sizes.deadline, span)
+    for rows in sizes.places:
+        body = _body(rows, sizes.deadline, span)
         if len(start) + sum(map(len, bodies)) + len(body) > room:
             break
         bodies.append(body)
@@ -92,30 +87,27 @@ def _table(sizes: SizeTable, room: int) -> str:
     return f"{start}{''.join(bodies)}</table><p style='{_SOFT}'>{escape(HOW_TO_READ)}{more}</p>"
 
 
-def _place(place: PlaceRows, deadline: str, span: int) -> str:
-    rows = [f"<tr><th colspan='{span}' style='{_CELL}'>{escape(place.place)}</th></tr>"]
-    if place.thresholds:
+def _body(rows: PlaceRows, deadline: str, span: int) -> str:
+    lines = [f"<tr><th colspan='{span}' style='{_CELL}'>{escape(rows.place)}</th></tr>"]
+    if rows.thresholds:
         outcomes = [
-            "" if one is None else f"<b>{escape(one.outcome)}</b> {escape(one.why)}"
-            for one in place.thresholds
+            "" if threshold is None else f"<b>{escape(threshold.outcome)}</b> {escape(threshold.why)}"
+            for threshold in rows.thresholds
         ]
-        rows.append(_row(deadline, outcomes))
-    rows += [_row(row.size, [_cell(cell) for cell in row.cells]) for row in place.rows]
-    return f"<tbody>{''.join(rows)}</tbody>"
+        lines.append(_row(deadline, outcomes))
+    lines += [_row(row.size, [_cell(cell) for cell in row.cells]) for row in rows.rows]
+    return f"<tbody>{''.join(lines)}</tbody>"
 
 
 def _row(name: str, cells: Sequence[str]) -> str:
-    held = "".join(f"<td>{cell}</td>" for cell in cells)
-    return f"<tr style='{_CELL}'><th style='{_CELL}'>{escape(name)}</th>{held}</tr>"
+    columns = "".join(f"<td>{cell}</td>" for cell in cells)
+    return f"<tr style='{_CELL}'><th style='{_CELL}'>{escape(name)}</th>{columns}</tr>"
 
 
 def _cell(cell: SizeCell | None) -> str:
     if cell is None:
         return ""
-    times = " / ".join(
-        f"<b>{escape(text)}</b>" if leads else escape(text)
-        for text, leads in ((cell.p50, cell.leads_p50), (cell.p99, cell.leads_p99))
-    )
+    times = " / ".join(f"<b>{escape(text)}</b>" if leads else escape(text) for text, leads in cell.times)
     return f"{times} <span style='{_LOST}'>{escape(cell.lost)}</span>" if cell.lost else times
 
 
@@ -136,11 +128,11 @@ def show(analysis: Analysis, folder: Path | None = None) -> Path:
 
     Args:
         analysis: what to report.
-        folder: where it goes; None for a new folder of the system's temporary ones, which is not removed.
+        folder: its folder; None for a new temporary one, which is not removed.
     """
-    where = Path(tempfile.mkdtemp(prefix="dds-trace-")) if folder is None else Path(folder)
-    where.mkdir(parents=True, exist_ok=True)
-    (path,) = write_reports(analysis, ["html"], where)
+    folder = Path(tempfile.mkdtemp(prefix="dds-trace-")) if folder is None else Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    (path,) = write_reports(analysis, ["html"], folder)
     assert path is not None
     webbrowser.open(path.resolve().as_uri())
     return path

@@ -12,22 +12,20 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import format_duration, format_rate, format_size
 
 from .book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
-from .figures import capacity, comparison, distribution, latency
-from .figures.figure import Faceted, LeftOut, panel_keys
+from .figures import FIGURES, distribution
+from .figures.figure import Faceted, LeftOut, LineFigure, panel_keys
 from .html.styles import line_styles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from .book.book import Book
-    from .figures.distribution import Spread
-    from .figures.figure import Figure as PageFigure
-    from .figures.figure import Line, Panel
+    from .figures.figure import Line
     from .html.styles import Style
 
 _PANEL_WIDTH, _PANEL_HEIGHT = 330, 280
 _POSITION_WIDTH = 24
-"""Pixels of one combination on an axis of combinations."""
+"""Pixels of one message on an axis of messages."""
 _MS, _MB = 1e6, 1e6
 
 
@@ -48,98 +46,45 @@ class Shown:
     is_log: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """What a reader asked for: the book, the figure's own numbers, and the metric and statistic of its times."""
-
-    book: Book
-    info: Faceted | Spread
-    metric: str
-    statistic: str
+LINE_FIGURES = {figure.name: figure for figure in FIGURES if isinstance(figure, LineFigure)}
+RUN_SPREAD = "run_spread"
+NAMES = (*LINE_FIGURES, RUN_SPREAD)
+"""Figures of the page that have lines or marks of groups."""
 
 
-@dataclass(frozen=True, slots=True)
-class Plot:
-    """One figure of lines: its numbers, why there may be none, and what its marks show; as on the page."""
+def _shown(book: Book, value: str, metric: str, statistic: str) -> Shown:
+    """Return what the marks of a figure show, by its value (`LineFigure.value`)."""
+    if value == "statistic":
+        title = f"{METRIC_LABELS[metric]}, {STATISTIC_LABELS[statistic]} (ms)"
+        times = book.values.times_ns[metric][statistic]
+        return Shown(title, _positive(times, _MS), lambda ms: format_duration(ms * _MS))
+    if value == "transfer":
+        rates = book.values.plain["transfer_rate_bytes_per_s"]
+        return Shown("Transfer rate (MB/s)", _positive(rates, _MB), lambda rate: f"{rate:.3g} MB/s")
+    if value == "sustained":
+        return _percent("Replies of the rate (%)", book.values.plain["sustained"].__getitem__)
+    return _percent("Received (%)", book.values.plain["received_ratio"].__getitem__)
 
-    info: Callable[[Book, str, str], Faceted | Spread]
-    figure: Callable[..., PageFigure | LeftOut]
-    panels: str
-    shown: Callable[[Asked], Shown]
 
-
-def _times(asked: Asked) -> Shown:
-    times = asked.book.values.times_ns[asked.metric][asked.statistic]
-
+def _positive(values: Sequence[float | None], unit: float) -> Callable[[int], float | None]:
     def of(group: int) -> float | None:
-        ns = times[group]
-        return None if ns is None or ns <= 0 else ns / _MS
+        value = values[group]
+        return None if value is None or value <= 0 else value / unit
 
-    title = f"{METRIC_LABELS[asked.metric]}, {STATISTIC_LABELS[asked.statistic]} (ms)"
-    return Shown(title, of, lambda ms: format_duration(ms * _MS))
-
-
-def _in_relay(asked: Asked) -> Shown:
-    return _times(replace(asked, metric="intermediate"))
+    return of
 
 
-def _received(asked: Asked) -> Shown:
-    return _share("Received (%)", asked.book.values.plain["received_ratio"].__getitem__)
-
-
-def _sustained(asked: Asked) -> Shown:
-    return _share("Replies of the rate (%)", capacity.replies_of(asked.book))
-
-
-def _spread(asked: Asked) -> Shown:
-    reaches = getattr(asked.info, "reaches", {})
-    name = asked.statistic if asked.statistic in reaches else "p50"
-    return _share(f"± of a typical run's {STATISTIC_LABELS[name]} (%)", reaches[name].get)
-
-
-def _share(title: str, of: Callable[[int], float | None]) -> Shown:
-    def percent(group: int) -> float | None:
-        share = of(group)
+def _percent(title: str, share_of: Callable[[int], float | None]) -> Shown:
+    def of(group: int) -> float | None:
+        share = share_of(group)
         return None if share is None else 100 * share
 
-    return Shown(title, percent, lambda value: format_ratio(value / 100), is_log=False)
-
-
-def _transferred(asked: Asked) -> Shown:
-    rates = asked.book.values.plain["transfer_rate_bytes_per_s"]
-
-    def of(group: int) -> float | None:
-        rate = rates[group]
-        return None if rate is None or rate <= 0 else rate / _MB
-
-    return Shown("Transfer rate (MB/s)", of, lambda rate: f"{rate:.3g} MB/s")
-
-
-PLOTS: Mapping[str, Plot] = {
-    "latency_by_size": Plot(latency.latency_by_size_info, latency.latency_by_size_figure, "rate", _times),
-    "latency_by_rate": Plot(latency.latency_by_rate_info, latency.latency_by_rate_figure, "size", _times),
-    "vendor_comparison": Plot(
-        comparison.vendor_comparison_info, comparison.vendor_comparison_figure, "way", _times
-    ),
-    "by_device": Plot(comparison.by_device_info, comparison.by_device_figure, "size", _times),
-    "relay_time": Plot(latency.relay_time_info, latency.relay_time_figure, "rate", _in_relay),
-    "received": Plot(capacity.received_info, capacity.received_figure, "way", _received),
-    "run_spread": Plot(distribution.run_spread_info, distribution.run_spread_figure, "way", _spread),
-    "sustainable": Plot(capacity.sustainable_info, capacity.sustainable_figure, "size", _sustained),
-    "transfer_by_size": Plot(
-        capacity.transfer_by_size_info, capacity.transfer_by_size_figure, "rate", _transferred
-    ),
-    "transfer_by_rate": Plot(
-        capacity.transfer_by_rate_info, capacity.transfer_by_rate_figure, "size", _transferred
-    ),
-    "transfer_rate": Plot(capacity.transfer_rate_info, capacity.transfer_rate_figure, "way", _transferred),
-}
-"""Figure of the page that has lines or marks of groups -> how it is drawn here."""
+    return Shown(title, of, lambda value: format_ratio(value / 100), is_log=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A horizontal axis: its title and how a position is written. Positions stand at their values, on a log axis, or at 0, 1, 2 ..."""
+    """A horizontal axis: its title and the text of a position. Positions are at their values on a log axis, else at 0, 1, 2 ..."""
 
     title: str
     label: Callable[[Book, float], str]
@@ -166,15 +111,15 @@ PANELS_BY: Mapping[str, str] = {
     "middleware": "vendor",
     "bridge": "way",
 }
-"""What panels may be set apart by -> its dimension of `book.facets`."""
+"""What may separate panels -> its dimension of `book.facets`."""
 
 
 def line_figure(book: Book, name: str, panels: str | None, metric: str | None, statistic: str) -> Figure:
-    """Draw a figure of lines: a column of panels for each value of `panels`, rows for what else tells groups apart.
+    """Draw a figure of lines: a column of panels for each value of `panels`, rows for other differences of groups.
 
     Args:
         book: of the analysis.
-        name: one of `PLOTS`.
+        name: one of `NAMES`.
         panels: one of `PANELS_BY`; None as on the page.
         metric: column `<metric>_<statistic>_ns` of the summary, where the figure shows times; None for the page's.
         statistic: of `STATISTIC_LABELS`, where the figure shows times or their spread.
@@ -182,93 +127,98 @@ def line_figure(book: Book, name: str, panels: str | None, metric: str | None, s
     Raises:
         OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.
     """
-    plot = PLOTS[_chosen("figure", name, PLOTS)]
-    by = plot.panels if panels is None else PANELS_BY[_chosen("panels", panels, PANELS_BY)]
-    metric = _chosen("metric", metric or book.values.default_metric, METRIC_LABELS)
-    _chosen("statistic", statistic, STATISTIC_LABELS)
-    # What sets panels apart cannot tell lines apart, too.
-    lines = "choice" if panels is None else {"vendor": "way", "way": "vendor"}.get(by, "choice")
-    info = plot.info(book, by, lines)
-    left_out = plot.figure(info)
+    _check("figure", name, NAMES)
+    _check("panels", panels or "size", PANELS_BY)
+    metric = metric or book.values.default_metric
+    _check("metric", metric, METRIC_LABELS)
+    _check("statistic", statistic, STATISTIC_LABELS)
+    by = PANELS_BY[panels] if panels else ""
+    # What separates panels cannot separate lines, too.
+    lines = {"vendor": "way", "way": "vendor"}.get(by, "choice")
+    info, left_out, shown = _drawn(book, name, (by, lines), metric, statistic)
     if isinstance(left_out, LeftOut):
         raise OptionError(f"{name}: {left_out.reason}")
-    shown = plot.shown(Asked(book, info, metric, statistic))
-    drawn = _with_values(info, shown)
-    if not drawn.panels:
-        raise OptionError(f"{name}: no group has a value of {shown.title}")
-    return _figure(book, drawn, shown)
+    with_values = _with_values(info, shown)
+    if not with_values.panels:
+        raise OptionError(f"{name}: no result has a value of {shown.title}")
+    return _figure(book, with_values, shown)
 
 
-def _chosen(what: str, value: str, known: Mapping[str, object]) -> str:
-    if value not in known:
-        raise OptionError(f"no {what} {value!r}; choose from {', '.join(known)}")
-    return value
+def _drawn(
+    book: Book, name: str, spread: tuple[str, str], metric: str, statistic: str
+) -> tuple[Faceted, object, Shown]:
+    panels, lines = spread
+    if name == RUN_SPREAD:
+        runs = distribution.run_spread_info(book, panels or "way", lines)
+        percentile = statistic if statistic in runs.reaches else "p50"
+        title = f"± of a typical run's {STATISTIC_LABELS[percentile]} (%)"
+        return runs, distribution.run_spread_figure(runs), _percent(title, runs.reaches[percentile].get)
+    figure = LINE_FIGURES[name]
+    info = figure.info(book, panels, lines)
+    metric = str(figure.settings.get("metric", metric))
+    return info, figure.figure(info), _shown(book, figure.value, metric, statistic)
 
 
-def _with_values(info: Faceted | Spread, shown: Shown) -> Faceted:
-    """Return the panels without the groups that have no value, and without lines and panels that have none left."""
+def _check(what: str, value: str, values: Mapping[str, object] | Sequence[str]) -> None:
+    if value not in values:
+        raise OptionError(f"no {what} {value!r}; choose from {', '.join(values)}")
+
+
+def _with_values(info: Faceted, shown: Shown) -> Faceted:
+    """Return the panels without the groups that have no value, and without empty lines and panels."""
     panels = []
     for panel in info.panels:
-        kept = [
-            replace(line, x=tuple(at for at, _ in points), groups=tuple(group for _, group in points))
-            for line in panel.lines
-            if (
-                points := [
-                    (at, group)
-                    for at, group in zip(line.x, line.groups, strict=True)
-                    if shown.of(group) is not None
-                ]
-            )
-        ]
-        if kept:
-            panels.append(replace(panel, lines=tuple(kept)))
+        lines = []
+        for line in panel.lines:
+            points = [
+                point for point in zip(line.x, line.groups, strict=True) if shown.of(point[1]) is not None
+            ]
+            if points:
+                x, groups = zip(*points, strict=True)
+                lines.append(replace(line, x=x, groups=groups))
+        if lines:
+            panels.append(replace(panel, lines=tuple(lines)))
     return Faceted(info.facet, tuple(panels))
 
 
-def _parts(panels: tuple[Panel, ...]) -> list[str]:
-    """Return which part of its lines each panel has, as in `(1 of 2)`: such panels stand below one another."""
-    return [
-        panel.title.rpartition(" (")[2] if panel.title.endswith(")") and " of " in panel.title else ""
-        for panel in panels
-    ]
+def _part(title: str) -> str:
+    """Return which part of its lines a panel has, as in `1 of 2)`: such panels are below one another."""
+    return title.rpartition(" (")[2] if title.endswith(")") and " of " in title else ""
 
 
 def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
     facet, facets, axis = info.facet, book.facets, AXES[info.facet.x]
-    first = [panel.lines[0].groups[0] for panel in info.panels]
-    beside, below = (
-        [
-            (*(facets.label(key, group) for key in keys), part)
-            for group, part in zip(first, parts, strict=True)
-        ]
-        for keys, parts in zip(panel_keys(facet), ([""] * len(first), _parts(info.panels)), strict=True)
-    )
-    columns, rows = list(dict.fromkeys(beside)), list(dict.fromkeys(below))
-    places = [(rows.index(low), columns.index(side)) for low, side in zip(below, beside, strict=True)]
-    titles = {place: panel.title for place, panel in zip(places, info.panels, strict=True)}
+    column_keys, row_keys = panel_keys(facet)
+    keys: list[tuple[tuple[str, ...], tuple[str, ...]]] = []
+    for panel in info.panels:
+        group = panel.lines[0].groups[0]
+        column_key = tuple(facets.label(key, group) for key in column_keys)
+        keys.append(((*(facets.label(key, group) for key in row_keys), _part(panel.title)), column_key))
+    rows, columns = (list(dict.fromkeys(key[side] for key in keys)) for side in (0, 1))
+    titles = {key: panel.title for key, panel in zip(keys, info.panels, strict=True)}
     figure = make_subplots(
         len(rows),
         len(columns),
         shared_yaxes=True,
-        subplot_titles=[
-            titles.get((row, column), "") for row in range(len(rows)) for column in range(len(columns))
-        ],
+        subplot_titles=[titles.get((low, side), "") for low in rows for side in columns],
         vertical_spacing=0.28 / len(rows),
     )
-    options, named = facets.dimensions[facet.lines].options, set[str]()
-    styles = line_styles(facets)[facet.lines]
+    options, styles = facets.dimensions[facet.lines].options, line_styles(facets)[facet.lines]
+    in_legend = set[str]()
     most = 0
-    for place, panel in zip(places, info.panels, strict=True):
-        row, column = (index + 1 for index in place)
+    for (row_key, column_key), panel in zip(keys, info.panels, strict=True):
+        row, column = rows.index(row_key) + 1, columns.index(column_key) + 1
         positions = sorted({at for line in panel.lines for at in line.x})
         most = max(most, len(positions))
         at = {position: position if axis.is_log else rank for rank, position in enumerate(positions)}
         for line in panel.lines:
-            label, style = options[line.line], styles[line.line]
-            trace = _trace(book, line, [at[position] for position in line.x], (label, style), shown)
+            label = options[line.line]
+            trace = _trace(
+                book, line, [at[position] for position in line.x], (label, styles[line.line]), shown
+            )
             trace.mode = "lines+markers" if facet.x in ("size", "rate") else "markers"
-            figure.add_trace(trace.update(showlegend=label not in named), row, column)
-            named.add(label)
+            figure.add_trace(trace.update(showlegend=label not in in_legend), row, column)
+            in_legend.add(label)
         ticks = [axis.label(book, position) for position in positions]
         kind = "log" if axis.is_log else "linear"
         figure.update_xaxes(type=kind, tickvals=list(at.values()), ticktext=ticks, row=row, col=column)
@@ -283,9 +233,9 @@ def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
     )
 
 
-def _trace(book: Book, line: Line, at: list[float], choice: tuple[str, Style], shown: Shown) -> Scatter:
-    """Draw one line; a group that lost messages has a faded mark, and says so."""
-    label, style = choice
+def _trace(book: Book, line: Line, at: list[float], look: tuple[str, Style], shown: Shown) -> Scatter:
+    """Draw one line; a group that lost messages has a faded mark with the share received."""
+    label, style = look
     values = [float(shown.of(group) or 0) for group in line.groups]
     shares = [book.values.plain["received_ratio"][group] for group in line.groups]
     received = ["" if share is None or share >= 1 else f"{format_ratio(share)} received" for share in shares]

@@ -1,4 +1,4 @@
-"""The table of report formats: one module each, with the same two doors `render` and `write`."""
+"""The table of report formats: one module each, with `render` and `write`."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ REPORT_MODULES = {
     "json": "dds_trace.reports.document",
     "terminal": "dds_trace.reports.terminal",
 }
-"""Kind of report, as `--report` takes it -> the module that is its `Reporter`, imported at first use."""
+"""Kind of report, as in `--report` -> the module that is its `Reporter`, imported at first use."""
 
 
 class Reporter(Protocol):
-    """A report format, as its module offers it."""
+    """A module of a report format."""
 
     def render(self, book: Book) -> str:
         """Return the report as text; equal input gives equal text."""
@@ -50,11 +50,11 @@ def load_reporter(kind: str) -> Reporter:
 def write_reports(
     analysis: Analysis, kinds: Iterable[str], folder: str | os.PathLike[str]
 ) -> list[Path | None]:
-    """Write reports of one analysis; what several of them say is worked out once.
+    """Write reports of one analysis, which share a book.
 
     Args:
         analysis: what to report.
-        kinds: keys of `REPORT_MODULES`; one that is named twice is written once.
+        kinds: keys of `REPORT_MODULES`; a repeated one is written once.
         folder: folder of the files; it must exist.
 
     Returns:

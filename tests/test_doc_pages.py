@@ -15,7 +15,8 @@ from dds_trace.cli.sweep import command as sweep_command
 from dds_trace.recorder import errors as recorder_errors
 from dds_trace.recorder.sweep import sweep
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures import FIGURES, Scope
+from dds_trace.reports.figures import FIGURES
+from dds_trace.reports.figures.figure import Scope
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("sample_traces/*.md")])

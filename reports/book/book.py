@@ -1,20 +1,22 @@
-"""Contents of the reports of one analysis, computed once and handed to every reporter and figure."""
+"""Contents of the reports of one analysis, computed once for every reporter and figure."""
 
 from __future__ import annotations
 
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.groups.report_values import RunSpan, bridge_loads
+
 from .answer import answer_info
+from .environment import recorded_environment
 from .facets import facets_info
 from .findings import findings_info
 from .groups import groups_info
 from .numbers import curves_info, intervals_info, values_info
 from .overview import overview_info
 from .recommendation import recommendation_info
-from .recording import bridge_loads, own_costs, record_tables, run_times
+from .recording import own_costs, record_tables, run_times
 from .sizes import size_table
-from .surroundings import surroundings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis
 
     from .answer import Conclusion
+    from .environment import RecordedEnvironment
     from .facets import Facets
     from .findings import FindingKind
     from .groups import Groups
@@ -30,15 +33,10 @@ if TYPE_CHECKING:
     from .recommendation import Advice
     from .recording import OwnCost, RecordTable, RunTime
     from .sizes import SizeTable
-    from .surroundings import Surroundings
 
 
 class Book:
-    """Parts of a report; each is computed at its first use and kept.
-
-    Args:
-        analysis: analysis to report; it must not change while the book is in use.
-    """
+    """Parts of a report of an analysis; each is computed at its first use."""
 
     def __init__(self, analysis: Analysis) -> None:
         self.analysis = analysis
@@ -76,7 +74,12 @@ class Book:
     @cached_property
     def bridge_loads(self) -> Mapping[int, float]:
         """Mean load of the bridges' processes by group, percent of one processor."""
-        return bridge_loads(self.analysis, self.run_times)
+        spans = (
+            RunSpan(run.group, run.session.session_id, run.origin_ns, run.last_ns)
+            for run in self.run_times
+            if run.session is not None
+        )
+        return bridge_loads(self.analysis.details.host_samples, spans)
 
     @cached_property
     def own_costs(self) -> tuple[OwnCost, ...]:
@@ -85,7 +88,7 @@ class Book:
 
     @cached_property
     def overview(self) -> Overview:
-        """Lines that say what was measured."""
+        """Lines on what was measured."""
         return overview_info(self.analysis, self.groups, self.own_costs, self.run_times)
 
     @cached_property
@@ -95,7 +98,7 @@ class Book:
 
     @cached_property
     def sizes(self) -> SizeTable | None:
-        """Table of sizes by choice; None where nothing was judged."""
+        """Table of sizes by setup; None where nothing was judged."""
         return size_table(self.analysis, self.groups.vendors)
 
     @cached_property
@@ -114,6 +117,6 @@ class Book:
         return record_tables(self.analysis)
 
     @cached_property
-    def surroundings(self) -> Surroundings | None:
+    def environment(self) -> RecordedEnvironment | None:
         """How it was recorded, by device and role; None without sessions."""
-        return surroundings(self.analysis, self.groups)
+        return recorded_environment(self.analysis, self.groups)

@@ -1,7 +1,7 @@
 """Dimensions along which a report spreads its groups over panels and lines, with the label of each value.
 
-`choice` is what a reader chooses between (middleware, way between the domains, whatever else differs) and `place` where it
-was measured (devices and link); both are made of dimensions of their own (`MADE_OF`).
+`choice` is the setup (middleware, way between the domains, whatever else differs) and `place` the device pair and link; both
+are made of other dimensions (`MADE_OF`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MADE_OF = {
     "plane": ("size", "rate"),
     "load": ("size", "rate"),
 }
-"""Dimension -> the dimensions that it is made of; the last three are positions on an axis alone."""
+"""Dimension -> the dimensions that it is made of; the last three are only positions on an axis."""
 
 LABELS = {
     "data": "data",
@@ -50,38 +50,38 @@ class Dimension:
     Attributes:
         label: name for readers.
         options: label of each value that any group has, in the order of cells and series.
-        of_group: place of each group's value among the options.
+        index: for each group the index of its value among the options.
         short: label of each value at the end of a line.
     """
 
     label: str
     options: tuple[str, ...]
-    of_group: tuple[int, ...]
+    index: tuple[int, ...]
     short: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Facets:
-    """All dimensions, and for each option of `choice` the series without its place, for its look.
+    """All dimensions.
 
     Attributes:
         dimensions: key of `LABELS` -> dimension.
-        choices: one for each option of `choice`.
+        choices: the series of each option of `choice`, without its device pair and link.
     """
 
     dimensions: Mapping[str, Dimension]
     choices: tuple[Series, ...]
 
     def option(self, key: str, group: int) -> int:
-        """Return the place of a group's value in a dimension."""
-        return self.dimensions[key].of_group[group]
+        """Return the index of a group's value in a dimension."""
+        return self.dimensions[key].index[group]
 
     def label(self, key: str, group: int) -> str:
         """Return the label of a group's value in a dimension."""
         return self.dimensions[key].options[self.option(key, group)]
 
     def varies(self, key: str) -> bool:
-        """Whether groups differ in a dimension."""
+        """Return whether groups differ in a dimension."""
         return len(self.dimensions[key].options) > 1
 
 
@@ -94,11 +94,14 @@ def facets_info(groups: Groups) -> Facets:
 
     def choice(series: Series) -> Value:
         name, way = names[_apart_from_place(series)], domain_label(series)
-        told = f"{series.vendor_label}, {way}"
         bridge = SHORT_BRIDGES.get(series.bridge, printable(series.bridge))
         brief = f"{series.vendor_label}, {bridge}" if bridging else bridge
         at_home = series.domain_mode == "same" or series.bridge == "none"
-        short = name.replace(", same domain", "") if at_home else name.replace(told, brief)
+        short = (
+            name.replace(", same domain", "")
+            if at_home
+            else name.replace(f"{series.vendor_label}, {way}", brief)
+        )
         return Value(_apart_from_place(series), name, short)
 
     def rest(series: Series) -> Value:
@@ -111,12 +114,12 @@ def facets_info(groups: Groups) -> Facets:
     def link(series: Series) -> Value:
         return _named(printable(series.connectivity))
 
-    of_cell: dict[str, Callable[[Cell], Value]] = {
+    values_of_cells: dict[str, Callable[[Cell], Value]] = {
         "data": lambda cell: _named(data_type_label(cell.data_type)),
         "size": lambda cell: Value(cell.payload_bytes, format_size(cell.payload_bytes)),
         "rate": lambda cell: Value(cell.rate_hz, format_rate(cell.rate_hz)),
     }
-    of_series: dict[str, Callable[[Series], Value]] = {
+    values_of_series: dict[str, Callable[[Series], Value]] = {
         "vendor": lambda series: _named(series.vendor_label),
         "way": lambda series: _named(domain_label(series)),
         "rest": rest,
@@ -127,16 +130,16 @@ def facets_info(groups: Groups) -> Facets:
     }
     dimensions = {}
     for key, name in LABELS.items():
-        if key in of_cell:
-            own = [of_cell[key](cell) for cell in groups.cells]
+        if key in values_of_cells:
+            own = [values_of_cells[key](cell) for cell in groups.cells]
             values = [own[group.cell] for group in groups.groups]
         else:
-            own = [of_series[key](series) for series in groups.series]
+            own = [values_of_series[key](series) for series in groups.series]
             values = [own[group.series] for group in groups.groups]
         distinct = {value.value: value for value in own}
         if key in ("size", "rate"):
             distinct = dict(sorted(distinct.items()))
-        rank = {value: place for place, value in enumerate(distinct)}
+        rank = {value: index for index, value in enumerate(distinct)}
         dimensions[key] = Dimension(
             name,
             tuple(value.label for value in distinct.values()),
@@ -147,12 +150,12 @@ def facets_info(groups: Groups) -> Facets:
 
 
 SHORT_BRIDGES = {"builtin": "built-in", "builtin-zenoh": "built-in Zenoh"}
-"""Bridge -> what it is called at the end of a line; any other by its own name."""
+"""Bridge -> its name at the end of a line; any other has its own."""
 
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One value of a dimension, its label, and what it is called at the end of a line if that differs."""
+    """One value of a dimension, its label, and its label at the end of a line if that differs."""
 
     value: Any
     label: str

@@ -1,4 +1,4 @@
-"""Findings as every report shows them: one entry per kind, groups under the names that the report gives them."""
+"""Findings as every report shows them: one entry per kind, groups under their names in the report."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _SPELLED = {"cpu": "CPU", "udp": "UDP"}
 _TITLES = {
     "waits_in_reader": "Messages wait for the program that reads them",
     "few_samples": "Too few messages for a percentile",
-    "not_applied": "Asked for and not applied",
+    "not_applied": "Requested and not applied",
 }
-"""Code -> its name in a report, where the words of the code do not say it."""
+"""Code -> its name in a report, where the words of the code are not enough."""
 
 _MOST_NAMED = 3
-"""Most groups that a finding names; it counts more than these."""
+"""Most groups that a finding names; of more it has the number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +40,15 @@ class OneFinding:
     """One finding; strings are `printable` and not yet escaped for a medium.
 
     Attributes:
-        groups: names of all its groups if `where` only counts them, else empty.
-        places: all its groups, the worst first (`worst_first`).
+        groups: names of all its groups if `where` only has their number, else empty.
+        worst_first: indices of all its groups (`worst_first`).
     """
 
     where: str
     what: str
     action: str
     groups: tuple[str, ...] = ()
-    places: tuple[int, ...] = ()
+    worst_first: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +81,13 @@ class FindingKind:
 
     @property
     def common_action(self) -> str:
-        """Action that all listed findings share; empty if they differ."""
+        """Action of all listed findings; empty if they differ."""
         actions = {one.action for one in self.listed}
         return self.listed[0].action if len(actions) == 1 else ""
 
 
 def worst_first(values: Values) -> tuple[int, ...]:
-    """Return the groups in the order in which a reader looks at them: most losses first, then the slowest medians."""
+    """Return the indices of the groups: most losses first, then the slowest medians."""
     received, times = values.plain["received_ratio"], values.times_ns[values.default_metric]["p50"]
     return tuple(
         sorted(
@@ -99,12 +99,12 @@ def worst_first(values: Values) -> tuple[int, ...]:
 
 def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[FindingKind, ...]:
     """Gather the findings by kind, the most severe first."""
-    rank = {group: place for place, group in enumerate(worst_first(values))}
+    rank = {group: index for index, group in enumerate(worst_first(values))}
     labels = group_labels(groups)
     recordings = tuple({f"{session.role} on {session.device} (" for session in analysis.sessions})
-    together: dict[tuple[str, str], list[Finding]] = {}
+    kinds: dict[tuple[str, str], list[Finding]] = {}
     for finding in analysis.findings:
-        together.setdefault((finding.severity.value, finding.code), []).append(finding)
+        kinds.setdefault((finding.severity.value, finding.code), []).append(finding)
     return tuple(
         FindingKind(
             severity,
@@ -113,7 +113,7 @@ def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[F
             sum(finding.count for finding in same),
             tuple(_one(finding, labels, rank, recordings) for finding in same),
         )
-        for (severity, code), same in together.items()
+        for (severity, code), same in kinds.items()
     )
 
 
@@ -130,23 +130,21 @@ def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]
 def _one(
     finding: Finding, labels: Sequence[str], rank: Mapping[int, int], recordings: tuple[str, ...]
 ) -> OneFinding:
-    # What is about a recording keeps its name (`Evidence.session_name`), and links to its groups.
+    # A finding about a recording keeps its name (`Evidence.session_name`).
     is_of_recording = finding.where.startswith(recordings)
     named = () if is_of_recording else tuple(labels[group] for group in finding.groups)
     many = len(named) > _MOST_NAMED
     if len(named) == len(labels) > 1:
-        where = f"all {len(named)} groups"
+        where = f"all {len(named)} results"
     elif many:
-        where = f"{len(named)} groups, such as {named[0]}"
+        where = f"{len(named)} results, such as {named[0]}"
     else:
         where = "; ".join(named) or finding.where
     where, what, action = (
         printable(text, MAX_FINDING_CHARACTERS) for text in (where, finding.what, finding.action)
     )
     listed = named if many and len(named) < len(labels) else ()
-    return OneFinding(
-        where, what, action, listed, tuple(sorted(finding.groups, key=lambda group: rank[group]))
-    )
+    return OneFinding(where, what, action, listed, tuple(sorted(finding.groups, key=rank.__getitem__)))
 
 
 def _title(code: str) -> str:

@@ -1,4 +1,4 @@
-"""Groups of a report, the series that they form and the cells that they share.
+"""Groups of a report, which readers know as results, the series that they form and the cells that they share.
 
 A group is one row of `Analysis.summary`. Its cell is what was sent (data type, size, rate), its series everything
 else (vendor, domains, bridge, QoS, devices). Groups of one cell can be compared; groups of one series form a line.
@@ -6,9 +6,8 @@ else (vendor, domains, bridge, QoS, devices). Groups of one cell can be compared
 
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.metrics import METRICS
@@ -21,11 +20,8 @@ from dds_trace.base.units import MISSING, format_duration, format_rate, format_s
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from _typeshed import DataclassInstance
-
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.analyzer.model.names import Rule
-
 
 _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 
@@ -33,8 +29,8 @@ _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 def markdown(text: object) -> str:
     """Escape text for GitHub's Markdown, also inside a table cell.
 
-    Punctuation becomes entities, which Markdown never interprets as syntax. An empty comment follows `@` and `#`,
-    because GitHub resolves entities before it looks for mentions and issue references.
+    Punctuation becomes entities, which Markdown never interprets. An empty comment follows `@` and `#`, because GitHub
+    resolves entities before it looks for mentions and issues.
     """
     parts = []
     for c in printable(text, MAX_FINDING_CHARACTERS):
@@ -44,24 +40,8 @@ def markdown(text: object) -> str:
             parts.append(f"{c}<!-- -->")
         else:
             parts.append(f"&#{ord(c)};")
-    # GitHub turns bare addresses into links; an entity inside keeps them text.
+    # An entity inside an address stops GitHub from turning it into a link.
     return "".join(parts).replace("://", "&#58;//").replace("www.", "www&#46;")
-
-
-def json_island(value: object) -> str:
-    """Encode JSON that cannot end its `<script>` element: dataclasses as objects, sorted keys, no NaN."""
-    text = json.dumps(
-        value, separators=(",", ":"), sort_keys=True, ensure_ascii=False, allow_nan=False, default=_fields
-    )
-    for character in "<>&\u2028\u2029":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    # A lone surrogate (undecodable file name) cannot be written as UTF-8.
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
-
-
-def _fields(record: DataclassInstance) -> dict[str, object]:
-    # Not `asdict`: that copies every number of a campaign one by one.
-    return {each.name: getattr(record, each.name) for each in fields(record)}
 
 
 def format_added_ns(value_ns: float) -> str:
@@ -70,7 +50,7 @@ def format_added_ns(value_ns: float) -> str:
 
 
 def format_ratio(value: float | None) -> str:
-    """Format a share in percent; `100 %` and `0 %` stand for exactly these values: `99.99 %`."""
+    """Format a share in percent, as in `99.99 %`; only exact values are `100 %` and `0 %`."""
     if value is None or not math.isfinite(value):
         return MISSING
     percent = 100.0 * value
@@ -89,8 +69,8 @@ def format_count(value: float | None) -> str:
 LATENCY_MEANING = (
     "Latency is (round trip - time in the relay) / 2, each of the two measured on one device's own clock. It is the mean of a "
     "message's two ways, so its tail is not that of one way: a message that was slow one way only counts with half of the delay. "
-    "Where the slow moments of the two ways do not coincide, the p99 of one way is higher than that of the latency: in simulations "
-    "of such ways the latter lay 20 to 50 % below. Read tails of one way from outbound and return with their clock bound, deadlines from the response."
+    "Where the slow moments of the two ways do not coincide, the p99 of one way is 20 to 50 % above that of the latency in simulations. "
+    "Read tails of one way from outbound and return with their clock bound, deadlines from the response."
 )
 """What the latency is and what its tail is not, in words."""
 
@@ -119,10 +99,10 @@ VENDORS = {
     "zenoh": "Zenoh",
     "socket": "Socket",
 }
-"""Vendor in a trace -> label, in the order of a report; sessions name the label of any other vendor."""
+"""Vendor in a trace -> label, in the order of a report; sessions have the label of any other vendor."""
 
 BRIDGES = {"builtin": "our built-in bridge", "builtin-zenoh": "our built-in Zenoh bridge"}
-"""Bridge in a trace -> its words; any other bridge is shown by its own name."""
+"""Bridge in a trace -> its words; any other bridge is shown by its name."""
 
 DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
 """Data type in a trace -> label, in the order of the paper."""
@@ -133,7 +113,7 @@ class VendorLabels:
     """Labels of the vendors of an analysis.
 
     Attributes:
-        labels: label of each vendor that has one; any other is shown as it stands in the trace.
+        labels: label of each vendor that has one; any other is shown as in the trace.
     """
 
     labels: Mapping[str, str]
@@ -151,10 +131,10 @@ class VendorLabels:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Parameters of a group without data type, size and rate.
+    """Parameters of a group without its message: its setup, device pair and link.
 
     Attributes:
-        further: the parameters that have no field of their own, as in `name value`.
+        further: the parameters without a field of their own, as in `name value`.
         vendor_label: label of the vendor, or of both vendors if ping and relay differ.
     """
 
@@ -186,7 +166,7 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Data type, size and rate of a group."""
+    """Message of a group: data type, size and rate."""
 
     data_type: str
     payload_bytes: int
@@ -224,6 +204,11 @@ class Groups:
     labels: tuple[str, ...]
     vendors: VendorLabels
 
+    @property
+    def in_order(self) -> list[Group]:
+        """The groups by cell, then series."""
+        return sorted(self.groups, key=lambda group: (group.cell, group.series))
+
     def cell_of(self, group: Group) -> Cell:
         """Return the cell of a group."""
         return self.cells[group.cell]
@@ -259,13 +244,13 @@ def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Group
 
 
 def series_labels(series: Sequence[Series]) -> list[str]:
-    """Label each series by its vendor and by the parameters in which any two of them differ."""
+    """Label each series by its vendor and the parameters in which any two of them differ."""
     parts = (*_LABEL_PARTS, (where_it_helps, _setting_label_of(series)))
     return tell_apart(series, lambda one: one.vendor_label, parts)
 
 
 def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
-    """Return the function that labels a series by the parts of its setting in which any two of them differ."""
+    """Return the function that labels a series by the parts of its setting in which any two differ."""
     settings = {one.setting: parse_setting(one.setting) for one in series}
     keys = sorted({key for setting in settings.values() for key in setting})
     varying = [key for key in keys if len({setting.get(key) for setting in settings.values()}) > 1]
@@ -279,46 +264,43 @@ def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
 
 
 def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> list[str]:
-    """Label settings by everything in which any two of them differ: it is what a reader has to set.
+    """Label settings by everything in which any two of them differ, which is what a reader has to set.
 
     Args:
         settings: values of `SETTING_COLUMNS`.
         vendors: labels of the vendors.
     """
-    unknown = dict.fromkeys(SERIES_COLUMNS)
-    series = [_series({**unknown, **setting}, vendors) for setting in settings]
+    series = [_series({**dict.fromkeys(SERIES_COLUMNS), **setting}, vendors) for setting in settings]
     parts = (*_LABEL_PARTS, (where_it_varies, _setting_label_of(series)))
-    told = [(where_it_varies if word not in _FOLLOWING else rule, word) for rule, word in parts]
-    return tell_apart(series, lambda one: one.vendor_label, told)
+    rules = [(where_it_varies if word not in _FOLLOWING else rule, word) for rule, word in parts]
+    return tell_apart(series, lambda one: one.vendor_label, rules)
 
 
 def vendor_labels(analysis: Analysis) -> VendorLabels:
-    """Collect the labels of the vendors: those of `VENDORS`, and those that the sessions name."""
-    named = {session.vendor: session.extra.get("vendor_label") for session in analysis.sessions}
-    told = {vendor: printable(label) for vendor, label in named.items() if isinstance(label, str) and label}
-    return VendorLabels({**told, **VENDORS})
+    """Collect the labels of the vendors: `VENDORS`, and what the sessions have for others."""
+    labels = {session.vendor: session.extra.get("vendor_label") for session in analysis.sessions}
+    own = {vendor: printable(label) for vendor, label in labels.items() if isinstance(label, str) and label}
+    return VendorLabels({**own, **VENDORS})
 
 
 def _series(row: Mapping[str, Any], vendors: VendorLabels) -> Series:
-    known = [name for name in SERIES_COLUMNS if name in Series.__dataclass_fields__]
-    further = tuple(f"{name} {row[name]}" for name in SERIES_COLUMNS if name not in known)
+    names = [name for name in SERIES_COLUMNS if name in Series.__dataclass_fields__]
+    further = tuple(f"{name} {row[name]}" for name in SERIES_COLUMNS if name not in names)
     label = vendors.of_pair(row["vendor"], row["relay_vendor"])
-    return Series(**{name: row[name] for name in known}, further=further, vendor_label=label)
+    return Series(**{name: row[name] for name in names}, further=further, vendor_label=label)
 
 
 def group_labels(groups: Groups) -> tuple[str, ...]:
-    """Label each group by its cell and by what sets its series apart: `Binary 33 KB at 10 Hz, via builtin`.
+    """Label each group by its cell and what distinguishes its series: `Binary 33 KB at 10 Hz, through our built-in bridge`.
 
     A vendor that all groups share is left out.
     """
-    endings = {place: f", {label}" for place, label in enumerate(_short_labels(groups)) if label}
-    return tuple(f"{groups.cell_of(group).label}{endings.get(group.series, '')}" for group in groups.groups)
-
-
-def _short_labels(groups: Groups) -> list[str]:
     vendors = {series.vendor_label for series in groups.series}
     shared = vendors.pop() if len(vendors) == 1 else ""
-    return [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
+    short = [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
+    return tuple(
+        ", ".join(filter(None, (groups.cell_of(group).label, short[group.series]))) for group in groups.groups
+    )
 
 
 def data_type_label(data_type: str) -> str:
@@ -354,16 +336,13 @@ def device_label(series: Series) -> str:
 
 
 def device_pair(ping_device: str, relay_device: str | None) -> str:
-    """Name the ping's device, and the relay's if it is known and differs."""
-    if relay_device is None or relay_device == ping_device:
-        return printable(ping_device)
-    return f"{printable(ping_device)} → {printable(relay_device)}"
+    """Name the ping's device, and the relay's if there is one and it differs."""
+    devices = [printable(device) for device in (ping_device, relay_device) if device is not None]
+    return " → ".join(dict.fromkeys(devices))
 
 
 def _backend_label(series: Series) -> str:
-    if series.relay_backend is None or series.relay_backend == series.backend:
-        return printable(series.backend)
-    return f"{printable(series.backend)} → {printable(series.relay_backend)}"
+    return device_pair(series.backend, series.relay_backend)
 
 
 def _rmw_label(series: Series) -> str:
@@ -383,16 +362,22 @@ _LABEL_PARTS: tuple[tuple[Rule, Callable[[Series], str]], ...] = (
     (where_it_helps, _rmw_label),
     (where_it_helps, lambda s: printable(", ".join(s.further))),
 )
-"""Parts of a series label behind the vendor."""
+"""Parts of a series label after the vendor."""
 
 _FOLLOWING = (_backend_label, _rmw_label)
-"""Parts that mostly follow the vendor, so that they are told of a setting only where nothing else tells it apart."""
+"""Parts that mostly follow from the vendor: a setting has them only where nothing else distinguishes it."""
 
 
-def known_first(values: Iterable[str], known: Iterable[str]) -> list[str]:
-    """Sort distinct values: those of `known` in its order, then the others by name."""
-    order = {name: place for place, name in enumerate(known)}
-    return sorted(set(values), key=lambda value: (order.get(value, len(order)), value))
+def in_order_of(values: Iterable[str], order: Iterable[str]) -> list[str]:
+    """Sort distinct values: those of `order` first, then the others by name."""
+    rank = {name: index for index, name in enumerate(order)}
+    return sorted(set(values), key=lambda value: (rank.get(value, len(rank)), value))
+
+
+def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
+    """Join names for a sentence, as in `a, b and c`."""
+    *first, last = names
+    return f"{comma.join(first)} {word} {last}" if first else last
 
 
 def _series_order(series: Series) -> tuple[object, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from .groups import (
     device_label,
     domain_label,
     format_count,
-    known_first,
+    in_order_of,
     qos_label,
 )
 from .recording import cost_words, setting_words, version_words
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from .recording import OwnCost, RunTime
 
 MOST_LISTED = 12
-"""Most values listed in one line; more become a range or are cut, so that the first screen stays one screen."""
+"""Most values in one line; more become a range or are cut, so that the first screen stays one screen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +45,7 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """Title and lines of what was measured.
-
-    Attributes:
-        title: name of the analyzed folder.
-        facts: lines in order; strings from traces are `printable` but not escaped for a format.
-    """
+    """Name of the analyzed folder, and facts whose strings are `printable` but not escaped for a format."""
 
     title: str
     facts: tuple[Fact, ...]
@@ -57,11 +53,11 @@ class Overview:
     @property
     def brief(self) -> str:
         """Most important lines joined into one, for a narrow screen."""
-        known = {fact.label: fact.value for fact in self.facts}
-        if "Messages" in known:
-            known["Messages"] = known["Messages"].replace(" in ", " messages in ", 1)
+        values = {fact.label: fact.value for fact in self.facts}
+        if "Messages" in values:
+            values["Messages"] = values["Messages"].replace(" in ", " messages in ", 1)
         return "; ".join(
-            known[label] for label in ("Middleware", "Devices", "Messages", "When") if label in known
+            values[label] for label in ("Middleware", "Devices", "Messages", "When") if label in values
         )
 
 
@@ -102,15 +98,14 @@ def _devices(analysis: Analysis, groups: Groups) -> str:
 
 
 def _conditions(groups: Groups) -> str:
-    """List what surrounded the runs, each set of conditions once; empty where nothing did."""
-    told = {conditions_label(condition_of(one.setting)) for one in groups.series}
-    return "; ".join(sorted(told - {""}))
+    """List the conditions of the runs, each set once."""
+    return "; ".join(sorted({conditions_label(condition_of(one.setting)) for one in groups.series} - {""}))
 
 
 def _vendors(analysis: Analysis, groups: Groups) -> list[str]:
     if groups.series:
         return list(dict.fromkeys(one.vendor_label for one in groups.series))
-    return [groups.vendors.of(one) for one in known_first({one.vendor for one in analysis.sessions}, VENDORS)]
+    return [groups.vendors.of(one) for one in in_order_of({one.vendor for one in analysis.sessions}, VENDORS)]
 
 
 def _messages(analysis: Analysis) -> str:
@@ -118,21 +113,19 @@ def _messages(analysis: Analysis) -> str:
         return ""
     published, received = (int(analysis.summary[name].sum()) for name in ("published", "received"))
     runs = len(analysis.runs)
-    came_back = "all came back" if published == received else f"{format_count(received)} came back"
+    share = "all received" if published == received else f"{format_count(received)} received"
     unsent = int(analysis.summary["unsent"].sum())
-    never = f", {format_count(unsent)} more never left" if unsent else ""
-    return f"{format_count(published)} in {counted(runs, 'run', text=format_count(runs))}, {came_back}{never}"
+    never = f", {format_count(unsent)} more never sent" if unsent else ""
+    return f"{format_count(published)} in {counted(runs, 'run', text=format_count(runs))}, {share}{never}"
 
 
 def _sent(groups: Groups) -> str:
-    sizes: dict[str, list[int]] = {}
+    sizes: dict[str, dict[int, None]] = {}
     for cell in groups.cells:
-        of_type = sizes.setdefault(cell.data_type, [])
-        if cell.payload_bytes not in of_type:
-            of_type.append(cell.payload_bytes)
+        sizes.setdefault(cell.data_type, {})[cell.payload_bytes] = None
     return "; ".join(
-        f"{data_type_label(data_type)} {_listed(format_size(size) for size in of_type)}"
-        for data_type, of_type in list(sizes.items())[:MOST_LISTED]
+        f"{data_type_label(data_type)} {_listed(map(format_size, own))}"
+        for data_type, own in list(sizes.items())[:MOST_LISTED]
     )
 
 
@@ -146,7 +139,7 @@ def _rates(groups: Groups) -> str:
 
 
 def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:
-    """Give the span from the first session to the last message of a run with a known session, in UTC."""
+    """Return the span from the first session to the last message of a run, in UTC."""
     instants = [session.wall_anchor_ns for session in analysis.sessions]
     if not instants:
         return ""
@@ -161,7 +154,7 @@ def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:
 
 
 def _utc(wall_ns: int) -> datetime | None:
-    """Convert a wall-clock time to UTC; None if the device's clock held no valid date."""
+    """Convert a wall-clock time to UTC; None if it is not a valid date."""
     try:
         return datetime.fromtimestamp(wall_ns / 1e9, tz=timezone.utc)
     except (OverflowError, OSError, ValueError):
@@ -169,7 +162,7 @@ def _utc(wall_ns: int) -> datetime | None:
 
 
 def utc_words(wall_ns: int) -> str:
-    """Return a wall-clock time to the second in UTC; empty if it is no valid date."""
+    """Return a wall-clock time to the second in UTC; empty if it is not a valid date."""
     at = _utc(wall_ns)
     return "" if at is None else f"{at:%Y-%m-%d %H:%M:%S} UTC"
 
@@ -177,7 +170,5 @@ def utc_words(wall_ns: int) -> str:
 def _traces(analysis: Analysis) -> str:
     if not analysis.sources:
         return "none found"
-    status: dict[str, int] = {}
-    for source in analysis.sources:
-        status[source.status] = status.get(source.status, 0) + 1
-    return ", ".join(f"{count} {printable(name)}" for name, count in status.items())
+    counts = Counter(source.status for source in analysis.sources)
+    return ", ".join(f"{count} {printable(status)}" for status, count in counts.items())

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
 import polars as pl
 
 from dds_trace.analyzer.groups.timeline import run_rows
@@ -20,7 +19,8 @@ from dds_trace.analyzer.model.applied import (
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 
-from .groups import VENDORS, format_count, known_first, vendor_labels
+from .groups import VENDORS, format_count, in_order_of, vendor_labels
+from .numbers import whole_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunTime:
-    """Start and end of one run, and what came back.
+    """Start and end of one run, and what was received.
 
     Attributes:
         group: index of its group; the first one if several relays answered.
         origin_ns: planned send time of its first counted message, on the ping's monotonic clock; 0 of `elapsed_s`.
         last_ns: publish time of its last message, on the same clock.
-        session: session of the ping; None if the run names none.
+        session: session of the ping; None if the run has none.
         published: messages sent, times the relays that took part; `received` likewise.
-        p50_ns: median of the latency, or of the round trip where no relay stamped; None where nothing came back.
+        p50_ns: median of the latency, or of the round trip where no relay stamped; None where nothing was received.
         max_ns: the slowest of it.
     """
 
@@ -56,8 +56,8 @@ class RunTime:
 
 def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
     """Collect start and end of the runs of `analysis.timeline`, in its order."""
-    of_runs = run_rows(analysis.run_times, analysis.scan_roundtrips())
-    rows = {row["run_id"]: row for row in of_runs.iter_rows(named=True)}
+    frame = run_rows(analysis.run_times, analysis.scan_roundtrips())
+    rows = {row["run_id"]: row for row in frame.iter_rows(named=True)}
     sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
     session_of = {run.run_id: sessions.get(str(run.extra.get("session_id"))) for run in analysis.runs}
     drawn = analysis.timeline.group_by("run_id", maintain_order=True).agg(pl.first("group"))
@@ -70,7 +70,7 @@ def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
             session_of.get(run_id),
             row["published"],
             row["received"],
-            None if row["p50_ns"] is None else round(row["p50_ns"]),
+            whole_ns(row["p50_ns"]),
             row["max_ns"],
         )
         for run_id, group in drawn.iter_rows()
@@ -78,31 +78,11 @@ def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
     )
 
 
-def bridge_loads(analysis: Analysis, times: Sequence[RunTime]) -> dict[int, float]:
-    """Average the load of the bridges' processes over the runs of each group.
-
-    Returns:
-        Group -> load in percent of one processor; groups without samples are missing.
-    """
-    samples = analysis.details.host_samples.filter(pl.col("bridge_cpu_percent").is_not_null())
-    of_session = {key[0]: part for key, part in samples.partition_by("session_id", as_dict=True).items()}
-    loads_of_group: dict[int, list[float]] = {}
-    for run in times if of_session else ():
-        if run.session is not None and run.session.session_id in of_session:
-            part = of_session[run.session.session_id]
-            at_ns = part["monotonic_ns"].to_numpy()
-            during = (at_ns >= run.origin_ns) & (at_ns <= run.last_ns)
-            loads_of_group.setdefault(run.group, []).extend(
-                part["bridge_cpu_percent"].to_numpy()[during].tolist()
-            )
-    return {group: round(float(np.mean(loads)), 1) for group, loads in loads_of_group.items() if loads}
-
-
 MOST_ROWS = 200
-"""Most rows of a table. A campaign of 500 cells has 1,000 sessions and files; the JSON report lists them all."""
+"""Most rows of a table; the JSON report has all of them."""
 
 FLEETING = "wifi"
-"""Part of a fingerprint that differs between any two sessions; the figure of the load shows it over time."""
+"""Part of a fingerprint that always differs; the figure of the load shows it over time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,11 +107,11 @@ def record_tables(analysis: Analysis) -> tuple[RecordTable, ...]:
 
 
 def _sessions(analysis: Analysis) -> RecordTable:
-    """Tabulate the sessions; those that were alike share a row, because a sweep starts one process per cell."""
+    """Tabulate the sessions; equal ones share a row, because a sweep starts a process per result."""
     alike: dict[tuple[str, ...], list[Session]] = {}
     vendors = vendor_labels(analysis)
     for one in analysis.sessions:
-        surroundings = [
+        host = [
             f"{printable(name)} {printable(value)}" for name, value in one.host.items() if name != FLEETING
         ]
         key = (
@@ -143,31 +123,22 @@ def _sessions(analysis: Analysis) -> RecordTable:
             str(one.domain_id),
             printable(one.connectivity),
             "clean" if one.state == "closed" else "cut off",
-            ", ".join([*surroundings, *applied_words(one)]),
+            ", ".join([*host, *applied_words(one)]),
         )
         alike.setdefault(key, []).append(one)
     rows = [
-        (*key[:-2], format_count(len(held)), format_count(sum(one.dropped_events for one in held)), *key[-2:])
-        for key, held in alike.items()
+        (*key[:-2], format_count(len(own)), format_count(sum(one.dropped_events for one in own)), *key[-2:])
+        for key, own in alike.items()
     ]
     columns = (
-        "Device",
-        "Role",
-        "Vendor",
-        "Backend",
-        "RMW",
-        "Domain",
-        "Link",
-        "Sessions",
-        "Dropped events",
-        "End",
-        "Host",
+        *("Device", "Role", "Vendor", "Backend", "RMW", "Domain", "Link"),
+        *("Sessions", "Dropped events", "End", "Host"),
     )
     return _table("Recording sessions", columns, rows, len(analysis.sessions))
 
 
 def applied_words(session: Session) -> list[str]:
-    """Describe what the process was seen to use; nothing of an older session, which does not tell."""
+    """Describe what the process was seen to use; nothing for a session that did not record it."""
     path = payload_path(session)
     if path is None:
         return []
@@ -183,7 +154,7 @@ _LONGEST_SETTING = 40
 """Characters of a setting among the facts of the first screen."""
 
 _WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
-"""Path of a payload -> its words; any other is the name of an interface."""
+"""Path of a payload -> its words; any other is an interface."""
 
 
 def _sources(analysis: Analysis) -> RecordTable:
@@ -202,13 +173,15 @@ def _table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]], co
 
 @dataclass(frozen=True, slots=True)
 class OwnCost:
-    """Cost of measuring with one vendor and backend: the slowest of its sessions, None if no session measured it.
+    """Cost of measuring with one vendor and backend: the slowest of its sessions, null if no session measured it.
 
     Attributes:
-        record_median_ns: median time to record one event; `record_p99_ns` likewise.
+        record_median_ns: median time to record one event.
+        record_p99_ns: p99 of it.
         floor_median_ns: median time of a short message from a node to itself, the floor of every latency through this
-            client library; `floor_p99_ns` likewise.
-        floor_messages: smallest number of messages behind a floor.
+            client library.
+        floor_p99_ns: p99 of it.
+        floor_messages: smallest number of messages that a floor rests on.
     """
 
     vendor: str
@@ -222,13 +195,13 @@ class OwnCost:
 
 def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
     """Collect the costs of each vendor and backend whose sessions measured them."""
-    together: dict[tuple[str, str], list[Session]] = {}
+    by_backend: dict[tuple[str, str], list[Session]] = {}
     for session in analysis.sessions:
-        together.setdefault((session.vendor, session.backend), []).append(session)
-    order = known_first({vendor for vendor, _ in together}, VENDORS)
+        by_backend.setdefault((session.vendor, session.backend), []).append(session)
+    order = in_order_of({vendor for vendor, _ in by_backend}, VENDORS)
     costs = []
-    for vendor, backend in sorted(together, key=lambda pair: (order.index(pair[0]), pair[1])):
-        sessions = together[vendor, backend]
+    for vendor, backend in sorted(by_backend, key=lambda pair: (order.index(pair[0]), pair[1])):
+        sessions = by_backend[vendor, backend]
         cost = OwnCost(
             vendor,
             backend,
@@ -249,7 +222,7 @@ def cost_words(costs: Sequence[OwnCost]) -> str:
         ("recording an event", "record_median_ns", "record_p99_ns"),
         ("a message from a node to itself", "floor_median_ns", "floor_p99_ns"),
     )
-    said = []
+    words = []
     for what, median, p99 in parts:
         slowest = max(
             (cost for cost in costs if getattr(cost, median) is not None),
@@ -259,48 +232,37 @@ def cost_words(costs: Sequence[OwnCost]) -> str:
         if slowest is not None:
             tail = getattr(slowest, p99)
             within = "" if tail is None else f" (p99 {format_duration(tail)})"
-            said.append(f"{what} {format_duration(getattr(slowest, median))}{within}")
-    return f"{'; '.join(said)}; not subtracted" if said else ""
+            words.append(f"{what} {format_duration(getattr(slowest, median))}{within}")
+    return f"{'; '.join(words)}; not subtracted" if words else ""
 
 
 def setting_words(analysis: Analysis) -> str:
-    """Describe what the middlewares were told, from the sessions: `executor events; transport default; tuned false`."""
-    told: dict[str, list[str]] = {}
+    """Describe the settings of the middlewares, from the sessions: `executor events; transport default; tuned false`."""
+    values: dict[str, dict[str, None]] = {}
     for session in analysis.sessions:
         middleware = session.host.get("middleware")
         for name, value in middleware.items() if isinstance(middleware, dict) else ():
-            # A configuration in XML would be most of a first screen; whole it stands in the table of the sessions.
-            words = printable(value, _LONGEST_SETTING)
-            if words not in told.setdefault(printable(name), []):
-                told[printable(name)].append(words)
+            # A configuration in XML would fill a first screen; the table of the sessions has all of it.
+            values.setdefault(printable(name), {})[printable(value, _LONGEST_SETTING)] = None
         path = payload_path(session)
         if path is not None:
-            ways = told.setdefault("payload carried by", [])
-            words = _WAYS.get(path, printable(path))
-            ways += [words] if words not in ways else []
-    return "; ".join(f"{name} {' or '.join(values)}" for name, values in told.items())
+            values.setdefault("payload carried by", {})[_WAYS.get(path, printable(path))] = None
+    return "; ".join(f"{name} {' or '.join(own)}" for name, own in values.items())
 
 
 def version_words(analysis: Analysis) -> str:
     """List the versions of all sessions: `rclpy 7.1.6, fastrtps 2.14.5 or 2.14.6`."""
-    told: dict[str, list[str]] = {}
+    values: dict[str, dict[str, None]] = {}
     for session in analysis.sessions:
         versions = session.host.get("versions")
         for name, value in versions.items() if isinstance(versions, dict) else ():
-            if printable(value) not in told.setdefault(printable(name), []):
-                told[printable(name)].append(printable(value))
-    return ", ".join(f"{name} {' or '.join(values)}" for name, values in told.items())
+            values.setdefault(printable(name), {})[printable(value)] = None
+    return ", ".join(f"{name} {' or '.join(own)}" for name, own in values.items())
 
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:
-    """Collect the finite, non-negative values of one field of the sessions; foreign traces may hold anything there."""
-    parts = [held for session in sessions if isinstance(held := session.extra.get(part), dict)]
-    values = [held.get(name) for held in parts]
-    return [
-        round(value)
-        for value in values
-        if isinstance(value, (int, float))
-        and not isinstance(value, bool)
-        and math.isfinite(value)
-        and value >= 0
-    ]
+    """Collect the finite, non-negative values of one field of the sessions; other traces may have anything there."""
+    parts = [fields for session in sessions if isinstance(fields := session.extra.get(part), dict)]
+    values = (fields.get(name) for fields in parts)
+    numbers = (value for value in values if isinstance(value, (int, float)) and not isinstance(value, bool))
+    return [round(value) for value in numbers if math.isfinite(value) and value >= 0]

@@ -1,22 +1,19 @@
-"""Verdicts by kind of data: the analyzer's answers (`dds_trace.analyzer.verdicts.answers`) under the names of a report.
-
-The analyzer has judged which intervals overlap; nothing is judged here.
-"""
+"""The analyzer's verdicts by kind of data, setups and device pairs, under the names of a report; nothing is judged here."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.names import tell_apart, where_alike
 from dds_trace.analyzer.model.setting import parse_setting
-from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.answers import find_headlines
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
-from .groups import DATA_TYPES, data_type_label, device_pair, way_words
+from .groups import DATA_TYPES, data_type_label, device_pair, format_ratio, way_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,22 +24,21 @@ if TYPE_CHECKING:
     from .groups import VendorLabels
 
 CLEARLY = (
-    "Compared is within one combination of data, size and rate, on the same devices and link. A choice is called fastest only where "
-    "its p99 (its median, where a sample is too small for that) lies below that of each of the others by a test of their runs at "
-    "95 %, adjusted for their number; lost messages count as infinitely late, and who receives significantly less never leads. With "
-    "fewer than three runs, and where the tests do not tell, there is no clear winner. Plain sockets are no middleware and no "
-    "contender."
+    "Setups are compared for the same message, on the same devices and link. A setup is called fastest only where its p99 (its "
+    "median, where a sample is too small for that) is below that of each of the others by a test of their runs at 95 %, adjusted for "
+    "their number; lost messages count as infinitely late, and a setup that receives significantly less never leads. With fewer than "
+    "three runs, and where the tests find no difference, there is no clear winner. Plain sockets are not a middleware and not compared."
 )
 
 WITHIN_ONE_RUN = (
-    f"Compared is within one combination of data, size and rate. With fewer than {MIN_RUNS} runs of each nothing is told apart: "
-    "runs of equal settings differ by more than the messages within one run can show."
+    f"Setups are compared for the same message. A verdict needs {MIN_RUNS} runs of each: runs of equal settings differ by more than "
+    "the messages within one run can show."
 )
 """The rule of a campaign whose every comparison has too few runs."""
 
 MODES = {"same": "same domain", "different": "different domains"}
 
-# Columns that extend the labels of contenders with equal labels, the most telling first.
+# Columns that extend equal labels of setups, the most helpful first.
 _FURTHER = (
     "backend",
     "relay_backend",
@@ -57,7 +53,7 @@ _FURTHER = (
 
 @dataclass(frozen=True, slots=True)
 class WinCount:
-    """Number of cells in which a contender was clearly faster than every other; `vendor` determines its colour."""
+    """Number of messages for which a setup was clearly faster than every other; `vendor` determines its colour."""
 
     contender: str
     vendor: str
@@ -66,16 +62,16 @@ class WinCount:
 
 @dataclass(frozen=True, slots=True)
 class DataVerdict:
-    """Result for one kind of data, over all cells in which at least two contenders were measured.
+    """Result for one kind of data, over all messages that at least two setups sent.
 
     Attributes:
         data: data type and domain mode, as in `Binary, same domain`.
         mode: domain mode in words.
-        cells: number of compared cells.
-        wins: winners, the one with most cells first.
-        inconclusive: number of cells without a clear winner.
-        place: devices, link and conditions, as in `pi-3 → pi-4, wired`: each is judged for itself.
-        within_one_run: cells among the inconclusive ones in which a contender has fewer than three runs.
+        cells: number of compared messages.
+        wins: winners, the one with most messages first.
+        inconclusive: number of messages without a clear winner.
+        place: devices, link and conditions, as in `pi-3 → pi-4, wired`; each is judged for itself.
+        within_one_run: messages among the inconclusive ones for which a setup has fewer than three runs.
     """
 
     data: str
@@ -88,8 +84,8 @@ class DataVerdict:
 
 
 def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[DataVerdict, ...]:
-    """Give one verdict per kind of data, devices and link with two contenders, in the usual order."""
-    contenders = {one.name: one for answer in answers for one in answer.contenders}
+    """Give one verdict per kind of data, device pair and link with two setups, in the usual order."""
+    setups = {setup.name: setup for answer in answers for setup in answer.contenders}
     labels = contender_labels(answers, vendors)
     verdicts = []
     for headline in sorted(find_headlines(answers), key=_order):
@@ -102,13 +98,11 @@ def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple
                 mode=mode,
                 cells=headline.cases,
                 wins=tuple(
-                    WinCount(labels[lead.name], str(contenders[lead.name].setting["vendor"]), lead.cases)
+                    WinCount(labels[lead.name], str(setups[lead.name].setting["vendor"]), lead.cases)
                     for lead in headline.leads
                 ),
                 inconclusive=headline.inconclusive,
-                place=place_label(
-                    headline.ping_device, headline.relay_device, headline.connectivity, headline.conditions
-                ),
+                place=place_of(headline),
                 within_one_run=headline.within_one_run,
             )
         )
@@ -126,8 +120,11 @@ _CONDITION_WORDS = {
 
 def conditions_label(conditions: str) -> str:
     """Put conditions of a setting into words: `emulated link wifi-54(loss=1), 2 runs at once`; empty for none."""
-    told = parse_setting(conditions).items()
-    return printable(", ".join(_CONDITION_WORDS.get(key, f"{key} {{}}").format(value) for key, value in told))
+    words = (
+        _CONDITION_WORDS.get(key, f"{key} {{}}").format(value)
+        for key, value in parse_setting(conditions).items()
+    )
+    return printable(", ".join(words))
 
 
 def place_label(ping_device: str, relay_device: str | None, connectivity: str, conditions: str = "") -> str:
@@ -136,22 +133,21 @@ def place_label(ping_device: str, relay_device: str | None, connectivity: str, c
     return ", ".join(part for part in parts if part)
 
 
+def place_of(answer: CaseAnswer | Headline) -> str:
+    """Name the device pair, link and conditions of an answer."""
+    return place_label(answer.ping_device, answer.relay_device, answer.connectivity, answer.conditions)
+
+
 def contender_labels(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> dict[str, str]:
-    """Label each contender by vendor and bridge, and by more columns where labels would be equal.
+    """Label each setup by vendor and bridge, and by more columns where labels would be equal.
 
     Returns:
         Name in the answers -> label.
     """
-    settings = {one.name: one.setting for answer in answers for one in answer.contenders}
+    settings = {setup.name: setup.setting for answer in answers for setup in answer.contenders}
     parts = [(where_alike, partial(_value, column)) for column in _FURTHER]
-    return dict(
-        zip(settings, tell_apart(list(settings.values()), partial(_label, vendors), parts), strict=True)
-    )
-
-
-def combinations(count: int) -> str:
-    """Count combinations of data, size and rate in words: `1 combination`, `12 combinations`."""
-    return counted(count, "combination")
+    labels = tell_apart(list(settings.values()), partial(_label, vendors), parts)
+    return dict(zip(settings, labels, strict=True))
 
 
 def _label(vendors: VendorLabels, setting: Mapping[str, ParameterValue]) -> str:
@@ -166,8 +162,37 @@ def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:
 
 
 def _order(headline: Headline) -> tuple[object, ...]:
-    known = [*DATA_TYPES, headline.data_type]
-    place = known.index(headline.data_type)
     relay = headline.relay_device
     where = headline.connectivity, headline.ping_device, relay is None, relay or "", headline.conditions
-    return place, headline.data_type, headline.domain_mode != "same", *where
+    return *data_type_rank(headline.data_type), headline.domain_mode != "same", *where
+
+
+def data_type_rank(data_type: str) -> tuple[int, str]:
+    """Return the key by which data types are sorted: the paper's first, then the others by name."""
+    return [*DATA_TYPES, data_type].index(data_type), data_type
+
+
+def runs_words(row: Mapping[str, Any]) -> str:
+    """Return on how many runs a row of a comparison rests, as in `5 and 5`, `5 pairs` or `1 and 1, within one run`."""
+    if row["pairs"]:
+        return f"{row['pairs']} pairs"
+    counts = f"{row['base_runs']} and {row['new_runs']}"
+    return counts if row["basis"] == Basis.BETWEEN_RUNS.value else f"{counts}, {row['basis']}"
+
+
+def received_words(row: Mapping[str, Any]) -> str:
+    """Return the shares that both sides received, as in `100 % → 98.5 %`; one share where they are equal."""
+    shares = [format_ratio(row[f"{side}_received_ratio"]) for side in ("base", "new")]
+    return " → ".join(dict.fromkeys(shares))
+
+
+def episodes_words(row: Mapping[str, Any], side: str) -> str:
+    """Return the bursts that the tail of a side rests on, as in `12 bursts`; empty for a median or a mean.
+
+    Args:
+        row: a row of a comparison.
+        side: `base` or `new`.
+    """
+    bursts = row[f"{side}_episodes"]
+    is_tail = row["statistic"].startswith("p9") and row[f"{side}_ns"] is not None
+    return counted(bursts, "burst") if is_tail and bursts is not None else ""

@@ -26,7 +26,7 @@ FORMAT_VERSION = 1
 
 
 def render(info: ComparisonInfo, comparison: Comparison) -> str:
-    """Return everything that a comparison says; infinite times and ratios, of what was lost, are null."""
+    """Return the comparison as JSON; infinite times and ratios, of what was lost, are null."""
     document = {
         "format": FORMAT_VERSION,
         "said": info.said,
@@ -37,7 +37,7 @@ def render(info: ComparisonInfo, comparison: Comparison) -> str:
         "groups": [_group(group) for group in info.groups],
         "only_base": _named(info.only_base, comparison.only_base),
         "only_new": _named(info.only_new, comparison.only_new),
-        "gates": [_gate(one) for one in info.gates],
+        "gates": [_gate(gated) for gated in info.gates],
         "unlike": info.unlike,
         "ignore": info.ignore,
         "notes": info.notes,
@@ -72,16 +72,16 @@ def _group(group: ComparedGroup) -> dict[str, object]:
 
 
 def _curve(values_ns: list[float]) -> list[dict[str, float]]:
-    """Return the levels that came back, with their times."""
+    """Return the levels that were received, with their times."""
     levels = zip(DISTRIBUTION_LEVELS, values_ns, strict=False)
     return [{"level": level, "ns": value} for level, value in levels if math.isfinite(value)]
 
 
-def _gate(one: Gated) -> dict[str, object]:
-    result = one.result
+def _gate(gated: Gated) -> dict[str, object]:
+    result = gated.result
     return {
         "gate": result.gate.text,
-        "group": one.where,
+        "group": gated.where,
         "outcome": result.outcome.value,
         "measured": result.measured,
         "low": result.low,

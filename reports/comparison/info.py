@@ -1,8 +1,9 @@
-"""A comparison in words: what it says first, its groups worst first, and what it rests on."""
+"""A comparison in words: the answer, its results worst first, and what it rests on."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +19,9 @@ from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 
-from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, VENDORS, VendorLabels, group_labels, groups_of
-from ..changes import received_words
-from .words import change_words, why_words
+from ..book.groups import VENDORS, VendorLabels, group_labels, groups_of
+from ..book.verdicts import received_words
+from .words import change_words, metric_words, statistic_words, why_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.gates import GateResult
 
 SHOWN_STATISTICS = ("p50", "p99")
-"""Statistics of a group's row, as far as they were compared; all of them are in its details."""
+"""Statistics in the row of a result, as far as they were compared; its details have all of them."""
 
 WORST_FIRST = (
     "no reply came back",
@@ -44,7 +45,7 @@ WORST_FIRST = (
     "loses less",
     "faster",
 )
-"""What is said of a group, in the order of the groups."""
+"""What is said of a result, in the order of the results."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +59,7 @@ class ComparedGroup:
         delivery: its row of `Comparison.delivery`.
         changes: its rows of `Comparison.rows`.
         distributions: its rows of `Comparison.distributions`.
-        unlike: how the environments of the sides differ for it; empty if they do not, or nobody knows.
+        unlike: how the environments of the sides differ for it; empty if they do not, or that is unknown.
     """
 
     label: str
@@ -70,7 +71,7 @@ class ComparedGroup:
     unlike: str
 
     def shown(self) -> tuple[Mapping[str, Any], ...]:
-        """Return the changes that stand in the group's row: median and p99 of the first metric, as far as there are."""
+        """Return the changes in the row of the result: median and p99 of the first metric, as far as there are."""
         return _shown(self.changes)
 
 
@@ -81,7 +82,7 @@ def _shown(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any], ...]:
 
 @dataclass(frozen=True, slots=True)
 class Unlike:
-    """A column in which no group of one side agrees with any of the other, with the values of both in words."""
+    """A column in which no group of one side equals any of the other, with the values of both in words."""
 
     column: str
     base: str
@@ -90,7 +91,7 @@ class Unlike:
 
 @dataclass(frozen=True, slots=True)
 class Gated:
-    """The outcome of a gate for one group, in the words of the report."""
+    """The outcome of a gate for one result, under its name in the report."""
 
     where: str
     result: GateResult
@@ -106,20 +107,20 @@ class Gated:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonInfo:
-    """What the reports of a comparison say.
+    """Contents of the reports of a comparison.
 
     Attributes:
-        said: the answer in one sentence.
-        seen: which changes would not have been seen, or how the sides differ that have no group in common; a sentence.
-        groups: the matched groups, worst first.
-        metric: label of the metric in the groups' rows.
-        only_base: names of the groups that only the base has.
-        only_new: names of those that only the new side has.
-        outcome: the outcome of the gates; None without one.
-        gates: outcome of each gate and group, the worst first.
+        said: the answer in one sentence, for people.
+        seen: which changes would not have been seen, or how sides without a common result differ; for people.
+        groups: the results of both sides, worst first.
+        metric: label of the metric in the rows of the results.
+        only_base: results that the new side does not have.
+        only_new: results that the base does not have.
+        outcome: of the gates; null without one.
+        gates: outcome of each gate and result, in the unit of its limit; the worst first.
         sights: which changes the verdicts would have seen.
-        unlike: columns in which sides without a common group differ.
-        ignore: columns without which such sides can be compared; empty if none help, or there is a common group.
+        unlike: columns in which sides without a common result differ.
+        ignore: columns for --ignore, without which such sides can be compared.
         notes: what makes the sides unlike or unfit.
         rules: how to read the numbers.
     """
@@ -140,7 +141,7 @@ class ComparisonInfo:
 
 
 def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) -> ComparisonInfo:
-    """Say a comparison in words.
+    """Put a comparison into words.
 
     Args:
         comparison: what was compared.
@@ -157,12 +158,12 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     unlike = () if groups else tuple(Unlike(name, *both) for name, both in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
     return ComparisonInfo(
-        said=_said(groups)
+        said=_answer(groups)
         if groups
-        else "The two sides have no group in common: there is nothing to compare.",
+        else "The two sides have no result in common: there is nothing to compare.",
         seen=_seen(sights, groups) if groups else _unlike_words(unlike, ignore),
         groups=groups,
-        metric=_metric_label(comparison.options.metrics[0]),
+        metric=metric_words(comparison.options.metrics[0]),
         only_base=only_base,
         only_new=only_new,
         outcome=overall_outcome(results) if results else None,
@@ -176,7 +177,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
 
 
 def _labels(frames: Sequence[pl.DataFrame]) -> tuple[str, ...]:
-    """Name the groups of frames of match columns, all by the same words; a column that was not matched has no word."""
+    """Name the groups of frames of match columns by the same words, without columns that were not matched."""
     filled = {
         **dict.fromkeys(SERIES_COLUMNS),
         **dict.fromkeys(("vendor", "ping_device", "connectivity"), "any"),
@@ -192,7 +193,7 @@ def _labels(frames: Sequence[pl.DataFrame]) -> tuple[str, ...]:
 
 
 def _starts(frames: Sequence[pl.DataFrame]) -> list[tuple[int, pl.DataFrame]]:
-    return [(sum(len(before) for before in frames[:place]), frame) for place, frame in enumerate(frames)]
+    return [(sum(map(len, frames[:index])), frame) for index, frame in enumerate(frames)]
 
 
 def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGroup, ...]:
@@ -222,7 +223,7 @@ def _groups(comparison: Comparison, labels: Sequence[str]) -> tuple[ComparedGrou
 
 def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
     verdicts = {row["verdict"] for row in rows}
-    holds = (
+    rules = (
         (delivery["is_dead"], "no reply came back"),
         (delivery["verdict"] == "worse", "loses more"),
         ("worse" in verdicts, "slower"),
@@ -231,19 +232,19 @@ def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> 
         ("better" in verdicts, "faster"),
         ({row["verdict"] for row in _shown(rows)} == {"same"}, "the same"),
     )
-    return next((words for is_so, words in holds if is_so), "no clear change")
+    return next((words for applies, words in rules if applies), "no clear change")
 
 
 def _where(rows: Sequence[Mapping[str, Any]], verdict: str) -> str:
-    """Name the statistics with a verdict: those of the first metric, unless it is all; other metrics where it has none."""
+    """Name the statistics of the first metric with a verdict, unless all have it; other metrics where it has none."""
     judged = [row for row in rows if row["verdict"] == verdict]
     tested = [row for row in rows if row["metric"] == rows[0]["metric"] and row["p_value"] is not None]
     own = [row for row in tested if row["verdict"] == verdict]
     if own:
         if len(own) == len(tested):
             return ""
-        return ", ".join(STATISTIC_LABELS.get(row["statistic"], row["statistic"]) for row in own)
-    return ", ".join(dict.fromkeys(_metric_label(row["metric"]).lower() for row in judged))
+        return ", ".join(statistic_words(row["statistic"]) for row in own)
+    return ", ".join(dict.fromkeys(metric_words(row["metric"]).lower() for row in judged))
 
 
 def _rank(group: ComparedGroup) -> tuple[int, float]:
@@ -254,42 +255,32 @@ def _rank(group: ComparedGroup) -> tuple[int, float]:
     return WORST_FIRST.index(group.verdict), -most
 
 
-def _metric_label(metric: str) -> str:
-    return METRIC_LABELS.get(metric, metric)
-
-
-def _statistic_words(row: Mapping[str, Any]) -> str:
-    return f"{STATISTIC_LABELS.get(row['statistic'], row['statistic'])} of the {_metric_label(row['metric']).lower()}"
-
-
-def _said(groups: Sequence[ComparedGroup]) -> str:
+def _answer(groups: Sequence[ComparedGroup]) -> str:
     """Say what was lost, what became slower, or that nothing did; then what became faster."""
-    several = len(groups) > 1
-    of_verdict = {verdict: [one for one in groups if one.verdict == verdict] for verdict in WORST_FIRST}
-    said = []
-    losing = [*of_verdict["no reply came back"], *of_verdict["loses more"]]
+    several, count = len(groups) > 1, counted(len(groups), "result")
+    counts = Counter(group.verdict for group in groups)
+    parts = []
+    losing = [group for group in groups if group.verdict in WORST_FIRST[:2]]
     if losing:
         where = f", most in {losing[0].label}" if several else ""
-        said.append(
-            f"more is lost in {len(losing)} of {counted(len(groups), 'group')}{where} ({received_words(losing[0].delivery)})"
+        parts.append(
+            f"more is lost in {len(losing)} of {count}{where} ({received_words(losing[0].delivery)})"
         )
-    # A percentile that was lost is told by the losses.
+    # A percentile that was lost is part of the losses.
     slower = [(row, group) for group in groups for row in group.changes if _is_slower(row)]
     if slower:
         shown = [pair for pair in slower if pair[0] in pair[1].shown()]
         row, worst = max(shown or slower, key=lambda pair: pair[0]["ratio"])
-        count = len({group.label for _, group in slower})
         where = f" in {worst.label}" if several else ""
-        said.append(
-            f"slower in {count} of {counted(len(groups), 'group')}, most the {_statistic_words(row)}{where}: {change_words(row['ratio'])}"
-        )
-    elif len(of_verdict["too few runs"]) == len(groups):
-        said.append(f"what changed cannot be told: it takes {MIN_RUNS} runs a side")
+        what = f"{statistic_words(row['statistic'])} of the {metric_words(row['metric']).lower()}"
+        results = len({group.label for _, group in slower})
+        parts.append(f"slower in {results} of {count}, most the {what}{where}: {change_words(row['ratio'])}")
+    elif counts["too few runs"] == len(groups):
+        parts.append(f"no verdict is possible: it needs {MIN_RUNS} runs a side")
     else:
-        said.append(f"nothing is shown to be slower in {counted(len(groups), 'group')}")
-    faster = len(of_verdict["faster"])
-    said += [f"{faster} faster"] if faster else []
-    sentence = "; ".join(said)
+        parts.append(f"nothing is shown to be slower in {count}")
+    parts += [f"{counts['faster']} faster"] if counts["faster"] else []
+    sentence = "; ".join(parts)
     return f"{sentence[0].upper()}{sentence[1:]}."
 
 
@@ -298,57 +289,56 @@ def _is_slower(row: Mapping[str, Any]) -> bool:
 
 
 def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -> str:
-    """Say below which size changes would not have been seen in every group, for each statistic of the groups' rows."""
+    """Say below which size changes would not have been seen in every result, for each statistic of their rows."""
     shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
-    of_rows = [sight for sight in sights if (sight.metric, sight.statistic) in shown]
-    known = [sight for sight in of_rows if sight.smallest_ratio is not None]
-    if not known:
-        return ""
+    own = [sight for sight in sights if (sight.metric, sight.statistic) in shown]
     parts = [
-        f"{_of_statistic(sight.statistic)} below {change_words(sight.smallest_ratio).removeprefix('+')}"
-        for sight in known
+        f"of {_with_article(sight.statistic)} below {change_words(sight.smallest_ratio).removeprefix('+')}"
+        for sight in own
+        if sight.smallest_ratio is not None
     ]
-    untold = [
-        f"the {STATISTIC_LABELS.get(sight.statistic, sight.statistic)} in {sight.groups - sight.told} of {counted(sight.groups, 'group')}"
-        for sight in of_rows
+    if not parts:
+        return ""
+    unclear = [
+        f"the {statistic_words(sight.statistic)} in {sight.groups - sight.told} of {counted(sight.groups, 'result')}"
+        for sight in own
         if sight.told < sight.groups
     ]
-    said = f"Changes {' and '.join(parts)} would not be seen"
-    return f"{said}; nothing can be told of {' and '.join(untold)}." if untold else f"{said}."
+    rest = f"; there is no verdict on {' and '.join(unclear)}" if unclear else ""
+    return f"Changes {' and '.join(parts)} would not be seen{rest}."
 
 
-def _of_statistic(statistic: str) -> str:
-    label = STATISTIC_LABELS.get(statistic, statistic)
-    return f"of the {label}" if label.isalpha() else f"of {label}"
+def _with_article(statistic: str) -> str:
+    label = statistic_words(statistic)
+    return f"the {label}" if label.isalpha() else label
 
 
 def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:
-    """Say in which columns sides without a common group differ, and without which they can be compared."""
+    """Say in which columns sides without a common result differ, and without which they can be compared."""
     differ = ", ".join(f"{one.column} ({one.base} against {one.new})" for one in unlike)
-    said = f"They differ in {differ}." if differ else ""
-    if not ignore:
-        return said
-    return f"{said} --ignore {','.join(ignore)} compares them without that.".strip()
+    sentences = [f"They differ in {differ}."] if differ else []
+    sentences += [f"--ignore {','.join(ignore)} compares them without that."] if ignore else []
+    return " ".join(sentences)
 
 
 def _gates(
     comparison: Comparison, results: Sequence[GateResult], shared: Sequence[str], missing: Sequence[str]
 ) -> tuple[Gated, ...]:
-    """Put the names of the report in place of the parameters, the worst outcome first."""
+    """Replace the parameters by the names of the report, the worst outcome first."""
     match = comparison.options.match
-    words = {
+    labels = {
         group_words(row, names): label
-        for frame, names, labels in (
+        for frame, names, own in (
             (comparison.delivery, varying_columns(comparison), shared),
             (comparison.only_base, match, missing),
         )
-        for row, label in zip(frame.to_dicts(), labels, strict=True)
+        for row, label in zip(frame.to_dicts(), own, strict=True)
     }
     order = [GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE]
 
     def named(where: str) -> str:
-        known = max((each for each in words if where.startswith(each)), key=len, default="")
-        return f"{words[known]}{where.removeprefix(known)}" if known else where
+        words = max((words for words in labels if where.startswith(words)), key=len, default="")
+        return f"{labels[words]}{where.removeprefix(words)}" if words else where
 
     gated = [Gated(printable(named(result.where), MAX_FINDING_CHARACTERS), result) for result in results]
     return tuple(
@@ -357,19 +347,16 @@ def _gates(
 
 
 def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
-    """Return what makes the sides unlike or unfit: what was not matched or asked for, environments, order in time, errors."""
-    return (
-        *(f"Not matched: {printable(text, MAX_FINDING_CHARACTERS)}" for text in comparison.ignored),
-        *(f"Measured in turns: {printable(text, MAX_FINDING_CHARACTERS)}" for text in comparison.interleaved),
-        *(
-            f"Unlike environments: {printable(text, MAX_FINDING_CHARACTERS)}"
-            for text in comparison.environment
-        ),
-        *([f"Order: {comparison.order}"] if comparison.order else []),
-        *(
-            f"Finding of severity error: {printable(error.text, MAX_FINDING_CHARACTERS)}"
-            for error in comparison.errors
-        ),
+    """Return what makes the sides unlike or unfit: columns, requests and environments, order in time, errors."""
+    parts = (
+        ("Not matched", comparison.ignored),
+        ("Measured in turns", comparison.interleaved),
+        ("Unlike environments", comparison.environment),
+        ("Order", [comparison.order] if comparison.order else []),
+        ("Finding of severity error", [error.text for error in comparison.errors]),
+    )
+    return tuple(
+        f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts
     )
 
 
@@ -377,9 +364,9 @@ def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
     within, share = f"{comparison.options.same_within:.0%}", f"{comparison.options.confidence:.0%}"
     gates = f", gates by {GATE_FAMILY}" if gated else ""
     return (
-        f"Changes and intervals ({share}) are of new / base; 'the same' is a group whose intervals here lie within {within}.",
+        f"Changes and intervals ({share}) are of new / base; 'the same' is a result whose intervals here are within {within}.",
         "A lost message is infinitely late.",
-        f"The run is the unit: it takes {MIN_RUNS} runs a side to tell.",
-        f"Verdicts are adjusted for the number of groups ({FAMILY}){gates}.",
+        f"The run is the unit: a verdict needs {MIN_RUNS} runs a side.",
+        f"Verdicts are adjusted for the number of results ({FAMILY}){gates}.",
         "A change that would not be seen is one that these runs would have missed in more than 20 of 100 repetitions.",
     )

@@ -1,7 +1,7 @@
 """The gates of a comparison as JUnit XML for CI.
 
-Classes are named by the parameters of a group, as in the trace: a CI follows a test by its name, and the names of the
-other reports follow what else was compared.
+A CI follows a test by its name, so classes have the parameters of a group as in the trace: the names in the other reports
+depend on what else was compared.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 def render(info: ComparisonInfo) -> str:
-    """Return one test case per gate and group; an inconclusive one is skipped, what the comparison says is the output."""
-    results = [one.result for one in info.gates]
+    """Return one test case per gate and result; an inconclusive one is skipped, the answer of the comparison is the output."""
+    results = [gated.result for gated in info.gates]
     failed = sum(r.outcome is GateOutcome.REGRESSED for r in results)
     unsure = sum(r.outcome is GateOutcome.INCONCLUSIVE for r in results)
     counts = {"tests": str(len(results)), "failures": str(failed), "errors": "0", "skipped": str(unsure)}
@@ -33,13 +33,13 @@ def render(info: ComparisonInfo) -> str:
             "time": "0",
         }
         case = ET.SubElement(suite, "testcase", name)
-        said = f"{measured_words(result, result.measured)}, interval {gate_interval_words(result)}"
         why = why_words(result)
-        said += f"; {printable(why)}" if why else ""
+        words = f"{measured_words(result, result.measured)}, interval {gate_interval_words(result)}"
+        words += f"; {printable(why)}" if why else ""
         if result.outcome is GateOutcome.REGRESSED:
-            ET.SubElement(case, "failure", {"message": said, "type": "regression"})
+            ET.SubElement(case, "failure", {"message": words, "type": "regression"})
         elif result.outcome is GateOutcome.INCONCLUSIVE:
-            ET.SubElement(case, "skipped", {"message": f"inconclusive: {said}"})
+            ET.SubElement(case, "skipped", {"message": f"inconclusive: {words}"})
     ET.SubElement(suite, "system-out").text = printable(
         f"{info.said} {info.seen}".strip(), MAX_FINDING_CHARACTERS
     )

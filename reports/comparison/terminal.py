@@ -1,9 +1,10 @@
-"""A comparison in 80 columns: the answer, then one row for each group, worst first."""
+"""A comparison in 80 columns: the answer, then one row for each result, worst first."""
 
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING, Any
+from collections import Counter
+from typing import TYPE_CHECKING
 
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -12,17 +13,17 @@ from rich.text import Text
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.units import counted
 
-from ..book.groups import STATISTIC_LABELS, format_ratio
-from .words import both_words, change_with_interval
+from ..book.verdicts import received_words
+from .words import both_words, change_with_interval, statistic_words
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from .info import ComparedGroup, ComparisonInfo, Gated
 
 WIDTH = 80
 MOST_GROUPS = 10
-"""Groups, and lines of gates, that are shown without `--all`."""
+"""Results, and lines of gates, that are shown without `--all`."""
 
 _COLORS = {
     "no reply came back": "red",
@@ -66,15 +67,15 @@ def _table(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> Table:
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
     table.add_column(Text(info.metric), width=25)
     for row in groups[0].shown():
-        table.add_column(Text(STATISTIC_LABELS.get(row["statistic"], row["statistic"])), width=18)
-    table.add_column("Came back", width=8)
+        table.add_column(Text(statistic_words(row["statistic"])), width=18)
+    table.add_column("Received", width=8)
     table.add_column("Verdict", width=10)
     for group in groups:
         label = Text.assemble(group.label, (f"\n{group.unlike}", "dim") if group.unlike else "")
         table.add_row(
             label,
-            *map(_change, group.shown()),
-            Text(_received(group.delivery)),
+            *(Text(f"{both_words(row)}\n{change_with_interval(row)}") for row in group.shown()),
+            Text(received_words(group.delivery).replace(" → ", "\n→ ")),
             Text.assemble(
                 (group.verdict, _COLORS.get(group.verdict, "")),
                 (f"\n{group.where}", "dim") if group.where else "",
@@ -83,25 +84,13 @@ def _table(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> Table:
     return table
 
 
-def _change(row: Mapping[str, Any]) -> Text:
-    """Write both times, and below them the change and how sure it is."""
-    return Text(f"{both_words(row)}\n{change_with_interval(row)}")
-
-
-def _received(row: Mapping[str, Any]) -> str:
-    shares = [format_ratio(row[f"{side}_received_ratio"]) for side in ("base", "new")]
-    return "\n→ ".join(dict.fromkeys(shares))
-
-
 def _rest(groups: Sequence[ComparedGroup]) -> list[Text]:
-    """Count the groups that are not shown, by what is said of them."""
-    counts: dict[str, int] = {}
-    for group in groups:
-        counts[group.verdict] = counts.get(group.verdict, 0) + 1
+    """Count the results that are not shown, by their verdicts."""
+    counts = Counter(group.verdict for group in groups)
     if not counts:
         return []
     listed = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
-    return [Text(f"and {counted(len(groups), 'group')} more ({listed}): --all", style="dim")]
+    return [Text(f"and {counted(len(groups), 'result')} more ({listed}): --all", style="dim")]
 
 
 def _gates(gates: Sequence[Gated], shows_all: bool) -> list[RenderableType]:
@@ -109,10 +98,10 @@ def _gates(gates: Sequence[Gated], shows_all: bool) -> list[RenderableType]:
     failed = [gate for gate in gates if gate.result.outcome is not GateOutcome.PASSED]
     shown = gates if shows_all else failed[:MOST_GROUPS]
     lines = [Text(gate.line, style=_OUTCOME_COLORS.get(gate.result.outcome, "yellow")) for gate in shown]
-    passed = 0 if shows_all else len(gates) - len(failed)
-    hidden = 0 if shows_all else len(failed) - len(shown)
-    lines += [Text(f"and {hidden} more that did not pass: --all", style="dim")] if hidden else []
-    lines += [Text(f"passed: {counted(passed, 'gate')}", style="green")] if passed else []
+    if not shows_all:
+        hidden, passed = len(failed) - len(shown), len(gates) - len(failed)
+        lines += [Text(f"and {hidden} more that did not pass: --all", style="dim")] if hidden else []
+        lines += [Text(f"passed: {counted(passed, 'gate')}", style="green")] if passed else []
     return [*lines, Text()]
 
 

@@ -1,4 +1,4 @@
-"""Numbers of a comparison in words, alike in each of its reports: times, changes, and what gates judge."""
+"""Numbers of a comparison in words, the same in each of its reports: times, changes, and what gates judge."""
 
 from __future__ import annotations
 
@@ -8,44 +8,55 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.analyzer.verdicts.gate import Against
 from dds_trace.base.units import MISSING, format_duration
 
-from ..book.groups import format_ratio
-from ..changes import episodes_words
+from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
+from ..book.verdicts import episodes_words
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from dds_trace.analyzer.verdicts.gates import GateResult
 
-LOST = "lost"
-"""In place of a time that more messages never reached than the statistic leaves room for."""
+    from .info import Gated
 
+LOST = "lost"
+"""Replaces a time that more messages never reached than the statistic allows."""
 
 VERDICTS = {"worse": "slower", "better": "faster", "same": "the same", "inconclusive": "no clear change"}
 """Verdict on a time -> its words."""
 
 
+def metric_words(metric: str) -> str:
+    """Return the label of a metric, or the metric itself."""
+    return METRIC_LABELS.get(metric, metric)
+
+
+def statistic_words(statistic: str) -> str:
+    """Return the label of a statistic, or the statistic itself."""
+    return STATISTIC_LABELS.get(statistic, statistic)
+
+
 def time_words(value_ns: float | None) -> str:
-    """Write a time, as in `1.25 ms` or `lost`."""
+    """Format a time, as in `1.25 ms` or `lost`."""
     return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns)
 
 
 def both_words(row: Mapping[str, Any]) -> str:
-    """Write the times of both sides, as in `1.02 ms → 1.21 ms`."""
+    """Format the times of both sides, as in `1.02 ms → 1.21 ms`."""
     return f"{time_words(row['base_ns'])} → {time_words(row['new_ns'])}"
 
 
-def survivors_words(row: Mapping[str, Any], side: str) -> str:
-    """Write the time of a side, beside a lost one that of the survivors, and of a tail the episodes it rests on."""
-    value_ns, survivors_ns = row[f"{side}_ns"], row[f"{side}_survivors_ns"]
-    said = time_words(value_ns)
-    if said == LOST and survivors_ns is not None:
-        said += f" (survivors {format_duration(survivors_ns)})"
-    episodes = episodes_words(row, side)
-    return f"{said} ({episodes})" if episodes else said
+def side_words(row: Mapping[str, Any], side: str) -> str:
+    """Format the time of a side; a lost one with that of the received messages, a tail with the bursts that it rests on."""
+    value_ns, received_ns = row[f"{side}_ns"], row[f"{side}_survivors_ns"]
+    words = time_words(value_ns)
+    if words == LOST and received_ns is not None:
+        words += f" (received {format_duration(received_ns)})"
+    bursts = episodes_words(row, side)
+    return f"{words} ({bursts})" if bursts else words
 
 
 def change_words(ratio: float | None) -> str:
-    """Write a ratio as a change, as in `+20 %` or `-0.35 %`."""
+    """Format a ratio as a change, as in `+20 %` or `-0.35 %`."""
     if ratio is None:
         return MISSING
     if math.isinf(ratio):
@@ -57,20 +68,27 @@ def change_words(ratio: float | None) -> str:
 
 
 def interval_words(row: Mapping[str, Any]) -> str:
-    """Write the interval of a ratio, as in `+12 to +25 %`; a dash where it has no end."""
+    """Format the interval of a ratio, as in `+12 to +25 %`; a dash where it has no end."""
     low, high = (change_words(row[end]) for end in ("ratio_low", "ratio_high"))
     return MISSING if MISSING in (low, high) or low == high == LOST else f"{low.removesuffix(' %')} to {high}"
 
 
 def change_with_interval(row: Mapping[str, Any]) -> str:
-    """Write the change of a row and in brackets its interval, where it has one: `+20 % (12 to 25)`."""
+    """Format the change of a row with its interval in brackets, where it has one: `+20 % (12 to 25)`."""
     interval = interval_words(row)
     short = interval.replace("+", "").removesuffix(" %")
     return change_words(row["ratio"]) + (f" ({short})" if interval != MISSING else "")
 
 
+def statistic_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
+    """Return statistic, both sides, change and interval of a row."""
+    name = f"{metric_words(row['metric'])} {statistic_words(row['statistic'])}"
+    sides = side_words(row, "base"), side_words(row, "new")
+    return name, *sides, change_words(row["ratio"]), interval_words(row)
+
+
 def measured_words(result: GateResult, value: float | None) -> str:
-    """Write a value that a gate judges in the unit of its limit."""
+    """Format a value that a gate judges in the unit of its limit."""
     if value is None:
         return "unknown"
     if result.gate.against is Against.RATIO:
@@ -81,15 +99,37 @@ def measured_words(result: GateResult, value: float | None) -> str:
 
 
 def gate_interval_words(result: GateResult) -> str:
-    """Write the interval of what a gate judges."""
+    """Format the interval of what a gate judges."""
     return f"{measured_words(result, result.low)} to {measured_words(result, result.high)}"
 
 
 def why_words(result: GateResult) -> str:
     """Return the reason of a result, with the smallest change that could have been found."""
-    found = ""
+    smallest = ""
     if result.smallest_ratio is not None:
-        found = f"changes from {change_words(result.smallest_ratio)} on are found with a probability of 80 %"
+        smallest = (
+            f"changes from {change_words(result.smallest_ratio)} on are found with a probability of 80 %"
+        )
     elif result.smallest_drop is not None:
-        found = f"drops from {100 * result.smallest_drop:.2f} points on are found with a probability of 80 %"
-    return "; ".join(text for text in (result.reason, found) if text)
+        smallest = (
+            f"drops from {100 * result.smallest_drop:.2f} points on are found with a probability of 80 %"
+        )
+    return "; ".join(text for text in (result.reason, smallest) if text)
+
+
+GATE_COLUMNS = ("Gate", "Result", "Measured", "Interval", "Outcome", "Why")
+
+
+def gate_cells(gates: Sequence[Gated]) -> list[tuple[str, str, str, str, str, str]]:
+    """Return the row of each gate and result, columns of `GATE_COLUMNS`."""
+    return [
+        (
+            gated.result.gate.text,
+            gated.where,
+            measured_words(gated.result, gated.result.measured),
+            gate_interval_words(gated.result),
+            gated.result.outcome.value,
+            why_words(gated.result),
+        )
+        for gated in gates
+    ]

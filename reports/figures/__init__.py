@@ -7,43 +7,41 @@ from typing import TYPE_CHECKING
 from . import (
     breakdown,
     bridge_cost,
-    capacity,
     clocks,
-    comparison,
     distribution,
+    domain_difference,
     dots,
-    first_message,
+    heatmap,
     host_load,
-    latency,
-    sent_again,
+    lines,
     timeline,
-    wire_cost,
+    wire,
 )
-from .figure import Figure, FigureMaker, LeftOut, Scope, figure_maker, is_few
+from .figure import Figure, FigureMaker, LeftOut, LineFigure, is_few
 
 if TYPE_CHECKING:
     from ..book.book import Book
 
-FIGURES: list[FigureMaker] = [
+FIGURES: list[FigureMaker | LineFigure] = [
     dots.FIGURE,
-    latency.LATENCY_BY_RATE,
-    latency.LATENCY_BY_SIZE,
-    comparison.DOMAIN_DIFFERENCE,
+    lines.LATENCY_BY_RATE,
+    lines.LATENCY_BY_SIZE,
+    domain_difference.FIGURE,
     bridge_cost.FIGURE,
-    capacity.RECEIVED,
+    lines.RECEIVED,
     breakdown.FIGURE,
-    comparison.VENDOR_COMPARISON,
-    comparison.BY_DEVICE,
-    latency.HEATMAP,
-    latency.RELAY_TIME,
+    lines.VENDOR_COMPARISON,
+    lines.BY_DEVICE,
+    heatmap.FIGURE,
+    lines.RELAY_TIME,
     distribution.RUN_SPREAD,
-    capacity.SUSTAINABLE,
-    capacity.TRANSFER_BY_RATE,
-    capacity.TRANSFER_BY_SIZE,
-    capacity.TRANSFER_RATE,
-    wire_cost.FIGURE,
-    sent_again.FIGURE,
-    first_message.FIGURE,
+    lines.SUSTAINABLE,
+    lines.TRANSFER_BY_RATE,
+    lines.TRANSFER_BY_SIZE,
+    lines.TRANSFER_RATE,
+    wire.WIRE_COST,
+    wire.SENT_AGAIN,
+    wire.FIRST_MESSAGE,
     clocks.ONE_WAY,
     clocks.CLOCK,
     distribution.PERCENTILE_CURVE,
@@ -54,8 +52,8 @@ FIGURES: list[FigureMaker] = [
 """The table of figures: one row each."""
 
 
-def drawn_figures(book: Book) -> list[tuple[FigureMaker, Figure | LeftOut]]:
-    """Draw every figure of the table; of a few groups the chart of dots stands in for those that need more."""
+def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | LeftOut]]:
+    """Draw every figure of the table; for a few groups the chart of dots replaces those that need more."""
     few = is_few(book)
     made = []
     for maker in FIGURES:
@@ -63,9 +61,6 @@ def drawn_figures(book: Book) -> list[tuple[FigureMaker, Figure | LeftOut]]:
             continue
         drawn = maker.draw(book)
         if few and not maker.few and isinstance(drawn, Figure):
-            drawn = LeftOut(drawn.name, drawn.title, "so few groups are in the first figure, all in one.")
+            drawn = LeftOut(drawn.name, drawn.title, "so few results are in the first figure, all in one.")
         made.append((maker, drawn))
     return made
-
-
-__all__ = ["FIGURES", "Figure", "FigureMaker", "LeftOut", "Scope", "drawn_figures", "figure_maker"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from .figure import Facet, Figure, LeftOut, Panel, facet_panels, facet_plan, figure_maker, is_few
+from ..book.numbers import whole_ns
+from .figure import Faceted, Figure, LeftOut, facet_panels, facet_plan, figure_maker, plane_facet
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -36,59 +37,44 @@ class MeanPart:
 
 
 @dataclass(frozen=True, slots=True)
-class Breakdown:
-    """One panel per data type, choice and place; x is the rank of the cell.
+class Breakdown(Faceted):
+    """One panel per data type, setup and device pair; x is the rank of the message.
 
     Attributes:
         parts: group -> its parts in the order of time. The clock fit divides the two ways; `bound_ns` is the largest
             error of that division.
     """
 
-    facet: Facet
-    panels: tuple[Panel, ...]
     parts: Mapping[int, tuple[MeanPart, ...]]
 
 
 def breakdown_info(book: Book) -> Breakdown:
-    """Collect the means of `details.breakdown`, in panels by data type and series."""
+    """Collect the means of `details.breakdown`."""
     parts: dict[int, list[MeanPart]] = {}
     columns = ("group", "part", "mean_ns", "bound_ns")
-    for group, part, mean_ns, bound_ns in (
-        book.analysis.details.breakdown.sort("group", "order").select(columns).iter_rows()
-    ):
-        bound = None if bound_ns is None else round(bound_ns)
-        parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), bound))
-
-    facet = Facet("cell" if is_few(book) else "plane", "choice", "")
+    rows = book.analysis.details.breakdown.sort("group", "order").select(columns)
+    for group, part, mean_ns, bound_ns in rows.iter_rows():
+        parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), whole_ns(bound_ns)))
+    facet = plane_facet(book)
     panels = facet_panels(book, facet, parts.__contains__)
-    return Breakdown(facet, panels, {group: tuple(own_parts) for group, own_parts in parts.items()})
+    return Breakdown(facet, panels, {group: tuple(own) for group, own in parts.items()})
 
 
 def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
-    """Draw stacked bars over cells."""
+    """Draw stacked bars over messages."""
     name, title = "breakdown", "Where the time goes, on average"
     how_to_read = (
-        "A whole bar is the mean response from T0 to T2, its parts from below in the order of time; means are drawn because "
+        "A whole bar is the mean response from T0 to T2, its parts from the bottom up in the order of time; means are drawn because "
         "they add up and percentiles do not."
     )
     if not info.panels:
-        return LeftOut(
-            name, title, "no message has a schedule and all four time stamps (a relay's trace is missing)."
-        )
+        reason = "no message has a schedule and all four time stamps (a relay's trace is missing)."
+        return LeftOut(name, title, reason)
     used = {part.name for parts in info.parts.values() for part in parts}
-    return Figure(
-        name,
-        title,
-        how_to_read,
-        "breakdown",
-        facet_plan(
-            info.facet,
-            info.panels,
-            names={name: label for name, label in PART_LABELS.items() if name in used},
-            order=[name for name in PART_LABELS if name in used],
-            parts={str(group): parts for group, parts in info.parts.items()},
-        ),
-    )
+    names = {name: label for name, label in PART_LABELS.items() if name in used}
+    parts = {str(group): parts for group, parts in info.parts.items()}
+    plan = facet_plan(info.facet, info.panels, names=names, order=list(names), parts=parts)
+    return Figure(name, title, how_to_read, "breakdown", plan)
 
 
 FIGURE = figure_maker(breakdown_info, breakdown_figure, opened=False)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.base.units import counted
 
-from ..book.numbers import whole_ns
-from ..changes import received_words, runs_words
-from .figure import Facet, Figure, LeftOut, Panel, facet_panels, facet_plan, figure_maker
+from ..book.numbers import finite, whole_ns
+from ..book.verdicts import received_words, runs_words
+from .figure import Facet, Faceted, Figure, LeftOut, facet_panels, facet_plan, figure_maker
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,7 +23,7 @@ class Cost:
     """Difference of one statistic in ns and its ratio, with the ends of their intervals if the samples support them.
 
     Attributes:
-        received: shares received in the same domain and through the bridge, as in `100.00% -> 98.50%`.
+        received: shares received in the same domain and through the bridge, as in `100 % → 98.5 %`.
         runs: what the interval rests on, as in `5 and 5` or `1 and 1, within one run`.
     """
 
@@ -41,7 +40,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class BridgedCell:
-    """One cell through one bridge.
+    """One message through one bridge.
 
     Attributes:
         costs: percentile (`p50` to `p99_9`) -> cost, for those that the samples support.
@@ -54,17 +53,14 @@ class BridgedCell:
 
 
 @dataclass(frozen=True, slots=True)
-class BridgeCost:
-    """Groups through bridges, over their cell; x is its rank.
+class BridgeCost(Faceted):
+    """Groups through bridges with at least one cost; x is the rank of the message.
 
     Attributes:
-        panels: panels with at least one cost.
         cells: group -> its costs, by cell, then series.
-        lost: groups through a bridge without any mark, because so much was lost that no percentile has a difference.
+        lost: groups through a bridge that lost so much that no percentile has a difference.
     """
 
-    facet: Facet
-    panels: tuple[Panel, ...]
     cells: Mapping[int, BridgedCell]
     lost: int = 0
 
@@ -72,63 +68,56 @@ class BridgeCost:
 def bridge_cost_info(book: Book) -> BridgeCost:
     """Assign the rows of `details.bridge_costs` to their groups."""
     # The comparison pools the numbers of domains, so a row belongs to the first of the groups that differ in nothing else.
-    place: dict[tuple[object, ...], int] = {}
+    first: dict[tuple[object, ...], int] = {}
     for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
         if row["domain_mode"] == "different":
-            place.setdefault(tuple(row[name] for name in BRIDGED_COLUMNS), index)
+            first.setdefault(tuple(row[name] for name in BRIDGED_COLUMNS), index)
     costs: dict[int, dict[str, Cost]] = {}
     compared: set[int] = set()
     for row in book.analysis.details.bridge_costs.iter_rows(named=True):
-        group = place.get(tuple(row[name] for name in BRIDGED_COLUMNS))
+        group = first.get(tuple(row[name] for name in BRIDGED_COLUMNS))
+        if group is None:
+            continue
+        compared.add(group)
         difference_ns = whole_ns(row["difference_ns"])
-        if group is not None:
-            compared.add(group)
-        if group is not None and row["metric"] == "latency" and difference_ns is not None:
-            ends = (whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"]))
+        if row["metric"] == "latency" and difference_ns is not None:
             costs.setdefault(group, {})[row["statistic"]] = Cost(
                 difference_ns,
-                *ends,
-                _finite(row["ratio"]),
-                _finite(row["ratio_low"]),
-                _finite(row["ratio_high"]),
+                whole_ns(row["difference_low_ns"]),
+                whole_ns(row["difference_high_ns"]),
+                _rounded(row["ratio"]),
+                _rounded(row["ratio_low"]),
+                _rounded(row["ratio_high"]),
                 row["verdict"],
                 received_words(row),
                 runs_words(row),
             )
-    loads = book.bridge_loads
-    ordered = sorted(book.groups.groups, key=lambda group: (group.cell, group.series))
-    cells = {
-        one.index: BridgedCell(costs[one.index], loads.get(one.index))
-        for one in ordered
-        if one.index in costs
-    }
+    loads, ordered = book.bridge_loads, (group.index for group in book.groups.in_order)
+    cells = {group: BridgedCell(costs[group], loads.get(group)) for group in ordered if group in costs}
     facet = Facet("plane", "place")
-    return BridgeCost(
-        facet, facet_panels(book, facet, cells.__contains__), cells, len(compared - costs.keys())
-    )
+    panels = facet_panels(book, facet, cells.__contains__)
+    return BridgeCost(facet, panels, cells, len(compared - costs.keys()))
+
+
+def _rounded(ratio: float | None) -> float | None:
+    ratio = finite(ratio)
+    return None if ratio is None else round(ratio, 4)
 
 
 def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
-    """Draw marks with intervals over cells."""
+    """Draw marks with intervals over messages."""
     name, title = "bridge_cost", "What a bridge costs"
     how_to_read = (
-        "Each mark is how many times as long a message takes through a bridge as in the same domain, with its 95 % interval, and "
-        "beside it the difference; an interval that reaches the line shows no difference that these samples can prove, and where a bridge loses many messages the "
-        "share received is to be looked at first: a lost message is infinitely late"
-        + (f"; {counted(info.lost, 'combination')} lost too much to have a mark." if info.lost else ".")
+        "Each mark is how many times as long a message takes through a bridge as in the same domain, with its 95 % interval and "
+        "the difference; an interval that reaches the line shows no difference that these samples can prove; where a bridge loses many "
+        "messages look at the share received first: a lost message is infinitely late"
+        + (f"; {counted(info.lost, 'result')} lost too much to have a mark." if info.lost else ".")
     )
     if not info.panels:
-        return LeftOut(
-            name,
-            title,
-            "no combination of data, size and rate has a latency both in the same and in different domains with all else equal.",
-        )
+        reason = "no message has a latency both in the same and in different domains with all else equal."
+        return LeftOut(name, title, reason)
     cells = {str(group): cell for group, cell in info.cells.items()}
     return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
 
 
 FIGURE = figure_maker(bridge_cost_info, bridge_cost_figure, few=False)
-
-
-def _finite(ratio: float | None) -> float | None:
-    return None if ratio is None or not math.isfinite(ratio) else round(ratio, 4)

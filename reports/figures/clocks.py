@@ -9,10 +9,11 @@ from dds_trace.base.printable import printable
 
 from ..book.groups import STATISTIC_LABELS
 from ..book.numbers import whole_ns
-from .figure import Facet, Figure, LeftOut, Panel, facet_panels, facet_plan, figure_maker, is_few
+from .figure import Faceted, Figure, LeftOut, facet_panels, facet_plan, figure_maker, plane_facet
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from typing import Any
 
     from ..book.book import Book
 
@@ -27,39 +28,38 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
-class OneWay:
-    """One panel per data type, choice and place; x is the rank of the cell."""
+class OneWay(Faceted):
+    """One panel per data type, setup and device pair; x is the rank of the message."""
 
-    facet: Facet
-    panels: tuple[Panel, ...]
     ways: Mapping[int, Way]
 
 
 def one_way_info(book: Book) -> OneWay:
     """Collect the rows of `details.one_way`."""
-    ways_of_group: dict[int, dict[str, Way]] = {}
+    rows: dict[int, dict[str, Mapping[str, Any]]] = {}
     for row in book.analysis.details.one_way.iter_rows(named=True):
-        times = {name: whole_ns(row[f"{name}_ns"]) for name in STATISTIC_LABELS}
-        ways_of_group.setdefault(row["group"], {})[row["metric"]] = Way(
-            times, times, whole_ns(row["bound_p50_ns"])
-        )
+        rows.setdefault(row["group"], {})[row["metric"]] = row
     ways = {
-        group: Way(both["outbound"].outbound_ns, both["return"].return_ns, both["outbound"].bound_ns)
-        for group, both in ways_of_group.items()
+        group: Way(
+            _times(both["outbound"]), _times(both["return"]), whole_ns(both["outbound"]["bound_p50_ns"])
+        )
+        for group, both in rows.items()
         if both.keys() == {"outbound", "return"}
     }
+    facet = plane_facet(book)
+    return OneWay(facet, facet_panels(book, facet, ways.__contains__), ways)
 
-    facet = Facet("cell" if is_few(book) else "plane", "choice", "")
-    panels = facet_panels(book, facet, ways.__contains__)
-    return OneWay(facet, panels, ways)
+
+def _times(row: Mapping[str, Any]) -> dict[str, int | None]:
+    return {name: whole_ns(row[f"{name}_ns"]) for name in STATISTIC_LABELS}
 
 
 def one_way_figure(info: OneWay) -> Figure | LeftOut:
-    """Draw two marks over each cell."""
+    """Draw two marks over each message."""
     name, title = "one_way", "The way out against the way back"
     how_to_read = (
-        "Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry inside it "
-        "cannot be seen."
+        "Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry "
+        "inside it cannot be seen."
     )
     if not info.panels:
         return LeftOut(name, title, "no message has all four time stamps (a relay's trace is missing).")
@@ -71,12 +71,12 @@ ONE_WAY = figure_maker(one_way_info, one_way_figure, opened=False)
 
 
 KNOTS_IN_PAGE = 4000
-"""Most clock knots in a page, for all pairs of devices; of more, every n-th is drawn."""
+"""Most clock knots in a page, for all device pairs; of more, every n-th is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockPair:
-    """Clocks of one pair of devices.
+    """Clocks of one device pair.
 
     Attributes:
         title: names of the devices, and the drift of the longest segment without a step.
@@ -96,12 +96,11 @@ class ClockPair:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Pairs of devices with two clocks."""
+    """Device pairs with two clocks; `one_clock` if a pair is missing because ping and relay shared one."""
 
     pairs: tuple[ClockPair, ...]
     decimated: bool
     one_clock: bool
-    """Whether a pair is missing because ping and relay shared one clock."""
 
 
 def clock_info(book: Book) -> Clock:
@@ -110,19 +109,15 @@ def clock_info(book: Book) -> Clock:
     two = fits.filter(~fits["same_clock"])
     step = max(1, -(-knots.height // KNOTS_IN_PAGE))
     pairs = []
-    for ping, relay, boot, relay_boot in (
-        two.select("ping_device", "relay_device", "boot", "relay_boot")
-        .unique(maintain_order=True)
-        .iter_rows()
-    ):
-        of_boot = two.filter(two["relay_boot"].eq_missing(relay_boot))
-        segments = of_boot.filter(ping_device=ping, relay_device=relay, boot=boot)
+    keys = two.select("ping_device", "relay_device", "boot", "relay_boot").unique(maintain_order=True)
+    for ping, relay, boot, relay_boot in keys.iter_rows():
+        same_boot = two.filter(two["relay_boot"].eq_missing(relay_boot))
+        segments = same_boot.filter(ping_device=ping, relay_device=relay, boot=boot)
         longest = segments.sort(segments["end_ns"] - segments["start_ns"]).row(-1, named=True)
         inside = knots["at_ns"].is_between(segments["start_ns"].min(), segments["end_ns"].max())
         inside &= knots["relay_boot"].eq_missing(relay_boot)
-        own = (
-            knots.filter(inside).filter(ping_device=ping, relay_device=relay).sort("at_ns").gather_every(step)
-        )
+        own = knots.filter(inside).filter(ping_device=ping, relay_device=relay)
+        own = own.sort("at_ns").gather_every(step)
         if not own.height:
             continue
         drift = f"{longest['drift_ppb'] / 1000:+.3g} ± {longest['drift_bound_ppb'] / 1000:.2g} ppm"
@@ -144,16 +139,12 @@ def clock_figure(info: Clock) -> Figure | LeftOut:
     """Draw marks with bounds over time, one panel per pair."""
     name, title = "clock", "Clock offset and drift"
     how_to_read = (
-        "Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a clock that "
-        "was set, and one-way times are only as good as the bound."
+        "Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a "
+        "clock that was set, and one-way times are only as good as the bound."
     )
     if not info.pairs:
-        why = (
-            "ping and relay ran on one device, so there is one clock"
-            if info.one_clock
-            else "no relay's clock is known"
-        )
-        return LeftOut(name, title, f"{why}.")
+        one_clock = "ping and relay ran on one device, so there is one clock."
+        return LeftOut(name, title, one_clock if info.one_clock else "no relay's clock was measured.")
     return Figure(name, title, how_to_read, "clock", {"pairs": info.pairs, "decimated": info.decimated})
 
 

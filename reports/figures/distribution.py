@@ -1,7 +1,7 @@
-"""How the values of a group are spread: from run to run, the tail on an axis of rarity, and the body as the share of messages in time.
+"""How the values of a group are spread: from run to run, over rarity (the tail), and as the share of messages in time.
 
-The share is of the messages planned: one that was lost, or was due and never left, is infinitely late, and the curve ends
-at the share received. That of the survivors, which came back, stands beside it. The tail is of the survivors.
+The share is of the planned messages: a lost or unsent one is infinitely late, and the curve ends at the share received.
+The tail is that of the received messages, whose curve is drawn next to it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
 from ..book.groups import METRIC_LABELS
 from ..book.numbers import any_curve
-from .figure import Facet, Figure, LeftOut, Panel, Scope, facet_panels, facet_plan, figure_maker, is_few
+from .figure import Faceted, Figure, LeftOut, Scope, facet_panels, facet_plan, figure_maker, plane_facet
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
-    """How far the runs of each group differ, over its cell; x is the rank of the cell.
+class Spread(Faceted):
+    """How far the runs of each group differ; x is the rank of the message.
 
     Attributes:
         reaches: percentile -> group -> how far the 95 % interval of a typical run reaches to either side, as a ratio (0.05 is
@@ -33,8 +33,6 @@ class Spread:
         metric: what the percentiles are of.
     """
 
-    facet: Facet
-    panels: tuple[Panel, ...]
     reaches: Mapping[str, Mapping[int, float]]
     metric: str
 
@@ -44,31 +42,29 @@ def run_spread_info(book: Book, panels: str = "way", lines: str = "choice") -> S
     metric = book.values.default_metric
     rows = book.analysis.details.intervals.filter(metric=metric, basis=Basis.BETWEEN_RUNS.value)
     reaches: dict[str, dict[int, float]] = {percentile.name: {} for percentile in PERCENTILES}
-    for group, percentile, low_ns, high_ns in rows.select(
-        "group", "percentile", "low_ns", "high_ns"
-    ).iter_rows():
+    columns = ("group", "percentile", "low_ns", "high_ns")
+    for group, percentile, low_ns, high_ns in rows.select(columns).iter_rows():
         if low_ns and high_ns:
             reaches[percentile][group] = round(math.sqrt(high_ns / low_ns) - 1, 5)
-    facet = Facet("cell" if is_few(book) else "plane", panels, lines)
-    drawn = {group for of_groups in reaches.values() for group in of_groups}
+    facet = plane_facet(book, panels, lines)
+    drawn = {group for by_group in reaches.values() for group in by_group}
     return Spread(facet, facet_panels(book, facet, drawn.__contains__), reaches, metric)
 
 
 def run_spread_figure(info: Spread) -> Figure | LeftOut:
-    """Draw a mark per group over cells, in percent."""
+    """Draw a mark per group over messages, in percent."""
     name, title = "run_spread", "Spread from run to run"
     if not info.panels:
         return LeftOut(name, title, "nothing was measured in three runs of its own.")
     how_to_read = (
-        "Each mark is how far the 95 % interval of a typical run reaches to either side, in percent; a difference between two choices "
-        "that is smaller than this takes more runs to be proved."
+        "Each mark is how far the 95 % interval of a typical run reaches to either side, in percent; a difference between two setups "
+        "that is smaller than this needs more runs to be proved."
     )
     reaches = {
         name: {str(group): reach for group, reach in own.items()} for name, own in info.reaches.items()
     }
-    plan = facet_plan(
-        info.facet, info.panels, value="spread", reaches=reaches, label=METRIC_LABELS[info.metric]
-    )
+    label = METRIC_LABELS[info.metric]
+    plan = facet_plan(info.facet, info.panels, value="spread", reaches=reaches, label=label)
     return Figure(name, title, how_to_read, "lines", plan)
 
 
@@ -77,7 +73,7 @@ RUN_SPREAD = figure_maker(run_spread_info, run_spread_figure, opened=False)
 
 @dataclass(frozen=True, slots=True)
 class DistributionCurves:
-    """Whether any group has a curve. The page holds the curves once (`Curves`), for both figures."""
+    """Whether any group has a curve. The page contains the curves once (`Curves`), for both figures."""
 
     any_drawn: bool
 
@@ -87,27 +83,29 @@ def distribution_info(book: Book) -> DistributionCurves:
     return DistributionCurves(any_curve(book.analysis))
 
 
+_NO_CURVE = "no result has two received messages."
+
+
 def percentile_curve_figure(info: DistributionCurves) -> Figure | LeftOut:
-    """Draw one curve per series of the chosen cell, over 1 / (1 - q) on a log axis."""
+    """Draw one curve per setup of the selected message, over 1 / (1 - q) on a log axis."""
     name, title = "percentile_curve", "Percentile curve"
     if not info.any_drawn:
-        return LeftOut(name, title, "no group has two messages that came back.")
+        return LeftOut(name, title, _NO_CURVE)
     how_to_read = (
-        "Each step to the right is ten times rarer: read off how late the worst message in 10, 100 or 1,000 of the survivors "
-        "(the messages that came back) was; a curve ends where the sample does."
+        "Each step to the right is ten times rarer: read off how late the worst message in 10, 100 or 1,000 of the received ones was; a "
+        "curve ends where the sample does."
     )
     return Figure(name, title, how_to_read, "percentile_curve", {})
 
 
 def ecdf_figure(info: DistributionCurves) -> Figure | LeftOut:
-    """Draw one empirical distribution function per series of the chosen cell."""
+    """Draw one empirical distribution function per setup of the selected message."""
     name, title = "ecdf", "Share of messages in time (ECDF)"
     if not info.any_drawn:
-        return LeftOut(name, title, "no group has two messages that came back.")
+        return LeftOut(name, title, _NO_CURVE)
     how_to_read = (
-        "Pick a deadline on the horizontal axis: the curve says which share of the messages planned met it; as one that was lost, "
-        "or was due and never left, never does, it ends at the share received, and where that is less than all the curve of the "
-        "survivors (the messages that came back) stands beside."
+        "Pick a deadline on the horizontal axis: the curve shows which share of the planned messages met it; a lost or unsent message never "
+        "does, so the curve ends at the share received; where that is less than all, a second curve is that of the received messages."
     )
     return Figure(name, title, how_to_read, "ecdf", {})
 

@@ -1,4 +1,4 @@
-"""A few groups in one chart: each a line of its own with its time, the interval and what was received."""
+"""A few groups in one chart: each a line with its time, the interval and what was received."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Dots:
-    """Groups in the order of the chart, from the top; none where there are more than `FEW_GROUPS`.
+    """Groups from the top of the chart; none where there are more than `FEW_GROUPS`.
 
     Attributes:
         cells: group through a bridge -> what that costs.
@@ -27,9 +27,9 @@ class Dots:
 
 
 def dots_info(book: Book) -> Dots:
-    """Collect all groups of which a message was published, by cell and series."""
-    groups = sorted(book.groups.groups, key=lambda group: (group.cell, group.series))
-    if not is_few(book) or not any(book.values.timed(group.index) for group in book.groups.groups):
+    """Collect all groups with a published message, by cell and series."""
+    groups = book.groups.in_order
+    if not is_few(book) or not any(book.values.timed(group.index) for group in groups):
         return Dots((), {})
     return Dots(tuple(group.index for group in groups if group.published), bridge_cost_info(book).cells)
 
@@ -38,10 +38,10 @@ def dots_figure(info: Dots) -> Figure | LeftOut:
     """Draw a dot and its interval for each group, and its share received."""
     name, title = "dots", "Latency at a glance"
     if not info.groups:
-        return LeftOut(name, title, f"no message came back, or there are more than {FEW_GROUPS} groups.")
+        return LeftOut(name, title, f"no message was received, or there are more than {FEW_GROUPS} results.")
     how_to_read = (
-        "Each line is one group, the dot its time with the 95 % interval, beside it the share received and how many times as long a "
-        "message takes through a bridge as in the same domain; times are of the messages that came back."
+        "Each line is one result: the dot is its time with the 95 % interval, followed by the share received and how many times as long a "
+        "message takes through a bridge as in the same domain; times are those of the received messages."
     )
     cells = {str(group): cell for group, cell in info.cells.items()}
     return Figure(name, title, how_to_read, "dots", {"groups": info.groups, "cells": cells}, follows=True)

@@ -1,12 +1,12 @@
 """How a figure is made: numbers from the book, then the plan that the page draws.
 
 A plan names groups in place of values. The page looks the values up (metric, statistic and filters are the reader's
-choice) and draws with plotly.js, so one plan serves every view and the page holds each number once.
+choice) and draws with plotly.js, so one plan serves every view and the page contains each number once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, TypeVar
 
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
     from ..book.book import Book
     from ..book.groups import Group
+
+    Test = Callable[[int], bool]
+    """Whether a group has what a figure draws."""
 
 Info = TypeVar("Info")
 
@@ -31,8 +34,8 @@ class Figure:
         how_to_read: one sentence for the reader.
         kind: function of the page's scripts (`KINDS`) that draws it.
         plan: arguments of that function, as `json_island` writes them.
-        follows: whether the reader's metric and statistic are what it shows, so that title and file name say them; the
-            word Latency at the title's beginning gives way to the metric.
+        follows: whether it shows the reader's metric and statistic, which its title and file name then mention; the metric
+            replaces the word Latency at the start of the title.
     """
 
     name: str
@@ -58,7 +61,7 @@ class Scope(Enum):
     CAMPAIGN = "campaign"
     """Every group that passes the page's filters."""
     CELL = "cell"
-    """The groups of one cell (data type, size, rate), which the reader picks."""
+    """The groups of one message (data type, size, rate), which the reader selects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +72,7 @@ class FigureMaker:
         scope: what one view shows.
         draw: the figure of a book, or why there is none.
         opened: whether the page shows it at once; any other is a line that opens it.
-        few: whether it says more of a few groups than the chart of dots (`FEW_GROUPS`), which stands in for the
-            others then.
+        few: whether it says more about a few groups than the chart of dots (`FEW_GROUPS`), which replaces the others then.
     """
 
     scope: Scope
@@ -91,7 +93,7 @@ def figure_maker(
 
     Args:
         info: numbers of the figure, from the book; what tests compare.
-        figure: plan of the figure, from these numbers alone.
+        figure: plan of the figure, from these numbers only.
         scope: what one view shows.
         opened: whether the page shows it at once.
         few: whether it is drawn of a few groups, too.
@@ -100,31 +102,31 @@ def figure_maker(
 
 
 FEW_GROUPS = 12
-"""Most groups that the chart of dots shows. Of so few, figures with an axis of sizes or rates have a dot or two each."""
+"""Most groups that the chart of dots shows. With so few, figures over sizes or rates have a dot or two each."""
 
 
 def is_few(book: Book) -> bool:
-    """Whether the chart of dots stands in for figures that need more groups."""
+    """Return whether the chart of dots replaces figures that need more groups."""
     return 0 < len(book.groups.groups) <= FEW_GROUPS
 
 
 MOST_LINES = 7
-"""Most lines of one panel: more cannot be told apart, so that such a panel becomes several."""
+"""Most lines of one panel, which a reader can still distinguish; a panel with more becomes several."""
 
-_ATOMS = ("device", "link", "data", "vendor", "way", "rest", "size", "rate")
+ATOMS = ("device", "link", "data", "vendor", "way", "rest", "size", "rate")
 """Dimensions that are made of no other, in the order in which rows of panels follow one another."""
 
 
 @dataclass(frozen=True, slots=True)
 class Facet:
-    """How groups are spread: along the axis, over lines, and over panels beside and below one another.
+    """How groups are spread: along the axis, over lines, and over panels side by side and below one another.
 
-    What is neither on the axis nor a line sets panels apart. The page spreads in the same way (`facets.js`).
+    What is neither on the axis nor a line separates panels. The page spreads by the same rule and tables (`facets.js`).
 
     Attributes:
-        x: `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the cell, each data type in panels of its own),
-            `cell` (the same for all data types) or another dimension of `book.facets` (place of the option).
-        panels: dimension whose values stand side by side; the others follow below.
+        x: `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the message, each data type in panels of its
+            own), `cell` (the same for all data types) or another dimension of `book.facets` (index of the option).
+        panels: dimension whose values are side by side; the others follow below.
         lines: dimension with a line for each value; empty for one line a panel.
     """
 
@@ -138,7 +140,7 @@ class Line:
     """One line of one panel.
 
     Attributes:
-        line: place of its value among the options of the dimension of lines; 0 where there is none.
+        line: index of its value among the options of the dimension of lines; 0 where there is none.
         x: ascending positions on the axis.
         groups: index of the group at each position.
     """
@@ -158,50 +160,49 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Faceted:
-    """Groups of a figure, spread over panels; `facet` says how."""
+    """Groups of a figure, spread over panels as `facet` says; none where the figure has nothing to draw."""
 
     facet: Facet
     panels: tuple[Panel, ...]
 
 
-def faceted(book: Book, facet: Facet, drawn: Callable[[int], bool] = lambda _: True) -> Faceted:
+def plane_facet(book: Book, panels: str = "choice", lines: str = "") -> Facet:
+    """Return the facet of a figure over messages: all data types share its axis where there are few groups."""
+    return Facet("cell" if is_few(book) else "plane", panels, lines)
+
+
+def faceted(book: Book, facet: Facet, drawn: Test = lambda _: True, least: int = 1) -> Faceted:
     """Spread groups as `facet_panels` does."""
-    return Faceted(facet, facet_panels(book, facet, drawn))
+    return Faceted(facet, facet_panels(book, facet, drawn, least))
 
 
-def faceted_lines(book: Book, facet: Facet, drawn: Callable[[int], bool] = lambda _: True) -> Faceted:
-    """Spread groups over the panels that have two positions at least."""
-    return Faceted(facet, over_two_positions(facet_panels(book, facet, drawn)))
-
-
-def facet_panels(
-    book: Book, facet: Facet, drawn: Callable[[int], bool] = lambda _: True
-) -> tuple[Panel, ...]:
+def facet_panels(book: Book, facet: Facet, drawn: Test = lambda _: True, least: int = 1) -> tuple[Panel, ...]:
     """Spread groups over panels and lines.
 
     Args:
         book: groups of the report and their dimensions.
         facet: what is spread along what.
-        drawn: whether the group of this index has the values that the figure draws; all groups by default.
+        drawn: whether the group of this index has the values that the figure draws.
+        least: fewest positions on the axis of a panel: one position makes no line.
     """
     facets, groups = book.facets, book.groups
     columns, rows = panel_keys(facet)
     points: dict[tuple[int, ...], dict[int, list[tuple[float, int]]]] = {}
-    for group in sorted(groups.groups, key=lambda group: (group.cell, group.series)):
-        if not drawn(group.index):
-            continue
-        panel = tuple(facets.option(key, group.index) for key in (*rows, *columns))
-        line = facets.option(facet.lines, group.index) if facet.lines else 0
-        at = _position(book, facet.x, group)
-        points.setdefault(panel, {}).setdefault(line, []).append((at, group.index))
+    for group in groups.in_order:
+        if drawn(group.index):
+            panel = tuple(facets.option(key, group.index) for key in (*rows, *columns))
+            line = facets.option(facet.lines, group.index) if facet.lines else 0
+            at = _position(book, facet.x, group)
+            points.setdefault(panel, {}).setdefault(line, []).append((at, group.index))
     panels = []
     for _, lines in sorted(points.items()):
+        if len({at for line in lines.values() for at, _ in line}) < least:
+            continue
         (_, first), *_ = next(iter(lines.values()))
-        told = [facets.label(key, first) for key in (*columns, *rows) if facets.varies(key)]
-        title = ", ".join(label for label in told if label) or facets.label("data", first)
+        names = [facets.label(key, first) for key in (*columns, *rows) if facets.varies(key)]
+        title = ", ".join(filter(None, names)) or facets.label("data", first)
         made = [
-            Line(line, tuple(at for at, _ in sorted(own)), tuple(group for _, group in sorted(own)))
-            for line, own in sorted(lines.items())
+            Line(line, *map(tuple, zip(*sorted(own), strict=True))) for line, own in sorted(lines.items())
         ]
         parts = -(-len(made) // MOST_LINES)
         most = -(-len(made) // parts)
@@ -212,12 +213,12 @@ def facet_panels(
 
 
 def panel_keys(facet: Facet) -> tuple[list[str], list[str]]:
-    """Return the dimensions that set panels apart: side by side, and below one another."""
+    """Return the dimensions that separate panels: side by side, and below one another."""
     used = {*_atoms(facet.x), *_atoms(facet.lines)}
     columns = [key for key in _atoms(facet.panels) if key not in used]
     if "size" in columns and "data" not in used:
         columns.insert(0, "data")
-    return columns, [key for key in _ATOMS if key not in used and key not in columns]
+    return columns, [key for key in ATOMS if key not in used and key not in columns]
 
 
 def _atoms(key: str) -> tuple[str, ...]:
@@ -226,22 +227,74 @@ def _atoms(key: str) -> tuple[str, ...]:
 
 def _position(book: Book, x: str, group: Group) -> float:
     cell = book.groups.cell_of(group)
-    known = {
+    positions = {
         "size": float(cell.payload_bytes),
         "rate": cell.rate_hz,
         "load": cell.payload_bytes * cell.rate_hz,
         "plane": float(group.cell),
         "cell": float(group.cell),
     }
-    return known[x] if x in known else float(book.facets.option(x, group.index))
-
-
-def over_two_positions(panels: tuple[Panel, ...]) -> tuple[Panel, ...]:
-    """Keep the panels whose points lie at two positions at least: one position makes no line."""
-    return tuple(panel for panel in panels if len({x for line in panel.lines for x in line.x}) > 1)
+    return positions[x] if x in positions else float(book.facets.option(x, group.index))
 
 
 def facet_plan(facet: Facet, panels: tuple[Panel, ...], **settings: object) -> dict[str, object]:
-    """Return the plan of a figure of panels: how it is spread and its groups, beside the settings of its axes."""
+    """Return the plan of a figure of panels: how it is spread and its groups, with the settings of its axes."""
     groups = sorted(group for panel in panels for line in panel.lines for group in line.groups)
     return {"facet": facet, "groups": groups, **settings}
+
+
+@dataclass(frozen=True, slots=True)
+class LineFigure:
+    """A row of the table of figures whose marks or lines show one value of each group.
+
+    Attributes:
+        name: as in `Figure`, like `title` and `how_to_read`.
+        nothing: why there is nothing to draw.
+        x: dimension along the axis (`Facet`).
+        panels: dimension whose values are side by side.
+        value: what the marks show: a key of `VALUES` of the page's scripts and of `reports.plotting`.
+        drawn: of a book, whether a group has the value.
+        shows: of a book, whether a group shows something; a panel in which none does is left out.
+        least: fewest positions of a panel.
+        settings: further settings of the plan.
+        opened: as in `FigureMaker`.
+        follows: as in `Figure`.
+    """
+
+    name: str
+    title: str
+    how_to_read: str
+    nothing: str
+    x: str
+    panels: str
+    value: str
+    drawn: Callable[[Book], Test]
+    shows: Callable[[Book], Test] = lambda _: lambda _: True
+    least: int = 1
+    settings: Mapping[str, object] = field(default_factory=dict)
+    opened: bool = False
+    follows: bool = False
+    few: bool = False
+    scope: Scope = Scope.CAMPAIGN
+
+    def info(self, book: Book, panels: str = "", lines: str = "choice") -> Faceted:
+        """Spread the groups, with panels by another dimension if one is given."""
+        facet = Facet(self.x, panels or self.panels, lines)
+        shows = self.shows(book)
+        shown = (
+            panel
+            for panel in facet_panels(book, facet, self.drawn(book), self.least)
+            if any(shows(group) for line in panel.lines for group in line.groups)
+        )
+        return Faceted(facet, tuple(shown))
+
+    def figure(self, info: Faceted) -> Figure | LeftOut:
+        """Plan the marks or lines."""
+        if not info.panels:
+            return LeftOut(self.name, self.title, self.nothing)
+        plan = facet_plan(info.facet, info.panels, value=self.value, **self.settings)
+        return Figure(self.name, self.title, self.how_to_read, "lines", plan, self.follows)
+
+    def draw(self, book: Book) -> Figure | LeftOut:
+        """Return the figure of a book, or why there is none."""
+        return self.figure(self.info(book))

@@ -43,9 +43,9 @@ class HostLoad:
 
 
 def host_load_info(book: Book) -> HostLoad:
-    """Collect the rows of `details.host_samples` taken during a run, by the run's group and role.
+    """Collect the rows of `details.host_samples` taken during a run, by group and role.
 
-    Wall clocks relate the devices to each other, which is exact enough for one sample per second.
+    Wall clocks relate the devices, which is exact enough for one sample per second.
     """
     if not book.analysis.details.host_samples.height:
         return HostLoad({}, decimated=False)
@@ -65,11 +65,11 @@ def host_load_info(book: Book) -> HostLoad:
 
 
 def host_load_figure(info: HostLoad) -> Figure | LeftOut:
-    """Draw latency, load and signal over one time axis, for the series of the chosen cell."""
+    """Draw latency, load and signal over one time axis, for the setups of the selected message."""
     name, title = "host_load", "Processor load and Wi-Fi signal against latency"
     how_to_read = (
-        "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load is that "
-        "of the busiest processor."
+        "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load "
+        "shown is the busiest processor's."
     )
     if not info.groups:
         return LeftOut(name, title, "no device sampled its load during a run.")
@@ -84,12 +84,11 @@ def _during_runs(samples: pl.DataFrame, book: Book) -> pl.DataFrame:
     """Return the samples of the ping's session and of the relay's device during each run.
 
     Args:
-        samples: rows of `details.host_samples`, rising in `wall_ns`.
+        samples: rows of `details.host_samples`, ascending in `wall_ns`.
         book: with the runs.
 
     Returns:
-        `group`, `role` and the columns of `DeviceLoad`, by time within a role of a group; a sample in the time of several
-        runs has a row for each.
+        `group`, `role` and the columns of `DeviceLoad`, by time within a role of a group; a row for each run that a sample is in.
     """
     relay_device = book.analysis.summary["relay_device"]
     runs = pl.DataFrame(
@@ -114,10 +113,10 @@ def _during_runs(samples: pl.DataFrame, book: Book) -> pl.DataFrame:
     ).with_row_index("run")
     first = samples["wall_ns"].search_sorted(runs["first_ns"], "left")
     after = samples["wall_ns"].search_sorted(runs["last_ns"], "right")
-    of_run = runs.with_columns(sample=pl.int_ranges(first, after)).explode("sample").drop_nulls("sample")
+    run_samples = runs.with_columns(sample=pl.int_ranges(first, after)).explode("sample").drop_nulls("sample")
     at_relay = (pl.col("role") == "relay") & (pl.col("device") == pl.col("relay_device"))
     return (
-        pl.concat([of_run, samples[of_run["sample"]]], how="horizontal")
+        pl.concat([run_samples, samples[run_samples["sample"]]], how="horizontal")
         .filter((pl.col("session_id") == pl.col("ping_session_id")) | at_relay)
         .unique(["run", "role", "device", "wall_ns"], keep="first", maintain_order=True)
         .select(

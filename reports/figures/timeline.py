@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 POINTS_IN_PAGE = 40_000
-"""Most messages in a page, for all groups (about 1 MB of JSON), so that 500 groups open quickly."""
+"""Most messages in a page, for all groups: about 1 MB of JSON."""
 FEWEST_POINTS = 80
-"""Fewest messages drawn of a group, so that each of 500 groups keeps the shape of its run."""
+"""Fewest messages drawn of a group, which keeps the shape of its run."""
 MOST_OUTAGES = 50
 """Most outages shaded in one group; losses are marked in any case."""
 
@@ -37,7 +37,7 @@ class GroupTimeline:
         latency_ns: latency of these messages, None without the relay's stamps.
         rtt_ns: round-trip time of these messages.
         lost_elapsed_s: planned send time of each cross drawn.
-        lost_count: number of lost messages behind that cross.
+        lost_count: number of lost messages that the cross represents.
     """
 
     group: int
@@ -72,14 +72,14 @@ def timeline_info(book: Book) -> Timeline:
     drawn = thinned.partition_by("group", as_dict=True)
     groups = []
     for (group,) in frame.select("group").unique(maintain_order=True).iter_rows():
-        of_group = drawn.get((group,), frame.clear())
+        own = drawn.get((group,), frame.clear())
         lost_at, lost_count = _crosses(lost.get((group,), frame.clear())["elapsed_s"].to_numpy(), share)
         groups.append(
             GroupTimeline(
                 group,
-                tuple(round(value, 4) for value in of_group["elapsed_s"].to_list()),
-                tuple(of_group["latency_ns"].to_list()),
-                tuple(of_group["rtt_ns"].to_list()),
+                tuple(round(value, 4) for value in own["elapsed_s"].to_list()),
+                tuple(own["latency_ns"].to_list()),
+                tuple(own["rtt_ns"].to_list()),
                 lost_at,
                 lost_count,
             )
@@ -89,26 +89,18 @@ def timeline_info(book: Book) -> Timeline:
 
 
 def timeline_figure(info: Timeline) -> Figure | LeftOut:
-    """Draw dots over time, for the series of the chosen cell."""
+    """Draw dots over time, for the setups of the selected message."""
     name, title = "timeline", "Latency over time"
     how_to_read = (
-        "Each dot is a message that came back; crosses on the line at the top are messages that did not, at the time "
-        "they were due, so a row of crosses is an outage, and outages are shaded."
+        "Each dot is a received message; crosses on the line at the top are lost messages at the time they were due, so a row of crosses is "
+        "an outage, and outages are shaded."
     )
     if not info.groups:
         return LeftOut(name, title, "no message was published.")
-    by_group = {str(one.group): one for one in info.groups}
-    return Figure(
-        name,
-        title,
-        how_to_read,
-        "timeline",
-        {
-            "groups": by_group,
-            "decimated": info.decimated,
-            "outages": {str(group): spans for group, spans in info.outages.items()},
-        },
-    )
+    groups = {str(one.group): one for one in info.groups}
+    outages = {str(group): spans for group, spans in info.outages.items()}
+    plan = {"groups": groups, "decimated": info.decimated, "outages": outages}
+    return Figure(name, title, how_to_read, "timeline", plan)
 
 
 FIGURE = figure_maker(timeline_info, timeline_figure, Scope.CELL)
@@ -123,23 +115,23 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
     spans: dict[int, list[tuple[float, float]]] = {}
     columns = ("group", "run_id", "start_ns", "end_ns")
     for group, run_id, start_ns, end_ns in longest.select(columns).iter_rows():
-        of_group = spans.setdefault(group, [])
+        own = spans.setdefault(group, [])
         # An outage without an end lasted to the end of its run, which its crosses show.
-        if run_id in origin_ns and end_ns is not None and len(of_group) < MOST_OUTAGES:
+        if run_id in origin_ns and end_ns is not None and len(own) < MOST_OUTAGES:
             start, end = ((ns - origin_ns[run_id]) / 1e9 for ns in (start_ns, end_ns))
-            of_group.append((round(start, 4), round(end, 4)))
-    return {group: tuple(sorted(of_group)) for group, of_group in spans.items() if of_group}
+            own.append((round(start, 4), round(end, 4)))
+    return {group: tuple(sorted(own)) for group, own in spans.items() if own}
 
 
 def _slices(
     elapsed_s: Float64, start_s: Float64 | np.float64, end_s: Float64 | np.float64, count: int
 ) -> NDArray[np.int64]:
-    """Return for each instant which of `count` equal slices of the time from `start_s` to `end_s` holds it."""
-    lasted_s = np.where(end_s > start_s, end_s - start_s, 1.0)  # all at one instant are in the first slice
-    place: NDArray[np.int64] = np.minimum((elapsed_s - start_s) / lasted_s * count, count - 1).astype(
+    """Return for each instant which of `count` equal slices of the time from `start_s` to `end_s` contains it."""
+    duration_s = np.where(end_s > start_s, end_s - start_s, 1.0)  # all at one instant are in the first slice
+    index: NDArray[np.int64] = np.minimum((elapsed_s - start_s) / duration_s * count, count - 1).astype(
         np.int64
     )
-    return place
+    return index
 
 
 def _thinned(rows: pl.DataFrame, share: int) -> pl.DataFrame:
@@ -148,19 +140,19 @@ def _thinned(rows: pl.DataFrame, share: int) -> pl.DataFrame:
     times = rows.select(at, start=at.min().over("group"), end=at.max().over("group"))
     elapsed_s, start_s, end_s = (column.to_numpy() for column in times)
     ranked = rows.with_row_index("row").with_columns(
-        pl.Series("place", _slices(elapsed_s, start_s, end_s, share // 2)),
+        pl.Series("slice", _slices(elapsed_s, start_s, end_s, share // 2)),
         value=pl.coalesce("latency_ns", "rtt_ns"),
         is_many=pl.len().over("group") > share,
     )
     by_value = ranked.filter("is_many").sort("value", "row")
     extremes = [
-        by_value.unique(["group", "place"], keep=end, maintain_order=True)["row"] for end in ("first", "last")
+        by_value.unique(["group", "slice"], keep=end, maintain_order=True)["row"] for end in ("first", "last")
     ]
     return rows.filter(~ranked["is_many"] | ranked["row"].is_in(pl.concat(extremes).implode()))
 
 
 def _crosses(lost_s: Float64, share: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
-    """Return at most `share` crosses, each at its first loss, and the losses behind each."""
+    """Return at most `share` crosses, each at its first loss, and the number of losses that each represents."""
     if len(lost_s) <= share:
         return tuple(round(float(at), 4) for at in lost_s), (1,) * len(lost_s)
     _, first, count = np.unique(

@@ -1,4 +1,4 @@
-"""Filters of the page; one choice acts on every figure and table."""
+"""Filters of the page, which act on every figure and table."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One choice of a filter: its name in the page's address and its label."""
+    """One option of a filter: its name in the page's address and its label."""
 
     value: str
     label: str
@@ -32,21 +32,20 @@ class Filter:
     Attributes:
         key: name in the page's address.
         label: name on the page.
-        options: distinct choices among the groups.
-        of_group: index of each group's option.
+        options: distinct options among the groups.
+        index: for each group the index of its option.
     """
 
     key: str
     label: str
     options: tuple[Option, ...]
-    of_group: tuple[int, ...]
+    index: tuple[int, ...]
 
 
 def _same(text: str) -> Option:
     return Option(text, text)
 
 
-# Key, label, and the option of a group. Options come in the order of cells and series.
 _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
     ("vendor", "Vendor", lambda _, s: _same(s.vendor_label)),
     (
@@ -69,6 +68,7 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
         lambda _, s: Option(printable(s.setting), printable(s.setting) or "nothing else set"),
     ),
 )
+"""Key, label, and the option of a group; options are in the order of cells and series."""
 
 
 def filters_info(groups: Groups) -> tuple[Filter, ...]:
@@ -78,13 +78,13 @@ def filters_info(groups: Groups) -> tuple[Filter, ...]:
         options = [option_of(groups.cell_of(group), groups.series_of(group)) for group in groups.groups]
         distinct = _ordered(groups, option_of)
         if len(distinct) > 1:
-            place = {option: index for index, option in enumerate(distinct)}
-            filters.append(Filter(key, label, tuple(distinct), tuple(place[option] for option in options)))
+            rank = {option: index for index, option in enumerate(distinct)}
+            filters.append(Filter(key, label, tuple(distinct), tuple(rank[option] for option in options)))
     return tuple(filters)
 
 
 def _ordered(groups: Groups, option_of: Callable[[Cell, Series], Option]) -> list[Option]:
-    """Sort the options as cells and series are sorted; numbers by size."""
+    """Sort the options like cells and series; numbers by size."""
     by_series = sorted(groups.groups, key=lambda group: (group.series, group.cell))
     options = list(dict.fromkeys(option_of(groups.cell_of(g), groups.series_of(g)) for g in by_series))
     if all(option.value.replace(".", "", 1).isdigit() for option in options):

@@ -1,16 +1,18 @@
-"""The HTML report on a local address, made anew when a trace below its folder changes.
+"""The HTML report on a local address, made again when a trace below its folder changes.
 
-`/version` names the page, `/status` says how far the sweep is, `/update` is the page without plotly.js for one that is open.
+`/version` is the version of the page, `/status` the progress of the sweep, `/update` the page without plotly.js for one that is open.
 """
 
 from __future__ import annotations
 
 import ipaddress
+import json
 import socket
 import sys
 import threading
+import time
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from html import escape
 from http import HTTPStatus
@@ -22,22 +24,77 @@ from dds_trace.base.errors import OutputError, TraceError
 
 from ..book.book import Book
 from .page import live_script, render_live, without_plotly
-from .progress import sweep_status, without_running
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from dds_trace.analyzer.analysis import Analysis
 
 Stamp: TypeAlias = "tuple[tuple[str, int, int], ...]"
 """Path, size in bytes and time of change in ns of every file below a folder."""
 
 TRACE_ENDINGS = (".mcap", ".db3", ".yaml", ".ring")
 
+_STATE, _PARTS = "state.json", ".parts"
+"""A sweep's state, and the folder of what it is recording; `recorder/sweep/` writes both."""
+
+_DONE = ("recorded", "complete")
+
 _WAITING = (
     '<!doctype html><html lang="en" data-version="{version}"><meta charset="utf-8">'
-    "<title>Waiting for traces</title><body><p>No trace can be analyzed yet. This page looks again by itself."
+    "<title>Waiting for traces</title><body><p>No trace can be analyzed yet. This page updates by itself."
     "<script>{script}</script>"
 )
+
+
+@dataclass(frozen=True, slots=True)
+class SweepStatus:
+    """Sweeps below a folder, taken together.
+
+    Attributes:
+        done: recordings that exist.
+        planned: recordings that there will be; 0 without a sweep.
+        age_s: seconds since the last change of a sweep's state; None without a sweep.
+        left_s: about how long the sweeps take from now on.
+    """
+
+    done: int = 0
+    planned: int = 0
+    age_s: float | None = None
+    left_s: float = 0.0
+
+    @property
+    def running(self) -> bool:
+        """Whether recordings are still to come."""
+        return self.done < self.planned
+
+
+def sweep_status(folder: Path) -> SweepStatus:
+    """Add up the sweeps in and below a folder; a file that is not the state of a sweep counts as none."""
+    total = SweepStatus()
+    for path in sorted(folder.rglob(_STATE)):
+        try:
+            state, changed_s = json.loads(path.read_text()), path.stat().st_mtime
+            done = sum(cell["status"] in _DONE for cell in state["cells"].values())
+            planned, left_s = int(state["planned"]), float(state["left_s"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue
+        age_s = max(0.0, time.time() - changed_s)
+        total = SweepStatus(
+            total.done + done,
+            total.planned + planned,
+            age_s if total.age_s is None else min(age_s, total.age_s),
+            total.left_s + (max(0.0, left_s - age_s) if done < planned else 0.0),
+        )
+    return total
+
+
+def without_running(analysis: Analysis) -> Analysis:
+    """Return the analysis without findings about files that a running sweep has not finished."""
+    unfinished = {source.path for source in analysis.sources if _PARTS in source.path.split("/")}
+    findings = (one for one in analysis.findings if not set(one.where.split(", ")) <= unfinished)
+    return replace(analysis, findings=tuple(findings))
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +103,8 @@ class WatchOptions:
 
     Attributes:
         folder: folder with traces at any depth.
-        out: folder for the files of the analysis; None for its default place.
-        cache: whether to keep events there, so that of a folder that grew only new traces are read; if False,
-            nothing is written.
+        out: folder for the files of the analysis; None for its default.
+        cache: whether to keep events there, so that only new traces are read again; if False, nothing is written.
     """
 
     folder: Path
@@ -65,7 +121,7 @@ class Shown:
 
 
 class Watcher:
-    """The latest page of a folder, and the server that hands it out."""
+    """The latest page of a folder, and its server."""
 
     def __init__(self, options: WatchOptions, host: str = "127.0.0.1", port: int = 0) -> None:
         """Bind the address at once; nothing is analyzed before `refresh`.
@@ -95,8 +151,7 @@ class Watcher:
     def refresh(self) -> bool:
         """Analyze the folder if a file changed since the last call, and return whether there is a new report.
 
-        An analysis that fails (there is no trace yet, one has just begun, a mistake of ours) leaves the report
-        before it on the page, under a line with the reason.
+        An analysis that fails leaves the previous report on the page, under a line with the reason.
         """
         stamp = _stamp_of(self._options.folder, self._target())
         if stamp == self._stamp:
@@ -127,7 +182,7 @@ class Watcher:
         if not self._report:
             return _waiting(version, why)
         notice = f'<p class="notice" role="status">The latest analysis failed: {escape(why)}</p>'
-        # Both are markup of the page's own that no text of a trace can stand before.
+        # Both are the page's own markup, which precedes any text of a trace.
         page = self._report.replace(
             f'data-version="{self._analyzed_version}"', f'data-version="{version}"', 1
         )
@@ -135,7 +190,7 @@ class Watcher:
 
     def status(self) -> str:
         """Return version of the page and progress of the sweeps, as JSON."""
-        return sweep_status(self._options.folder).to_json(self.shown.version)
+        return json.dumps({"version": self.shown.version, **asdict(sweep_status(self._options.folder))})
 
     @contextmanager
     def serving(self) -> Iterator[None]:
@@ -156,7 +211,7 @@ def _waiting(version: str, why: str = "") -> Shown:
 
 
 def _encoded(page: str) -> bytes:
-    # A file name that is no UTF-8 may be in the reason of a failure.
+    # The reason of a failure may contain a file name that is not UTF-8.
     return page.encode("utf-8", "backslashreplace")
 
 
@@ -165,7 +220,7 @@ def _server_class(host: str) -> type[ThreadingHTTPServer]:
         address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
 
         def handle_error(self, _request: object, client_address: object) -> None:
-            """Say nothing of a tab that was closed while it was answered; of anything else, one line."""
+            """Print one line, but nothing for a tab that was closed while it was answered."""
             error = sys.exc_info()[1]
             if not isinstance(error, ConnectionError | TimeoutError):
                 print(f"{client_address}: {type(error).__name__}: {error}", file=sys.stderr)
@@ -173,13 +228,13 @@ def _server_class(host: str) -> type[ThreadingHTTPServer]:
     return Server
 
 
-def is_own_name(asked: str, bound: str) -> bool:
+def is_own_name(host: str, bound: str) -> bool:
     """Return whether a request's `Host` is a name of this server: of loopback, or the address that it listens on.
 
-    Any other name was pointed here by somebody (DNS rebinding): his page would be allowed to read ours. An address
-    needs no DNS, so where the server listens on all addresses of the machine each of them will do.
+    Any other name may come from DNS rebinding, which would let a foreign page read ours. An address needs no DNS, so a server
+    that listens on all addresses of the machine accepts each of them.
     """
-    name = asked.strip().lower()
+    name = host.strip().lower()
     name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
     if name in {"localhost", bound.lower()}:
         return True
@@ -191,7 +246,7 @@ def is_own_name(asked: str, bound: str) -> bool:
 
 
 def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
-    beside: dict[str, tuple[str, Callable[[], str]]] = {
+    paths: dict[str, tuple[str, Callable[[], str]]] = {
         "/version": ("text/plain", lambda: watcher.shown.version),
         "/status": ("application/json", watcher.status),
         "/update": ("text/html", lambda: without_plotly(watcher.shown.page.decode())),
@@ -203,8 +258,8 @@ def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
                 self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
                 return
             shown = watcher.shown
-            if self.path in beside:
-                kind, body = beside[self.path]
+            if self.path in paths:
+                kind, body = paths[self.path]
                 self._send(kind, body().encode())
             elif self.path != "/":
                 self.send_error(HTTPStatus.NOT_FOUND)
@@ -231,14 +286,14 @@ def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
 
 
 def _stamp_of(folder: Path, skip: Path) -> Stamp:
-    """Return the stamp of every file that may be part of a trace, without those that the analysis writes below `skip`."""
+    """Return the stamp of every file that may be part of a trace, without those of the analysis below `skip`."""
     stamps = []
     for path in sorted(folder.rglob("*")):
         if (path.suffix in TRACE_ENDINGS or not path.suffix) and not path.is_relative_to(skip):
             try:
                 status = path.stat()
             except OSError:
-                continue  # renamed or deleted meanwhile: the next look sees what became of it
+                continue  # renamed or deleted since; the next call sees it
             if path.is_file():
                 stamps.append((str(path), status.st_size, status.st_mtime_ns))
     return tuple(stamps)

@@ -5,7 +5,29 @@ from __future__ import annotations
 import base64
 import gzip
 import hashlib
+import json
+from dataclasses import fields
 from functools import lru_cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+
+def json_island(value: object) -> str:
+    """Encode JSON that cannot end its `<script>` element: dataclasses as objects, sorted keys, no NaN."""
+    text = json.dumps(
+        value, separators=(",", ":"), sort_keys=True, ensure_ascii=False, allow_nan=False, default=_fields
+    )
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    # A lone surrogate (undecodable file name) cannot be written as UTF-8.
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _fields(record: DataclassInstance) -> dict[str, object]:
+    # Not `asdict`, which copies every number of a campaign.
+    return {field.name: getattr(record, field.name) for field in fields(record)}
 
 
 @lru_cache(maxsize=4)  # plotly.js, and scripts that stay the same while a folder is watched
@@ -25,5 +47,5 @@ def unpacked(text: str) -> str:
 
 
 def policy_hash(script: str) -> str:
-    """Return the name of a script in a security policy; a page runs what a script of it inserts under the same rule."""
+    """Return the name of a script in a security policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"

@@ -1,27 +1,26 @@
-"""HTML report: one self-contained file that opens offline and needs no network.
+"""HTML report: one self-contained file that opens offline.
 
-The page holds every number once, as packed JSON, from which `assets/*.js` draw figures and tables under the reader's filters.
-Equal input gives equal bytes: no clock, no random id.
+The page contains every number once, as packed JSON, from which `assets/*.js` draw figures and tables under the reader's
+filters. Equal input gives equal bytes: no clock, no random id.
 """
 
 from __future__ import annotations
 
 import base64
-import io
 from dataclasses import asdict
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from dds_trace.analyzer.pairing.parquet import summary_table
+from dds_trace.analyzer.exports.tables import summary_parquet
 from dds_trace.base.files import replacing
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_rate, format_size
 
+from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
 from ..book.groups import (
     LATENCY_MEANING,
@@ -30,13 +29,13 @@ from ..book.groups import (
     STATISTIC_LABELS,
     data_type_label,
     group_labels,
-    json_island,
 )
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
-from ..figures import Figure, LeftOut, Scope, drawn_figures
+from ..figures import drawn_figures
+from ..figures.figure import ATOMS, MOST_LINES, Figure, LeftOut, Scope
 from .filters import filters_info
-from .packing import packed, packed_script, policy_hash
+from .packing import json_island, packed, packed_script, policy_hash
 from .styles import line_styles
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
 
 FILE_NAME = "report.html"
 MOST_LINKED = 40
-"""Most groups that one finding links to; the worst come first."""
+"""Most results that one finding links to; the worst come first."""
 SCRIPTS = (
     "data.js",
     "units.js",
@@ -68,7 +67,7 @@ SCRIPTS = (
     "output/paper.js",
     "page.js",
 )
-"""Scripts of the page, each behind those that it needs."""
+"""Scripts of the page, each after those that it needs."""
 UNPACK_SCRIPT = "unpack.js"
 LIVE_SCRIPT = "live.js"
 
@@ -79,17 +78,17 @@ def render(book: Book) -> str:
 
 
 def render_live(book: Book, version: str) -> str:
-    """Return the page for `dds-analyze watch`: it renews itself in place when the version of `GET status` changes."""
+    """Return the page for `dds-analyze watch`, which updates itself when the version of `GET status` changes."""
     return _render(book, (*SCRIPTS, LIVE_SCRIPT), version)
 
 
 def without_plotly(page: str) -> str:
-    """Return a page as it travels to a reader that has plotly.js: two megabytes less."""
+    """Return a page for a reader that already has plotly.js, which is two megabytes."""
     return page.replace(packed_script(get_plotlyjs()), "", 1)
 
 
 def live_script() -> str:
-    """Return the script that looks for a newer page; `data-version` of the root element is the page's version."""
+    """Return the script that looks for a newer page than `data-version` of the root element."""
     return _asset(LIVE_SCRIPT)
 
 
@@ -122,7 +121,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         campaign_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CAMPAIGN],
         cell_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CELL],
         left_out=[figure for _, figure in made if isinstance(figure, LeftOut)],
-        surroundings=book.surroundings,
+        environment=book.environment,
         record_tables=book.record_tables,
     )
 
@@ -140,28 +139,15 @@ def _asset(name: str) -> str:
 
 
 def _policy(*scripts: str, connect: str) -> str:
-    """Return a security policy under which only these scripts run and nothing but `connect` is fetched.
+    """Return a security policy under which only these scripts run and only `connect` is fetched.
 
-    Inline styles are allowed because plotly.js writes style attributes, data and blob images because downloads are
-    made of them.
+    plotly.js writes style attributes, and downloads are made of data and blob images.
     """
     hashes = " ".join(f"'{policy_hash(script)}'" for script in scripts)
     return (
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data: blob:; "
         "base-uri 'none'; form-action 'none'" + (f"; connect-src {connect}" if connect else "")
     )
-
-
-def _parquet(book: Book) -> str:
-    """Return the summary as a Parquet file in base64, for a reader who has the page alone: 100 KB for 500 groups.
-
-    Units and meanings are in the metadata of its fields, as in the file that an analysis writes. No browser writes Parquet, and a
-    writer in JavaScript would be larger than the file.
-    """
-    file = io.BytesIO()
-    table = summary_table(book.analysis.summary)
-    pq.write_table(table, file, compression="zstd", compression_level=19, write_statistics=False)
-    return base64.b64encode(file.getvalue()).decode("ascii")
 
 
 def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
@@ -180,13 +166,14 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             "count": len(groups.groups),
             "series": [group.series for group in groups.groups],
             "cell": [group.cell for group in groups.groups],
-            "filters": {one.key: one.of_group for one in filters},
+            "filters": {one.key: one.index for one in filters},
         },
         "series": [{"label": label} for label in groups.labels],
+        "facets": {"made_of": MADE_OF, "atoms": ATOMS, "most_lines": MOST_LINES},
         "dimensions": {
             key: {
                 "label": dimension.label,
-                "of_group": dimension.of_group,
+                "index": dimension.index,
                 "options": [
                     {"label": label, "short": short, **asdict(style)}
                     for label, short, style in zip(
@@ -209,7 +196,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
         ],
         "values": values,
         "curves": book.curves,
-        "parquet": _parquet(book),
+        "parquet": base64.b64encode(summary_parquet(book.analysis)).decode("ascii"),
         "runs": [
             {
                 "group": run.group,

@@ -7,13 +7,22 @@ import pytest
 from four_campaigns import CAMPAIGNS
 
 from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.analyzer.verdicts.compare import compare_roundtrips
+from dds_trace.analyzer.verdicts.gate import parse_gate
+from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.reports.book.book import Book
+from dds_trace.reports.comparison import junit
+from dds_trace.reports.comparison import markdown as comparison_markdown
+from dds_trace.reports.comparison import page as comparison_page
+from dds_trace.reports.comparison import terminal as comparison_terminal
+from dds_trace.reports.comparison.info import comparison_info
 from dds_trace.reports.notebook import MOST_CHARACTERS
 from dds_trace.reports.reporters import load_reporter
 
 OLD_WORDS = re.compile(
     r"\bcells?\b|via builtin|null for want|keeping an event|\brecorder\b|\blibrary\b|the way was full|waits in reader"
-    r"|vendors against each other|per vendor\b|\bseries\b|\binconclusive\b",
+    r"|vendors against each other|per vendor\b|\bseries\b|\binconclusive\b|combinations?\b|\bcontenders?\b|\bstrat(?:um|a)\b"
+    r"|\bsurvivors?\b|\b(?:told|tells?) apart\b|\bepisodes?\b|\bchoices?\b",
     re.IGNORECASE,
 )
 """Words that newcomers did not understand on the page."""
@@ -55,12 +64,27 @@ def visible_text(report):
     return html.unescape(f"{re.sub(r'<[^>]+>', ' ', kept)} {labels}")
 
 
+def test_a_comparison_is_in_the_words_of_a_report():
+    sides = [CAMPAIGNS[name]().load_roundtrips() for name in ("demo", "demo")]
+    comparison = compare_roundtrips(*sides)
+    info = comparison_info(comparison, judge_gates(comparison, [parse_gate("latency_p50 > +10%")]))
+    texts = [
+        comparison_terminal.render(info, shows_all=True),
+        comparison_markdown.render(info, shows_all=True),
+        visible_text(comparison_page.render(info, "main → branch")),
+        junit.render(info),
+    ]
+    found = [set(OLD_WORDS.findall(html.unescape(text).lower())) for text in texts]
+    assert all(words <= {"inconclusive"} for words in found), "the outcome of a gate is a code"
+
+
 @pytest.mark.parametrize(
     "old",
     [
         "Binary, via builtin", "Null for want of samples: p99.9 (takes 1000)", "keeping an event took 6 µs", "Recorder 6 µs",
         "Library 90 µs", "the way was full", "Waits in reader", "Vendors against each other", "Size by rate, per vendor",
-        "| Series |", "in 3 cells", "one cell", "Inconclusive",
+        "| Series |", "in 3 cells", "one cell", "Inconclusive", "12 combinations", "the contender", "a stratum", "of the survivors",
+        "told apart", "3 episodes", "any choice",
     ],
 )  # fmt: skip
 def test_an_old_word_would_be_found(old):

@@ -10,9 +10,10 @@ from four_campaigns import CAMPAIGNS
 
 from dds_trace import OptionError
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures import Figure, drawn_figures
+from dds_trace.reports.figures import drawn_figures
+from dds_trace.reports.figures.figure import Figure
 from dds_trace.reports.notebook import MOST_CHARACTERS, first_screen
-from dds_trace.reports.plotting import PLOTS
+from dds_trace.reports.plotting import NAMES
 
 HARMLESS = {
     *("div", "p", "b", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")
@@ -138,7 +139,7 @@ def lines_of_page(analysis):
 def test_every_figure_of_lines_on_the_page_is_plotted_with_the_same_groups():
     analyses = plotted(), CAMPAIGNS["lossy machine"]()
     of_page = [lines_of_page(analysis) for analysis in analyses]
-    assert set().union(*of_page) == set(PLOTS)
+    assert set().union(*of_page) == set(NAMES)
     for analysis, plans in zip(analyses, of_page, strict=True):
         for name, plan in plans.items():
             figure = analysis.plot(name)
@@ -169,7 +170,7 @@ def test_figures_of_other_things_than_times_show_them_in_their_unit():
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ({"name": "latency"}, "no figure 'latency'; choose from latency_by_size, latency_by_rate"),
+        ({"name": "latency"}, "no figure 'latency'; choose from latency_by_rate, latency_by_size"),
         (
             {"name": "latency_by_size", "panels": "colour"},
             "no panels 'colour'; choose from size, rate, device",
@@ -177,8 +178,8 @@ def test_figures_of_other_things_than_times_show_them_in_their_unit():
         ({"name": "latency_by_size", "metric": "lag"}, "no metric 'lag'"),
         ({"name": "latency_by_size", "statistic": "p98"}, "no statistic 'p98'"),
         ({"name": "latency_by_size"}, "no data type was measured with two message sizes at one rate"),
-        ({"name": "received"}, "every message came back"),
-        ({"name": "vendor_comparison", "statistic": "p99_9"}, "no group has a value of"),
+        ({"name": "received"}, "every message was received"),
+        ({"name": "vendor_comparison", "statistic": "p99_9"}, "no result has a value of"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_line(how, said):

@@ -11,8 +11,8 @@ from campaigns import write_runs
 
 from dds_trace.cli.analyze import main
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures import FIGURES, Figure, LeftOut, figure_maker
-from dds_trace.reports.figures.figure import Facet, facet_plan, faceted
+from dds_trace.reports.figures import FIGURES
+from dds_trace.reports.figures.figure import Facet, Figure, LeftOut, facet_plan, faceted, figure_maker
 from dds_trace.reports.html.packing import unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 

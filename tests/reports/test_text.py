@@ -3,7 +3,8 @@ import math
 
 import pytest
 
-from dds_trace.reports.book.groups import format_count, format_ratio, json_island, markdown
+from dds_trace.reports.book.groups import format_count, format_ratio, markdown
+from dds_trace.reports.html.packing import json_island
 
 
 @pytest.mark.parametrize(

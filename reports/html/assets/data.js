@@ -15,6 +15,6 @@ function plain(text) {
   return String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 }
 
-/** What tells a group apart, for tables and hovers. */
+/** What distinguishes a group, for tables and hovers. */
 function seriesOf(group) { return DATA.series[DATA.groups.series[group]]; }
 function cellOf(group) { return DATA.cells[DATA.groups.cell[group]]; }

@@ -12,7 +12,7 @@ const SEEN = new IntersectionObserver((entries) => {
   drawNear();
 }, { rootMargin: "400px" });
 
-/** Whether a part is in the window. What a closed fold holds has a place for the browser, but nobody sees it. */
+/** Whether a part is in the window. The content of a closed fold has a position for the browser, but nobody sees it. */
 function isOnScreen(part) {
   if (part.parentElement.closest("details:not([open])")) return false;
   const { top, bottom } = part.getBoundingClientRect();
@@ -105,7 +105,7 @@ class FigureBlock {
 
   note(empty) {
     const { missing, foot } = this.drawn;
-    const groups = counted(missing, "group");
+    const groups = counted(missing, "result");
     const notes = [];
     if (empty) notes.push(missing ? "Nothing to draw here:" : "Nothing passes the filters here.");
     if (missing) notes.push(`${groups} of this view ha${missing === 1 ? "s" : "ve"} no such value (too few messages, or a trace is missing).`);
@@ -125,7 +125,7 @@ class FigureBlock {
     return `dds-trace-${this.name.replace(/^latency_/, "")}${said}`.replaceAll("_", "-");
   }
 
-  /** One button for each line, which switches it off and on everywhere; the parts of stacked bars are named alone. */
+  /** One button for each line, which switches it off and on everywhere; the parts of stacked bars only have names. */
   legend() {
     const more = this.drawn.panels > this.drawn.shown ? [this.moreButton()] : [];
     if (this.drawn.parts) return [...this.drawn.parts.map(({ name, color, hatched }) => element("span", {}, swatch({ color, bar: true, hatch: hatched ? "/" : "" }), name)), ...more];

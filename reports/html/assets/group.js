@@ -39,8 +39,8 @@ function showGroup() {
   place.replaceChildren();
   for (const name of GROUP_FIGURES.filter((one) => DATA.figures[one])) drawOf(group, name, place);
   const runs = DATA.runs.filter((run) => run.group === group);
-  const columns = [{ label: "Run" }, { label: "Began" }, { label: "Sent", format: formatCount }, { label: "Came back", format: formatCount }, { label: "Median", unit: "ns", format: formatNs }, { label: "Slowest", unit: "ns", format: formatNs }];
-  showTable(document.getElementById("group-runs"), "Runs of the group", columns, runs.map((run) => [run.name, run.began || null, run.sent, run.received, run.p50_ns, run.max_ns]));
+  const columns = [{ label: "Run" }, { label: "Began" }, { label: "Sent", format: formatCount }, { label: "Received", format: formatCount }, { label: "Median", unit: "ns", format: formatNs }, { label: "Slowest", unit: "ns", format: formatNs }];
+  showTable(document.getElementById("group-runs"), "Runs of the result", columns, runs.map((run) => [run.name, run.began || null, run.sent, run.received, run.p50_ns, run.max_ns]));
   sheet.scrollTop = 0;
 }
 
@@ -72,7 +72,7 @@ sheet.addEventListener("close", () => {
   writeAddress();
 });
 document.getElementById("group-close").addEventListener("click", () => sheet.close());
-sheet.addEventListener("click", (event) => { if (event.target === sheet) sheet.close(); });   // beside it
+sheet.addEventListener("click", (event) => { if (event.target === sheet) sheet.close(); });   // outside of it
 document.addEventListener("click", (event) => {
   const link = event.target.closest("[data-group]");
   if (!link) return;

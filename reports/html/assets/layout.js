@@ -18,7 +18,7 @@ function axisStyle(colors) {
   };
 }
 
-/** Whether a figure is as narrow as on a phone: smaller panels, and names of lines in the legend alone. */
+/** Whether a figure is as narrow as on a phone: smaller panels, and names of lines only in the legend. */
 const isNarrow = (width) => width < 600;
 
 const MOST_PANELS = 24;   // of one figure, until the reader asks for all
@@ -26,7 +26,7 @@ const END_STEP = 12;      // px between two labels at line ends
 
 /**
  * Panels {title, traces, x, y, height?, share?, shapes?, notes?, ends?} as one plotly figure. Panels of one `share` have one y
- * axis: beside one another, only the first names its ticks. `columns` panels stand side by side if there is room.
+ * axis: side by side, only the first has labels at its ticks. `columns` panels are side by side if there is room.
  */
 function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", left = 62, right = 16, below = 40, columns = 0, all = true } = {}) {
   const colors = theme();
@@ -39,7 +39,7 @@ function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", left
     return Math.min(beside, shown.length) || 1;
   };
   const shared = (wide, place) => place % wide > 0 && shown[place].share !== undefined && shown[place].share === shown[place - 1].share;
-  // Close together if the panels of each row share their axis. How many stand in a row must not follow from that where axes are
+  // Close together if the panels of each row share their axis. How many are in a row must not follow from that where axes are
   // shared at all: on a log axis all panels do, on a linear one those of a row, and the figure would change its height with the scale.
   const close = wideBy(16);
   const gapX = shown.every((_, place) => place % close === 0 || shared(close, place)) ? 16 : 58;
@@ -94,7 +94,7 @@ function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", left
   return { data, layout, panels: panels.length, shown: shown.length };
 }
 
-/** What is written to the right of marks (left of those at the edge), pushed apart where marks stand close. */
+/** What is written to the right of marks (left of those at the edge), pushed apart where marks are close. */
 function besideMarks({ beside, y }, x, width, height, suffix) {
   const share = (axis, value) => ((axis.type === "log" ? Math.log10(value) : value) - axis.range[0]) / (axis.range[1] - axis.range[0]);
   const ordered = beside.map((one) => ({ ...one, left: share(x, one.x) * width, at: share(y, one.y) * height })).sort((a, b) => a.at - b.at);
@@ -172,7 +172,7 @@ function optionAxis(labels) {
   });
 }
 
-/** An axis of cells: rates as ticks, sizes under them, a line between sizes. Cells stand at 0, 1, 2 ... */
+/** An axis of cells: rates as ticks, sizes under them, a line between sizes. Cells are at 0, 1, 2 ... */
 function cellAxis(cells) {
   const sizes = [];
   cells.forEach((cell, place) => {

@@ -1,5 +1,5 @@
 "use strict";
-// Of a watched folder: says how far the sweep is, and puts what a newer page holds into this one once the server has it.
+// Of a watched folder: shows how far the sweep is, and puts the content of a newer page into this one once the server has it.
 const LOOK_EVERY_MS = 2000;
 
 async function lookForNewer() {
@@ -19,7 +19,7 @@ async function fetched(path, read) {
   }
 }
 
-/** `34 of 55, 3 s ago, about 6 min left` beside the title. */
+/** `34 of 55, 3 s ago, about 6 min left` next to the title. */
 function showProgress({ done, planned, age_s: age, left_s: left }) {
   if (age === null) return;
   const short = (seconds) => (seconds < 90 ? `${Math.round(seconds)} s` : seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`);

@@ -96,7 +96,7 @@ function buildFilters() {
   }));
   spreading.append(selector("panels", "Panels by "), selector("lines", "Lines by "), selector("bars", "Bars over "), paper);
   document.getElementById("figures-title").after(spreading);
-  // What the tiles of the heatmap show is chosen beside it.
+  // What the tiles of the heatmap show is selected above it.
   document.querySelector("#figure-heatmap .legend")?.before(element("p", { class: "choice" }, selector("tiles", "Tiles show ")));
   form.addEventListener("submit", (event) => event.preventDefault());
   form.addEventListener("keydown", (event) => {
@@ -129,10 +129,10 @@ function showFilters() {
   }
   document.getElementById("reset").hidden = Object.keys(view.chosen).length === 0;
   const passing = passingGroups().length;
-  document.querySelector(".count").textContent = `${passing === DATA.groups.count ? "" : `${formatCount(passing)} of `}${counted(DATA.groups.count, "group")}`;
+  document.querySelector(".count").textContent = `${passing === DATA.groups.count ? "" : `${formatCount(passing)} of `}${counted(DATA.groups.count, "result")}`;
 }
 
-/** Which cell the detail figures show, out of those that pass the filters. */
+/** Which message the detail figures show, out of those that pass the filters. */
 function showCellChoice() {
   const cells = [...new Set(passingGroups().map((group) => DATA.groups.cell[group]))].sort((a, b) => a - b);
   const select = element("select", { id: "choose-cell" }, ...cells.map((cell) => element("option", { value: String(cell) }, DATA.cells[cell].label)));
@@ -153,7 +153,7 @@ function showCellChoice() {
   document.getElementById("cell-choice").replaceChildren(...(cells.length ? [label, select, ...on] : []));
 }
 
-// The address holds the view, so a link within the page must not replace it.
+// The address contains the view, so a link within the page must not replace it.
 
 document.addEventListener("click", (event) => {
   const link = event.target.closest("a[href^='#']:not([data-group])");
@@ -176,7 +176,7 @@ function setTheme(name) {
   button.setAttribute("aria-pressed", String(name === "dark"));
 }
 
-/** A page on file:// may be refused a memory; then the system's theme holds again at the next opening. */
+/** A page on file:// may not store it; then the system's theme applies at the next opening. */
 function remembered(name) {
   try {
     if (name) localStorage.setItem("dds-trace-theme", name);
@@ -210,7 +210,7 @@ addEventListener("resize", () => {
   }, 150);
 });
 
-/** Everything that rests on the data and on what stands in `main`; again when a watched page is renewed. */
+/** Everything that depends on the data and the content of `main`; again when a watched page is renewed. */
 function start() {
   blocks = [...document.querySelectorAll("[data-figure]")].map((article) => new FigureBlock(article));
   buildFilters();

@@ -115,7 +115,7 @@ function keepColumns(scroll, stay) {
 
 const groupsSorting = { column: -1, descending: false };
 
-/** The rows whose names, as they are shown, hold every word of a search. */
+/** The rows whose names, as they are shown, contain every word of a search. */
 function foundRows(columns, rows, search) {
   const words = search.toLowerCase().split(/\s+/).filter(Boolean);
   const shown = (row, at) => (typeof row[at] === "number" && columns[at].format ? columns[at].format(row[at], row) : String(row[at] ?? MISSING));
@@ -146,10 +146,10 @@ function showGroups({ whole = false } = {}) {
     group, values.runs[group], values.planned[group], values.published[group], values.unsent[group], values.received_ratio[group],
     ...shown.flatMap((key) => [times[view.metric][key][group], ...(bounded(key) ? intervalOf(group, key) : []), ...(rested(key) ? [restsOn(group, key)] : [])]),
     values.transfer_rate_bytes_per_s[group], values.achieved_rate_hz[group], values.duplicates[group], values.reordered[group],
-    values.own_cost_ns?.[group] ?? null, values.own_share?.[group] ?? null,
+    values.own_cost_ns[group], values.own_share[group],
   ));
   const found = foundRows(columns, rows, document.getElementById("groups-search").value);
-  showTable(document.getElementById("groups-table"), "All groups that pass the filters", columns, found, { sorting: groupsSorting, stay: GROUP_COLUMNS.length, whole });
-  document.getElementById("groups-found").textContent = found.length === rows.length ? "" : `${formatCount(found.length)} of ${counted(rows.length, "group")}`;
+  showTable(document.getElementById("groups-table"), "All results that pass the filters", columns, found, { sorting: groupsSorting, stay: GROUP_COLUMNS.length, whole });
+  document.getElementById("groups-found").textContent = found.length === rows.length ? "" : `${formatCount(found.length)} of ${counted(rows.length, "result")}`;
   return { columns, rows: found };
 }

@@ -16,7 +16,7 @@ function setChoices() {
     statistic: DATA.statistics,
     scale: SCALES,
     tiles: TILES,
-    // What stands side by side and what is a line; `auto` is what each figure proposes.
+    // What is side by side and what is a line; `auto` is what each figure proposes.
     panels: [AUTO, ...dimensionChoices(["size", "rate", "vendor", "way", "device", "link"])],
     lines: [AUTO, ...dimensionChoices(["choice", "size", "rate", "vendor", "way", "device", "link"])],
     bars: [{ key: "size", label: "size" }, { key: "rate", label: "frequency" }],
@@ -35,7 +35,7 @@ const PAPER = { panels: "vendor", lines: "size", bars: "size" };
 const view = {
   chosen: {},   // filter key -> Set of option places; a key that is not there means all
   group: null,  // the one that is open
-  only: null,   // while one group alone is drawn
+  only: null,   // while only one group is drawn
   cell: null,   // place in DATA.cells, or null for the first that passes
   place: null,  // place among the options of the dimension place, or null for the first of the cell
   hidden: new Set(),   // lines that the reader switched off in a legend, as `dimension/option`
@@ -102,7 +102,7 @@ function shownCell() {
 /** Where the cell was measured: places of DATA.dimensions.place, and the one that the detail figures show. */
 function placesOfCell() {
   const cell = shownCell();
-  const places = passingGroups().filter((group) => DATA.groups.cell[group] === cell).map((group) => DATA.dimensions.place.of_group[group]);
+  const places = passingGroups().filter((group) => DATA.groups.cell[group] === cell).map((group) => DATA.dimensions.place.index[group]);
   return [...new Set(places)].sort((a, b) => a - b);
 }
 function shownPlace() {
@@ -113,7 +113,7 @@ function shownPlace() {
 /** The groups of the detail figures. */
 function cellGroups() {
   const [cell, place] = [shownCell(), shownPlace()];
-  return passingGroups().filter((group) => DATA.groups.cell[group] === cell && DATA.dimensions.place.of_group[group] === place);
+  return passingGroups().filter((group) => DATA.groups.cell[group] === cell && DATA.dimensions.place.index[group] === place);
 }
 
 /** The chosen statistic of the chosen metric, in ns, or null. */
@@ -131,7 +131,7 @@ function restsOn(group, statistic = view.statistic) {
   if (between === null) return "";
   const episodes = statistic === "p50" ? null : DATA.intervals.episodes[view.metric]?.[statistic]?.[group] ?? null;
   const count = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
-  return `rests on ${count(DATA.intervals.runs[group], "run")}${between ? "" : " (within one run)"}${episodes === null ? "" : `, ${count(episodes, "episode")}`}`;
+  return `rests on ${count(DATA.intervals.runs[group], "run")}${between ? "" : " (within one run)"}${episodes === null ? "" : `, ${count(episodes, "burst")}`}`;
 }
 
 const labelOf = (name) => CHOICES[name].find((choice) => choice.key === view[name]).label;

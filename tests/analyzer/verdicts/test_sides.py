@@ -14,7 +14,8 @@ from dds_trace.analyzer.verdicts.sides import (
     environment_of_group,
     recorded_apart,
 )
-from dds_trace.reports.comparison import comparison_info, markdown
+from dds_trace.reports.comparison import markdown
+from dds_trace.reports.comparison.info import comparison_info
 
 OLD, NEWER = '"6.1"', '"6.6"'
 

@@ -23,7 +23,7 @@ ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
 
 
-def test_a_clear_winner_is_named():
+def test_a_clear_winner_is_named(sentences):
     answer = Book(make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts == (
         DataVerdict(
@@ -35,34 +35,23 @@ def test_a_clear_winner_is_named():
             place="pi-one → pi-two, wired",
         ),
     )
-    assert answer.headline == (
-        "In the same domain: at 33 KB Zenoh is fastest (the next takes 9.9 times as long at the median)."
-    )
-    assert answer.points == (
-        "At p99 nothing is told apart: that takes more slow messages, in longer or more runs.",
-        "Measured on pi-one → pi-two, wired; 1 run of each.",
-    )
-    assert "by a test of their runs" in answer.rule
+    assert "Zenoh is fastest (the next takes 9.9 times as long" in answer.headline
+    sentences(answer.headline, *answer.points, answer.rule)
 
 
-def test_overlap_is_inconclusive():
+def test_overlap_is_inconclusive(sentences):
     # 20 messages: the interval of the median reaches from the 6th to the 15th, 1.005 to 1.014 ms of the faster.
     slightly_slower = [ns + 5_000 for ns in FAST]
     answer = Book(make_analysis(Measured(slightly_slower), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts[0].inconclusive == 1
-    assert answer.headline == (
-        "No clear winner: no choice was faster than the others by a test of the runs, in the one combination of data, size and "
-        "rate compared."
-    )
+    sentences(answer.headline)
 
 
-def test_fewer_than_three_runs_are_told_and_nobody_is_faster():
-    held = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
-    one_run = find_answers(rows_by_group(held.load_roundtrips()))
-    answer = Book(replace(held, details=replace(held.details, answers=one_run))).answer
-    assert answer.headline == (
-        "No clear winner in the one combination of data, size and rate compared: telling apart takes 3 runs of each, there is 1."
-    )
+def test_with_fewer_than_three_runs_nothing_is_faster(sentences):
+    analysis = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
+    one_run = find_answers(rows_by_group(analysis.load_roundtrips()))
+    answer = Book(replace(analysis, details=replace(analysis.details, answers=one_run))).answer
+    sentences(answer.headline, answer.rule)
     assert answer.verdicts[0].within_one_run == 1
     assert "fastest" not in answer.rule
 
@@ -72,7 +61,7 @@ def test_lost_messages_are_infinitely_late():
     lossy = [*FAST[:10], *["lost_return"] * 10]
     answer = Book(make_analysis(Measured(SLOW), Measured(lossy, **ZENOH))).answer
     assert all(win.contender != "Zenoh" for win in answer.verdicts[0].wins)
-    assert answer.remarks[-1] == "10 of 40 messages (25 %) did not come back, in 1 of 2 groups."
+    assert answer.remarks[-1] == "10 of 40 messages (25 %) were lost, in 1 of 2 results."
 
 
 def test_runs_that_differ_more_than_the_contenders_are_inconclusive():
@@ -86,18 +75,16 @@ def test_a_quality_of_service_is_part_of_a_choice():
 
 
 def test_without_the_round_trips_in_memory_nothing_is_judged():
-    held = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
-    answer = Book(replace(held, details=details_not_requested())).answer
-    assert answer.headline == ("Fast DDS and Zenoh were not compared: that takes the rows of all messages.")
+    analysis = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
+    answer = Book(replace(analysis, details=details_not_requested())).answer
+    assert "Fast DDS and Zenoh were not compared" in answer.headline
     assert answer.rule == ""
 
 
 def test_unlike_conditions_are_not_compared():
     answer = Book(make_analysis(Measured(SLOW, payload_bytes=1000), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts == ()
-    assert answer.headline == (
-        "Fast DDS and Zenoh were not measured under equal conditions, so no choice can be made from this."
-    )
+    assert "Fast DDS and Zenoh were not measured under equal conditions" in answer.headline
 
 
 def test_bridges_are_contenders_across_domains():
@@ -111,49 +98,34 @@ def test_bridges_are_contenders_across_domains():
     assert verdict.wins == (WinCount("Fast DDS through zenoh-bridge-dds", "fastdds", 1),)
 
 
-def test_one_middleware_leaves_no_choice_and_the_bridge_its_price():
+def test_one_middleware_leaves_no_choice_and_the_bridge_its_price(sentences):
     answer = Book(make_analysis(Measured(FAST), Measured(SLOW, **BRIDGED))).answer
-    assert answer.headline == (
-        "Fast DDS: median latency 1.01 ms in the same domain and 10 ms through our built-in bridge. No other middleware was measured."
-    )
-    levels, price, losses = answer.remarks
-    same, bridged = "33 KB at 10 Hz, same domain", "33 KB at 10 Hz, through our built-in bridge"
-    assert levels == f"Binary: median latency 1.01 ms ({same}) to 10 ms ({bridged})."
-    assert (
-        price
-        == "Fast DDS, through our built-in bridge: median +9 ms (95 %: +8.52 ms to +9.5 ms) against the same domain in the one combination "
-        "compared; clearly slower."
-    )
-    assert losses == "Every message came back."
+    assert "1.01 ms in the same domain and 10 ms through our built-in bridge" in answer.headline
+    assert "median +9 ms (95 %: +8.52 ms to +9.5 ms)" in answer.remarks[1]
+    sentences(answer.headline, *answer.remarks)
 
 
-def test_a_bridge_that_lost_messages_is_not_called_quick_for_those_that_came_back():
-    half = [ns if place % 2 else "lost_outbound" for place, ns in enumerate(FAST)]
-    price = "Fast DDS, through our built-in bridge: "
-    alone = Book(make_analysis(Measured(SLOW), Measured(half, **BRIDGED))).answer
-    assert alone.remarks[1] == (
-        f"{price}1 combination lost messages that the same domain did not, and is not compared."
-    )
+def test_a_bridge_that_lost_messages_is_not_called_quick_for_the_received_ones(sentences):
+    half = [ns if index % 2 else "lost_outbound" for index, ns in enumerate(FAST)]
+    lossy = Book(make_analysis(Measured(SLOW), Measured(half, **BRIDGED))).answer
     both = Book(make_analysis(
             Measured(SLOW), Measured(half, **BRIDGED),
             Measured(FAST, rate_hz=20.0), Measured(SLOW, rate_hz=20.0, **BRIDGED),
         )).answer  # fmt: skip
-    assert both.remarks[1].startswith(f"{price}median +9 ms (95 %: ")
-    assert both.remarks[1].endswith(
-        "in the one combination compared; clearly slower. 1 combination lost messages that the same domain did not, and is not compared."
-    )
+    assert "median" not in lossy.remarks[1]
+    assert "median +9 ms (95 %: " in both.remarks[1]
+    assert both.remarks[1].endswith(lossy.remarks[1].partition(": ")[2])
+    sentences(lossy.remarks[1])
 
 
-def test_counts_over_cells():
+def test_wins_are_counted_over_rates():
     answer = Book(make_analysis(
             Measured(SLOW), Measured(FAST, **ZENOH),
             Measured(SLOW, rate_hz=20.0), Measured(FAST, rate_hz=20.0, **ZENOH),
             Measured(FAST, rate_hz=50.0), Measured(SLOW, rate_hz=50.0, **ZENOH),
             Measured(FAST, rate_hz=80.0), Measured(FAST, rate_hz=80.0, **ZENOH),
         )).answer  # fmt: skip
-    assert answer.headline == (
-        "In the same domain: at 33 KB it depends on the rate (Zenoh is fastest in 2 of 4 comparisons, Fast DDS in 1)."
-    )
+    assert "depends on the rate (Zenoh is fastest in 2 of 4 comparisons, Fast DDS in 1)" in answer.headline
 
 
 DEVICES = {"fast": 1, "pi": 9, "zero": 80}
@@ -173,10 +145,8 @@ def on_three_devices(shares, **more):
 def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report():
     # Pooled, the devices' unlike speeds would hide the 20 % (Simpson).
     book = Book(make_analysis(*on_three_devices([0.8] * 3)))
-    assert book.answer.headline == (
-        "In the same domain, on each of 3 pairs of devices and links: at 33 KB Zenoh is fastest "
-        "(the next takes 1.2 to 1.3 times as long at the median)."
-    )
+    assert "on each of 3 pairs of devices and links: at 33 KB Zenoh is fastest" in book.answer.headline
+    assert "1.2 to 1.3 times" in book.answer.headline
     assert [(one.place, one.wins[0].contender) for one in book.answer.verdicts] == [
         ("fast, wired", "Zenoh"),
         ("pi, wired", "Zenoh"),
@@ -188,15 +158,14 @@ def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report():
         assert "on each of 3 pairs of devices and links" in text, kind
 
 
-def test_unlike_answers_of_devices_are_told_one_by_one():
+def test_different_answers_of_devices_have_a_sentence_each(sentences):
     answer = Book(make_analysis(*on_three_devices([0.8, 0.8, 1.25]))).answer
-    assert (answer.headline, answer.points[0]) == (
-        "In the same domain, on fast, wired; pi, wired: at 33 KB Zenoh is fastest (the next takes 1.3 times as long at the median).",
-        "In the same domain, on zero, wired: at 33 KB Fast DDS is fastest (the next takes 1.3 times as long at the median).",
-    )
+    assert "on fast, wired; pi, wired: at 33 KB Zenoh is fastest" in answer.headline
+    assert "on zero, wired: at 33 KB Fast DDS is fastest" in answer.points[0]
+    sentences(answer.headline, answer.points[0])
 
 
-def test_conditions_stand_beside_devices_and_link_in_every_report():
+def test_conditions_follow_devices_and_link_in_every_report():
     alone = [Measured(SLOW), Measured(FAST, **ZENOH)]
     setting = "flows=2,link=wifi-54(loss_percent=1)"
     together = [Measured(SLOW, setting=setting), Measured(FAST, setting=setting, **ZENOH)]
@@ -226,17 +195,17 @@ def test_a_bridge_has_its_price_on_each_device():
     assert all(one.endswith("clearly slower.") for one in remarks)
 
 
-def test_the_deadline_is_judged_in_words_and_the_worst_group_is_named():
+def test_the_deadline_is_judged_in_words_and_the_worst_result_is_named(sentences):
     analysis = make_analysis(
         Measured([MS] * 8), Measured([*[MS] * 3, 9 * MS, "lost_return"], payload_bytes=1000)
     )
     rows = analysis.load_roundtrips().with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
     freshness = freshness_frame(*paired(rows, deadline_ns=10 * MS))
     details = replace(analysis.details, freshness=freshness, deadline_ns=10 * MS)
-    assert Book(replace(analysis, details=details)).answer.remarks[0] == (
-        "Deadline of 10 ms for the response (planned send to reply): 2 of 13 messages missed it (15.38 %), "
-        "the largest share in Binary 1 KB at 10 Hz (40 % of its messages)."
-    )
+    remark = Book(replace(analysis, details=details)).answer.remarks[0]
+    assert "2 of 13 messages missed it (15.38 %)" in remark
+    assert "Binary 1 KB at 10 Hz (40 %" in remark
+    sentences(remark)
 
 
 def test_without_a_relay_the_round_trip_is_compared_and_said_so():
@@ -248,8 +217,8 @@ def test_without_a_relay_the_round_trip_is_compared_and_said_so():
 def test_nothing_to_say():
     assert Book(EVERY_ANALYSIS["empty folder"]()).answer.headline == "No measurement was found."
     lost = Book(EVERY_ANALYSIS["nothing came back"]()).answer
-    assert lost.headline == "No message came back, so there is no time to compare."
-    assert lost.remarks == ("40 of 40 messages (100 %) did not come back, in 2 of 2 groups.",)
+    assert "No message was received" in lost.headline
+    assert lost.remarks == ("40 of 40 messages (100 %) were lost, in 2 of 2 results.",)
 
 
 def test_overview_lists_what_was_measured():
@@ -260,7 +229,7 @@ def test_overview_lists_what_was_measured():
     )
     overview = Book(analysis).overview
     assert (
-        overview.brief == "Fast DDS; pi-one → pi-two; 5 messages in 2 runs, 4 came back; 2026-09-21 14:13 UTC"
+        overview.brief == "Fast DDS; pi-one → pi-two; 5 messages in 2 runs, 4 received; 2026-09-21 14:13 UTC"
     )
     assert overview.title == "kitchen"
     assert overview.facts == (
@@ -268,7 +237,7 @@ def test_overview_lists_what_was_measured():
         Fact("Link", "wired"),
         Fact("Middleware", "Fast DDS"),
         Fact("Domains", "same domain"),
-        Fact("Messages", "5 in 2 runs, 4 came back"),
+        Fact("Messages", "5 in 2 runs, 4 received"),
         Fact("Sent", "Binary 33 KB; String 1405 B"),
         Fact("Rates", "10, 20 Hz"),
         Fact("When", "2026-09-21 14:13 UTC"),

@@ -32,8 +32,8 @@ def test_a_kind_is_one_entry_with_a_count():
         "Loss",
         2,
         (
-            OneFinding("Binary 33 KB at 10 Hz", "1 of 2 is lost.", "Look at it.", places=(0,)),
-            OneFinding("Binary 33 KB at 30 Hz", "1 of 2 is lost.", "Look at it.", places=(2,)),
+            OneFinding("Binary 33 KB at 10 Hz", "1 of 2 is lost.", "Look at it.", worst_first=(0,)),
+            OneFinding("Binary 33 KB at 30 Hz", "1 of 2 is lost.", "Look at it.", worst_first=(2,)),
         ),
     )
     assert (loss_of_two.heading, busy.heading) == ("Loss (2)", "CPU saturated")
@@ -43,7 +43,7 @@ def test_a_kind_is_one_entry_with_a_count():
 def test_findings_that_are_not_listed_one_by_one_are_counted():
     (kind,) = Book(analysis_with(loss(0), loss(1, groups=(1, 2, 3, 4), count=33))).findings
     assert kind.heading == "Loss (34)"
-    assert kind.listed[1].where == "4 groups, such as Binary 33 KB at 20 Hz"
+    assert kind.listed[1].where == "4 results, such as Binary 33 KB at 20 Hz"
     assert kind.listed[1].groups == tuple(f"Binary 33 KB at {rate} Hz" for rate in (20, 30, 40, 50))
 
 
@@ -55,7 +55,7 @@ def test_a_finding_links_to_its_groups_the_worst_first():
         findings=[loss(0, groups=(0, 1, 2))],
     )
     (kind,) = Book(analysis).findings
-    assert kind.listed[0].places == (2, 1, 0), "losses first, then the slowest"
+    assert kind.listed[0].worst_first == (2, 1, 0), "losses first, then the slowest"
 
 
 def test_a_finding_of_a_recording_keeps_its_name_and_links_to_its_groups():
@@ -66,14 +66,14 @@ def test_a_finding_of_a_recording_keeps_its_name_and_links_to_its_groups():
     (kind,) = Book(replace(analysis, findings=(found,))).findings
     (one,) = kind.listed
     assert (one.where, one.groups) == (where, ())
-    assert one.places == (0, 1, 2, 4), "alike, so in the order of the table"
+    assert one.worst_first == (0, 1, 2, 4), "alike, so in the order of the table"
 
 
 @pytest.mark.parametrize(
     ("groups", "where"),
     [
         ((0, 1), "Binary 33 KB at 10 Hz; Binary 33 KB at 20 Hz"),
-        ((0, 1, 2, 3, 4, 5), "all 6 groups"),
+        ((0, 1, 2, 3, 4, 5), "all 6 results"),
         ((), "group 0"),
     ],
 )

@@ -145,8 +145,7 @@ def test_only_what_varies_can_be_filtered():
     assert (size.key, [option.label for option in size.options]) == ("size", ["33 KB", "67 KB", "1 MB"])
     assert (rate.key, [option.value for option in rate.options]) == ("rate", ["20", "100"])
     by_group = {
-        groups.cell_of(group).label: (size.of_group[i], rate.of_group[i])
-        for i, group in enumerate(groups.groups)
+        groups.cell_of(group).label: (size.index[i], rate.index[i]) for i, group in enumerate(groups.groups)
     }
     assert by_group == {
         "Binary 33 KB at 100 Hz": (0, 1),

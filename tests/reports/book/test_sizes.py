@@ -68,11 +68,11 @@ def with_deadline(deadline_ns, *measured):
 IN_TIME, LATE = Measured(around(MS)), Measured([*around(MS)[:19], 10 * MS], payload_bytes=1_000_000)
 
 
-def test_a_deadline_passes_where_no_message_is_late_and_fails_with_the_worst_combination():
+def test_a_deadline_passes_where_no_message_is_late_and_fails_with_the_worst_result():
     table = Book(with_deadline(5 * MS, IN_TIME, LATE, Measured(around(MS), **ZENOH))).sizes
     assert table.deadline == "response within 5 ms"
     assert table.places[0].thresholds == (
-        Threshold("fail", "1 of 2 combinations, worst 1 MB at 10 Hz: 5 % late"),
+        Threshold("fail", "1 of 2 results, worst 1 MB at 10 Hz: 5 % late"),
         Threshold("pass", ""),
     )
 
@@ -80,7 +80,7 @@ def test_a_deadline_passes_where_no_message_is_late_and_fails_with_the_worst_com
 def test_unsent_messages_miss_the_deadline():
     table = Book(with_deadline(5 * MS, Measured(around(MS), unsent=20))).sizes
     assert table.places[0].thresholds == (
-        Threshold("fail", "1 of 1 combination, worst 33 KB at 10 Hz: 50 % late"),
+        Threshold("fail", "1 of 1 result, worst 33 KB at 10 Hz: 50 % late"),
     )
 
 
@@ -90,7 +90,7 @@ def test_a_deadline_that_no_message_was_judged_by_is_not_passed():
     untold = replace(analysis.details, freshness=analysis.details.freshness.with_columns(judged=judged))
     table = Book(replace(analysis, details=untold)).sizes
     outcomes = {(one.outcome, one.why) for place in table.places for one in place.thresholds}
-    assert outcomes == {("not known", "in 1 of 1 combination")}
+    assert outcomes == {("not known", "for 1 of 1 result")}
 
 
 def test_without_answers_there_is_no_table():

@@ -18,7 +18,8 @@ from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
 from dds_trace.analyzer.verdicts.gate import parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.ignoring import match_without
-from dds_trace.reports.comparison import comparison_info, document, junit, markdown, page, terminal
+from dds_trace.reports.comparison import document, junit, markdown, page, terminal
+from dds_trace.reports.comparison.info import comparison_info
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
 GATES = [
@@ -66,7 +67,7 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first():
     for text in (short, whole):
         assert max(map(len, text.splitlines())) <= 80
         assert text.startswith(
-            "Slower in 1 of 30 groups, most the median of the latency in Binary 30 KB at 10"
+            "Slower in 1 of 30 results, most the median of the latency in Binary 30 KB at 10"
         )
         assert (
             text.index("Changes of the median below")
@@ -77,15 +78,15 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first():
         assert "Only in the base:\n  Binary 7 B at 10 Hz" in text
     assert whole.count("the same\n") == 29
     assert short.count("the same\n") == 9
-    assert "and 20 groups more (20 the same): --all" in short
+    assert "and 20 results more (20 the same): --all" in short
     assert "passed: 29 gates" in short
     assert short.count("\nregressed: ") == 2
 
 
 def test_markdown_says_the_answer_first_then_gates_then_groups():
     text = markdown.render(compared()[1])
-    assert text.index("**Slower in 1 of 1 group") < text.index("**Regressed**") < text.index("| gate |")
-    assert text.index("| gate |") < text.index("| Latency | median |") < text.index("<details>")
+    assert text.index("**Slower in 1 of 1 result") < text.index("**Regressed**") < text.index("| Gate |")
+    assert text.index("| Gate |") < text.index("| Latency | Median |") < text.index("<details>")
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")]
         for line in text.splitlines()
@@ -142,7 +143,7 @@ def test_junit_counts_and_names():
     )
     assert [len(cases[gate.text]) for gate in GATES] == [1, 0, 1, 0]
     assert "inconclusive" in cases[GATES[2].text].find("skipped").get("message")
-    assert root.find("testsuite/system-out").text.startswith("Slower in 1 of 1 group")
+    assert root.find("testsuite/system-out").text.startswith("Slower in 1 of 1 result")
     assert ET.fromstring(junit.render(comparison_info(compared()[0]))).get("tests") == "0"
 
 
@@ -223,7 +224,7 @@ def test_the_page_draws_both_sides_of_every_group_and_loads_nothing():
     assert read.tags.count("svg") == 2 + 30 * 2  # the key, then a strip and a curve for each group
     assert text.count('class="base range"') == text.count('class="new range"') == 30
     joined = "".join(read.text)
-    assert joined.index(info.said) < joined.index("Gates") < joined.index("Groups, worst first")
+    assert joined.index(info.said) < joined.index("Gates") < joined.index("Results, worst first")
     assert "Binary 7 B at 10 Hz" in joined
     assert page.render(info, "main → branch") == text
 
@@ -236,7 +237,7 @@ def test_hostile_strings_stay_strings():
     assert "\x1b" not in text
     assert "@you" not in text
     assert len([line for line in text.splitlines() if line.startswith("#")]) == 1
-    for start, bars in (("| Latency | median", 6), ("| group | time", 11), ("| gate", 7)):
+    for start, bars in (("| Latency | Median", 6), ("| Result | Time", 11), ("| Gate", 7)):
         table = text[text.index(start) :].partition("\n\n")[0]
         assert {line.count("|") for line in table.splitlines()} == {bars}
     assert "\x1b" not in terminal.render(info)

@@ -8,8 +8,8 @@ from rewritten_traces import rewrite_sessions, shift_relay_clock
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures import Figure, LeftOut
 from dds_trace.reports.figures.clocks import clock_figure, clock_info
+from dds_trace.reports.figures.figure import Figure, LeftOut
 
 SAMPLES = Path(__file__).parents[3] / "sample_traces" / "same_domain"
 AHEAD_NS = 3_250_000_000

@@ -6,38 +6,31 @@ from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.book.groups import json_island
 from dds_trace.reports.book.numbers import curves_info, intervals_info, values_info
-from dds_trace.reports.figures import FIGURES, Figure, LeftOut, drawn_figures
+from dds_trace.reports.figures import FIGURES, drawn_figures
 from dds_trace.reports.figures.breakdown import MeanPart, breakdown_info
 from dds_trace.reports.figures.bridge_cost import bridge_cost_info
-from dds_trace.reports.figures.capacity import (
-    received_info,
-    sustainable_info,
-    transfer_by_rate_info,
-    transfer_by_size_info,
-    transfer_rate_info,
-)
 from dds_trace.reports.figures.clocks import ClockPair, clock_info, one_way_info
-from dds_trace.reports.figures.comparison import (
-    by_device_info,
-    domain_difference_info,
-    vendor_comparison_info,
-)
 from dds_trace.reports.figures.distribution import DistributionCurves, distribution_info, run_spread_info
+from dds_trace.reports.figures.domain_difference import domain_difference_info
 from dds_trace.reports.figures.dots import dots_info
-from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Line, Panel
+from dds_trace.reports.figures.figure import MOST_LINES, Facet, Faceted, Figure, LeftOut, Line, Panel
+from dds_trace.reports.figures.heatmap import Heatmap, HeatmapPanel, heatmap_info
 from dds_trace.reports.figures.host_load import DeviceLoad, host_load_info
-from dds_trace.reports.figures.latency import (
-    Heatmap,
-    HeatmapPanel,
-    heatmap_info,
-    latency_by_rate_figure,
-    latency_by_rate_info,
-    latency_by_size_info,
-    relay_time_info,
+from dds_trace.reports.figures.lines import (
+    BY_DEVICE,
+    LATENCY_BY_RATE,
+    LATENCY_BY_SIZE,
+    RECEIVED,
+    RELAY_TIME,
+    SUSTAINABLE,
+    TRANSFER_BY_RATE,
+    TRANSFER_BY_SIZE,
+    TRANSFER_RATE,
+    VENDOR_COMPARISON,
 )
 from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
+from dds_trace.reports.html.packing import json_island
 
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
 
@@ -72,7 +65,7 @@ def test_latency_by_rate_has_a_panel_per_size_with_two_rates(campaign):
         Line(1, (10.0,), (0,)),
         Line(2, (10.0,), (4,)),
     )
-    assert latency_by_rate_info(Book(campaign)) == Faceted(
+    assert LATENCY_BY_RATE.info(Book(campaign)) == Faceted(
         Facet("rate", "size", "choice"), (Panel("33 KB", (line_same, line_bridged, line_zenoh)),)
     )
 
@@ -80,17 +73,17 @@ def test_latency_by_rate_has_a_panel_per_size_with_two_rates(campaign):
 def test_latency_by_size_has_a_panel_per_rate_with_two_sizes(campaign):
     lines = (Line(0, (33_000.0, 67_000.0), (1, 3)), Line(1, (33_000.0,), (0,)), Line(2, (33_000.0,), (4,)))
     by_size = Faceted(Facet("size", "rate", "choice"), (Panel("10 Hz", lines),))
-    assert latency_by_size_info(Book(campaign)) == by_size
+    assert LATENCY_BY_SIZE.info(Book(campaign)) == by_size
     # The relay is measured in every group, and a transfer rate takes two replies, which Zenoh did not get.
-    assert relay_time_info(Book(campaign)) == by_size
-    assert transfer_by_size_info(Book(campaign)).panels == (Panel("10 Hz", lines[:2]),)
-    assert transfer_by_rate_info(Book(campaign)).panels == (
+    assert RELAY_TIME.info(Book(campaign)) == by_size
+    assert TRANSFER_BY_SIZE.info(Book(campaign)).panels == (Panel("10 Hz", lines[:2]),)
+    assert TRANSFER_BY_RATE.info(Book(campaign)).panels == (
         Panel("33 KB", (Line(0, (10.0, 20.0), (1, 2)), Line(1, (10.0,), (0,)))),
     )
 
 
 def test_the_papers_panel_is_one_vendor_way_and_place_with_a_line_per_size(campaign):
-    (panel,) = latency_by_rate_info(Book(campaign), panels="vendor", lines="size").panels
+    (panel,) = LATENCY_BY_RATE.info(Book(campaign), panels="vendor", lines="size").panels
     assert panel == Panel("Fast DDS, same domain", (Line(0, (10.0, 20.0), (1, 2)), Line(1, (10.0,), (3,))))
 
 
@@ -106,7 +99,7 @@ def test_rows_are_places_and_no_panel_has_more_lines_than_can_be_told_apart():
             )
         )
     )
-    panels = latency_by_rate_info(book).panels
+    panels = LATENCY_BY_RATE.info(book).panels
     assert [(panel.title, len(panel.lines)) for panel in panels] == [
         ("wired (1 of 2)", 5),
         ("wired (2 of 2)", 4),
@@ -115,29 +108,29 @@ def test_rows_are_places_and_no_panel_has_more_lines_than_can_be_told_apart():
     ]
     assert MOST_LINES == 7
     # Along the places: the same vendors, now one position for each link.
-    assert {line.x for panel in by_device_info(book).panels for line in panel.lines} == {(0.0, 1.0)}
+    assert {line.x for panel in BY_DEVICE.info(book).panels for line in panel.lines} == {(0.0, 1.0)}
 
 
 def test_vendor_comparison_puts_groups_of_one_cell_above_one_another(campaign):
     # Cells: 33 KB at 10 Hz, 33 KB at 20 Hz, 67 KB at 10 Hz.
     lines = (Line(0, (0.0, 1.0, 2.0), (1, 2, 3)), Line(1, (0.0,), (0,)), Line(2, (0.0,), (4,)))
     everything = Faceted(Facet("plane", "way", "choice"), (Panel("Binary", lines),))
-    assert vendor_comparison_info(Book(campaign)) == everything
-    assert received_info(Book(campaign)) == everything
+    assert VENDOR_COMPARISON.info(Book(campaign)) == everything
+    assert RECEIVED.info(Book(campaign)) == everything
 
 
 def test_a_panel_without_a_loss_is_left_out_of_what_was_received():
     lossy = Measured([MS, "lost_return"], data_type="string", payload_bytes=100)
-    assert [panel.title for panel in received_info(Book(make_analysis(Measured([MS]), lossy))).panels] == [
+    assert [panel.title for panel in RECEIVED.info(Book(make_analysis(Measured([MS]), lossy))).panels] == [
         "String"
     ]
-    assert received_info(Book(make_analysis(Measured([MS])))).panels == ()
+    assert RECEIVED.info(Book(make_analysis(Measured([MS])))).panels == ()
 
 
 def test_transfer_rate_stands_over_size_times_rate(campaign):
     # Zenoh's one reply spans no time and has no transfer rate.
     lines = (Line(0, (330_000.0, 660_000.0, 670_000.0), (1, 2, 3)), Line(1, (330_000.0,), (0,)))
-    assert transfer_rate_info(Book(campaign)).panels == (Panel("Binary", lines),)
+    assert TRANSFER_RATE.info(Book(campaign)).panels == (Panel("Binary", lines),)
 
 
 def test_domain_difference_pairs_equal_groups(campaign):
@@ -224,9 +217,9 @@ def test_bridge_cost_is_the_difference_with_its_interval():
 
 def test_sustainable_needs_two_rates_and_one_that_was_not_kept_up(campaign):
     # 33 KB was sent at 10 and 20 Hz; 67 KB at one rate. Zenoh lost every other message.
-    assert [panel.title for panel in sustainable_info(Book(campaign)).panels] == ["33 KB"]
+    assert [panel.title for panel in SUSTAINABLE.info(Book(campaign)).panels] == ["33 KB"]
     kept_up = make_analysis(Measured([MS, MS]), Measured([MS, MS], rate_hz=20.0))
-    assert sustainable_info(Book(kept_up)).panels == ()
+    assert SUSTAINABLE.info(Book(kept_up)).panels == ()
 
 
 def test_the_spread_of_runs_is_how_far_their_interval_reaches():
@@ -239,10 +232,10 @@ def test_the_spread_of_runs_is_how_far_their_interval_reaches():
 
 
 def test_a_few_groups_are_one_chart_in_place_of_figures_with_a_dot_each(campaign):
-    assert dots_info(Book(campaign)).groups == (1, 0, 4, 2, 3), "by combination, then choice"
+    assert dots_info(Book(campaign)).groups == (1, 0, 4, 2, 3), "by message, then setup"
     made = {figure.name: figure for _, figure in drawn_figures(Book(campaign))}
     assert isinstance(made["dots"], Figure)
-    assert {name for name, figure in made.items() if isinstance(figure, LeftOut) and "so few groups" in figure.reason} >= {
+    assert {name for name, figure in made.items() if isinstance(figure, LeftOut) and "so few results" in figure.reason} >= {
         "latency_by_rate", "latency_by_size", "domain_difference", "vendor_comparison", "received",
     }  # fmt: skip
     many = Book(EVERY_ANALYSIS["small campaign"]())
@@ -371,7 +364,7 @@ def test_nothing_empty_is_drawn():
 
 
 def test_a_figure_left_out_says_why():
-    left_out = latency_by_rate_figure(Faceted(Facet("rate", "size"), ()))
+    left_out = LATENCY_BY_RATE.figure(Faceted(Facet("rate", "size"), ()))
     assert isinstance(left_out, LeftOut)
     assert left_out.reason == "no message size was measured at two rates."
 

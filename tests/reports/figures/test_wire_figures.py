@@ -10,14 +10,18 @@ from analyses import MS, Measured, make_analysis
 
 from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures import Figure, LeftOut
-from dds_trace.reports.figures.figure import Line, Panel
-from dds_trace.reports.figures.first_message import (
+from dds_trace.reports.figures.figure import Figure, LeftOut, Line, Panel
+from dds_trace.reports.figures.wire import (
+    Repeats,
+    SentAgain,
+    WirePart,
     first_message_figure,
     first_message_info,
+    sent_again_figure,
+    sent_again_info,
+    wire_cost_figure,
+    wire_cost_info,
 )
-from dds_trace.reports.figures.sent_again import Repeats, SentAgain, sent_again_figure, sent_again_info
-from dds_trace.reports.figures.wire_cost import WirePart, wire_cost_figure, wire_cost_info
 
 
 def frame(schema, *rows):

@@ -4,9 +4,9 @@ import pytest
 from four_campaigns import CAMPAIGNS
 
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures.comparison import domain_difference_info
+from dds_trace.reports.figures.domain_difference import domain_difference_info
 from dds_trace.reports.figures.figure import MOST_LINES
-from dds_trace.reports.figures.latency import latency_by_rate_info, latency_by_size_info
+from dds_trace.reports.figures.lines import LATENCY_BY_RATE, LATENCY_BY_SIZE
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(300)]  # whoever opens a campaign first makes it
 
@@ -65,8 +65,8 @@ def test_the_page_spreads_groups_as_python_does(reader, pages):
             (panel.title, [(line.line, line.x, line.groups) for line in panel.lines]) for panel in info.panels
         ]
 
-    assert shown("latency_by_rate") == told(latency_by_rate_info(book))
-    assert shown("latency_by_size") == told(latency_by_size_info(book))
+    assert shown("latency_by_rate") == told(LATENCY_BY_RATE.info(book))
+    assert shown("latency_by_size") == told(LATENCY_BY_SIZE.info(book))
     assert shown("domain_difference") == told(domain_difference_info(book))
     titles = [title for title, _ in shown("latency_by_rate")]
     assert titles[:5] == [
@@ -75,7 +75,7 @@ def test_the_page_spreads_groups_as_python_does(reader, pages):
     ]
     tab.locator("#choose-panels").select_option("device")
     tab.locator("#choose-lines").select_option("link")
-    assert shown("latency_by_rate") == told(latency_by_rate_info(book, panels="device", lines="link"))
+    assert shown("latency_by_rate") == told(LATENCY_BY_RATE.info(book, panels="device", lines="link"))
 
 
 def test_the_papers_figures_are_one_click(reader, pages):

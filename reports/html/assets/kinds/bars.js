@@ -1,5 +1,5 @@
 "use strict";
-// Bars of the messages planned, and what a bridge costs.
+// Bars of the planned messages, and what a bridge costs.
 
 /** The chosen time of a group over the messages planned, in ns; Infinity where that message was lost, null where too few were sent. */
 function plannedTime(plan, group) {
@@ -35,7 +35,7 @@ KINDS.bars = function bars(plan, width, all) {
           type: "bar", name: plain(look.label), meta: look.key, x: line.points.map((point) => positions.indexOf(point.x)), y: line.points.map((point) => (point.value === Infinity ? top : point.value * S)),
           text: line.points.map((point, place) => (isLossy(point.group) ? `${shareText(point.group)} received` : thick > 9 && base.has(point.group) && !lost[place] ? differenceText(plannedTime(plan, base.get(point.group)), point.value) : "")),
           textposition: lost.map((is) => (is ? "inside" : "outside")), insidetextanchor: "start", insidetextfont: { size: 9, color: theme().ink }, outsidetextfont: { size: 9, color: theme().ink }, textangle: -90, cliponaxis: false, constraintext: "none",
-          hoverinfo: "text", hovertext: line.points.map((point) => groupHover(point.group, `${statisticLabel()}, of the messages planned: ${point.value === Infinity ? "lost" : formatNs(point.value)}`, ...(base.has(point.group) ? [`${differenceText(plannedTime(plan, base.get(point.group)), point.value)} against the same domain`] : []), sampleHover(point.group))),
+          hoverinfo: "text", hovertext: line.points.map((point) => groupHover(point.group, `${statisticLabel()}, of the planned messages: ${point.value === Infinity ? "lost" : formatNs(point.value)}`, ...(base.has(point.group) ? [`${differenceText(plannedTime(plan, base.get(point.group)), point.value)} against the same domain`] : []), sampleHover(point.group))),
           marker: { color: look.color, opacity: lost.map((is) => (is ? 0.35 : 1)), line: { color: look.color, width: 1 }, pattern: { shape: hatch, fgcolor: look.color, bgcolor: theme().ground, size: 6, solidity: 0.45 } },
         };
       }),
@@ -48,7 +48,7 @@ KINDS.bars = function bars(plan, width, all) {
   const pairs = plan.pairs.filter((pair) => pair.every(passes)).map(([same, different]) => ({ same, different, times: [same, different].map((group) => plannedTime(plan, group)) })).filter(({ times }) => times.every((time) => time !== null));
   const cell = (time) => (time === Infinity ? "lost" : time);
   return {
-    ...drawn, legend: found.legend, missing: found.missing, hatched: true, foot: found.points.some((point) => point.value === Infinity) ? "A crossed-out bar to the top lost so many messages that the one at this percentile never came." : "",
+    ...drawn, legend: found.legend, missing: found.missing, hatched: true, foot: found.points.some((point) => point.value === Infinity) ? "A crossed-out bar to the top lost so many messages that this percentile is a lost message." : "",
     columns: [...GROUP_COLUMNS, { label: "Same domain", unit: "ns", format: formatNs }, { label: "Different domains", unit: "ns", format: formatNs }, { label: "Difference", unit: "ns", format: (value) => signed(value, formatNs) }, { label: "Ratio", unit: "ratio", format: digits }, { label: "Received" }],
     rows: pairs.map(({ same, different, times: [base_, other] }) => groupRow(different, cell(base_), cell(other), ...([base_, other].every(Number.isFinite) ? [other - base_, other / base_] : ["lost", "lost"]), receivedWords(same, different))),
   };
@@ -94,7 +94,7 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
   return {
     ...gridOf(panels, width, { yTitle: `Latency, ${label}`, minWidth: Math.min(width - 80, Math.max(260, most * 12)), height: 190, columns: 2, all }),
     legend: found.legend, missing: found.missing,
-    foot: [instead ? `Compared: the ${label} of the latency, as only percentiles are.` : "", "The ratio stands on a log scale.", CELL_FOOT, found.points.some((point) => isLossy(point.group)) ? LOST_FOOT : ""].filter(Boolean).join(" "),
+    foot: [instead ? `Compared: the ${label} of the latency, as only percentiles are.` : "", "The ratio is on a log scale.", CELL_FOOT, found.points.some((point) => isLossy(point.group)) ? LOST_FOOT : ""].filter(Boolean).join(" "),
     columns: [...GROUP_COLUMNS, { label: `Ratio, ${label}`, unit: "ratio", format: digits }, { label: "Ratio 95 % low", unit: "ratio", format: digits }, { label: "Ratio 95 % high", unit: "ratio", format: digits }, { label: `Added, ${label}`, unit: "ns", format: (value) => signed(value, formatNs) }, LOW, HIGH, { label: "Runs" }, { label: "Received" }, { label: "Verdict" }, { label: "Bridge CPU", unit: "% of a processor", format: digits }],
     rows: found.points.map(({ group, value }) => groupRow(group, value.ratio, value.ratio_low, value.ratio_high, value.difference_ns, value.low_ns, value.high_ns, value.runs, value.received, { worse: "slower", better: "faster" }[value.verdict] || value.verdict, plan.cells[group].bridge_cpu_percent)),
   };

@@ -1,9 +1,9 @@
 "use strict";
-// Figures of one combination of data, size and rate on one pair of devices.
+// Figures of one message (data, size and rate) on one device pair.
 
 const choicesOf = (groups) => ({ dimension: "choice", options: [...new Set(groups.map((group) => optionOf("choice", group)))].sort((a, b) => a - b) });
 const cellTitle = () => (shownCell() === null ? "" : [DATA.cells[shownCell()].label, varies("place") ? DATA.dimensions.place.options[shownPlace()].label : ""].filter(Boolean).join(", "));
-/** The groups that these figures show: without lines that the reader hid, and no more than can be told apart. */
+/** The groups that these figures show: without lines that the reader hid, and no more than can be distinguished. */
 const seenInCell = (groups) => groups.filter((group) => !isHidden("choice", optionOf("choice", group))).slice(0, MOST_LINES);
 
 Object.assign(KINDS, {
@@ -111,13 +111,13 @@ function percentileMarks(group) {
   return [trace];
 }
 
-/** Both figures of a distribution: the tail of the survivors by rarity, or the share of the messages planned in time. */
+/** Both figures of a distribution: the tail of the received messages by rarity, or the share of the planned messages in time. */
 function distribution(width, byRarity) {
   const { values_ns: { [view.metric]: curves }, levels, shares } = DATA.curves;
   const inCell = cellGroups();
   const groups = seenInCell(inCell).filter((group) => curves[group].length > 1);
   const without = inCell.filter((group) => curves[group].length <= 1).length;
-  // A curve by share ends at the slowest message that came back, at the share that came back.
+  // A curve by share ends at the slowest received message, at the share received.
   const last = (group) => Math.max(curves[group][curves[group].length - 1], DATA.values.times_ns[view.metric].max[group] ?? 0);
   const pointsOf = (group) => [...curves[group].map((value, place) => ({ value, level: levels[place] })), ...(byRarity ? [] : [{ value: last(group), level: 1 }])];
   const valueTitle = timeTitle(labelOf("metric"));
@@ -131,14 +131,14 @@ function distribution(width, byRarity) {
     if (isLossy(group)) trace.opacity = 0.55;
     return trace;
   });
-  const common = { legend: choicesOf(inCell), missing: without, foot: groups.some(isLossy) ? "Faded curves are of groups that lost more than 1 % of their messages." : "" };
+  const common = { legend: choicesOf(inCell), missing: without, foot: groups.some(isLossy) ? "Faded curves are results that lost more than 1 % of their messages." : "" };
   if (byRarity) {
     const rarities = [[2, "p50"], [10, "p90"], [100, "p99"], [1000, "p99.9"], [10000, "p99.99"]];
     const deepest = Math.max(...groups.map((group) => 1 / (1 - levels[curves[group].length - 1])));
     const panel = {
       title: cellTitle(), y: timeAxis(values),
       traces: lines((point) => 1 / (1 - point.level), (point) => point.value * S, (point) => `p${digits(100 * point.level)}: ${formatNs(point.value)}`).concat(groups.flatMap((group) => percentileMarks(group))),
-      x: () => ({ type: "log", range: [0, Math.log10(Math.max(deepest, 10)) + 0.05], tickmode: "array", tickvals: rarities.map(([x]) => x), ticktext: rarities.map(([, name]) => name), title: axisTitle("Percentile of the survivors") }),
+      x: () => ({ type: "log", range: [0, Math.log10(Math.max(deepest, 10)) + 0.05], tickmode: "array", tickvals: rarities.map(([x]) => x), ticktext: rarities.map(([, name]) => name), title: axisTitle("Percentile of the received messages") }),
     };
     return {
       ...gridOf(groups.length ? [panel] : [], width, { yTitle: valueTitle, height: 210, below: 46 }), ...common,
@@ -151,12 +151,12 @@ function distribution(width, byRarity) {
     traces: lines((point) => point.value * S, (point, group) => 100 * point.level * shareOf(group), (point, group) => `${formatRatio(point.level * shareOf(group))} of the ${of.toLowerCase()} within ${formatNs(point.value)}`),
     x: () => ({ ...timeAxis(values), title: axisTitle(valueTitle) }),
   });
-  const panels = [byShare("Messages planned", (group) => shares[group])];
-  if (groups.some((group) => shares[group] < 1)) panels.push(byShare("Survivors", () => 1));
+  const panels = [byShare("Planned messages", (group) => shares[group])];
+  if (groups.some((group) => shares[group] < 1)) panels.push(byShare("Received messages", () => 1));
   const percent = (value) => Math.round(value * 1e8) / 1e6;
   return {
     ...gridOf(groups.length ? panels : [], width, { yTitle: "Messages", minWidth: 240, height: 210, below: 46 }), ...common,
-    columns: [...GROUP_COLUMNS, { label: "Share of planned", unit: "%", format: digits }, { label: "Share of survivors", unit: "%", format: digits }, { label: labelOf("metric"), unit: "ns", format: formatNs }],
+    columns: [...GROUP_COLUMNS, { label: "Share of planned", unit: "%", format: digits }, { label: "Share of received", unit: "%", format: digits }, { label: labelOf("metric"), unit: "ns", format: formatNs }],
     rows: groups.flatMap((group) => pointsOf(group).map(({ value, level }) => groupRow(group, percent(level * shares[group]), percent(level), value))),
   };
 }

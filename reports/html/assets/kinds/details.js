@@ -15,7 +15,7 @@ const PART_LOOKS = {
   waiting_ns: [0], outbound_ns: [1], outbound_transport_ns: [1], relay_delivery_ns: [1, "/"], relay_ns: [2], return_ns: [3], return_transport_ns: [3], ping_delivery_ns: [3, "/"],
 };
 
-/** Stacked bars over combinations, a panel for each choice and place: {data, layout} and the points that they stand for. */
+/** Stacked bars over messages, a panel for each setup and device pair: {data, layout} and the points that they represent. */
 function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...grid }) {
   const colors = theme();
   const panels = found.panels.map((panel) => {
@@ -37,7 +37,7 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
   const most = Math.max(1, ...panels.map((panel) => panel.weight));
   const drawn = gridOf(panels, width, { all, minWidth: Math.min(width - 80, Math.max(150, most * 13)), height: 130, ...grid });
   Object.assign(drawn.layout, { barmode: "relative", bargap: 0.15 });
-  const lossy = found.points.some((point) => isLossy(point.group)) ? " Faded bars are of groups that lost more than 1 % of their messages." : "";
+  const lossy = found.points.some((point) => isLossy(point.group)) ? " Faded bars are results that lost more than 1 % of their messages." : "";
   return { ...drawn, parts: names.map((name) => ({ name: plan.names[name], color: colors.parts[looks[name][0]], hatched: Boolean(looks[name][1]) })), missing: found.missing, foot: `${CELL_FOOT}${lossy}` };
 }
 

@@ -5,15 +5,13 @@
 //   columns, rows    the table; a column is {label, unit?, format?}; numbers in rows are raw
 //   missing          groups that pass but have no such value
 //   foot             what a reader has to know besides
-// Groups are spread over panels and lines as reports/figures/figure.py does (a test compares the two).
+// Groups are spread over panels and lines by the rule and tables of reports/figures/figure.py (a test compares the two).
 const KINDS = {};
 
-const ATOMS = ["device", "link", "data", "vendor", "way", "rest", "size", "rate"];
-const MADE_OF = { choice: ["vendor", "way", "rest"], place: ["device", "link"], cell: ["data", "size", "rate"], plane: ["size", "rate"], load: ["size", "rate"] };
-const MOST_LINES = 7;
-const LOSSY = 0.99;   // who received less of what was planned is drawn hollow
+const { atoms: ATOMS, made_of: MADE_OF, most_lines: MOST_LINES } = DATA.facets;
+const LOSSY = 0.99;   // results below this received share get hollow markers
 
-const GROUP_COLUMNS = [{ label: "Data" }, { label: "Size", unit: "bytes", format: (_, row) => row.size }, { label: "Rate", unit: "Hz", format: (value) => digits(value) }, { label: "Choice" }];
+const GROUP_COLUMNS = [{ label: "Data" }, { label: "Size", unit: "bytes", format: (_, row) => row.size }, { label: "Rate", unit: "Hz", format: (value) => digits(value) }, { label: "Setup" }];
 
 function groupRow(group, ...values) {
   const cell = cellOf(group);
@@ -29,7 +27,7 @@ function groupHover(group, ...lines) {
 
 function sampleHover(group) {
   const { received, published } = DATA.values.plain;
-  return `${formatCount(received[group])} of ${counted(published[group], "message")} came back`;
+  return `${formatCount(received[group])} of ${counted(published[group], "message")} received`;
 }
 
 /** The shares received of two groups, base first: `100 % → 98.5 %`. */
@@ -40,12 +38,12 @@ function receivedWords(base, other) {
 /** The share of a group's planned messages that came back; 1 where none was due. */
 const shareOf = (group) => DATA.curves.shares[group] ?? 1;
 const isLossy = (group) => shareOf(group) < LOSSY;
-/** The share received in as few characters as stand beside a mark. */
+/** The share received in as few characters as fit next to a mark. */
 const shareText = (group) => (shareOf(group) > 0 && shareOf(group) < 0.01 ? "< 1 %" : `${Math.floor(100 * shareOf(group))} %`);
-const LOST_FOOT = "A hollow mark lost more than 1 % of its messages; the number beside it is the share received.";
+const LOST_FOOT = "A hollow mark lost more than 1 % of its messages; the number next to it is the share received.";
 
 const atomsOf = (key) => MADE_OF[key] || (key ? [key] : []);
-const optionOf = (key, group) => DATA.dimensions[key].of_group[group];
+const optionOf = (key, group) => DATA.dimensions[key].index[group];
 const labelIn = (key, group) => DATA.dimensions[key].options[optionOf(key, group)].label;
 const varies = (key) => DATA.dimensions[key].options.length > 1;
 
@@ -117,7 +115,7 @@ function collected(plan, valueOf, facet = chosenFacet(plan.facet)) {
     const lines = panel.lines.filter((line) => !facet.lines || !isHidden(facet.lines, line.option));
     if (lines.length) found.panels.push({ ...panel, lines, columns: 0 });
   }
-  // Panels stand in rows and columns of their own where none is missing.
+  // Panels are in rows and columns of their own where none is missing.
   const columns = new Set(found.panels.map((panel) => panel.column)).size, rows = new Set(found.panels.map((panel) => panel.row)).size;
   found.columns = columns * rows === found.panels.length ? columns : 0;
   found.legend = facet.lines ? { dimension: facet.lines, options: [...found.options].sort((a, b) => a - b) } : { dimension: "choice", options: [] };
@@ -135,7 +133,7 @@ function marks(look, points, { x, y, hover, mode = "lines+markers", size = 7, sy
   };
 }
 
-/** What stands beside the hollow marks of some traces: the shares received, where there are few enough to be read. */
+/** What is written next to the hollow marks of some traces: the shares received, where there are few enough to be read. */
 function sharesBeside(lines, traces) {
   const beside = lines.flatMap((line, place) => line.points.flatMap((point, at) => (isLossy(point.group) && traces[place].y[at] !== null ? [{ x: traces[place].x[at], y: traces[place].y[at], text: shareText(point.group), color: traces[place].line.color }] : [])));
   return beside.length <= 16 ? beside : [];

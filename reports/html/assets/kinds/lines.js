@@ -1,5 +1,5 @@
 "use strict";
-// Marks and lines over sizes, rates, combinations or places; tiles over the plane of sizes and rates.
+// Marks and lines over sizes, rates, messages or device pairs; tiles over the plane of sizes and rates.
 
 /** What the marks of a plan show: the value of a group, how it is written, and its axis. */
 const VALUES = {
@@ -18,9 +18,9 @@ const VALUES = {
     return { ...SHARES, of: (group) => ratios[group], label: "Received", flat: (values) => values.every((value) => value === 1), flatSaid: "Nothing was lost, so not drawn" };
   },
   sustained() {
-    const { achieved_rate_hz: achieved, received_ratio: received } = DATA.values.plain;
+    const { achieved_rate_hz: achieved, received_ratio: received, sustained } = DATA.values.plain;
     return {
-      ...SHARES, of: (group) => (achieved[group] * received[group]) / cellOf(group).hz, label: "Replies of the rate", flat: (values) => values.every((value) => value >= 0.99), flatSaid: "Kept up everywhere, so not drawn",
+      ...SHARES, of: (group) => sustained[group], label: "Replies of the rate", flat: (values) => values.every((value) => value >= 0.99), flatSaid: "Kept up everywhere, so not drawn",
       further: { columns: [{ label: "Achieved", unit: "Hz", format: formatHz }, { label: "Received", unit: "ratio", format: formatRatio }], cells: (group) => [achieved[group], received[group]] },
     };
   },
@@ -48,7 +48,7 @@ const SHARES = {
   },
 };
 
-/** The axis along which marks stand: {x, notes, shapes, weight, place(point)}; `joined` where lines make sense. */
+/** The axis along which marks are: {x, notes, shapes, weight, place(point)}; `joined` where lines make sense. */
 function alongAxis(x, panel, title) {
   const points = panel.lines.flatMap((line) => line.points);
   const positions = [...new Set(points.map((point) => point.x))].sort((a, b) => a - b);

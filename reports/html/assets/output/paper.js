@@ -13,7 +13,7 @@ function toPaper() {
   showGroups({ whole: true });
   const cut = [...document.querySelectorAll("main table.data")].filter((table) => table.getClientRects().length).map(cutColumns).filter(Boolean);
   return () => {
-    for (const mend of cut) mend();
+    for (const undo of cut) undo();
     for (const details of opened) details.open = false;
     root.classList.remove("paper");
     setTheme(themeBefore);

@@ -9,9 +9,11 @@ from dds_trace.reports.html import page
 
 
 def rows_of(analysis):
-    held = Book(analysis).surroundings
-    return held.columns, {
-        (section, row.name): (row.values, row.unlike) for section, rows in held.sections for row in rows
+    environment = Book(analysis).environment
+    return environment.columns, {
+        (section, row.name): (row.values, row.unlike)
+        for section, rows in environment.sections
+        for row in rows
     }
 
 
@@ -45,16 +47,16 @@ def test_settings_stand_in_rows_and_unlike_ones_are_marked():
     assert rows["Machine", "realtime kernel"] == (("no", "no"), False)
     assert rows["Versions", "rclpy"] == (("7.1.6 or 7.1.7", "7.1.6"), True)
     assert rows["Limits of socket buffers (bytes)", "net.core.rmem_max"] == (("212,992", "4,194,304"), True)
-    assert rows["What the middleware was told", "transport"] == (("default", "default"), False)
+    assert rows["Settings of the middleware", "transport"] == (("default", "default"), False)
     assert ("Machine", "board") not in rows
     assert not any("wlan0" in name for _, name in rows)
 
 
 def test_the_page_marks_them_and_a_campaign_without_sessions_has_no_table():
     analysis = make_analysis(Measured([MS, 2 * MS]))
-    assert Book(replace(analysis, sessions=())).surroundings is None
+    assert Book(replace(analysis, sessions=())).environment is None
     first, *others = analysis.sessions
     unlike = replace(analysis, sessions=(replace(first, host={**first.host, "kernel": "0.1"}), *others))
     shown = page.render(Book(unlike))
-    assert '<tr class="unlike"><th scope="row"><span aria-label="unlike">≠</span> kernel</th>' in shown
+    assert '<tr class="unlike"><th scope="row"><span aria-label="differs">≠</span> kernel</th>' in shown
     assert "≠</span> backend" not in shown

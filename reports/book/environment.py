@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from .groups import Groups, VendorLabels
 
 MOST_COLUMNS = 16
-"""Most devices and roles; the table of the sessions below lists the others."""
+"""Most devices and roles; the table of the sessions has the others."""
 _MOST_VALUES = 4
-"""Most values in one cell; a sweep over a setting has one for each of its steps."""
+"""Most values in one table cell; a sweep over a setting has one for each step."""
 
 _VARIED = "Sessions"
 _SECTIONS = {
     "versions": "Versions",
-    "middleware": "What the middleware was told",
+    "middleware": "Settings of the middleware",
     "settings": "Environment variables",
     "configuration": "Configuration",
     "socket_buffers": "Limits of socket buffers (bytes)",
     "mtu": "MTU of interfaces (bytes)",
 }
-"""Part of a fingerprint that holds several values -> its heading; the others stand under the machine."""
+"""Part of a fingerprint with several values -> its heading; the others are under the machine."""
 _NAMES = {
     "cpu_model": "processor",
     "cpu_cores": "processors",
@@ -50,8 +50,8 @@ class RecordedRow:
     """One value of all devices and roles; strings are `printable` but not escaped for a format.
 
     Attributes:
-        values: of each column; empty where no session names it.
-        unlike: whether columns that name it, or sessions of one column, differ where they should not.
+        values: of each column; empty where no session has it.
+        unlike: whether columns that have it, or sessions of one column, differ where they should not.
     """
 
     name: str
@@ -60,7 +60,7 @@ class RecordedRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class RecordedEnvironment:
     """Rows by section.
 
     Attributes:
@@ -74,28 +74,28 @@ class Surroundings:
     quality: str
 
 
-def surroundings(analysis: Analysis, groups: Groups) -> Surroundings | None:
-    """Lay the sessions' descriptions out by device and role; None without sessions."""
+def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironment | None:
+    """Arrange the sessions' descriptions by device and role; None without sessions."""
     vendors = vendor_labels(analysis)
-    told: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
+    described: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
     columns: dict[str, None] = {}
     for session in sorted(analysis.sessions, key=lambda one: (one.device, one.role)):
         column = f"{printable(session.device)} ({printable(session.role)})"
         columns.setdefault(column)
         for section, name, value in _described(session, vendors):
-            told.setdefault((section, name), {}).setdefault(column, {}).setdefault(value)
+            described.setdefault((section, name), {}).setdefault(column, {}).setdefault(value)
     if not columns:
         return None
     shown = tuple(columns)[:MOST_COLUMNS]
     sections: dict[str, list[RecordedRow]] = {}
-    for (section, name), of_column in told.items():
-        values = tuple(_joined(of_column.get(column, {})) for column in shown)
-        held = [tuple(sorted(of)) for of in of_column.values()]
+    for (section, name), by_column in described.items():
+        values = tuple(_joined(by_column.get(column, {})) for column in shown)
+        distinct = [tuple(sorted(own)) for own in by_column.values()]
         # Middleware, domain and link are what a campaign varies on purpose.
-        unlike = section != _VARIED and (len(set(held)) > 1 or any(len(of) > 1 for of in held))
+        unlike = section != _VARIED and (len(set(distinct)) > 1 or any(len(own) > 1 for own in distinct))
         sections.setdefault(section, []).append(RecordedRow(name, values, unlike))
     ordered = [_VARIED, "Machine", "Seen in use", *_SECTIONS.values()]
-    return Surroundings(
+    return RecordedEnvironment(
         shown,
         tuple((section, tuple(sections[section])) for section in ordered if section in sections),
         "; ".join(dict.fromkeys(qos_label(one) for one in groups.series)),
@@ -103,7 +103,7 @@ def surroundings(analysis: Analysis, groups: Groups) -> Surroundings | None:
 
 
 def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, str, str]]:
-    """Yield section, name and value of everything that a session says of itself."""
+    """Yield section, name and value of everything in a session's description."""
     yield _VARIED, "middleware", vendors.of(session.vendor)
     yield _VARIED, "backend", printable(session.backend)
     if session.rmw:
@@ -117,13 +117,13 @@ def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, s
         if name == FLEETING or value is None or value in ({}, []):
             continue
         if isinstance(value, dict):
-            for inner, held in value.items():
-                yield _SECTIONS.get(name, "Machine"), printable(inner), _said(held)
+            for inner, one in value.items():
+                yield _SECTIONS.get(name, "Machine"), printable(inner), _text(one)
         else:
-            yield "Machine", _NAMES.get(name, printable(name).replace("_", " ")), _said(value)
+            yield "Machine", _NAMES.get(name, printable(name).replace("_", " ")), _text(value)
 
 
-def _said(value: object) -> str:
+def _text(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return format_count(value) if isinstance(value, int) else printable(value, 200)

@@ -1,0 +1,82 @@
+"""The same messages in the same domain and across domains, as bars side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.groups.report_values import planned_percentiles
+from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
+
+from .figure import Facet, Faceted, Figure, LeftOut, facet_panels, facet_plan, figure_maker
+
+if TYPE_CHECKING:
+    from dds_trace.analyzer.groups.report_values import Planned
+
+    from ..book.book import Book
+    from ..book.groups import Groups
+
+
+@dataclass(frozen=True, slots=True)
+class DomainDifference(Faceted):
+    """Pairs of groups that differ in the domain only; x is the size in bytes or the rate in Hz.
+
+    Attributes:
+        pairs: (group in the same domain, group across domains).
+        planned: percentiles of lossy groups over the planned messages.
+    """
+
+    pairs: tuple[tuple[int, int], ...]
+    planned: Planned
+
+
+def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
+    """Pair the groups of different domains with those of the same domain, whose message, vendors, devices and QoS are equal.
+
+    A group in the same domain belongs to several pairs if several bridges were measured.
+
+    Returns:
+        (group in the same domain, group in different domains), in the order of cells.
+    """
+    ordered = [(group, groups.series_of(group)) for group in groups.in_order]
+    keyed = [((group.cell, series.values(SAME_SIDES_COLUMNS)), group, series) for group, series in ordered]
+    same = {
+        key: group.index
+        for key, group, series in keyed
+        if series.domain_mode == "same" and series.bridge == "none"
+    }
+    return tuple(
+        (same[key], group.index)
+        for key, group, series in keyed
+        if series.domain_mode == "different" and key in same
+    )
+
+
+def domain_difference_info(
+    book: Book, panels: str = "rate", lines: str = "choice", x: str = "size"
+) -> DomainDifference:
+    """Collect the pairs with a published message on both sides."""
+    published = book.values.plain["published"]
+    pairs = tuple(pair for pair in domain_pairs(book.groups) if all(published[group] for group in pair))
+    paired = {group for pair in pairs for group in pair}
+    facet = Facet(x, panels, lines)
+    planned = planned_percentiles(book.analysis.summary, book.analysis.distributions)
+    return DomainDifference(facet, facet_panels(book, facet, paired.__contains__), pairs, planned)
+
+
+def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
+    """Draw bars side by side."""
+    name, title = "domain_difference", "Latency in the same domain against different domains"
+    how_to_read = (
+        "Plain bars stay in one domain, hatched bars next to them cross to another through a bridge; bars are over the planned messages: "
+        "a lost message is infinitely late, and a bar that reaches the top lost too many."
+    )
+    if not info.panels:
+        nothing = "no message was measured both in the same and in different domains with all else equal."
+        return LeftOut(name, title, nothing)
+    planned = {str(group): times for group, times in info.planned.items()}
+    plan = facet_plan(info.facet, info.panels, pairs=info.pairs, planned=planned)
+    return Figure(name, title, how_to_read, "bars", plan, follows=True)
+
+
+FIGURE = figure_maker(domain_difference_info, domain_difference_figure, few=False)

@@ -1,0 +1,202 @@
+"""What was seen on the wire: bytes per payload byte by class of traffic, messages sent again, time to the first message."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..book.numbers import whole_ns
+from .figure import (
+    Facet,
+    Faceted,
+    Figure,
+    LeftOut,
+    Scope,
+    facet_panels,
+    facet_plan,
+    figure_maker,
+    is_few,
+    plane_facet,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..book.book import Book
+
+PART_LABELS = {
+    "data": "Data, first time",
+    "again": "Data sent again",
+    "control": "Heartbeats, acknowledgements",
+    "discovery": "Discovery",
+    "other": "Other",
+}
+"""Part of a bar -> label, from the bottom up."""
+
+_CLASSES = {
+    "data": ("data", "data_frag", "tcp_data", "udp_other", "fragment_unknown"),
+    "again": ("data_again", "data_frag_again", "tcp_data_again"),
+    "control": ("heartbeat", "heartbeat_frag", "acknack", "nack_frag", "gap", "tcp_control"),
+    "discovery": ("spdp", "sedp", "liveliness"),
+}
+PART_OF_CLASS = {name: part for part, names in _CLASSES.items() for name in names}
+"""Class of traffic (`docs/reference/wire.md`) -> part of the bar; other classes are `other`. What is not RTPS, and later IP
+fragments, are usually data."""
+
+
+@dataclass(frozen=True, slots=True)
+class WirePart:
+    """One part of the bytes that one payload byte costs.
+
+    Attributes:
+        name: key of `PART_LABELS`.
+        ratio: bytes on the wire per payload byte.
+        share: share of all bytes on the wire.
+    """
+
+    name: str
+    ratio: float
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class WireCost(Faceted):
+    """Groups over their message.
+
+    Attributes:
+        parts: group -> its parts from the bottom up.
+        incomplete: groups whose capture lost packets, so that the bars are too low.
+    """
+
+    parts: Mapping[int, tuple[WirePart, ...]]
+    incomplete: tuple[int, ...]
+
+
+def wire_cost_info(book: Book) -> WireCost:
+    """Collect the classes of `details.wire_classes` and the groups' bytes per payload byte."""
+    details = book.analysis.details
+    ratios = dict(details.wire.select("group", "bytes_per_payload_byte").drop_nulls().iter_rows())
+    shares: dict[int, dict[str, float]] = {}
+    for group, wire_class, share in details.wire_classes.select("group", "wire_class", "share").iter_rows():
+        if group in ratios:
+            part = PART_OF_CLASS.get(wire_class, "other")
+            shares.setdefault(group, dict.fromkeys(PART_LABELS, 0.0))[part] += share
+    parts = {
+        group: tuple(WirePart(name, share * ratios[group], share) for name, share in own.items() if share)
+        for group, own in shares.items()
+    }
+    facet = plane_facet(book)
+    incomplete = details.wire.filter(~details.wire["complete"])["group"].to_list()
+    return WireCost(facet, facet_panels(book, facet, shares.__contains__), parts, tuple(incomplete))
+
+
+def wire_cost_figure(info: WireCost) -> Figure | LeftOut:
+    """Draw stacked bars over messages."""
+    name, title = "wire_cost", "What a message costs"
+    how_to_read = (
+        "A whole bar is the bytes on the wire for each byte of payload, both ways, with all headers; what is above 1 is the price of the "
+        "middleware, by what it was spent on."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "no run was recorded with --wire.")
+    used = {part.name for parts in info.parts.values() for part in parts}
+    plan = facet_plan(
+        info.facet,
+        info.panels,
+        names={name: label for name, label in PART_LABELS.items() if name in used},
+        parts={str(group): parts for group, parts in info.parts.items()},
+        incomplete=info.incomplete,
+    )
+    return Figure(name, title, how_to_read, "wire_cost", plan)
+
+
+WIRE_COST = figure_maker(wire_cost_info, wire_cost_figure)
+
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """Messages of one group that were sent again equally often.
+
+    Attributes:
+        repeats: how often, on the way out and back together.
+        messages: number of messages.
+        p50_ns: median time of the received ones.
+        max_ns: longest time of those.
+    """
+
+    repeats: int
+    messages: int
+    p50_ns: int | None
+    max_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class SentAgain:
+    """Group -> its messages by how often they were sent again, ascending; only groups that sent a message again.
+
+    Attributes:
+        metric: `latency`, or `rtt` where a relay's trace is missing.
+    """
+
+    groups: Mapping[int, tuple[Repeats, ...]]
+    metric: str
+
+
+def sent_again_info(book: Book) -> SentAgain:
+    """Collect `details.wire_repeats`."""
+    frame = book.analysis.details.wire_repeats
+    metric = "latency" if frame["latency_p50_ns"].count() == frame["rtt_p50_ns"].count() else "rtt"
+    columns = ("group", "repeats", "messages", f"{metric}_p50_ns", f"{metric}_max_ns")
+    groups: dict[int, list[Repeats]] = {}
+    for group, repeats, messages, p50_ns, max_ns in frame.select(columns).iter_rows():
+        groups.setdefault(group, []).append(Repeats(repeats, messages, whole_ns(p50_ns), whole_ns(max_ns)))
+    again = {group: tuple(rows) for group, rows in groups.items() if any(row.repeats for row in rows)}
+    return SentAgain(again, metric)
+
+
+def sent_again_figure(info: SentAgain) -> Figure | LeftOut:
+    """Draw times over how often messages were sent again, for the setups of the selected message."""
+    name, title = "sent_again", "Sent again"
+    how_to_read = (
+        "Each mark is the median time of the messages that were sent again so often, its bar reaches to the slowest; a step from 0 to 1 is "
+        "the price of one loss, and where it is a heartbeat's period, recovery waits for heartbeats."
+    )
+    if not info.groups:
+        return LeftOut(name, title, "no message was sent again, or no run was recorded with --wire.")
+    groups = {str(group): rows for group, rows in info.groups.items()}
+    return Figure(name, title, how_to_read, "sent_again", {"groups": groups, "metric": info.metric})
+
+
+SENT_AGAIN = figure_maker(sent_again_info, sent_again_figure, Scope.CELL)
+
+
+@dataclass(frozen=True, slots=True)
+class FirstMessage(Faceted):
+    """Groups over their message; `times_ns` is group -> median time of its runs."""
+
+    times_ns: Mapping[int, int]
+
+
+def first_message_info(book: Book) -> FirstMessage:
+    """Collect `match_p50_ns` of `details.wire`."""
+    rows = book.analysis.details.wire.select("group", "match_p50_ns").iter_rows()
+    times_ns = {group: time for group, value in rows if (time := whole_ns(value)) is not None}
+    facet = Facet("cell" if is_few(book) else "plane", "way")
+    return FirstMessage(facet, facet_panels(book, facet, times_ns.__contains__), times_ns)
+
+
+def first_message_figure(info: FirstMessage) -> Figure | LeftOut:
+    """Draw a mark per group over messages."""
+    name, title = "first_message", "Time to the first message"
+    how_to_read = (
+        "Each mark is the time from the first announcement of the ping's participant to the first echo, with a relay that was already "
+        "running: how long a node that starts has to wait."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "no DDS run was recorded with --wire.")
+    values = {str(group): time_ns for group, time_ns in info.times_ns.items()}
+    plan = facet_plan(info.facet, info.panels, value="own", values_ns=values, label=title)
+    return Figure(name, title, how_to_read, "lines", plan)
+
+
+FIRST_MESSAGE = figure_maker(first_message_info, first_message_figure, opened=False)

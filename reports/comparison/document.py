@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.verdicts.compare import Comparison
 
-    from .info import ComparedGroup, ComparisonInfo, Gated
+    from .info import ComparedGroup, ComparisonInfo
+    from .words import Gated
 
 FORMAT_VERSION = 1
 """Version 1: first version (2026). A field may be added without a new version; none changes its meaning."""

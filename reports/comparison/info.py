@@ -21,7 +21,7 @@ from dds_trace.base.units import counted
 
 from ..book.groups import VENDORS, VendorLabels, group_labels, groups_of
 from ..book.verdicts import received_words
-from .words import change_words, metric_words, statistic_words, why_words
+from .words import Gated, change_words, metric_words, statistic_words
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -87,22 +87,6 @@ class Unlike:
     column: str
     base: str
     new: str
-
-
-@dataclass(frozen=True, slots=True)
-class Gated:
-    """The outcome of a gate for one result, under its name in the report."""
-
-    where: str
-    result: GateResult
-
-    @property
-    def line(self) -> str:
-        """The outcome in one line."""
-        why = why_words(self.result)
-        return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (
-            f": {printable(why)}" if why else ""
-        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,8 @@ from .words import both_words, change_with_interval, statistic_words
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .info import ComparedGroup, ComparisonInfo, Gated
+    from .info import ComparedGroup, ComparisonInfo
+    from .words import Gated
 
 WIDTH = 80
 MOST_GROUPS = 10

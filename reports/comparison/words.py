@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.verdicts.gate import Against
+from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, format_duration
 
 from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
@@ -15,8 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from dds_trace.analyzer.verdicts.gates import GateResult
-
-    from .info import Gated
 
 LOST = "lost"
 """Replaces a time that more messages never reached than the statistic allows."""
@@ -115,6 +115,22 @@ def why_words(result: GateResult) -> str:
             f"drops from {100 * result.smallest_drop:.2f} points on are found with a probability of 80 %"
         )
     return "; ".join(text for text in (result.reason, smallest) if text)
+
+
+@dataclass(frozen=True, slots=True)
+class Gated:
+    """The outcome of a gate for one result, under its name in the report."""
+
+    where: str
+    result: GateResult
+
+    @property
+    def line(self) -> str:
+        """The outcome in one line."""
+        why = why_words(self.result)
+        return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (
+            f": {printable(why)}" if why else ""
+        )
 
 
 GATE_COLUMNS = ("Gate", "Result", "Measured", "Interval", "Outcome", "Why")

@@ -10,6 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from dds_trace.reports.figures.first_message import first_message_info
+from dds_trace.reports.figures.sent_again import sent_again_info
+from dds_trace.reports.figures.wire_cost import wire_cost_info
 from jsonschema import Draft202012Validator
 from lossy_link import lossy_link, running_session, wait_for
 from namespaces import needs_namespaces
@@ -19,9 +22,6 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
 from dds_trace.reports import document
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures.first_message import first_message_info
-from dds_trace.reports.figures.sent_again import sent_again_info
-from dds_trace.reports.figures.wire_cost import wire_cost_info
 from dds_trace.reports.reporters import render_report
 from dds_trace.tracefile.format.wire import rows_of_text
 from dds_trace.tracefile.reading.reader import read_trace

@@ -50,7 +50,7 @@ class Details:
         host_samples: load of the devices over time: columns of `host_samples.HOST_SAMPLE_SCHEMA`.
         bridge_costs: different domains against the same domain for equal parameters (`bridge_cost.bridge_cost`), every
             percentile of the latency; none for a message with more than `cases.MOST_COMPARED_ROWS` rows.
-        wire: cost of the messages on the wire, a row per group recorded with `--wire` (`model.wire`).
+        wire: cost of the messages on the wire, a row per group recorded with `--wire` (`groups.wire`).
         wire_classes: the same by class of traffic.
         wire_repeats: the same by number of repeats, with their times.
         answers: the fastest setups for each message; rows as for `bridge_costs`.

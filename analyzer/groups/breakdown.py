@@ -23,6 +23,7 @@ import polars as pl
 
 from dds_trace.tracefile.format.events import Stage
 
+from ..model.metrics import frame_schema
 from ..pairing.pair import MISSING, chosen_of
 from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips
 from ..statistics.percentiles import minimum_messages, quantile_of
@@ -59,29 +60,14 @@ _PART_COLUMNS = ("scheduled_ns", "outbound_ns", "intermediate_ns", "return_ns", 
 _SIDES = 4
 """Deliveries and writes of relay and ping, by which their anchors are judged from both sides."""
 
-BREAKDOWN_SCHEMA: dict[str, type[pl.DataType]] = {
-    "group": pl.UInt32,
-    "part": pl.String,
-    "order": pl.UInt32,
-    "messages": pl.UInt64,
-    "mean_ns": pl.Float64,
-    "p50_ns": pl.Float64,
-    "p99_ns": pl.Float64,
-    "bound_ns": pl.Float64,
-}
+BREAKDOWN_SCHEMA = frame_schema(
+    "group:u32 part:str order:u32 messages:u64 mean_ns:f64 p50_ns:f64 p99_ns:f64 bound_ns:f64"
+)
 
-RESPONSE_SCHEMA: dict[str, type[pl.DataType]] = {
-    "group": pl.UInt32,
-    "messages": pl.UInt64,
-    "late_ratio": pl.Float64,
-    "waiting_max_ns": pl.Int64,
-    "rtt_p50_ns": pl.Float64,
-    "response_p50_ns": pl.Float64,
-    "rtt_p99_ns": pl.Float64,
-    "response_p99_ns": pl.Float64,
-    "hidden_p50_ns": pl.Float64,
-    "hidden_p99_ns": pl.Float64,
-}
+RESPONSE_SCHEMA = frame_schema(
+    "group:u32 messages:u64 late_ratio:f64 waiting_max_ns:i64 rtt_p50_ns:f64 response_p50_ns:f64 "
+    "rtt_p99_ns:f64 response_p99_ns:f64 hidden_p50_ns:f64 hidden_p99_ns:f64"
+)
 
 
 def breakdown_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
+from ..model.metrics import frame_schema
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome, chosen_of
 from .batch import filled, first_known, is_present
 
@@ -158,40 +159,17 @@ ONE_WAY = ("outbound_ns", "return_ns")
 _NEVER = {"outbound_ns": (Outcome.LOST_OUTBOUND,)}
 """Metric -> outcomes of messages that surely never arrived; any loss for a metric that is not here."""
 
-FRESHNESS_SCHEMA = {
-    "group": pl.UInt32,
-    "run_id": pl.UInt64,
-    "relay_id": pl.UInt32,
-    "messages": pl.UInt64,
-    "deadline_ns": pl.Int64,
-    "judged": pl.UInt64,
-    "missed": pl.UInt64,
-    "missed_ratio": pl.Float64,
-    "longest_missed": pl.UInt64,
-    "longest_missed_ns": pl.Int64,
-    "age_mean_ns": pl.Float64,
-    "age_peak_mean_ns": pl.Float64,
-    "age_peak_max_ns": pl.Int64,
-    "relay_age_mean_ns": pl.Float64,
-    "relay_age_peak_max_ns": pl.Int64,
-    "clock_bound_ns": pl.Int64,
-    "outages": pl.UInt32,
-    "outage_longest_ns": pl.Int64,
-    "recovery_longest_ns": pl.Int64,
-    "unsure": pl.UInt64,
-}
+FRESHNESS_SCHEMA = frame_schema(
+    "group:u32 run_id:u64 relay_id:u32 messages:u64 deadline_ns:i64 judged:u64 missed:u64 "
+    "missed_ratio:f64 longest_missed:u64 longest_missed_ns:i64 age_mean_ns:f64 age_peak_mean_ns:f64 "
+    "age_peak_max_ns:i64 relay_age_mean_ns:f64 relay_age_peak_max_ns:i64 clock_bound_ns:i64 outages:u32 "
+    "outage_longest_ns:i64 recovery_longest_ns:i64 unsure:u64"
+)
 
-OUTAGE_SCHEMA = {
-    "group": pl.UInt32,
-    "run_id": pl.UInt64,
-    "relay_id": pl.UInt32,
-    "first_sequence": pl.UInt64,
-    "messages": pl.UInt64,
-    "start_ns": pl.Int64,
-    "end_ns": pl.Int64,
-    "duration_ns": pl.Int64,
-    "recovery_ns": pl.Int64,
-}
+OUTAGE_SCHEMA = frame_schema(
+    "group:u32 run_id:u64 relay_id:u32 first_sequence:u64 messages:u64 start_ns:i64 end_ns:i64 "
+    "duration_ns:i64 recovery_ns:i64"
+)
 
 
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from ..model.metrics import frame_schema
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
@@ -18,30 +20,13 @@ MOST_OF_SESSION = 2000
 _OURS = ("self", "wire")
 """Sampled processes of the recorder; all others are a bridge's."""
 
-HOST_SAMPLE_SCHEMA: dict[str, type[pl.DataType]] = {
-    "session_id": pl.UInt64,
-    "role": pl.String,
-    "device": pl.String,
-    "wall_ns": pl.Int64,
-    "monotonic_ns": pl.Int64,
-    "cpu_percent": pl.Float64,
-    "cpu_busiest_percent": pl.Float64,
-    "cpu_mhz": pl.Float64,
-    "temperature_c": pl.Float64,
-    "memory_used_bytes": pl.Float64,
-    "memory_available_bytes": pl.Float64,
-    "load_1min": pl.Float64,
-    "node_cpu_percent": pl.Float64,
-    "node_memory_bytes": pl.Float64,
-    "bridge_cpu_percent": pl.Float64,
-    "wifi_signal_dbm": pl.Float64,
-    "udp_receive_errors": pl.Float64,
-    "sampling_cpu_ns": pl.Float64,
-    "monotonic_raw_ns": pl.Int64,
-    "cpu_free_processors": pl.Float64,
-    "cpu_steal_ns": pl.Float64,
-    "cpu_pressure_us": pl.Float64,
-}
+HOST_SAMPLE_SCHEMA = frame_schema(
+    "session_id:u64 role:str device:str wall_ns:i64 monotonic_ns:i64 cpu_percent:f64 "
+    "cpu_busiest_percent:f64 cpu_mhz:f64 temperature_c:f64 memory_used_bytes:f64 "
+    "memory_available_bytes:f64 load_1min:f64 node_cpu_percent:f64 node_memory_bytes:f64 "
+    "bridge_cpu_percent:f64 wifi_signal_dbm:f64 udp_receive_errors:f64 sampling_cpu_ns:f64 "
+    "monotonic_raw_ns:i64 cpu_free_processors:f64 cpu_steal_ns:f64 cpu_pressure_us:f64"
+)
 
 
 def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..model.metrics import METRICS
+from ..model.metrics import METRICS, frame_schema
 from ..run_statistics.batching import SMALL_GROUP, spreads_of_groups
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.runs import Runs, SendTimes, Statistic
@@ -26,26 +26,11 @@ if TYPE_CHECKING:
     from ..statistics.intervals import Interval
     from .batch import Batch
 
-INTERVAL_SCHEMA: dict[str, type[pl.DataType]] = {
-    "group": pl.UInt32,
-    "metric": pl.String,
-    "percentile": pl.String,
-    "quantile": pl.Float64,
-    "estimate_ns": pl.Float64,
-    "low_ns": pl.Float64,
-    "high_ns": pl.Float64,
-    "method": pl.String,
-    "confidence": pl.Float64,
-    "messages": pl.UInt64,
-    "independent": pl.UInt64,
-    "runs": pl.UInt32,
-    "units": pl.UInt32,
-    "episodes": pl.UInt64,
-    "basis": pl.String,
-    "between": pl.Float64,
-    "within": pl.Float64,
-    "typical_ns": pl.Float64,
-}
+INTERVAL_SCHEMA = frame_schema(
+    "group:u32 metric:str percentile:str quantile:f64 estimate_ns:f64 low_ns:f64 high_ns:f64 method:str "
+    "confidence:f64 messages:u64 independent:u64 runs:u32 units:u32 episodes:u64 basis:str between:f64 "
+    "within:f64 typical_ns:f64"
+)
 
 ONE_WAY_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,

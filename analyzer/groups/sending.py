@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from ..model.metrics import frame_schema
 from ..statistics.percentiles import quantile_of
 from .batch import filled, is_present
 
@@ -33,20 +34,10 @@ _LAST_SHARE = 10
 _LEAST_MESSAGES = 3
 """Fewest messages of that tenth, so that their median is not one late message's."""
 
-SENDING_SCHEMA: dict[str, type[pl.DataType]] = {
-    "group": pl.UInt32,
-    "run_id": pl.UInt64,
-    "relay_id": pl.UInt32,
-    "messages": pl.UInt64,
-    "elapsed_ns": pl.Int64,
-    "behind_ns": pl.Int64,
-    "late": pl.UInt64,
-    "late_max_ns": pl.Int64,
-    "late_p99_ns": pl.Float64,
-    "still": pl.UInt32,
-    "still_ns": pl.Int64,
-    "still_end_ns": pl.Int64,
-}
+SENDING_SCHEMA = frame_schema(
+    "group:u32 run_id:u64 relay_id:u32 messages:u64 elapsed_ns:i64 behind_ns:i64 late:u64 late_max_ns:i64 "
+    "late_p99_ns:f64 still:u32 still_ns:i64 still_end_ns:i64"
+)
 
 
 def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from ..model.metrics import frame_schema
 from ..pairing.pair import chosen_of
 from ..run_statistics.bursts import share_inflation
 from ..run_statistics.modes import find_modes, find_trend, find_warm_up
@@ -25,19 +26,10 @@ if TYPE_CHECKING:
 OWN_NS = 28_000
 """Difference of latency that may be the recorder's own: four events of a message, each up to 7 us with cold caches."""
 
-SHAPE_SCHEMA: dict[str, type[pl.DataType]] = {
-    "group": pl.UInt32,
-    "run_id": pl.UInt64,
-    "relay_id": pl.UInt32,
-    "p50_ns": pl.Int64,
-    "warm_up_messages": pl.UInt64,
-    "warm_up_s": pl.Float64,
-    "warm_up_ratio": pl.Float64,
-    "trend_ratio": pl.Float64,
-    "modes_low_ns": pl.Float64,
-    "modes_high_ns": pl.Float64,
-    "modes_share": pl.Float64,
-}
+SHAPE_SCHEMA = frame_schema(
+    "group:u32 run_id:u64 relay_id:u32 p50_ns:i64 warm_up_messages:u64 warm_up_s:f64 warm_up_ratio:f64 "
+    "trend_ratio:f64 modes_low_ns:f64 modes_high_ns:f64 modes_share:f64"
+)
 
 
 def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:

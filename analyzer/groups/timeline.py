@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from ..model.metrics import frame_schema
 from ..pairing.pair import OUTCOMES, Outcome
 from .batch import filled, first_known, present
 
@@ -21,16 +22,9 @@ if TYPE_CHECKING:
 
 ROWS_AT_ONCE = 4_000_000
 
-RUN_SCHEMA: dict[str, type[pl.DataType]] = {
-    "group": pl.UInt32,
-    "run_id": pl.UInt64,
-    "origin_ns": pl.Int64,
-    "last_ns": pl.Int64,
-    "published": pl.UInt32,
-    "received": pl.UInt32,
-    "p50_ns": pl.Float64,
-    "max_ns": pl.Int64,
-}
+RUN_SCHEMA = frame_schema(
+    "group:u32 run_id:u64 origin_ns:i64 last_ns:i64 published:u32 received:u32 p50_ns:f64 max_ns:i64"
+)
 _READ = ("scheduled_ns", "publish_ns", "outcome", "latency_ns", "rtt_ns")
 
 

@@ -16,7 +16,7 @@ import polars as pl
 
 from dds_trace.tracefile.format.wire import MESSAGE_ROW, Direction, rows_of_text
 
-from ..model.wire import WIRE_CLASS_SCHEMA, WIRE_FRAMES, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
+from ..model.metrics import frame_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -27,6 +27,40 @@ if TYPE_CHECKING:
 
     from ..pairing.rows import RowStore
     from .batch import Grouping
+
+WIRE_SCHEMA = frame_schema(
+    "group:u32 runs:u32 complete:bool kernel_drops:u64 total_bytes:u64 payload_bytes:u64 "
+    "bytes_per_payload_byte:f64 again_bytes_share:f64 messages:u64 again_messages:u64 requests:u64 "
+    "resent_after_p50_ns:f64 waited_heartbeats_p50:f64 match_p50_ns:f64 discovery_share:f64 "
+    "discovery_bytes_per_minute:f64 reassembly_failed:u64 udp_receive_buffer_full:u64 tcp_again_bytes:u64 "
+    "shared_counts:u32 tcp_retransmitted_segments:u64 tcp_rtt_p50_ns:f64 tcp_congestion_window_p50:f64"
+)
+"""A row per group with counts. `runs` with counts; `complete`: no capture dropped a packet (`kernel_drops`); `total_bytes` on
+the ping's interfaces, both ways, Ethernet headers included; `payload_bytes` of all messages and replies, warm-up included;
+`again_bytes_share` of bytes that were sent again; `messages` with a record, `again_messages` of them sent again on either
+way, half of these after `resent_after_p50_ns` and `waited_heartbeats_p50` heartbeats of their writer; `requests` to send
+again; `match_p50_ns` from a participant's first announcement to the first echo, median of the runs; `discovery_*` SPDP, SEDP
+and liveliness; `reassembly_failed` and `udp_receive_buffer_full` datagrams of both devices; `tcp_again_bytes` TCP payload
+sent again in `tcp_retransmitted_segments` (`TCP_INFO`), medians of smoothed round-trip times and congestion windows
+(segments) of the ping's connections at the end of its runs, null without TCP; `shared_counts` of a relay's capture that belong
+to other groups' runs as well: only their `kernel_drops` count here."""
+
+WIRE_CLASS_SCHEMA = frame_schema("group:u32 wire_class:str packets:u64 bytes:u64 share:f64")
+"""A row per group and class of traffic (`docs/reference/wire.md`) on the ping's interfaces, both ways; `share` of the group's bytes."""
+
+WIRE_REPEAT_SCHEMA = frame_schema(
+    "group:u32 repeats:u32 messages:u64 returned:u64 rtt_p50_ns:f64 rtt_max_ns:f64 latency_p50_ns:f64 "
+    "latency_max_ns:f64"
+)
+"""A row per group and number of repeats of both ways together: `messages` that were sent again so often, without warm-up,
+`returned` of them came back, and their times; null where none has such a time."""
+
+WIRE_FRAMES = {
+    "wire": WIRE_SCHEMA,
+    "wire_classes": WIRE_CLASS_SCHEMA,
+    "wire_repeats": WIRE_REPEAT_SCHEMA,
+}
+"""Name of each frame in `Details` -> its columns."""
 
 DISCOVERY_CLASSES = frozenset({"spdp", "sedp", "liveliness"})
 AGAIN_CLASSES = frozenset({"data_again", "data_frag_again", "tcp_data_again"})
@@ -53,7 +87,7 @@ class _Sums:
 
 
 class WireFrames(NamedTuple):
-    """The frames of `model.wire`, each by group."""
+    """The frames of `WIRE_FRAMES`, each by group."""
 
     wire: pl.DataFrame
     wire_classes: pl.DataFrame
@@ -68,7 +102,7 @@ def no_wire_frames() -> WireFrames:
 def wire_frames(
     traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore
 ) -> WireFrames:
-    """Make the frames of `model.wire`.
+    """Make the frames of `WIRE_FRAMES`.
 
     Args:
         traces: have records of messages and counts of relays.

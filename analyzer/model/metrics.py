@@ -29,6 +29,22 @@ def schema_of(columns: Iterable[Column]) -> dict[str, type[pl.DataType] | pl.Dat
     return {column.name: column.dtype for column in columns}
 
 
+_DTYPES = {
+    "bool": pl.Boolean,
+    "f64": pl.Float64,
+    "i64": pl.Int64,
+    "str": pl.String,
+    "u32": pl.UInt32,
+    "u64": pl.UInt64,
+}
+
+
+def frame_schema(columns: str) -> dict[str, type[pl.DataType]]:
+    """Return the schema of a frame from `name:dtype ...`, as in `group:u32 p50_ns:f64`."""
+    pairs = (column.split(":") for column in columns.split())
+    return {name: _DTYPES[dtype] for name, dtype in pairs}
+
+
 @dataclass(frozen=True, slots=True)
 class Metric:
     """A time of every message, in ns.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 
 from ..model.finding import Source
+from ..model.metrics import frame_schema
 from .messages import find_recordings, iter_messages
 
 if TYPE_CHECKING:
@@ -36,33 +37,13 @@ _FEWEST_FOR_P99 = 100
 _NONE = -(2**63)
 """In place of a time that a message does not have."""
 
-TOPIC_SCHEMA: dict[str, type[pl.DataType]] = {
-    "recording": pl.String,
-    "topic": pl.String,
-    "message_type": pl.String,
-    "encoding": pl.String,
-    "messages": pl.UInt64,
-    "start_ns": pl.Int64,
-    "duration_ns": pl.Int64,
-    "rate_hz": pl.Float64,
-    "period_p50_ns": pl.Float64,
-    "period_p99_ns": pl.Float64,
-    "jitter_ns": pl.Float64,
-    "gaps": pl.UInt64,
-    "gap_max_ns": pl.Int64,
-    "payload_mean_bytes": pl.Float64,
-    "payload_min_bytes": pl.UInt64,
-    "payload_max_bytes": pl.UInt64,
-    "rate_bytes_per_s": pl.Float64,
-    "age_from": pl.String,
-    "age_messages": pl.UInt64,
-    "age_negative": pl.UInt64,
-    "age_min_ns": pl.Int64,
-    "age_p50_ns": pl.Float64,
-    "age_p99_ns": pl.Float64,
-    "age_max_ns": pl.Int64,
-    "stamps_backwards": pl.UInt64,
-}
+TOPIC_SCHEMA = frame_schema(
+    "recording:str topic:str message_type:str encoding:str messages:u64 start_ns:i64 duration_ns:i64 "
+    "rate_hz:f64 period_p50_ns:f64 period_p99_ns:f64 jitter_ns:f64 gaps:u64 gap_max_ns:i64 "
+    "payload_mean_bytes:f64 payload_min_bytes:u64 payload_max_bytes:u64 rate_bytes_per_s:f64 age_from:str "
+    "age_messages:u64 age_negative:u64 age_min_ns:i64 age_p50_ns:f64 age_p99_ns:f64 age_max_ns:i64 "
+    "stamps_backwards:u64"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

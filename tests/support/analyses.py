@@ -21,10 +21,9 @@ from dds_trace.analyzer.groups.freshness import freshness_frame, outage_frame
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
 from dds_trace.analyzer.groups.timeline import run_frame
-from dds_trace.analyzer.groups.wire import no_wire_frames
+from dds_trace.analyzer.groups.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA, no_wire_frames
 from dds_trace.analyzer.model.columns import SUMMARY_COLUMNS
 from dds_trace.analyzer.model.metrics import METRICS, schema_of
-from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs

@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 from analyses import MS, Measured, make_analysis
 
-from dds_trace.analyzer.model.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
+from dds_trace.analyzer.groups.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures.figure import Figure, LeftOut, Line, Panel
 from dds_trace.reports.figures.wire import (

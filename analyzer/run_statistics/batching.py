@@ -1,7 +1,7 @@
-"""Spreads of several groups at once, for speed only: each is what `spreads_of_runs` returns for its group.
+"""Spreads of several groups at once, for speed only: each is what `spread_of_runs` returns for its group.
 
-Numpy takes as long to start on an array as to process some thousand values, so several small groups cost little more than
-one of them.
+Numpy takes as long to start on an array as to process some thousand values: the metrics of a small group cost together little
+more than one of them.
 """
 
 from __future__ import annotations
@@ -21,12 +21,7 @@ SMALL_GROUP = 20_000
 
 
 def spreads_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) -> list[list[Spread]]:
-    """Return the spread of each statistic in each group.
-
-    Args:
-        groups: at least one message in each run.
-        statistics: quantiles.
-    """
+    """Return the spread of each statistic, a quantile, in each group; each run has a message."""
     if not groups:
         return []
     quantiles = [statistic.quantile for statistic in statistics if statistic.quantile is not None]

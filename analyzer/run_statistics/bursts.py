@@ -1,14 +1,10 @@
-"""How much a series of dependent messages is worth, and how many episodes a rare event happened in.
+"""How many independent messages a series of dependent ones is worth, and how many episodes a rare event came in.
 
-A message that waits in a queue makes the next one wait, a radio that loses one loses the next, and a backup that
-starts in the tenth second lasts to the fifteenth. The variance of a share in such a series is decided by its slowest
-movements, so it is read off there: the projections of the series on the first few cosines that fit into the run
-(the equal-weighted cosine estimator, U. Mueller, "HAC corrections for strongly autocorrelated time series", Journal
-of Business & Economic Statistics 32, 2014; E. Lazarus, D. Lewis, J. Stock and M. Watson, "HAR inference", the same
-journal 36, 2018). The k-th cosine has a period of 2/k of the run, so that what is seen depends on the run's length in
-seconds and not on the rate: dependence that lasts a twelfth of the run counts in full, longer one in part, up to a drift
-through the whole run. The mean divided by the root of this estimate is Student's t with as many degrees of freedom as
-there are cosines.
+A queue delays the next message, a radio loses it, a backup lasts for seconds. The variance of a share in such a series is set
+by its slowest movements, so it is estimated from the projections of the series on the first few cosines that fit into the run
+(equal-weighted cosines: U. Mueller, Journal of Business & Economic Statistics 32, 2014; E. Lazarus, D. Lewis, J. Stock and
+M. Watson, the same journal 36, 2018). Dependence that lasts up to a twelfth of the run counts in full. The mean divided by the
+root of this estimate is Student's t with as many degrees of freedom as there are cosines.
 """
 
 from __future__ import annotations
@@ -28,146 +24,129 @@ if TYPE_CHECKING:
 
     Float64 = NDArray[np.float64]
     Int64 = NDArray[np.int64]
+    Indices = NDArray[np.intp]
 
 COSINES = 12
-"""Projections that the variance is read from. The more there are, the shorter the dependence that is seen in full and the
-smaller the price: Student's t is 18 % above the normal quantile with eight, 11 % with twelve. Simulated within one run
-of 1000 messages, intervals of p50 of independent messages hold the truth in 98.0 of 100 with eight and 97.5 with twelve, at
-a correlation of 0.95 in 97 and 96, in bursts of 20 that hold one message in twenty in 94 and 94 (sixteen: 92)."""
+"""Projections that the variance is estimated from. More of them narrow the interval (Student's t is 11 % above the normal
+quantile with twelve, 18 % with eight) and miss longer dependence."""
 
 EPISODE_GAP_SHARE = 0.05
-"""Two rare events closer than this share of their mean distance are one episode. Independent events are counted one
-in twenty too few; events in a burst of which every second message is slow are still one."""
+"""Two rare events closer than this share of their mean distance are one episode; of independent ones one in twenty is."""
 
 LEAST_GAP = 1.5
-"""Messages that the least gap between episodes has: with one, the jitter of a sender would cut a burst in pieces."""
+"""Messages of the least gap between episodes; with 1, a sender's jitter would cut a burst in pieces."""
 
-_CELLS = (
-    1024  # neighbours are added up in at most this many cells: the twelfth cosine has 170 of them a period
+_MOST_CELLS = (
+    1024  # neighbours are added up in this many cells: the shortest cosine has 170 of them in a period
 )
 
 _MANY = 20
-"""Messages a cell from which on it is quicker to look for the cells' bounds among them than for the cell of each."""
+"""Messages a cell from which on the cells' bounds are searched among them, not the cell of each."""
 
 
 def long_run_variance(series: NDArray[Any]) -> float:
     """Return n times the variance of the mean of a series.
 
-    `(2 / n) sum_j (sum_t x_t cos(pi j (t - 1/2) / n))^2 / COSINES`, j = 1 ... COSINES. The cosines sum to zero, so a
-    mean need not be taken off. The cost is one pass over the series.
+    `(2 / n) sum_j (sum_t x_t cos(pi j (t - 1/2) / n))^2 / COSINES`, j = 1 ... COSINES.
 
     Args:
         series: finite numbers in the order of time, at least `2 * COSINES`, shape (messages,).
     """
     n = len(series)
-    cells = min(n, _CELLS)
-    sums = np.add.reduceat(series.astype(np.float64), _edges(n, cells))
-    apart = sums - series.mean() * _widths(n, cells)
-    return float(_variances(_projections(apart[None, :]), np.array([[n]]))[0, 0])
+    cells = min(n, _MOST_CELLS)
+    sums = np.add.reduceat(series.astype(np.float64), _starts(n, cells))
+    centred = sums - series.mean() * _widths(n, cells)
+    return float(_variances(_projections(centred[None, :]), np.array([[n]]))[0, 0])
 
 
-def share_inflation(places: NDArray[np.intp], messages: int) -> float:
+def share_inflation(indices: Indices, messages: int) -> float:
     """Return the variance of a share of messages divided by that of as many independent ones.
 
-    Without events, with nothing but events and in fewer than `2 * COSINES` messages there is nothing to compare: 1.
-
-    Args:
-        places: of the messages that count, 0 ... messages - 1, rising, shape (events,).
-        messages: length of the series.
+    It is 1 without events, with nothing but events, and in fewer than `2 * COSINES` messages. `indices` ascend, shape (events,).
     """
     if not messages:
         return 1.0
-    return share_inflations(cells_of([messages]), [(places, np.array([0, len(places)]))])[0][0]
+    return share_inflations(cells_of([messages]), [(indices, np.array([0, len(indices)]))])[0][0]
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The cells that neighbours of several series are added up in, those of the first series first.
+    """The cells that neighbouring messages of several series are added up in, series after series.
 
     Attributes:
         lengths: messages of each series.
         widths: int64, messages in each cell, shape (cells,).
-        edges: the first cell of each series and the number of all, shape (series + 1,).
+        offsets: the first cell of each series and the number of all, shape (series + 1,).
     """
 
     lengths: tuple[int, ...]
     widths: Int64
-    edges: NDArray[np.intp]
+    offsets: Indices
 
-    def counts(self, places: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return how many of these messages, given by rising places, are in each cell; shape (cells,)."""
-        if len(places) > _MANY * len(self.widths):
-            return np.diff(places.searchsorted(self._bounds))
-        return np.bincount(self._of_messages[places], minlength=len(self.widths))
+    def counts(self, indices: Indices) -> Indices:
+        """Return how many messages, given by ascending indices, are in each cell."""
+        if len(indices) > _MANY * len(self.widths):
+            return np.diff(indices.searchsorted(self._bounds))
+        return np.bincount(self._cell_of_message[indices], minlength=len(self.widths))
 
     @cached_property
-    def _bounds(self) -> NDArray[np.intp]:
-        """The first message of each cell and the number of all, shape (cells + 1,)."""
+    def _bounds(self) -> Indices:
         return np.concatenate([[0], np.cumsum(self.widths)])
 
     @cached_property
-    def _of_messages(self) -> NDArray[np.int32]:
-        """The cell of each message, shape (messages,)."""
+    def _cell_of_message(self) -> NDArray[np.int32]:
         return np.repeat(np.arange(len(self.widths), dtype=np.int32), self.widths)
 
     @cached_property
     def messages(self) -> Int64:
-        """Messages of each series, one of a series without any, shape (series, 1)."""
+        """Messages of each series, at least 1, shape (series, 1)."""
         return np.maximum(self.lengths, 1)[:, None]
 
     @cached_property
-    def rows(self) -> tuple[tuple[slice, slice], ...]:
+    def blocks(self) -> tuple[tuple[slice, slice], ...]:
         """Neighbouring series with equally many cells: which series, and which cells."""
-        counts = self.edges[1:] - self.edges[:-1]
+        counts = self.offsets[1:] - self.offsets[:-1]
         first = [0, *(np.flatnonzero(counts[1:] != counts[:-1]) + 1).tolist(), len(counts)]
-        edges = self.edges.tolist()
-        return tuple((slice(begin, end), slice(edges[begin], edges[end])) for begin, end in pairwise(first))
+        offsets = self.offsets.tolist()
+        return tuple(
+            (slice(start, end), slice(offsets[start], offsets[end])) for start, end in pairwise(first)
+        )
 
     @cached_property
     def projections(self) -> tuple[Float64, ...]:
-        """For each of `rows` the projections of all messages: near zero, but for cells of unlike widths."""
+        """For each of `blocks` the projections of all messages: near zero, except for cells of different widths."""
         return tuple(
-            _projections(self.widths[of_series].reshape(series.stop - series.start, -1).astype(np.float64))
-            for series, of_series in self.rows
+            _projections(self.widths[cells].reshape(series.stop - series.start, -1).astype(np.float64))
+            for series, cells in self.blocks
         )
 
 
 def cells_of(lengths: Sequence[int]) -> Cells:
-    """Return the cells of series of these lengths.
+    """Return the cells of one or more series with these numbers of messages."""
+    cells = [min(messages, _MOST_CELLS) for messages in lengths]
+    widths = np.concatenate(list(map(_widths, lengths, cells)))
+    return Cells(tuple(lengths), widths, np.cumsum([0, *cells]))
 
-    Args:
-        lengths: messages of each, at least one series.
+
+def share_inflations(cells: Cells, subsets: Sequence[tuple[Indices, Indices]]) -> list[list[float]]:
+    """Return `share_inflation` of each series, for each of some subsets of their messages.
+
+    A subset is the ascending indices of its messages among those of all series, shape (events,), with the first of these in each
+    series and the number of all, shape (series + 1,).
     """
-    cells = [min(messages, _CELLS) for messages in lengths]
-    edges = np.cumsum([0, *cells])
-    widths = [_widths(messages, of_series) for messages, of_series in zip(lengths, cells, strict=True)]
-    return Cells(tuple(lengths), np.concatenate(widths), edges)
-
-
-def share_inflations(
-    cells: Cells, subsets: Sequence[tuple[NDArray[np.intp], NDArray[np.intp]]]
-) -> list[list[float]]:
-    """Return `share_inflation` of several series, for each of some subsets of their messages.
-
-    Args:
-        cells: of the series.
-        subsets: of each subset the places of its messages among those of all series, rising, shape (events,), and the first
-            of these in each series and the number of all, shape (series + 1,).
-    """
-    counts = np.array([cells.counts(places) for places, _ in subsets], np.float64)
-    edges = np.array([edges for _, edges in subsets])
-    shares = (edges[:, 1:] - edges[:, :-1])[..., None] / cells.messages
+    counts = np.array([cells.counts(indices) for indices, _ in subsets], np.float64)
+    offsets = np.array([offsets for _, offsets in subsets])
+    shares = (offsets[:, 1:] - offsets[:, :-1])[..., None] / cells.messages
     variances = np.empty_like(shares)
-    for (series, of_series), of_all in zip(cells.rows, cells.projections, strict=True):
-        of_series_counts = counts[:, of_series].reshape(len(subsets), len(of_all), -1)
-        apart = _projections(of_series_counts) - shares[:, series] * of_all
-        variances[:, series] = _variances(apart, cells.messages[series])
-    of_independent = shares * (1 - shares)
-    is_comparable = (cells.messages >= 2 * COSINES) & (of_independent > 0)
-    inflations: list[list[float]] = np.divide(
-        variances, of_independent, out=np.ones_like(shares), where=is_comparable
-    )[..., 0].tolist()
-    return inflations
+    for (series, of_series), projections in zip(cells.blocks, cells.projections, strict=True):
+        in_block = counts[:, of_series].reshape(len(subsets), len(projections), -1)
+        centred = _projections(in_block) - shares[:, series] * projections
+        variances[:, series] = _variances(centred, cells.messages[series])
+    independent = shares * (1 - shares)
+    is_comparable = (cells.messages >= 2 * COSINES) & (independent > 0)
+    inflations = np.divide(variances, independent, out=np.ones_like(shares), where=is_comparable)
+    rows: list[list[float]] = inflations[..., 0].tolist()
+    return rows
 
 
 def _projections(sums: Float64) -> Float64:
@@ -176,32 +155,25 @@ def _projections(sums: Float64) -> Float64:
 
 
 def _variances(projections: Float64, messages: Int64) -> Float64:
-    """Return n times the variance of the mean of several series.
+    """Return n times the variance of the mean of several series, shape (..., series, 1).
 
-    Args:
-        projections: of each series, its mean taken off, shape (..., series, COSINES).
-        messages: of each series, at least one, shape (series, 1).
-
-    Returns:
-        Shape (..., series, 1).
+    Projections are of centred series, shape (..., series, COSINES); messages have the shape (series, 1).
     """
-    # `mean` of so few numbers costs more than all that is before it.
     squares = np.add.reduce(projections * projections, axis=-1, keepdims=True)
     return np.asarray(2 / messages * (squares / COSINES))
 
 
 @lru_cache(maxsize=64)
-def _edges(messages: int, cells: int) -> NDArray[np.int64]:
+def _starts(messages: int, cells: int) -> Int64:
     """Return the first message of each cell."""
-    edges = np.arange(cells, dtype=np.int64) * messages // cells
-    edges.flags.writeable = False
-    return edges
+    starts = np.arange(cells, dtype=np.int64) * messages // cells
+    starts.flags.writeable = False
+    return starts
 
 
 @lru_cache(maxsize=64)
-def _widths(messages: int, cells: int) -> NDArray[np.int64]:
-    """Return the number of messages in each cell."""
-    widths = np.diff(_edges(messages, cells), append=messages)
+def _widths(messages: int, cells: int) -> Int64:
+    widths = np.diff(_starts(messages, cells), append=messages)
     widths.flags.writeable = False
     return widths
 
@@ -216,61 +188,47 @@ def _cosines(cells: int) -> Float64:
 
 
 def mean_distance(sent_ns: Int64) -> float:
-    """Return the mean distance in ns of messages sent at these times, rising; 1 where they are all at one."""
+    """Return the mean distance in ns of ascending times; 1 if all are equal."""
     return float(sent_ns[-1] - sent_ns[0]) / max(1, len(sent_ns) - 1) or 1.0
 
 
-def positions_of(places: NDArray[np.intp], sent_ns: Int64 | None = None) -> Float64:
-    """Return when some messages of a series were sent, float64, in mean distances of its messages since the first; shape (events,).
+def positions_of(indices: Indices, sent_ns: Int64 | None = None) -> Float64:
+    """Return when messages of a series were sent, float64, in mean distances since its first one.
 
-    Args:
-        places: of these messages, 0 ... messages - 1, shape (events,).
-        sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
+    `sent_ns` has all messages of the series, int64 ns, ascending; None where they are evenly spaced.
     """
     if sent_ns is None or not len(sent_ns):
-        return places.astype(np.float64)
-    return np.asarray((sent_ns[places] - sent_ns[0]) / mean_distance(sent_ns))
+        return indices.astype(np.float64)
+    return np.asarray((sent_ns[indices] - sent_ns[0]) / mean_distance(sent_ns))
 
 
-def episode_ends(
-    positions: Float64, gaps: Float64 | float, edges: NDArray[np.intp] | None = None
-) -> NDArray[np.intp]:
-    """Return the place in `positions` of the last event of each episode; shape (episodes,).
+def episode_ends(positions: Float64, gaps: Float64 | float, offsets: Indices | None = None) -> Indices:
+    """Return the index in `positions` of the last event of each episode; shape (episodes,).
 
     Args:
-        positions: of the events, rising within a series, shape (events,).
-        gaps: the next event ends an episode if it is farther away; one number, or one for each event.
-        edges: the first event of each of several series and the number of all; None for one series.
+        positions: of the events, ascending in each series, shape (events,).
+        gaps: an episode ends if the next event is farther away; one number, or one for each event.
+        offsets: the first event of each of several series and the number of all; None for one series.
     """
     if not len(positions):
         return np.empty(0, np.intp)
     is_end = np.ones(len(positions), np.bool_)
-    np.greater(
-        positions[1:] - positions[:-1], gaps if isinstance(gaps, float) else gaps[:-1], out=is_end[:-1]
-    )
-    if edges is not None:
-        is_end[edges[1:] - 1] = (
-            True  # of a series without events that is the end of the one before it, or of all
-        )
+    limits = gaps if isinstance(gaps, float) else gaps[:-1]
+    np.greater(positions[1:] - positions[:-1], limits, out=is_end[:-1])
+    if offsets is not None:
+        is_end[offsets[1:] - 1] = True  # index -1, of a leading series without events, is an end anyway
     return is_end.nonzero()[0]
 
 
-def episode_sizes(places: NDArray[np.intp], messages: int, sent_ns: Int64 | None = None) -> Int64:
-    """Return the number of events in each episode of a series, in the order of time.
+def episode_sizes(indices: Indices, messages: int, sent_ns: Int64 | None = None) -> Int64:
+    """Return the number of events in each episode of a series, in the order of time; arguments as for `positions_of`.
 
-    Runs declustering (R. Smith and I. Weissman, "Estimating the extremal index", JRSS B 56, 1994): an episode ends
-    where the next event is farther away than a gap, here `EPISODE_GAP_SHARE` of the events' mean distance and at
-    least one message. Of two other estimators that were simulated, the intervals estimator (C. Ferro and J. Segers,
-    JRSS B 65, 2003) takes one outage of 100 messages for 100 episodes, because it has no gap between episodes to
-    learn from, and K gaps (M. Sueveges and A. Davison, Annals of Applied Statistics 4, 2010) is no closer to the truth.
-
-    Args:
-        places: of the messages that count, 0 ... messages - 1, rising, shape (events,).
-        messages: length of the series.
-        sent_ns: when each message of the series was sent, int64 ns, rising; None where they are equally far apart.
+    Runs declustering (R. Smith and I. Weissman, JRSS B 56, 1994): an episode ends where the next event is farther away than
+    `EPISODE_GAP_SHARE` of the events' mean distance and than `LEAST_GAP`. The intervals estimator (C. Ferro and J. Segers, JRSS B
+    65, 2003) takes one outage of 100 messages for 100 episodes.
     """
-    positions = positions_of(places, sent_ns)
-    return sizes_between(episode_ends(positions, gap_of(len(places), messages, EPISODE_GAP_SHARE)))
+    positions = positions_of(indices, sent_ns)
+    return sizes_between(episode_ends(positions, gap_of(len(indices), messages, EPISODE_GAP_SHARE)))
 
 
 def gap_of(events: int, messages: int, share: float) -> float:
@@ -278,8 +236,8 @@ def gap_of(events: int, messages: int, share: float) -> float:
     return max(share * messages / events, LEAST_GAP) if events else np.inf
 
 
-def sizes_between(ends: NDArray[np.intp]) -> Int64:
-    """Return the number of events in each episode; see `episode_ends`."""
+def sizes_between(ends: Indices) -> Int64:
+    """Return the number of events in each episode, by the result of `episode_ends`."""
     sizes = ends + 1
     sizes[1:] -= ends[:-1] + 1
     return sizes
@@ -298,17 +256,9 @@ def independent_squares(events: int, messages: int, gap: float) -> float:
 
 
 def equal_episodes(events: int, squares: float) -> int | None:
-    """Return how many episodes of equal size make a count vary as much as some episodes do.
+    """Return how many episodes of equal size make a count vary as much; None without an event.
 
-    The number of events is a compound Poisson variable: its variance is that of the number of episodes times their
-    mean squared size, so that `(sum sizes)^2 / sum sizes^2` equal ones have the same relative error. One outage of 60
-    messages and 40 late ones elsewhere are worth 2.7 episodes and not 41.
-
-    Args:
-        events: in all episodes, the sum of their sizes.
-        squares: sum of the squares of their sizes, each divided by what chance makes of it (`independent_squares`).
-
-    Returns:
-        The nearest whole number, no more than events; None without an event.
+    The number of events is a compound Poisson variable, so `(sum sizes)^2 / sum sizes^2` equal episodes have the same relative
+    error. `squares` is that sum of squares, each divided by `independent_squares`.
     """
     return round(min(events, events**2 / squares)) if events else None

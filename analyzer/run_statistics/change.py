@@ -1,14 +1,9 @@
-"""What changed from one side's runs to the other's: difference, ratio, their intervals, a verdict.
+"""What changed from one side's runs to the other's: difference, ratio, their intervals, a verdict; and what would be detected.
 
 With three runs a side the runs decide: Welch's test of the logarithms of the runs' statistics, or Student's test of their
-differences repeat by repeat where a sweep measured both sides in the same repeats. With fewer runs there is an interval
-within one run, and no verdict.
-
-`detectable_changes` returns the smallest change that these verdicts would have detected.
-
-Pairs pay where the machine drifts and both sides of a repeat share that: of 5 repeats with a spread of 5 %, a difference of
-10 % is detected in 88 % against 78 % by Welch's test where the sides correlate by 0.5, in 74 % with both at 0.25, and in
-62 % against 72 % where they do not. Both are false in at most 5 %.
+differences repeat by repeat where a sweep measured both sides in the same repeats. With fewer runs there is an interval within
+one run, and no verdict. Pairs pay where the machine drifts: of 5 repeats with a spread of 5 % and sides that correlate by 0.5, a
+difference of 10 % is detected in 88 %, by Welch's test in 78 %.
 """
 
 from __future__ import annotations
@@ -40,12 +35,7 @@ if TYPE_CHECKING:
 def probability_of_superiority(base: Values, new: Values) -> float | None:
     """Return how often a value drawn from `new` is below one drawn from `base`, ties counted half; None without values.
 
-    One half means no difference, 1 that every new message is faster than every one of the base (R. McGraw and S. Wong,
-    "A common language effect size statistic", Psychological Bulletin 111, 1992).
-
-    Args:
-        base: ascending, infinity for a lost message.
-        new: likewise.
+    Both are ascending. 1 means that every new message is faster (R. McGraw and S. Wong, Psychological Bulletin 111, 1992).
     """
     if not len(base) or not len(new):
         return None
@@ -73,9 +63,9 @@ class Change:
         new: the same of the new side.
         basis: between runs only if both sides have three.
         difference: new - base, with `difference_low` and `difference_high`.
-        ratio: new / base, with `ratio_low` and `ratio_high`; infinite where the new side lost too much; None where a
-            side is not above zero.
-        p_value: probability of a difference like this between equal sides; None within one run.
+        ratio: new / base, with `ratio_low` and `ratio_high`; infinite where the new side lost too much; None where a side is not
+            above zero.
+        p_value: of a difference like this between equal sides; None within one run.
         smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
         degrees: degrees of freedom of the test; None within one run.
         pairs: repeats that were compared one by one; 0 for Welch's test.
@@ -98,11 +88,7 @@ class Change:
     pair_spread: float | None = None
 
     def verdict(self, same_within: float) -> Verdict:
-        """Return the verdict on a time, where less is better; always `INCONCLUSIVE` within one run.
-
-        Args:
-            same_within: a ratio wholly within `1 +- same_within` is the same.
-        """
+        """Return the verdict on a time: the same if the ratio is wholly within `1 +- same_within`, inconclusive within one run."""
         if self.basis is Basis.WITHIN_RUN or self.ratio_low is None or self.ratio_high is None:
             return Verdict.INCONCLUSIVE
         if 1 - same_within <= self.ratio_low and self.ratio_high <= 1 + same_within:
@@ -119,7 +105,7 @@ def change_of_runs(
     confidence: float = 0.95,
     passes: Passes | None = None,
 ) -> Change:
-    """Return the change of one statistic between two sides, whose runs are in the order of time (`change_of_estimates`)."""
+    """Return the change of one statistic between two sides (`change_of_estimates`)."""
     before, after = (estimates_of_runs(side, [statistic], confidence)[0] for side in (base, new))
     return change_of_estimates(before, after, passes)
 
@@ -128,12 +114,7 @@ def change_of_estimates(base: Estimate, new: Estimate, passes: Passes | None = N
     """Return the change between two estimates of one statistic with the same confidence.
 
     If a run's statistic is infinite, the reciprocals are compared; the ratio's upper end is infinite where the new side's
-    reciprocal is not surely above zero. If one is not above zero, there is a difference and no ratio.
-
-    Args:
-        base: estimate of the base.
-        new: estimate of the new side.
-        passes: the repeat of each run of both sides; None without repeats.
+    reciprocal is not surely above zero. If one is not above zero, there is a difference and no ratio. `passes` are the repeats.
     """
     if base.units is None or new.units is None:
         return _change_within(base.interval, new.interval)
@@ -180,7 +161,7 @@ def _change_of_logarithms(
 
 
 def _paired_where_possible(base: Units, new: Units, passes: Passes | None) -> StudentTest | None:
-    """Return the test repeat by repeat if every unit is one run and every run has its partner."""
+    """Return the test repeat by repeat if every unit is one run with a partner."""
     if passes is None or any(len(side) != side.runs for side in (base, new)):
         return None
     common, base_index, new_index = np.intersect1d(*passes, return_indices=True)
@@ -242,7 +223,7 @@ def _difference(base: float | None, new: float | None) -> float | None:
 
 
 def _change_within(base: Interval, new: Interval) -> Change:
-    """Combine the sides' own intervals: for the difference as they are, for the ratio by their logarithms."""
+    """Combine the sides' own intervals: for the ratio by their logarithms."""
     before, after = _finite_ends(base), _finite_ends(new)
     difference: tuple[float | None, float | None] = (None, None)
     ratio: tuple[float | None, float | None] = (None, None)
@@ -304,13 +285,7 @@ class DetectableChange:
 def detectable_changes(
     changes: Iterable[tuple[str, str, Change]], confidence: float, same_within: float
 ) -> tuple[DetectableChange, ...]:
-    """Return the smallest detectable change of each metric and statistic.
-
-    Args:
-        changes: metric and statistic of each change of a group.
-        confidence: of a verdict.
-        same_within: a ratio wholly within `1 +- same_within` is the same.
-    """
+    """Return the smallest detectable change of each metric and statistic, from the changes of all groups."""
     families: dict[tuple[str, str], list[Change]] = {}
     for metric, statistic, change in changes:
         families.setdefault((metric, statistic), []).append(change)
@@ -331,16 +306,10 @@ def detectable_changes(
 def smallest_detectable_ratio(
     change: Change, tests: int, confidence: float, same_within: float
 ) -> float | None:
-    """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %.
+    """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %; None if unknown.
 
     A single slower group has the hardest test: Benjamini and Hochberg require a p value of alpha divided by the number of
-    groups, and its interval has to leave the band of "the same".
-
-    Args:
-        change: None is returned unless its runs have logarithms.
-        tests: p values that are adjusted together.
-        confidence: of a verdict.
-        same_within: a ratio wholly within `1 +- same_within` is the same.
+    `tests`, and its interval has to leave the band of "the same".
     """
     if change.smallest_ratio is None or change.degrees is None:
         return None

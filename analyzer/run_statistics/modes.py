@@ -1,4 +1,4 @@
-"""Two modes: a latency that is mostly one of two values, as with and without a retransmission or a sleeping core."""
+"""The shape of one run: a warm-up at its start, a trend over its time, two modes of its values."""
 
 from __future__ import annotations
 
@@ -18,28 +18,24 @@ if TYPE_CHECKING:
 
     Float64 = NDArray[np.float64]
 
-
 BATCH = 5
 WARM_UP_MIN_MESSAGES = 40 * BATCH
 WARM_UP_P_VALUE = 1e-3
-"""MSER picks the most extreme of many begins, so that the p value of the one it picks is too small. Simulated with 1000
-runs each of 300, 1000 and 5000 messages, a run without a warm-up is taken for one with a warm-up in at most 0.7 %
-(correlation of neighbours 0 to 0.95; log-normal, exponential, Pareto) and 3.1 % where one message in twenty is in a burst of
-20, some of which begin the run. Twenty messages that are three times as slow, where messages spread by 50 %, are found in
-89 %."""
+"""Small, because MSER picks the most extreme of many starts: at most 0.7 % of simulated runs without a warm-up seem to have
+one (3.1 % with one message in twenty in bursts); twenty messages three times as slow are detected in 89 %."""
 
 HEAD_SHARE = 0.5
-"""Share of the difference that the first quarter of a warm-up must have: MSER also cuts behind a burst that comes later."""
+"""Share of the difference that the first quarter of a warm-up must have: MSER also cuts after a later burst."""
 
 
 @dataclass(frozen=True, slots=True)
 class WarmUp:
-    """What the begin of a run is like.
+    """The start of a run.
 
     Attributes:
         messages: how many to leave out by MSER-5.
         ratio: their level over that of the others (geometric means of batch medians); 2 is twice as slow.
-        p_value: of a difference like this between a begin of that length and the rest, two-sided.
+        p_value: two-sided, of a difference like this between a start of that length and the rest.
     """
 
     messages: int
@@ -48,23 +44,18 @@ class WarmUp:
 
     def is_sure(self, at_least: float = 0.0) -> bool:
         """Return whether it is no chance, and the levels differ by at least this share."""
-        apart = max(self.ratio, 1 / self.ratio) - 1
-        return self.messages > 0 and self.p_value <= WARM_UP_P_VALUE and apart >= at_least
+        change = max(self.ratio, 1 / self.ratio) - 1
+        return self.messages > 0 and self.p_value <= WARM_UP_P_VALUE and change >= at_least
 
 
 def find_warm_up(values: NDArray[Any]) -> WarmUp | None:
     """Return the warm-up of a run by MSER-5; None in less than `WARM_UP_MIN_MESSAGES` messages.
 
-    The batches to leave out are those without which the standard error of the mean of the rest is smallest (K. P.
-    White, "An effective truncation heuristic for bias reduction in simulation output", Simulation 69, 1997, with
-    batches of five as in K. P. White, M. Cobb and S. Spratt, WSC 2000). Batches are medians of logarithms here: a mean
-    is drawn by one late message to the place where that message is. At most a quarter of the run is left out. The
-    heuristic always finds something, so it is tested: the begin has to be unlike from its first quarter on, unlike the
-    rest more than any stretch of the rest of the same length, and (`is_sure`) by more than the variance of the rest,
-    read from its slowest movements, explains.
-
-    Args:
-        values: one run in the order of time, above zero; lost messages left out.
+    The batches to leave out minimize the standard error of the mean of the rest (K. P. White, Simulation 69, 1997, with batches
+    of five as in K. P. White, M. Cobb and S. Spratt, WSC 2000). Batches are medians of logarithms here, which one late message
+    does not move. The heuristic always proposes a cut, so it is tested: the start must differ from its first quarter on, more than
+    any stretch of the rest of the same length, and (`is_sure`) by more than the long-run variance of the rest explains.
+    `values` are above zero, in the order of time, without lost messages.
     """
     if len(values) < WARM_UP_MIN_MESSAGES:
         return None
@@ -74,26 +65,23 @@ def find_warm_up(values: NDArray[Any]) -> WarmUp | None:
     left_out = mser_truncation(batches)
     if not left_out:
         return WarmUp(0, 1.0, 1.0)
-    begin, rest = batches[:left_out], batches[left_out:]
-    difference = float(begin.mean() - rest.mean())
-    head = float(begin[: max(1, len(begin) // 4)].mean() - rest.mean())
+    start, rest = batches[:left_out], batches[left_out:]
+    difference = float(start.mean() - rest.mean())
+    head = float(start[: max(1, len(start) // 4)].mean() - rest.mean())
     count = len(rest) // left_out
     windows = rest[: count * left_out].reshape(count, left_out).mean(axis=1) - rest.mean()
     if head / difference < HEAD_SHARE or abs(difference) <= np.abs(windows).max():
         return WarmUp(0, 1.0, 1.0)
     variance = max(float(rest.var(ddof=1)), long_run_variance(rest))
-    error = math.sqrt(variance * (1 / len(begin) + 1 / len(rest)))
+    error = math.sqrt(variance * (1 / len(start) + 1 / len(rest)))
     t = abs(difference) / error if error else math.inf
     return WarmUp(left_out * BATCH, math.exp(difference), 2 * student_cdf(-t, COSINES))
 
 
 def medians_of_five(batches: NDArray[Any]) -> NDArray[Any]:
-    """Return the median of each row, shape (batches,); of rows this short numpy's takes five times as long.
+    """Return the median of each row of five, in a fifth of the time that `numpy.median` takes.
 
-    The median of the fifth value, the larger of the two least of two pairs, and the smaller of their two largest.
-
-    Args:
-        batches: shape (batches, 5).
+    It is the median of the fifth value, the larger of the two least of two pairs, and the smaller of their two largest.
     """
     a, b, c, d, e = batches.T
     low, high = np.maximum(np.minimum(a, b), np.minimum(c, d)), np.minimum(np.maximum(a, b), np.maximum(c, d))
@@ -101,21 +89,16 @@ def medians_of_five(batches: NDArray[Any]) -> NDArray[Any]:
 
 
 def mser_truncation(series: Float64) -> int:
-    """Return how many values at the begin to leave out: the d that makes `sum (x - mean)^2 / (n - d)^2` smallest.
-
-    The sum and the mean are those of what is left; d is at most a quarter of the series.
-
-    Args:
-        series: float64 in the order of time, shape (values,).
-    """
+    """Return the d, at most a quarter of the series, that minimizes `sum (x - mean)^2 / (n - d)^2` without the first d values."""
     n = len(series)
     centred = series - series.mean()
     left = np.arange(n, 0, -1)
     sums = np.cumsum(centred[::-1])[::-1]
     squares = np.cumsum(np.square(centred)[::-1])[::-1]
     about_mean = squares - sums * sums / left
-    # A rest of equal values has nothing left but the rounding of the sums, whose least is anywhere.
-    about_mean[about_mean <= n * np.finfo(np.float64).eps * squares[0]] = 0
+    about_mean[about_mean <= n * np.finfo(np.float64).eps * squares[0]] = (
+        0  # equal values leave rounding only
+    )
     criterion = about_mean / (left * left)
     return int(np.argmin(criterion[: n // 4 + 1]))
 
@@ -124,20 +107,17 @@ BLOCKS = 32
 _FIRST, _SECOND = np.triu_indices(BLOCKS, 1)
 TREND_MIN_MESSAGES = 4 * BLOCKS
 TREND_P_VALUE = 0.001
-"""A campaign has hundreds of runs. Simulated with 1000 to 2000 runs each of 300, 1000 and 5000 messages, a run without a
-trend is taken for one with a trend in at most 0.5 % (correlation of neighbours 0 to 0.95) and 1.1 % (0.99). A rise by 65 %,
-where single messages spread by 50 %, is found in 97 % of runs of 1000 independent messages, in 68 % at a correlation
-of 0.5, and in 26 % of runs of 5000 at 0.95."""
+"""Small, because a campaign has hundreds of runs: at most 0.5 % of simulated runs without a trend seem to have one (1.1 % at a
+correlation of 0.99); a rise by 65 % is detected in 97 % of runs of 1000 independent messages."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """How a series moves from its begin to its end.
+    """How a series moves from start to end.
 
     Attributes:
-        change: end over begin less one, along the line of Theil and Sen through the block medians; 0.1 is a rise by
-            10 %.
-        p_value: probability of a movement like this without a trend, two-sided.
+        change: end over start less one, along the line of Theil and Sen through the block medians; 0.1 is a rise by 10 %.
+        p_value: two-sided, of a movement like this without a trend.
     """
 
     change: float
@@ -149,54 +129,51 @@ class Trend:
 
 
 def find_trend(values: NDArray[Any]) -> Trend | None:
-    """Return the trend of a run, whose medians rise and fall with it; None in less than `TREND_MIN_MESSAGES` messages.
+    """Return the trend of a run; None in less than `TREND_MIN_MESSAGES` messages.
 
     The medians of 32 blocks, which a burst does not move, are tested by their order (H. Mann, 1945; M. Kendall, 1948).
     The variance of the test is multiplied by (1 + r)/(1 - r), where r is the correlation of neighbouring blocks about
     the line (S. Yue and C. Wang, Water Resources Management 18, 2004), with Kendall's correction of its bias.
-
-    Args:
-        values: one run in the order of time, above zero; lost messages left out.
+    `values` are above zero, in the order of time, without lost messages.
     """
     if len(values) < TREND_MIN_MESSAGES:
         return None
     medians = block_medians(values, BLOCKS)
     rises = medians[_SECOND] - medians[_FIRST]
     slope = quantile_of(np.sort(rises / (_SECOND - _FIRST)), 0.5)
-    apart = np.arange(BLOCKS) - (BLOCKS - 1) / 2
-    correlation = _neighbours_correlation(medians - slope * apart)
+    from_middle = np.arange(BLOCKS) - (BLOCKS - 1) / 2
+    correlation = _correlation_of_neighbours(medians - slope * from_middle)
     variance = BLOCKS * (BLOCKS - 1) * (2 * BLOCKS + 5) / 18 * (1 + correlation) / (1 - correlation)
     score = float(np.sign(rises).sum())
     z = max(0.0, abs(score) - 1) / math.sqrt(variance)  # a score moves in steps of two
     middle, reach = quantile_of(np.sort(medians), 0.5), slope * (BLOCKS - 1) / 2
-    begin = max(middle - reach, float(medians.min()), np.finfo(np.float64).tiny)
-    return Trend(change=(middle + reach) / begin - 1, p_value=2 * student_cdf(-z, math.inf))
+    start = max(middle - reach, float(medians.min()), np.finfo(np.float64).tiny)
+    return Trend(change=(middle + reach) / start - 1, p_value=2 * student_cdf(-z, math.inf))
 
 
 def block_medians(values: NDArray[Any], blocks: int) -> Float64:
-    """Return the medians of equally long blocks in the order of time; messages that fill no block are left out."""
+    """Return the medians of equally long blocks; messages that fill no block are left out."""
     length = len(values) // blocks
-    # Short rows are sorted sooner than numpy's median finds their middle.
-    ordered = np.sort(values[: length * blocks].reshape(blocks, length), axis=1)
+    ordered = np.sort(values[: length * blocks].reshape(blocks, length), axis=1)  # faster than numpy.median
     return np.asarray((ordered[:, (length - 1) // 2] + ordered[:, length // 2]) / 2, np.float64)
 
 
-def _neighbours_correlation(series: Float64) -> float:
+def _correlation_of_neighbours(series: Float64) -> float:
     """Return the correlation of neighbours by ranks, 0 to 0.95, less its bias of -(1 + 3 r)/n (M. Kendall, 1954)."""
-    # Rounded, because what is left of a straight line is the error of its arithmetic.
+    # Rounded, because the rest of a straight line is the error of its arithmetic.
     rounded = np.round(series / max(float(np.abs(series).max()), np.finfo(np.float64).tiny), 9)
     ordered = np.sort(rounded)
     ranks = np.searchsorted(ordered, rounded, "left") + np.searchsorted(ordered, rounded, "right")
     centred = ranks - ranks.mean()
     if not centred.any():
         return 0.0
-    found = float(centred[1:] @ centred[:-1]) / float(centred @ centred)
-    return min(max(found + (1 + 3 * found) / len(series), 0.0), 0.95)
+    biased = float(centred[1:] @ centred[:-1]) / float(centred @ centred)
+    return min(max(biased + (1 + 3 * biased) / len(series), 0.0), 0.95)
 
 
 MODES_MIN_MESSAGES = 200
 LEAST_SHARE = 0.1
-"""Messages of the smaller mode: a tail of fewer is what percentiles are for."""
+"""Share of the smaller mode; percentiles describe a tail of fewer."""
 
 DEEPEST_VALLEY = 0.5
 """Density between the modes over that of the lower one; two normal modes of equal size reach it 3.3 deviations apart."""
@@ -205,17 +182,15 @@ LEAST_VALUES = 30
 """Different values of a series: a clock that ticks once a millisecond makes modes of its ticks."""
 
 SURE_DEVIATIONS = 4.0
-"""Simulated with 1000 runs each of 300, 1000 and 5000 messages, none of log-normal, exponential, Pareto and uniform values
-and of correlated ones (0 to 0.95) has two modes; where one message in twenty is in a burst of 20 that is five times as
-slow, 1.4 % have. A share of 30 % three times as slow, where messages spread by 20 %, is found in 81 % of runs of 300
-and in all of 1000."""
+"""No simulated run with one mode has two (1.4 % with one message in twenty in slow bursts); a share of 30 % three times as slow
+is detected in 81 % of runs of 300 messages and in all of 1000."""
 
 _BINS = 256
 
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """The two modes of a series.
+    """The two modes of a series, as with and without a retransmission or a sleeping core.
 
     Attributes:
         low: value at the peak of the lower mode.
@@ -231,17 +206,13 @@ class Modes:
 
 
 def find_modes(ordered: NDArray[Any], inflation: float = 1.0) -> Modes | None:
-    """Return the two modes of a series, or None if it has one, or too few messages or different values to tell.
+    """Return the two modes of a series; None if it has one, or too few messages or different values.
 
     The density of the logarithms is estimated with a normal kernel of B. W. Silverman's width (1986, equation 3.31:
-    0.9 min(deviation, interquartile range / 1.34) n^(-1/5)), with n the independent messages. Two peaks are modes if
-    the smaller one has a tenth of the messages on its side of the valley, and if the valley is at most half as high as
-    the lower peak and too low for chance by four standard deviations.
-
-    Args:
-        ordered: above zero, in rising order; lost messages left out.
-        inflation: variance of a share of the series over that of independent messages (`share_inflation` about the
-            median).
+    0.9 min(deviation, interquartile range / 1.34) n^(-1/5)), with n the independent messages. Two peaks are modes if the smaller
+    one has a tenth of the messages on its side of the valley, and if the valley is at most half as high as the lower peak and
+    too low for chance by four standard deviations. `ordered` is ascending, above zero, without lost messages; `inflation` is the
+    `share_inflation` about the median.
     """
     n = len(ordered) / max(1.0, inflation)
     if n < MODES_MIN_MESSAGES:
@@ -249,43 +220,34 @@ def find_modes(ordered: NDArray[Any], inflation: float = 1.0) -> Modes | None:
     logs = np.log(ordered.astype(np.float64))
     low, first, third, high = (quantile_of(logs, quantile) for quantile in (0.005, 0.25, 0.75, 0.995))
     deviation = min(float(np.clip(logs, low, high).std()), (third - first) / 1.34)
-    if deviation <= 0 or not _has_values(ordered[:: max(1, len(ordered) // 10_000)]):
+    sample = ordered[:: max(1, len(ordered) // 10_000)]
+    if deviation <= 0 or np.count_nonzero(sample[1:] != sample[:-1]) + 1 < LEAST_VALUES:
         return None
     width = 0.9 * deviation * n ** (-1 / 5)
     edges = np.linspace(low - 3 * width, high + 3 * width, _BINS + 1)
-    bins = np.diff(logs.searchsorted(edges))
-    counts = bins.astype(np.float64) / max(1.0, inflation)
-    bin_widths = width / (edges[1] - edges[0])
-    return _deepest(_smoothed(counts, bin_widths), counts, (edges[1:] + edges[:-1]) / 2, bin_widths)
-
-
-def _has_values(ordered: NDArray[Any]) -> bool:
-    """Tell whether there are `LEAST_VALUES` different ones in a sample in rising order."""
-    return int(np.count_nonzero(ordered[1:] != ordered[:-1])) + 1 >= LEAST_VALUES
-
-
-def _smoothed(counts: Float64, deviation: float) -> Float64:
-    """Return the counts under a normal kernel, whose deviation is given in bins."""
-    return np.convolve(counts, _kernel(round(max(deviation, 0.5), 2)), mode="same")
+    counts = np.diff(logs.searchsorted(edges)).astype(np.float64) / max(1.0, inflation)
+    kernel_bins = width / (edges[1] - edges[0])
+    density = np.convolve(counts, _kernel(round(max(kernel_bins, 0.5), 2)), mode="same")
+    return _deepest(density, counts, (edges[1:] + edges[:-1]) / 2, kernel_bins)
 
 
 @lru_cache(maxsize=64)
 def _kernel(deviation: float) -> Float64:
-    # At most 83 bins: the deviation of values is no more than half of their range, and the kernel's a third of theirs.
+    """Return a normal kernel whose deviation is given in bins."""
     reach = math.ceil(4 * deviation)
     weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / deviation))
     return np.asarray(weights / weights.sum())
 
 
-def _deepest(density: Float64, counts: Float64, centres: Float64, bin_widths: float) -> Modes | None:
-    """Find the valley that is deepest below the lower of the highest peaks on its two sides."""
+def _deepest(density: Float64, counts: Float64, centres: Float64, kernel_bins: float) -> Modes | None:
+    """Return the modes on the two sides of the valley that is deepest below the lower of its two peaks."""
     left = np.maximum.accumulate(density)
     right = np.maximum.accumulate(density[::-1])[::-1]
     lower_peak = np.minimum(left, right)
     below = np.cumsum(counts)
     share = np.minimum(below, below[-1] - below) / below[-1]
     # A smoothed count under a normal kernel of s bins has a variance of itself / (2 sqrt(pi) s).
-    noise = np.sqrt((density + lower_peak) / (2 * math.sqrt(math.pi) * max(bin_widths, 0.5)))
+    noise = np.sqrt((density + lower_peak) / (2 * math.sqrt(math.pi) * max(kernel_bins, 0.5)))
     is_valley = (
         (share >= LEAST_SHARE)
         & (density <= DEEPEST_VALLEY * lower_peak)
@@ -294,11 +256,11 @@ def _deepest(density: Float64, counts: Float64, centres: Float64, bin_widths: fl
     valleys = is_valley.nonzero()[0]
     if not len(valleys):
         return None
-    place = int(valleys[np.argmin(density[valleys] / lower_peak[valleys])])
-    low_peak, high_peak = int(np.argmax(density[:place])), place + int(np.argmax(density[place:]))
+    valley = int(valleys[np.argmin(density[valleys] / lower_peak[valleys])])
+    low_peak, high_peak = int(np.argmax(density[:valley])), valley + int(np.argmax(density[valley:]))
     return Modes(
         low=math.exp(centres[low_peak]),
         high=math.exp(centres[high_peak]),
-        share=float(share[place]),
-        valley=float(density[place] / lower_peak[place]),
+        share=float(share[valley]),
+        valley=float(density[valley] / lower_peak[valley]),
     )

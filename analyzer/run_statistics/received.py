@@ -1,9 +1,8 @@
-"""The received ratio of a group with its interval, and its change between two sides: losses come in episodes, and runs differ.
+"""The received ratio of a group with its interval, and its change between two sides.
 
 The rarer of losses and replies carries the information. If it came in few episodes, their number is Poisson and decides
-(F. Garwood, "Fiducial limits for the Poisson distribution", Biometrika 28, 1936); if in many, the share is asymptotically
-normal, and E. B. Wilson's interval (1927) holds for as many independent messages as its variance implies, measured between
-the runs or, for one or two, within them.
+(F. Garwood, Biometrika 28, 1936); if in many, E. B. Wilson's interval (1927) holds for as many independent messages as the
+variance implies, measured between the runs or, for one or two, within them.
 """
 
 from __future__ import annotations
@@ -34,14 +33,10 @@ LEAST_VARIANCE_SHARE = 0.25
 
 
 def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> Interval:
-    """Return the share of messages whose reply came back, of a group of runs, with its interval.
+    """Return the share of messages whose reply came back, with its interval.
 
-    `episodes` counts the episodes of the rarer of losses and replies. Where nothing was lost the lower end assumes that
-    losses come singly (`episodes` is 0): that outages are rarer, no run without one can show.
-
-    Args:
-        received: for each run a bool for each message in the order of time, False for a lost or never sent one.
-        confidence: between 0 and 1, both excluded.
+    `episodes` counts the episodes of the rarer of losses and replies. Where nothing was lost the lower end assumes that losses come
+    singly. `received` has for each run a bool for each message in the order of time.
     """
     runs = [run for run in received if len(run)]
     basis = Basis.BETWEEN_RUNS if len(runs) >= MIN_RUNS else Basis.WITHIN_RUN
@@ -76,7 +71,7 @@ def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> In
 
 
 def _independent(events: Sequence[Bools], share: float, n: int) -> float:
-    """Return the independent messages whose share of events would vary as much as that of these runs."""
+    """Return the independent messages whose share of events varies as much."""
     variance_of_independent = share * (1 - share) / n
     if variance_of_independent == 0:
         return n
@@ -93,8 +88,7 @@ def _independent(events: Sequence[Bools], share: float, n: int) -> float:
 def _few_episodes(sizes: Int64, n: int, confidence: float) -> tuple[float, float]:
     """Return the ends of the share of messages in episodes whose number is Poisson.
 
-    The upper end takes an episode to be as long as the one that an average message of an episode is in, the lower end as the
-    mean one. Without an episode the events are assumed to come singly.
+    The upper end takes an episode to be as long as an average message's one, the lower end as the mean one.
     """
     fewest, most = poisson_limits(len(sizes), confidence)
     if not len(sizes):
@@ -105,12 +99,9 @@ def _few_episodes(sizes: Int64, n: int, confidence: float) -> tuple[float, float
 
 
 def wilson_ends(share: float, independent: float, quantile: float) -> tuple[float, float]:
-    """Return the ends of the interval of a share (E. B. Wilson, JASA 22, 1927).
+    """Return the ends of the interval of a share (E. B. Wilson, JASA 22, 1927) that is worth so many independent observations.
 
-    Args:
-        share: the observed one.
-        independent: how many independent observations it is worth.
-        quantile: how many standard errors the interval reaches; the normal's or Student's quantile.
+    `quantile` is the number of standard errors, the normal's or Student's quantile.
     """
     squared = quantile * quantile
     centre = share + squared / (2 * independent)
@@ -128,8 +119,8 @@ class DeliveryChange:
         new: the same of the new side.
         difference: new - base, with `difference_low` and `difference_high`, between -1 and 1.
         basis: between runs only if both sides have three.
-        smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %, above 0; None
-            within one run. The reach of the interval below the difference is taken as Student's t.
+        smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %; None within
+            one run. The reach below the difference is taken as Student's t.
     """
 
     base: Interval
@@ -141,11 +132,7 @@ class DeliveryChange:
     smallest_drop: float | None = None
 
     def verdict(self, same_within: float = 0.0) -> Verdict:
-        """Return the verdict; always `INCONCLUSIVE` within one run.
-
-        Args:
-            same_within: a difference wholly within `+- same_within` is the same.
-        """
+        """Return the verdict: the same if the difference is wholly within `+- same_within`, inconclusive within one run."""
         low, high = self.difference_low, self.difference_high
         if self.basis is Basis.WITHIN_RUN or low is None or high is None:
             return Verdict.INCONCLUSIVE
@@ -159,13 +146,7 @@ class DeliveryChange:
 def change_of_received(
     base: Sequence[NDArray[np.bool_]], new: Sequence[NDArray[np.bool_]], confidence: float = 0.95
 ) -> DeliveryChange:
-    """Return the change of the received ratio, its ends by R. Newcombe (Statistics in Medicine 17, 1998, method 10).
-
-    Args:
-        base: for each run of the base a bool for each message in the order of time, False for a lost one.
-        new: the same of the new side.
-        confidence: of every interval.
-    """
+    """Return the change of the received ratio, its ends by R. Newcombe (Statistics in Medicine 17, 1998, method 10)."""
     sides = [received_interval(side, confidence) for side in (base, new)]
     is_between = all(side.basis is Basis.BETWEEN_RUNS for side in sides)
     basis = Basis.BETWEEN_RUNS if is_between else Basis.WITHIN_RUN

@@ -28,8 +28,8 @@ class Spread:
     """Standard deviations of the logarithm of a statistic of one run; 0.05 is 5 %.
 
     Attributes:
-        between: what differs from run to run and no number of messages averages away; 0 if the runs differ by less than
-            their messages explain; None below two runs or where a logarithm does not exist.
+        between: from run to run; 0 if the runs differ by less than their messages explain, None below two runs or without a
+            logarithm.
         within: what longer runs would average away, the root mean square over the runs; None where a run is too short.
     """
 
@@ -40,14 +40,14 @@ class Spread:
 def spread_of_runs(runs: Runs | Sequence[Run], statistic: Statistic) -> Spread:
     """Return the variance components of a statistic (one-way random effects, S. Searle et al., 1992, section 3.6).
 
-    The variance of the runs' logarithms is the sum of both; the part within is each run's own error, so that
-    `between**2 = max(0, variance - within**2)`. Runs that do not support the statistic are left out.
+    The part within is each run's own error, so `between**2 = max(0, variance - within**2)`. Runs that do not support the
+    statistic are left out.
     """
     return spread_from(Runs.of(runs), statistic, None)
 
 
 def spread_from(group: Runs, statistic: Statistic, errors: Float64 | None) -> Spread:
-    """Return `spread_of_runs`, with the `log_errors` of the group at hand; None computes them."""
+    """Return `spread_of_runs` from the group's `log_errors`; None computes them."""
     needs = max(statistic.needs, 2 * COSINES + 1)
     runs = group
     if any(messages < needs for messages in group.lengths):
@@ -78,8 +78,7 @@ def _log_error_of_mean(run: Run, mean: float) -> float:
 def log_errors(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
     """Return the standard error of the logarithm of each run's quantiles, NaN where it is not finite; each of shape (runs,).
 
-    Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, "Confidence
-    intervals for medians and other position measures", JASA 47, 1952).
+    Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, JASA 47, 1952).
     """
     share, n = np.array(quantiles)[:, None], np.array(runs.lengths)
     inflations = np.array(inflations_of(runs, quantiles))
@@ -94,18 +93,10 @@ def log_errors(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
 
 
 def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
-    """Return the runs a side after which the interval of a ratio very likely is on one side of a limit.
+    """Return the runs a side, in all, after which the interval of a ratio is on one side of a limit with a probability of 80 %.
 
-    If the measured ratio is the true one and further runs spread like the measured ones, that happens with a probability of
-    80 %.
-
-    Args:
-        change: of the two sides.
-        limit: a ratio new / base above 0: 1.1 for a gate at +10 %.
-
-    Returns:
-        Runs a side in all, not more of them; None within one run, where a ratio is not finite, and where it takes more
-        than `power.MOST_RUNS`, because the ratio is next to the limit.
+    None within one run, where a ratio is not finite, and where it takes more than `power.MOST_RUNS`. The measured ratio is taken
+    as the true one.
     """
     if change.ratio is None or not 0 < change.ratio < math.inf:
         return None
@@ -116,15 +107,7 @@ def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
 
 
 def runs_to_settle_value(interval: Interval, limit: float) -> int | None:
-    """Return the runs after which the interval of a statistic very likely is on one side of a limit.
-
-    Args:
-        interval: of the statistic.
-        limit: in its unit, above 0.
-
-    Returns:
-        As for `runs_to_settle_ratio`.
-    """
+    """Return the runs after which the interval of a statistic very likely is on one side of a limit; see `runs_to_settle_ratio`."""
     if interval.value is None or not 0 < interval.value < math.inf:
         return None
     return _runs_to_decide(interval.value / limit, (interval.unit_spread, 0.0), interval)

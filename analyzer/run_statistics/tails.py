@@ -34,24 +34,21 @@ if TYPE_CHECKING:
     """Positions of the first and of the last message of each streak, and its messages."""
 
 TAIL_GAP_SHARE = 0.5
-"""Two messages of a tail closer than this share of their mean distance are one episode. Two in five independent ones are,
-which `bursts.independent_squares` corrects. With the 0.05 of `EPISODE_GAP_SHARE`, an excursion of correlated neighbours
-that comes back twice counts as three episodes: at a correlation of 0.95, p99 of one run of 5000 had both ends in 12 of 100
-samples, of which 84 % contained the truth; with 0.5 it has them in 62, of which 94 % do."""
+"""Two messages of a tail closer than this share of their mean distance are one episode; `bursts.independent_squares` corrects
+for the two in five independent ones. With `EPISODE_GAP_SHARE`, an excursion of correlated neighbours that comes back twice
+would count as three: at a correlation of 0.95, p99 of one run of 5000 then has both ends in 12 % of samples instead of 62 %."""
 
 LEVEL_BELOW = 10
 """The level below a tail leaves this many times as many messages beyond: p90 for p99, p99 for p99.9."""
 
 WIDEST_TAIL = 0.1
-"""The largest share of messages that a level below leaves beyond. Tails of p90 and wider have none: there every fifth streak
-goes on by chance, and an interval covers the bursts in it."""
+"""The largest share of messages that a level below leaves beyond; wider tails have none, as there chance makes streaks."""
 
 CHANCE = 0.01
 """Probability that independent messages have a streak that is taken for a burst."""
 
 MIN_BURSTS = MIN_EPISODES - 1
-"""Bursts from which on they do not limit a tail. One less than the episodes it needs, because the shortest are missed: of
-bursts of twenty messages one in five is no longer than five, which chance makes as well."""
+"""Bursts from which on they do not limit a tail: one less than its episodes, because the shortest look like chance."""
 
 LEAST_PART = 0.1
 """Bursts with a smaller part of a tail do not decide it."""
@@ -62,10 +59,10 @@ _LIKELY_DEVIATIONS = NormalDist().inv_cdf(LIKELY)
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """Where a tail begins.
+    """Where a tail begins: at an order statistic next to the quantile, on the side of the bulk.
 
     Attributes:
-        value: the order statistic next to the quantile, on the side of the bulk.
+        value: the order statistic.
         is_upper: whether the tail is above it (quantiles from p50 on) or below.
         is_part: whether messages equal to the value are part of the tail.
     """
@@ -84,14 +81,10 @@ class Threshold:
 
 
 def thresholds_of(ordered: Values, quantiles: Sequence[float]) -> list[Threshold]:
-    """Return the threshold of each quantile.
+    """Return the threshold of each quantile of ascending values.
 
-    A clock with a tick of a millisecond makes many values equal: those at the quantile are part of the tail if that brings
-    its share closer to what the quantile leaves beyond, and if the tail is empty without them.
-
-    Args:
-        ordered: the values, ascending, at least one.
-        quantiles: between 0 and 1, both excluded.
+    A coarse clock makes many values equal: those at the quantile are part of the tail if that brings its share closer to the one
+    that the quantile leaves, and if the tail is empty without them.
     """
     last = len(ordered) - 1
     values = ordered[[math.floor(last * q) if q >= 0.5 else math.ceil(last * q) for q in quantiles]]
@@ -119,7 +112,7 @@ def indices_beyond(
     thresholds: Sequence[Sequence[Threshold]],
     quantiles: Sequence[float],
 ) -> list[Indices]:
-    """Return for each quantile the indices of the values that are beyond the threshold of their series.
+    """Return for each quantile the indices of the values beyond the threshold of their series.
 
     An upper tail is searched in the next wider one by its indices: numpy takes five times as long to select by a mask.
 
@@ -153,8 +146,8 @@ class Tail:
         inflation: variance of their share divided by that of independent messages.
         squared: sum of the squares of `sizes`.
         squares: mean squared size of an episode over its mean size, for as many independent messages.
-        streaks: unbroken streaks that they came in; None for as many as there are episodes.
-        bursts: bursts that the whole group's tail rests on, if they are few; None where they do not limit it.
+        streaks: unbroken streaks of messages; None for as many as episodes.
+        bursts: bursts that the group's tail rests on, if they are few; None where they do not limit it.
     """
 
     messages: int
@@ -168,11 +161,11 @@ class Tail:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beyond:
-    """The messages of a group beyond a quantile of it, those of the first run first.
+    """The messages of a group beyond a quantile, run after run.
 
     Attributes:
-        indices: intp, of the messages in the arrays of `Runs`, ascending, shape (events,).
-        positions: float64, when they were sent, in mean distances of their run's messages since its first, shape (events,).
+        indices: intp, in the arrays of `Runs`, ascending, shape (events,).
+        positions: float64, when they were sent (`Runs.positions`), shape (events,).
         offsets: intp, the first of each run and the number of all, shape (runs + 1,).
     """
 
@@ -187,10 +180,10 @@ class Beyond:
 
 
 def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
-    """Return the messages beyond each quantile of the group, each relative to the level of its run.
+    """Return the messages beyond each quantile of the group.
 
-    One threshold for all runs, so that a run without a burst does not add the episodes of its quiet tail to those of a
-    run that had one; relative to each run's median, so that a run that is slower throughout is not one episode.
+    All runs have one threshold, so that a run without a burst adds no episodes of its quiet tail; values are relative to the level
+    of their run, so that a run that is slower throughout is not one episode.
     """
     thresholds = thresholds_of(runs.ordered_relative, quantiles)
     groups = np.array([0, len(runs.values)])
@@ -202,12 +195,7 @@ def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
 
 
 def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
-    """Return for each quantile the tail of each run (`beyond_quantiles`); a few array operations serve all quantiles.
-
-    Args:
-        runs: at least one message each.
-        quantiles: between 0 and 1, both excluded.
-    """
+    """Return for each quantile the tail of each run; each run has a message. Several quantiles cost little more than one."""
     if not quantiles:
         return []
     levels = [level_below(quantile) for quantile in quantiles]
@@ -248,29 +236,20 @@ def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
 
 
 def inflations_of(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
-    """Return for each quantile the inflation of each run beyond its own quantile (`Tail.inflation`).
-
-    Args:
-        runs: at least one message each.
-        quantiles: between 0 and 1, both excluded.
-    """
+    """Return for each quantile the inflation of each run beyond its own quantile (`Tail.inflation`); each run has a message."""
     thresholds = [thresholds_of(run.ordered, quantiles) for run in runs]
     indices = indices_beyond(runs.values, runs.offsets, thresholds, quantiles)
     return share_inflations(runs.cells, [(tail, tail.searchsorted(runs.offsets)) for tail in indices])
 
 
 def episodes_of(tails: Sequence[Tail]) -> int | None:
-    """Return how many episodes of equal size the messages beyond a quantile are worth; None without such a message.
+    """Return how many episodes of equal size the tails of all runs are worth; None without a message.
 
-    From the sizes of the episodes within the runs, as many as independent messages that vary as much; but no more than
-    there are unbroken streaks, no more than the bursts where these are few (`bursts_to_count`), and no more than the runs
-    make likely. If E episodes fall on R runs by chance, the squared coefficient of variation of the messages that each
-    run has beyond is about R / E. Bursts that a gap cut in pieces, or that half of the runs do not have, show there: the
-    limit is the E for which so large a variation still has a probability of 5 % (chi-square with R - 1 degrees, by
-    E. Wilson and M. Hilferty's cube, 1931).
-
-    Args:
-        tails: of all runs of the group.
+    That is `equal_episodes` by the sizes of the episodes, but at most the unbroken streaks, the bursts where these are few, and
+    what the runs make likely. If E episodes fall on R runs by chance, the squared coefficient of variation of the messages that
+    each run has beyond is about R / E, so bursts that a gap cut in pieces, or that half of the runs lack, show there: the limit
+    is the E for which so large a variation has a probability of 5 % (chi-square with R - 1 degrees, by E. Wilson and
+    M. Hilferty's cube, 1931).
     """
     counts = [tail.messages for tail in tails]
     equal = equal_episodes(sum(counts), sum(tail.squared / tail.squares for tail in tails))
@@ -289,7 +268,7 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
 
 
 def level_below(quantile: float) -> float | None:
-    """Return the quantile beyond which the bursts of a tail are searched; None where the tail is too wide to have one."""
+    """Return the quantile beyond which the bursts of a tail are searched; None where the tail is too wide."""
     tail = min(quantile, 1 - quantile)
     if round(tail, 9) >= WIDEST_TAIL:
         return None
@@ -300,9 +279,8 @@ def level_below(quantile: float) -> float | None:
 def bursts_to_count(below: Sequence[Float64], beyond: Sequence[Float64], messages: int) -> int | None:
     """Return how many bursts a tail rests on, if they are fewer than `MIN_BURSTS`; None where bursts do not limit it.
 
-    A burst is a streak of messages longer than independent messages would have with a probability of `CHANCE`. Streaks
-    that go on because neighbours correlate are not bursts: one of the streaks must also be too long for the share of them
-    that has a second message, if all went on with that probability.
+    A burst is a streak of messages longer than independent messages would have with a probability of `CHANCE`. Streaks that go on
+    because neighbours correlate are no bursts: one streak must also be too long if all go on as often as these do.
 
     Args:
         below: for each run the positions of its messages beyond the level below, in messages, ascending.
@@ -337,14 +315,14 @@ def _streaks(positions: Float64, gap: float) -> Streaks:
 
 
 def _longest_streak(streaks: int, probability: float) -> float:
-    """Return the length that none of so many streaks exceeds, by `CHANCE`, if each goes on with a probability."""
+    """Return the length that no streak exceeds, by `CHANCE`, if each goes on with a probability."""
     if probability >= 1:
         return math.inf
     return 1 + math.log(CHANCE / streaks) / math.log(max(probability, 1e-9))
 
 
 def _merged_streaks(streaks: Streaks, longest: float, gap: float, messages: int) -> tuple[Float64, Float64]:
-    """Return the first and last position of each burst: the longer streaks, merged across a few fast messages."""
+    """Return the first and last position of each burst: long streaks, merged across a few fast messages."""
     first, last, sizes = streaks
     is_long = sizes > longest
     first, last = first[is_long], last[is_long]

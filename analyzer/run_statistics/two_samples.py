@@ -1,4 +1,4 @@
-"""Tests of a difference of two sides' means, and intervals of a difference and a ratio that go with them."""
+"""Tests of a difference of two means, and intervals of a difference and a ratio."""
 
 from __future__ import annotations
 
@@ -53,12 +53,7 @@ class StudentTest:
 
 
 def welch_test(base: Float64, new: Float64) -> StudentTest:
-    """Return the test of two independent samples whose variances may differ (B. L. Welch, Biometrika 34, 1947).
-
-    Args:
-        base: float64, at least two values.
-        new: likewise.
-    """
+    """Return the test of two independent samples whose variances may differ (B. L. Welch, Biometrika 34, 1947)."""
     variances = [float(side.var(ddof=1)) / len(side) for side in (base, new)]
     weights = [variance**2 / (len(side) - 1) for variance, side in zip(variances, (base, new), strict=True)]
     degrees = sum(variances) ** 2 / sum(weights) if sum(weights) else len(base) + len(new) - 2.0
@@ -67,25 +62,16 @@ def welch_test(base: Float64, new: Float64) -> StudentTest:
 
 
 def paired_test(base: Float64, new: Float64) -> StudentTest:
-    """Return the test of the differences of pairs (Student, 1908); each side is given half of their variance.
-
-    Args:
-        base: float64, at least two values.
-        new: as many, in the same order.
-    """
+    """Return the test of the differences of pairs (Student, 1908); each side is given half of their variance."""
     apart = new - base
     error = float(apart.std(ddof=1)) / math.sqrt(2 * len(apart))
     return StudentTest(float(apart.mean()), error, error, len(apart) - 1, len(apart))
 
 
 def mover_ends(base: Ends, new: Ends) -> tuple[float, float]:
-    """Return the ends of new - base from the ends of both (G. Zou and A. Donner, Statistics in Medicine 27, 2008).
+    """Return the ends of new - base from estimate and ends of both (G. Zou and A. Donner, Statistics in Medicine 27, 2008).
 
     `difference -+ sqrt((new - its end)^2 + (base - its opposite end)^2)`.
-
-    Args:
-        base: estimate, lower end, upper end.
-        new: likewise.
     """
     difference = new[0] - base[0]
     low = difference - math.hypot(new[0] - new[1], base[2] - base[0])
@@ -95,18 +81,12 @@ def mover_ends(base: Ends, new: Ends) -> tuple[float, float]:
 def fieller_ends(above: Float64, below: Float64, test: StudentTest, confidence: float) -> tuple[float, float]:
     """Return the ends of the ratio of two means that are not below zero (E. C. Fieller, JRSS B 16, 1954).
 
-    The ratios r for which the means of `above` and `r below` are not told apart: the two roots of
+    The ratios r for which the means of `above` and `r below` do not differ significantly: the two roots of
     `(m^2 - t^2 v) r^2 - 2 M m r + M^2 - t^2 V = 0`, with M, V the mean of `above` and its variance, m, v of `below`.
 
-    Args:
-        above: float64, at least 0, not all zero unless `below` is not.
-        below: likewise.
-        test: of the two samples, for its degrees of freedom.
-        confidence: of the interval.
-
     Returns:
-        The lower end is 0 where `above` is not surely above zero, the upper infinite where `below` is not; both are
-        infinite where `below` is zero throughout and `above` surely is not.
+        The lower end is 0 where `above` is not surely above zero, the upper infinite where `below` is not; both are infinite
+        where `below` is zero throughout and `above` surely is not.
     """
     squared = test.reach(confidence) ** 2
     top, bottom = float(above.mean()), float(below.mean())

@@ -1,10 +1,8 @@
-"""Statistics of samples, in pure numpy: percentiles, histograms, what an interval is, Student's t and its power.
+"""Statistics of samples, in pure numpy.
 
-- `percentiles`: quantiles, the summary of a metric, and how many messages each percentile takes.
+- `percentiles`: quantiles, the summary of a metric, how many messages a percentile takes, ranks that enclose a quantile.
 - `histogram`: mergeable counts in log-linear buckets.
-- `order_statistics`: the ranks that enclose a quantile.
-- `intervals`: an estimate with its interval, and what that rests on; `run_statistics` computes them.
+- `intervals`: an estimate with its interval, and what that rests on.
 - `distributions`: Student's t, the power of its test, exact limits of a Poisson count.
-- `power`: the smallest change that could have been found, and how much more it takes to decide.
-- `families`: p values of many tests.
+- `power`: the smallest detectable change, how much more it takes to decide, and p values of many tests.
 """

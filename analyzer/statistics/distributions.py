@@ -1,8 +1,4 @@
-"""Student's t, the power of its test, and exact limits of a Poisson count, in plain Python.
-
-The product needs a handful of quantiles for each group, and no scipy for them. Tests hold every function against
-closed forms and against stored values of a library.
-"""
+"""Student's t, the power of its test, and exact limits of a Poisson count, without scipy."""
 
 from __future__ import annotations
 
@@ -23,13 +19,9 @@ _POWER_STEPS = 2000
 
 
 def student_cdf(t: float, degrees: float) -> float:
-    """Return the probability that Student's t with `degrees` of freedom is at most `t`.
+    """Return the probability that Student's t is at most `t`; infinite degrees of freedom give the normal distribution.
 
-    By the regularized incomplete beta function (M. Abramowitz and I. Stegun, 1964, 26.7.1).
-
-    Args:
-        t: any number, infinities included.
-        degrees: degrees of freedom, above 0; Welch's are fractions, infinity gives the normal distribution.
+    By the regularized incomplete beta function (M. Abramowitz and I. Stegun, 1964, 26.7.1). Welch's degrees are fractions.
     """
     if math.isinf(t):
         return 1.0 if t > 0 else 0.0
@@ -41,12 +33,7 @@ def student_cdf(t: float, degrees: float) -> float:
 
 @lru_cache(maxsize=4096)
 def student_quantile(probability: float, degrees: float) -> float:
-    """Return the value that Student's t does not exceed with a probability; relative error below 1e-9.
-
-    Args:
-        probability: between 0 and 1, both excluded.
-        degrees: degrees of freedom, above 0; infinity gives the normal distribution.
-    """
+    """Return the value that Student's t does not exceed with a probability; relative error below 1e-9."""
     _check_probability(probability)
     if math.isinf(degrees):
         return _NORMAL.inv_cdf(probability)
@@ -70,15 +57,10 @@ def _student_density(t: float, degrees: float) -> float:
 
 @lru_cache(maxsize=4096)
 def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8) -> float:
-    """Return how many standard errors a true difference takes to be found by a two-sided t test.
+    """Return how many standard errors a true difference takes to be detected by a two-sided t test with a probability of `power`.
 
-    The power of the t test is the mean of `Phi(shift - t u)` over `u**2`, a chi-square variable divided by its
-    degrees of freedom (the noncentral t of N. L. Johnson and B. L. Welch, 1940; the far side is left out).
-
-    Args:
-        degrees: degrees of freedom, above 0.
-        confidence: of the interval that must exclude zero.
-        power: share of experiments that find the difference, between 0.5 and 1.
+    The power of the t test is the mean of `Phi(shift - t u)` over `u**2`, a chi-square variable divided by its degrees of freedom
+    (the noncentral t of N. L. Johnson and B. L. Welch, 1940; the far side is left out). `power` is between 0.5 and 1.
     """
     threshold = student_quantile((1 + confidence) / 2, degrees)
     # log(chi-square) on a grid wide enough that what lies outside has a probability below 1e-9.
@@ -101,12 +83,7 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
 
 @lru_cache(maxsize=1024)
 def poisson_limits(count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the exact two-sided limits of a Poisson mean of which `count` events were seen (F. Garwood, 1936).
-
-    Args:
-        count: events, at least 0.
-        confidence: each limit is wrong with a probability of at most `(1 - confidence) / 2`.
-    """
+    """Return the exact limits of a Poisson mean after `count` events, each wrong at most half of the time (F. Garwood, 1936)."""
     tail = (1 - confidence) / 2
     high = count + 10 * math.sqrt(count + 1) - math.log(tail)
     upper = _root(lambda mean: tail - poisson_cdf(count, mean), float(count), high)
@@ -123,13 +100,7 @@ def poisson_cdf(count: int, mean: float) -> float:
 
 
 def incomplete_beta(x: float, a: float, b: float) -> float:
-    """Return the regularized incomplete beta function `I_x(a, b)` (NIST DLMF 8.17.22, by Lentz's method).
-
-    Args:
-        x: between 0 and 1.
-        a: above 0.
-        b: above 0.
-    """
+    """Return the regularized incomplete beta function `I_x(a, b)` for 0 <= x <= 1 and a, b > 0 (NIST DLMF 8.17.22, by Lentz's method)."""
     if x <= 0 or x >= 1:
         return 0.0 if x <= 0 else 1.0
     if x > (a + 1) / (a + b + 2):  # where the continued fraction of the other tail converges faster
@@ -158,7 +129,7 @@ def _beta_fraction(x: float, a: float, b: float) -> float:
 
 
 def _root(rising: Callable[[float], float], low: float, high: float, halvings: int = _HALVINGS) -> float:
-    """Return the zero of a rising function between two numbers, by halving."""
+    """Return the zero of an ascending function between two numbers, by halving."""
     for _ in range(halvings):
         middle = (low + high) / 2
         if middle in (low, high):

@@ -1,4 +1,4 @@
-"""Histograms of log-linear buckets: two of them merge by addition of their counts."""
+"""Histograms of log-linear buckets, which merge by addition of their counts."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MANTISSA_BITS = 10
-"""A float64's bits are its binary logarithm followed by its mantissa: exponent and first mantissa bits number
-`2**MANTISSA_BITS` equal steps in every octave. That is the bucket of a log-linear histogram (HdrHistogram's layout)
-without a logarithm. Integers below `2**(MANTISSA_BITS + 1)` each have a bucket of their own."""
+"""Exponent and first mantissa bits of a float64 number `2**MANTISSA_BITS` equal steps in every octave: the bucket of a log-linear
+histogram (HdrHistogram's layout) without a logarithm. Integers below `2**(MANTISSA_BITS + 1)` each have their own bucket."""
 
 RELATIVE_ERROR = 2.0 ** -(MANTISSA_BITS + 1)
 """Largest error of a value that is read from a histogram, as a share of the value: half a bucket, 0.05 %."""
@@ -24,10 +23,10 @@ _BUCKET_OF_ONE = 1023 << MANTISSA_BITS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
-    """Counts of values in log-linear buckets.
+    """Counts of values in log-linear buckets; empty buckets are left out.
 
     Attributes:
-        value_ns: float64, the buckets' centres in rising order, at most `RELATIVE_ERROR` off; empty buckets are left out.
+        value_ns: float64, the buckets' centres, ascending, at most `RELATIVE_ERROR` off.
         count: uint64, values in the bucket.
     """
 
@@ -36,11 +35,7 @@ class Histogram:
 
 
 def histogram_of(ordered_ns: NDArray[np.int64]) -> Histogram:
-    """Count values in buckets; negative ones (a clock fault) mirror positive ones.
-
-    Args:
-        ordered_ns: the values in rising order.
-    """
+    """Count ascending values in buckets; negative ones (a clock fault) mirror positive ones."""
     zero, positive = np.searchsorted(ordered_ns, [0, 1]).tolist()
     below = _positive_histogram(-ordered_ns[:zero][::-1])
     above = _positive_histogram(ordered_ns[positive:])
@@ -52,7 +47,6 @@ def histogram_of(ordered_ns: NDArray[np.int64]) -> Histogram:
 
 
 def _positive_histogram(ordered_ns: NDArray[np.int64]) -> Histogram:
-    """Count positive values in rising order, in which those of one bucket are neighbours."""
     if not len(ordered_ns):
         return Histogram(np.empty(0), np.empty(0, np.uint64))
     buckets = ordered_ns.astype(np.float64).view(np.int64)

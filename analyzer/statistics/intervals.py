@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def mean_and_variance(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the mean and the unbiased variance of at least two finite values, to the last bit as `mean` and `var(ddof=1)`."""
+    """Return the mean and the unbiased variance of at least two finite values, faster than and equal to `mean` and `var(ddof=1)`."""
     count = len(values)
     mean = np.add.reduce(values) / count
     apart = values - mean
@@ -25,8 +25,7 @@ MIN_RUNS = 3
 """Runs from which on an interval comes from the runs: two leave one degree of freedom, and Student's t is 12.7 there."""
 
 MIN_EPISODES = 10
-"""Episodes that an end beyond a tail needs: the spread of fewer is known to no better than a factor of two (their
-number has a relative error of 1/sqrt(10), their lengths one of the same size)."""
+"""Episodes that an end beyond a tail needs: the spread of fewer is uncertain by a factor of two."""
 
 
 Range = tuple[float | None, float | None]
@@ -48,18 +47,15 @@ class Interval:
         value: the estimate.
         lower: lower end; None where the interval is open.
         upper: upper end, likewise; infinite if lost messages reach up to it.
-        confidence: probability that an interval with both ends holds the truth; one end alone is wrong with half of
-            the rest.
+        confidence: probability that an interval with both ends contains the truth; one end is wrong with half of the rest.
         samples: messages in the sample.
         independent: independent messages that would give an interval of this width within one run.
         basis: what the interval has seen vary.
         runs: runs in the sample.
         units: runs, or groups of neighbouring runs, that the interval was computed from; 0 within one run.
-        episodes: those that the messages beyond a quantile came in, as many of equal size as vary as much; of a received
-            ratio those of the losses (of the replies, where they are rarer), as they are. None for a mean, and where
-            all values beyond a quantile are equal to it.
-        unit_spread: standard deviation of the logarithms of the units; None within one run, and where a unit has no
-            finite logarithm.
+        episodes: bursts that the messages beyond a quantile came in, as many of equal size as vary as much; of a received ratio
+            the bursts of losses (of replies, where they are rarer). None for a mean, and where no value is beyond a quantile.
+        unit_spread: standard deviation of the logarithms of the units; None within one run or without a finite logarithm.
     """
 
     value: float | None
@@ -86,7 +82,7 @@ class Interval:
 
 
 def ranges_overlap(one: Range, other: Range) -> bool:
-    """Tell whether two ranges have a value in common."""
+    """Return whether two ranges have a value in common."""
     low = max(-math.inf if lower is None else lower for lower, _ in (one, other))
     high = min(math.inf if upper is None else upper for _, upper in (one, other))
     return low <= high
@@ -97,13 +93,8 @@ def without_open_end(
 ) -> tuple[float | None, float | None]:
     """Return the ends of a quantile's interval without the one beyond a tail of too few episodes.
 
-    Above an infinite lower end there is nothing left to leave open.
-
-    Args:
-        lower: the lower end.
-        upper: the upper end.
-        quantile: its tail lies above it from p50 on, below it otherwise.
-        episodes: those that the messages beyond the quantile came in; None where no message lies beyond.
+    The tail is above a quantile from p50 on, below it otherwise; `episodes` is None where it is empty. An infinite lower end leaves
+    nothing above it open.
     """
     if episodes is None or episodes >= MIN_EPISODES or lower == math.inf:
         return lower, upper

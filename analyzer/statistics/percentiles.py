@@ -1,8 +1,8 @@
 """Percentiles of a sample: which ones exist, how they are computed, and how many messages each of them takes.
 
-A two-sided interval for the q-quantile by order statistics exists once the sample is unlikely to lie wholly on one
-side of it: `q**n <= (1 - confidence) / 2`, and the same for `1 - q` (H. A. David and H. N. Nagaraja, "Order
-Statistics", 3rd ed. 2003, section 7.1). That is 368 independent messages for p99 and 3,688 for p99.9 at 95 %.
+A two-sided interval for the q-quantile by order statistics exists once the sample is unlikely to be wholly on one side of it:
+`q**n <= (1 - confidence) / 2`, and the same for `1 - q` (H. A. David and H. N. Nagaraja, "Order Statistics", 3rd ed. 2003,
+section 7.1). That is 368 independent messages for p99 and 3,688 for p99.9 at 95 %.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ if TYPE_CHECKING:
 
 @lru_cache(maxsize=4096)
 def order_statistic_ranks(n: int, quantile: float, confidence: float = 0.95) -> tuple[int | None, int | None]:
-    """Return the ranks (1-based) of the two sorted values that enclose a quantile of n independent ones.
+    """Return the ranks (1-based) of the two sorted values that enclose a quantile of n independent ones; None outside the sample.
 
-    Each end misses the quantile with probability at most `a = (1 - confidence) / 2`: the lower is the largest rank l
-    with `P(B < l) <= a`, the upper the smallest rank u with `P(B >= u) <= a`, where B is binomial(n, quantile). A rank
-    that the sample does not have is None.
+    Each end misses the quantile with probability at most `a = (1 - confidence) / 2`: the lower is the largest rank l with
+    `P(B < l) <= a`, the upper the smallest rank u with `P(B >= u) <= a`, where B is binomial(n, quantile).
     """
     tail = (1 - confidence) / 2
     first, below = _binomial_cdf(n, quantile)
@@ -37,10 +36,7 @@ def order_statistic_ranks(n: int, quantile: float, confidence: float = 0.95) -> 
 
 
 def _binomial_cdf(n: int, p: float) -> tuple[int, Float64]:
-    """Return the first k that is computed, and `P(B <= k)` from there on; the rest has a probability under 1e-20.
-
-    The probability of the mean is taken from log-gamma, its neighbours from the ratio of consecutive terms.
-    """
+    """Return the first k that is computed, and `P(B <= k)` from there on; the rest has a probability under 1e-20."""
     reach = math.ceil(12 * math.sqrt(n * p * (1 - p))) + 60
     middle = round(n * p)
     first, last = max(0, middle - reach), min(n, middle + reach)
@@ -59,18 +55,14 @@ def _binomial_cdf(n: int, p: float) -> tuple[int, Float64]:
 
 
 Values = NDArray[np.int64 | np.float64]
-"""A series or a sample; in float64 a lost message may stand as infinity."""
+"""A sample; in float64 a lost message may be infinity."""
 
 
 @lru_cache(maxsize=256)
 def minimum_messages(quantile: float) -> int:
-    """Return the sample size below which a quantile has no estimate, because the sample holds nothing beyond it.
+    """Return the sample size below which a quantile has no estimate, because the sample has nothing beyond it.
 
-    One over the share of the distribution that lies beyond: 10 for p90, 20 for p95, 100 for p99, 1000 for p99.9
-    (`docs/trace-format.md`). That supports a point estimate; an interval takes `planned_messages`.
-
-    Args:
-        quantile: between 0 and 1, both excluded.
+    One over the share of the distribution beyond: 10 for p90, 100 for p99. An interval takes `planned_messages`.
     """
     _check(quantile, 0.5)
     if quantile <= 0.5:
@@ -80,13 +72,7 @@ def minimum_messages(quantile: float) -> int:
 
 
 def planned_messages(quantile: float, confidence: float = 0.95, inflation: float = 1.0) -> int:
-    """Return the number of messages from which a two-sided confidence interval for a quantile exists.
-
-    Args:
-        quantile: between 0 and 1, both excluded.
-        confidence: between 0 and 1, both excluded.
-        inflation: how many messages count as one, because neighbours are alike (`Dependence.inflation`).
-    """
+    """Return the number of messages from which a two-sided interval for a quantile exists; `inflation` of them count as one."""
     _check(quantile, confidence)
     independent = math.log((1 - confidence) / 2) / math.log(max(quantile, 1 - quantile))
     return math.ceil(round(independent * max(inflation, 1.0), 9))
@@ -104,8 +90,7 @@ class Percentile:
     Attributes:
         name: `p50`, `p99_9` ...
         quantile: between 0 and 1.
-        needs: the sample size below which it is null. With fewer samples than `1 / (1 - quantile)` the percentile
-            interpolates towards the sample's maximum, which says nothing about a tail that the sample has not seen.
+        needs: the sample size below which it is null: it would interpolate towards the maximum, which describes no tail.
     """
 
     name: str
@@ -120,14 +105,10 @@ PERCENTILES = tuple(
 
 
 def quantile_of(ordered: Values, quantile: float) -> float:
-    """Return a quantile of a sample by linear interpolation between order statistics.
+    """Return a quantile of ascending values by linear interpolation; infinite if one of the two order statistics is.
 
-    That is `linear` of numpy and polars, definition 7 of R. Hyndman and Y. Fan, "Sample quantiles in statistical
-    packages", The American Statistician 50, 1996. The result is infinite if one of the two order statistics is.
-
-    Args:
-        ordered: the sample in rising order, at least one value.
-        quantile: from 0 to 1.
+    That is `linear` of numpy and polars, definition 7 of R. Hyndman and Y. Fan, "Sample quantiles in statistical packages", The
+    American Statistician 50, 1996.
     """
     position = quantile * (len(ordered) - 1)
     below = math.floor(position)
@@ -137,15 +118,9 @@ def quantile_of(ordered: Values, quantile: float) -> float:
 
 
 def summarize_values(ordered_ns: NDArray[np.int64]) -> dict[str, float | None]:
-    """Return mean, standard deviation, extremes and percentiles of one metric.
+    """Return mean, standard deviation, extremes and percentiles of ascending values in ns; None where the sample is too small.
 
     Percentiles are exact (`quantile_of`). The standard deviation is the sample's (n - 1).
-
-    Args:
-        ordered_ns: the metric's values in rising order.
-
-    Returns:
-        Statistic (`mean`, `std`, `min`, `max`, `p50` ... `p99_9`) -> value in ns, None where the sample is too small.
     """
     n = len(ordered_ns)
     statistics: dict[str, float | None] = {"mean": None, "std": None, "min": None, "max": None}

@@ -1,4 +1,4 @@
-"""What an experiment could have found, and how much more it takes to decide."""
+"""What an experiment can detect, how much more it takes to decide, and p values of many tests."""
 
 from __future__ import annotations
 
@@ -22,16 +22,10 @@ if TYPE_CHECKING:
 
 
 def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:
-    """Return p values that bound the probability of a single false alarm in the whole family.
+    """Return p values that bound the probability of a single false alarm in the whole family, in the order of the tests.
 
-    The i-th smallest of m becomes the largest `(m - j + 1) p_j` of those up to it (S. Holm, Scandinavian Journal of
-    Statistics 6, 1979). It holds whatever the dependence of the tests.
-
-    Args:
-        p_values: of the tests, each between 0 and 1, shape (tests,).
-
-    Returns:
-        float64, in the order of the tests, at most 1.
+    The i-th smallest of m becomes the largest `(m - j + 1) p_j` up to it, at most 1 (S. Holm, Scandinavian Journal of Statistics 6,
+    1979), whatever the dependence of the tests.
     """
     values = np.asarray(p_values, np.float64)
     order = np.argsort(values, kind="stable")
@@ -40,16 +34,10 @@ def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:
 
 
 def benjamini_hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
-    """Return p values that bound the expected share of false alarms among all alarms.
+    """Return p values that bound the expected share of false alarms among all alarms, in the order of the tests.
 
-    The i-th smallest of m becomes the smallest `m p_j / j` of those from it on (Y. Benjamini and Y. Hochberg, JRSS B
-    57, 1995). It holds for tests that are independent or positively dependent, as those of one base are.
-
-    Args:
-        p_values: of the tests, each between 0 and 1, shape (tests,).
-
-    Returns:
-        float64, in the order of the tests, at most 1.
+    The i-th smallest of m becomes the smallest `m p_j / j` from it on, at most 1 (Y. Benjamini and Y. Hochberg, JRSS B 57, 1995),
+    for tests that are independent or positively dependent, as the ones of one base are.
     """
     values = np.asarray(p_values, np.float64)
     m = len(values)
@@ -67,17 +55,13 @@ def _in_order(sorted_values: Float64, order: NDArray[np.intp]) -> Float64:
 
 POWER = 0.8
 MOST_RUNS = 1000
-"""Runs a side beyond which nobody goes on: an answer that takes more is none."""
+"""Runs a side beyond which no number is given."""
 
 
 def smallest_shift(error: float, degrees: float, confidence: float = 0.95, power: float = POWER) -> float:
-    """Return the smallest true difference that a t test would have found with a probability of `power`.
+    """Return the smallest true difference that a t test detects with a probability of `power`.
 
-    Args:
-        error: standard error of the difference; of logarithms, if the shift is to be one of logarithms.
-        degrees: degrees of freedom, at least 1.
-        confidence: of the interval that has to exclude zero.
-        power: between 0.5 and 1.
+    `error` is the standard error of the difference; of logarithms, if the shift is to be one of logarithms.
     """
     # Quarters of a degree: Welch's are fractions, and what is alike is computed once.
     return error * shift_for_power(max(1.0, math.floor(degrees * 4) / 4), confidence, power)
@@ -86,17 +70,17 @@ def smallest_shift(error: float, degrees: float, confidence: float = 0.95, power
 def runs_to_decide(
     distance: float, base_spread: float, new_spread: float, confidence: float = 0.95, power: float = POWER
 ) -> int | None:
-    """Return the runs a side after which an interval very likely lies wholly on one side of a limit.
+    """Return the runs a side after which an interval is wholly on one side of a limit with a probability of `power`.
 
     Args:
-        distance: of the estimate from the limit, in logarithms: `log(ratio / limit)`; its sign does not matter.
+        distance: of the estimate from the limit, in logarithms: `log(ratio / limit)`.
         base_spread: standard deviation of the logarithms of the base's runs.
-        new_spread: the same of the new side's; 0 for a limit on one side alone, with `base_spread` that side's.
+        new_spread: the same of the new side's; 0 for a limit on one side, with `base_spread` that side's.
         confidence: of the interval.
         power: probability that so many runs are enough if the estimate is the truth.
 
     Returns:
-        At least 3; None if it takes more than `MOST_RUNS`, because the estimate is next to the limit.
+        At least 3; None if it takes more than `MOST_RUNS`.
     """
     variance = base_spread**2 + new_spread**2
     # Welch's degrees of freedom for equal numbers of runs are (runs - 1) times this.
@@ -110,15 +94,9 @@ def runs_to_decide(
 
 
 def runs_to_narrow(spread: float, half_width: float, confidence: float = 0.95) -> int | None:
-    """Return the runs after which the interval of a statistic is as narrow as asked for.
+    """Return the runs after which the interval of a logarithm is as narrow as `half_width` (0.05 is +-5 %).
 
-    Args:
-        spread: standard deviation of the logarithms of the runs.
-        half_width: of the interval of the logarithm: 0.05 is +-5 %.
-        confidence: of the interval.
-
-    Returns:
-        At least 3; None if it takes more than `MOST_RUNS`.
+    At least 3; None if it takes more than `MOST_RUNS`. `spread` is the standard deviation of the logarithms of the runs.
     """
 
     def is_enough(runs: int) -> bool:
@@ -128,7 +106,7 @@ def runs_to_narrow(spread: float, half_width: float, confidence: float = 0.95) -
 
 
 def _fewest(is_enough: Callable[[int], bool]) -> int | None:
-    """Return the smallest number of runs that is enough, from `MIN_RUNS` on; every larger one has to be, too."""
+    """Return the smallest number of runs that is enough, from `MIN_RUNS` on."""
     if not is_enough(MOST_RUNS):
         return None
     too_few, enough = MIN_RUNS - 1, MOST_RUNS
@@ -139,16 +117,9 @@ def _fewest(is_enough: Callable[[int], bool]) -> int | None:
 
 
 def messages_to_close(interval: Interval, quantile: float) -> int | None:
-    """Return how many more messages it takes until the interval of a quantile has both ends, 0 if it has.
+    """Return how many more messages it takes until the interval of a quantile has both ends; None without an episode to go by.
 
-    Supposes that further messages are as dependent as those that were measured and come in episodes as often.
-
-    Args:
-        interval: of the quantile.
-        quantile: between 0 and 1, both excluded.
-
-    Returns:
-        None where the sample has no episode to go by.
+    Assumes that further messages are as dependent as the measured ones and come in episodes as often.
     """
     if interval.is_two_sided:
         return 0

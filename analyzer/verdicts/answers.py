@@ -1,10 +1,9 @@
 """Answers: which middleware and bridge is fastest for which kind of message, and where the traces are inconclusive.
 
 For each kind of message (link, domain mode, data type, size, rate, device pair) the setups' p99, or p50 where not all have an
-interval for p99, is compared. The run is the unit: one setup leads if it is faster than each of the others by the test of
-their runs (`run_statistics.change`), adjusted by Holm over the others; with fewer than three runs of a setup there is no
-verdict. Lost messages count as infinitely late, and a setup that receives significantly less than another one never leads.
-Plain sockets are no middleware, and left out where a middleware was measured.
+interval for p99, is compared. One setup leads if it is faster than each of the others by the test of their runs
+(`run_statistics.change`), adjusted by Holm over the others. Lost messages count as infinitely late, and a setup that receives
+significantly less than another one never leads. Plain sockets are left out where a middleware was measured.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ class CaseAnswer:
     """The fastest setups for one kind of message.
 
     Attributes:
-        connectivity: the link, an option of the ping.
+        connectivity: the link.
         domain_mode: `same` or `different`.
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message.
@@ -77,7 +76,7 @@ class CaseAnswer:
         basis: `between runs`, or `within one run` where a setup has fewer than three: then there is no verdict.
         fewest_runs: runs of the setup that has the fewest.
         leader_p50: name of the setup whose median is clearly below that of each of the others; empty if none is.
-        leader_p99: the same of the p99; empty also where `percentile` is p50, because not all have an interval for p99.
+        leader_p99: the same of the p99; empty also where `percentile` is p50.
     """
 
     connectivity: str
@@ -113,10 +112,8 @@ def find_answers(
 ) -> tuple[CaseAnswer, ...]:
     """Answer each kind of message, sorted by `CASE_COLUMNS`; the round trips of one kind are in memory at a time.
 
-    A kind with more than `cases.MOST_COMPARED_ROWS` round trips has no answer.
-
     Args:
-        rows: the round trips; without any there is no answer.
+        rows: the round trips; a kind with more than `cases.MOST_COMPARED_ROWS` of them has no answer.
         confidence: of the intervals.
         passes: run_id -> repeat of the sweep: setups are compared repeat by repeat where all runs have one.
         mapper: answers the kinds.
@@ -234,15 +231,7 @@ def _beaten(
     confidence: float,
     passes: Mapping[int, int],
 ) -> set[str]:
-    """Return the names of the setups that the first one is faster than, by tests adjusted by Holm over all others.
-
-    Args:
-        ranked: best first.
-        setups: by name.
-        percentile: the compared one.
-        confidence: of the verdicts.
-        passes: run_id -> repeat.
-    """
+    """Return the setups that the first one beats, by tests of a percentile adjusted by Holm over all others."""
     best, *others = (setups[one.name] for one in ranked)
     changes = [
         change_of_estimates(
@@ -262,12 +251,7 @@ def _beaten(
 
 @dataclass(frozen=True, slots=True)
 class Lead:
-    """A setup that leads clearly in some cases of a headline.
-
-    Attributes:
-        name: the setup's name.
-        cases: number of cases that it leads.
-    """
+    """A setup that leads clearly in so many cases of a headline."""
 
     name: str
     cases: int
@@ -287,7 +271,7 @@ class Headline:
         only_one: cases with a single setup, not among `cases`.
         ping_device: device of the ping.
         relay_device: device of the relay, None without its trace.
-        conditions: what surrounded the runs, as in `setting`.
+        conditions: what surrounded the runs.
         within_one_run: inconclusive cases in which a setup has fewer than three runs.
     """
 

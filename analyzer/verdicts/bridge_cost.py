@@ -22,12 +22,9 @@ _OPTIONS = CompareOptions(metrics=("latency",), statistics=tuple(p.name for p in
 
 
 def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
-    """Compare the percentiles of the latency; the round trips of one kind of message are in memory at a time.
+    """Return the frame of `bridge_cost` on percentiles of the latency; one kind of message is in memory at a time.
 
     A kind with more than `cases.MOST_COMPARED_ROWS` round trips has no costs.
-
-    Returns:
-        The frame of `bridge_cost`, sorted by bridge.
     """
     across = (pl.col("domain_mode") == "different").any()
     within = ((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")).any()
@@ -43,16 +40,11 @@ def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) 
 def bridge_cost(
     roundtrips: pl.DataFrame, options: CompareOptions | None = None, passes: Mapping[int, int] | None = None
 ) -> pl.DataFrame:
-    """Compare each bridge with the same domain without a bridge, for equal parameters.
-
-    Args:
-        roundtrips: rows of `docs/trace-format.md`.
-        options: how to compare; None for the defaults. Bridge and domain mode are never matched.
-        passes: run_id -> repeat of the sweep; compared repeat by repeat where `options.paired`.
+    """Compare each bridge with the same domain without a bridge.
 
     Returns:
-        One row per bridge, group, metric and statistic: `bridge` str, then the columns of `Comparison.rows`; base is the
-        same domain, new is through the bridge.
+        One row per bridge, group, metric and statistic: `bridge` str, then the columns of `Comparison.rows`; base is the same
+        domain, new is through the bridge.
     """
     options = options or CompareOptions()
     match = tuple(name for name in options.match if name in BRIDGE_MATCH_COLUMNS)

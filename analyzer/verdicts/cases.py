@@ -47,7 +47,7 @@ class GroupRows(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class UnbarredRows:
-    """The round trips of a campaign (`GroupRows`) without groups that are not fit to be judged.
+    """The round trips of a campaign without groups that are not fit to be judged.
 
     Attributes:
         rows: all round trips.
@@ -77,12 +77,7 @@ class UnbarredRows:
 
 
 def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:
-    """Split groups into parts that agree in some parameter columns; parts are sorted by these.
-
-    Args:
-        groups: `GroupRows.groups`, or some of its rows.
-        columns: parameter columns.
-    """
+    """Split groups into parts that agree in some parameter columns; parts are sorted by these."""
     if len(groups) < 2:
         return [groups] if len(groups) else []
     return groups.sort(*columns, maintain_order=True).partition_by(*columns, maintain_order=True)
@@ -104,16 +99,12 @@ def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
 
 
 def is_too_large(groups: pl.DataFrame) -> bool:
-    """Return whether some rows of `GroupRows.groups` have more than `MOST_COMPARED_ROWS` round trips together."""
+    """Return whether groups have more than `MOST_COMPARED_ROWS` round trips together."""
     return int(groups["published"].sum()) > MOST_COMPARED_ROWS
 
 
 def parts_of(roundtrips: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple[Setting, pl.DataFrame]]:
-    """Split round trips by the values of some columns.
-
-    Yields:
-        The values and their rows, in their order; parts are sorted by their values, null first.
-    """
+    """Yield the values of some columns with their rows, in their order; sorted by the values, null first."""
 
     def order(part: tuple[Setting, pl.DataFrame]) -> list[tuple[bool, ParameterValue]]:
         return [(value is not None, value) for value in part[0].values()]
@@ -138,7 +129,7 @@ class Contender:
         loses_more: whether it receives significantly less than another setup of the case.
         p50_ns: median of a typical run, below three runs of all messages, ns; infinite if it is that of a lost message, None
             without messages.
-        p99_ns: p99, likewise; of all messages also where the runs are too short for it, None where these do not support it.
+        p99_ns: p99, likewise; None where all messages do not support it.
     """
 
     name: str
@@ -165,11 +156,7 @@ _NAMED_LAST: Mapping[str, tuple[str, str]] = {
 
 
 def contender_names(parameters: pl.DataFrame) -> ContenderNames:
-    """Name every setup: `fastdds`, `fastdds via builtin`, `fastdds to cyclonedds, reliability best_effort` ...
-
-    Args:
-        parameters: has `CONTENDER_COLUMNS`; any number of rows of each setup.
-    """
+    """Name every setup: `fastdds`, `fastdds via builtin`, `fastdds to cyclonedds, reliability best_effort` ..."""
     settings = parameters.select(CONTENDER_COLUMNS).unique(maintain_order=True).to_dicts()
     separate = {"vendor", "bridge", *_NAMED_LAST}
     parts = [(where_it_varies, partial(_word, name)) for name in CONTENDER_COLUMNS if name not in separate]

@@ -1,10 +1,9 @@
 """Two sets of round trips against each other: per group and statistic the change, its interval, a verdict.
 
-The run is the unit: with three runs a side the change has an interval from the runs (`run_statistics.change`), with fewer the
-interval holds within one run and no verdict follows. A lost message is an infinitely late one; the figure of the received
-messages is given next to it. Of many groups a few verdicts are chance: `better` and `worse` require that the p value,
-adjusted by Benjamini and Hochberg over the groups of a metric and statistic, stays below 1 - confidence. The effect is the
-probability of superiority (R. McGraw and S. Wong, 1992; Cliff's delta, 1993, is twice that less one).
+With three runs a side the interval comes from the runs (`run_statistics.change`), with fewer it holds within one run and there
+is no verdict. A lost message is an infinitely late one; the figure of the received messages is given next to it. Of many
+groups a few verdicts are chance: `better` and `worse` require that the p value, adjusted by Benjamini and Hochberg over the
+groups of a metric and statistic, stays below 1 - confidence.
 """
 
 from __future__ import annotations
@@ -88,12 +87,12 @@ class CompareOptions:
     Attributes:
         metrics: columns `<metric>_ns` to compare.
         statistics: those of `COMPARED_STATISTICS` to compare.
-        match: columns that make two groups the same experiment; fewer than `MATCH_COLUMNS` (`ignoring.match_without`)
-            pair groups that differ in the others, refused where that merges two groups of a side.
+        match: columns that make two groups the same experiment; fewer than `MATCH_COLUMNS` pair groups that differ in the
+            others, refused where that merges two groups of a side.
         confidence: of every interval.
         same_within: a ratio wholly within `1 +- same_within` counts as the same.
-        paired: whether both sides were measured in the same repeats of one sweep, so that they are compared repeat by
-            repeat (label `pass` of a run).
+        paired: whether both sides were measured in the same repeats of one sweep, so that they are compared repeat by repeat
+            (label `pass` of a run).
     """
 
     metrics: tuple[str, ...] = ("latency", "rtt")
@@ -119,12 +118,12 @@ class Comparison:
         deliveries: of each row of `delivery`, likewise.
         environment: differences between the environments of the two sides, a sentence each.
         errors: findings of severity error of either side.
-        barred: groups (match columns) of either side in which a setting was not applied; every gate is inconclusive there.
-        interleaved: how the parameters of groups that were interleaved differ, a sentence for each.
+        barred: groups of either side in which a setting was not applied; every gate is inconclusive there.
+        interleaved: how the parameters of interleaved groups differ, a sentence for each.
         ignored: what each side has in the columns that were not matched, a sentence each.
-        order: a sentence if one side was recorded wholly before the other, else an empty text.
-        row_keys: group (match columns) of either side -> the match columns of its rows above, in which a relay without a
-            trace has the other side's values.
+        order: a sentence if one side was recorded wholly before the other, else empty.
+        row_keys: group of either side -> the match columns of its rows, in which a relay without a trace has the other
+            side's values.
     """
 
     rows: pl.DataFrame
@@ -174,17 +173,14 @@ class ComparedSide(Protocol):
         """The parameter columns of the groups in which a setting was not applied."""
 
     def load_messages(self) -> pl.DataFrame:
-        """Read the round trips into memory, with a row for each message that was due and never left."""
+        """Read the round trips, with a row for each message that never left."""
 
 
 def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | None = None) -> Comparison:
     """Compare every group that two analyses measured; the round trips of both are in memory meanwhile.
 
-    Args:
-        base: an `Analysis`; `analyze(folder, details=False)` has all that is compared.
-        new: the analysis of the other side; sides whose cells were interleaved are compared cell by cell and repeat by
-            repeat, whatever their parameters (`matching.interleaved_keys`).
-        options: how to compare; None for the defaults.
+    Sides whose cells were interleaved are compared cell by cell and repeat by repeat (`matching.interleaved_keys`).
+    `analyze(folder, details=False)` has all that is compared.
 
     Raises:
         OptionError: without the columns that are not matched, two groups of one side would be one.
@@ -235,14 +231,7 @@ def compare_roundtrips(
     options: CompareOptions | None = None,
     passes: Mapping[int, int] | None = None,
 ) -> Comparison:
-    """Compare the groups of two frames of round trips, as `compare` does.
-
-    Args:
-        base: rows of `docs/trace-format.md`.
-        new: rows of the other side.
-        options: how to compare; None for the defaults.
-        passes: run_id -> repeat of the sweep; needed where `options.paired`.
-    """
+    """Compare the groups of two frames of round trips; `passes` (run_id -> repeat) is needed where `options.paired`."""
     options = options or CompareOptions()
     new = with_devices(new, replaced_devices(base, new))
     return compare_groups(
@@ -378,7 +367,7 @@ def _changes(
 
 
 def _adjusted(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
-    """Fill `p_adjusted` over the groups of each metric and statistic, and leave no verdict that it does not support."""
+    """Fill `p_adjusted` over the groups of each metric and statistic, and withdraw verdicts that it does not support."""
     adjusted: list[float | None] = [None] * len(rows)
     tests = rows.with_row_index("index").filter(pl.col("p_value").is_not_null())
     for family in tests.partition_by("metric", "statistic") if len(tests) else ():

@@ -1,8 +1,8 @@
 """How precise a statistic is, and how often a comparison of two equal sides (A/A) calls one better or worse.
 
-Every repeat has one run of each side, and in an A/A sweep either could have been the base. So the repeats are dealt to the
-two sides in every possible way, each way is compared, and every better or worse is false. That shows more than one comparison
-and less than as many sweeps would: the ways share their runs.
+In an A/A sweep either run of a repeat could have been the base. So the repeats are dealt to the two sides in every possible way,
+each way is compared, and every better or worse is false. That shows more than one comparison and less than as many sweeps
+would: the ways share their runs.
 """
 
 from __future__ import annotations
@@ -47,17 +47,15 @@ def check_statistic(text: str) -> tuple[str, str]:
 def half_widths(
     rows: pl.DataFrame, runs: Mapping[str, Collection[int]], text: str, confidence: float = 0.95
 ) -> dict[str, float]:
-    """Return how precise a statistic is, losses included, for each of several sets of runs.
+    """Return the half width of a statistic's interval between runs, in percent of the value, for each named set of run ids.
+
+    Infinite with fewer than three runs, and where the interval lacks an end.
 
     Args:
         rows: round trips, columns of `docs/trace-format.md`.
         runs: name of a set -> ids of its runs.
         text: the statistic, such as `latency_p99`.
         confidence: of the interval.
-
-    Returns:
-        Name -> half width of the interval between runs in percent of the value. Infinite with fewer than three runs, and
-        where the interval lacks an end: too few episodes beyond a tail, or too many losses.
 
     Raises:
         OptionError: there is no such statistic.
@@ -118,11 +116,7 @@ def count_false_alarms(
 ) -> FalseAlarms:
     """Compare two sides of an A/A sweep in every way to deal their repeats, and count the verdicts better or worse.
 
-    Args:
-        base: round trips of one side.
-        new: round trips of the other.
-        passes: run_id -> repeat, of both sides; the rows of other runs stay on their side.
-        options: how to compare; None for the defaults, repeat by repeat.
+    `passes` is run_id -> repeat of both sides; other runs stay on their side. By default repeats are compared one by one.
     """
     options = options or CompareOptions(paired=True)
     pass_of_row = pl.col("run_id").replace_strict(

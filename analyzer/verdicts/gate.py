@@ -91,8 +91,8 @@ class Gate:
         statistic: `mean` or a percentile; empty for `received_ratio`.
         operator: `>`, `>=`, `<` or `<=`.
         against: the value that the limit applies to.
-        limit: a ratio new / base for `RATIO`, ns for `DIFFERENCE` and `NEW` (for `received_ratio` a share, or the
-            difference of two).
+        limit: a ratio new / base for `RATIO`, ns for `DIFFERENCE` and `NEW` (for `received_ratio` a share, or the difference of
+            two).
     """
 
     text: str
@@ -114,8 +114,8 @@ class Gate:
 
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
-"""Gates of `--fail-if default`: changes that users notice and that five runs of 1000 messages a side detect at a run-to-run
-spread of 5 % (`docs/explanation/coverage.md`); half a point of messages is one in two hundred."""
+"""Gates of `--fail-if default`: changes that users notice and that five runs of 1000 messages a side detect at a run-to-run spread
+of 5 % (`docs/explanation/coverage.md`)."""
 
 
 def parse_gates(texts: Iterable[str]) -> list[Gate]:

@@ -1,8 +1,8 @@
 """A comparison judged by gates: an outcome for each gate and group, with its reason.
 
-A gate is one test for each group, so that among many groups some interval is beyond the limit by chance: a group is
-regressed only where its p value, adjusted by Holm over the groups of the gate, stays below half of 1 - confidence. A group that
-the new side does not have, or of which it received no replies, is regressed whatever the gates are.
+Among many groups some interval is beyond the limit by chance: a group is regressed only where its p value, adjusted by Holm over
+the groups of the gate, stays below half of 1 - confidence. A group that the new side does not have, or of which it received no
+replies, is regressed whatever the gates are.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class GateResult:
 
     Attributes:
         gate: the gate.
-        where: the group in words: the parameters that tell the compared groups apart.
+        where: the group in words: the parameters in which the compared groups differ.
         outcome: the outcome.
         measured: the measured value in the unit of the limit.
         low: lower end of its interval.
@@ -67,16 +67,9 @@ class GateResult:
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """The value that a gate judges in one group.
+    """The value that a gate judges in one group, with `low` and `high` end and the Student's t `degrees` of its interval.
 
-    Attributes:
-        where: the group in words.
-        group: its match columns.
-        value: the measured value; `low` and `high` are the ends of its interval.
-        basis: what the interval has seen vary.
-        degrees: degrees of freedom of Student's t of the interval; None if unknown.
-        advice: one sentence: what it takes to decide.
-        smallest_ratio: as in `GateResult`, like `smallest_drop`.
+    `advice` is what it takes to decide.
     """
 
     where: str
@@ -123,15 +116,11 @@ def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOption
 def judge_gates(
     comparison: Comparison, gates: Sequence[Gate], *, allow_missing: bool = False
 ) -> list[GateResult]:
-    """Judge every group of the base by every gate, gate by gate.
-
-    Args:
-        comparison: made with `options_for` the gates; without a group in common there is nothing to judge.
-        gates: the gates.
-        allow_missing: whether a group may be missing on the new side, or lose every message there.
+    """Judge every group of the base by every gate of a comparison made with `options_for` them.
 
     Returns:
-        First a result of `ALL_GROUPS` for each missing or dead group, then those of the gates.
+        A result of `ALL_GROUPS` for each missing or dead group (none if `allow_missing`), then the results gate by gate; none
+        without a group in common.
     """
     if comparison.delivery.is_empty():
         return []
@@ -143,7 +132,7 @@ def judge_gates(
 
 
 def overall_outcome(results: Sequence[GateResult]) -> GateOutcome:
-    """Return regressed if any gate failed, else inconclusive if any is, else passed; without results, nothing to compare."""
+    """Return the worst outcome: regressed, inconclusive, passed; without results, nothing to compare."""
     for outcome in (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED):
         if any(result.outcome is outcome for result in results):
             return outcome
@@ -151,7 +140,7 @@ def overall_outcome(results: Sequence[GateResult]) -> GateOutcome:
 
 
 def varying_columns(comparison: Comparison) -> list[str]:
-    """Return the match columns that differ between the compared groups, and always those of vendor, bridge and message."""
+    """Return the match columns that differ between the compared groups, with those of vendor, bridge and message."""
     return varying_parameters(comparison.delivery, comparison.options.match)
 
 

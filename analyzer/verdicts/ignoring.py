@@ -1,8 +1,7 @@
 """Columns that a comparison does not match: which ones would help, and whether that is sound.
 
-Two folders recorded with different bridges, middlewares or links have no group in common. Without these columns their groups
-pair, and the comparison is one of bridges, middlewares or links. That holds only as long as no two groups of one side become
-one: their runs would be pooled, and the answer would follow from how many of each there are.
+Folders recorded with different bridges, middlewares or links have no group in common; without these columns their groups pair.
+That is sound only as long as no two groups of one side merge: the answer would follow from how many runs of each there are.
 """
 
 from __future__ import annotations
@@ -45,14 +44,7 @@ def match_without(ignored: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_match(groups: pl.DataFrame, side: str, match: Sequence[str]) -> None:
-    """Refuse a match by which two groups of one side are one.
-
-    A relay without a trace is no difference (`matching.match_groups`).
-
-    Args:
-        groups: a row per group of one side, with `MATCH_COLUMNS`.
-        side: name of the side.
-        match: names of the columns that are matched.
+    """Refuse a match by which two groups of one side are one; a relay without a trace is no difference.
 
     Raises:
         OptionError: two groups of the side differ only in what is not matched.
@@ -78,7 +70,7 @@ def check_match(groups: pl.DataFrame, side: str, match: Sequence[str]) -> None:
 
 
 def ignored_sentences(base: pl.DataFrame, new: pl.DataFrame, match: Sequence[str]) -> tuple[str, ...]:
-    """Return a sentence for each column that is not matched and in which the sides differ."""
+    """Return a sentence for each unmatched column in which the sides differ."""
     sides = ((name, _values(base, name), _values(new, name)) for name in MATCH_COLUMNS if name not in match)
     return tuple(
         f"{name} is {' or '.join(before)} in the base and {' or '.join(after)} in the new side"
@@ -90,9 +82,7 @@ def ignored_sentences(base: pl.DataFrame, new: pl.DataFrame, match: Sequence[str
 def unlike_columns(base: pl.DataFrame, new: pl.DataFrame) -> dict[str, tuple[str, str]]:
     """Return the columns in which no group of one side agrees with any of the other, with the values of both.
 
-    Args:
-        base: match columns of the groups that only the base has.
-        new: those of the new side.
+    The frames have the match columns of the groups that only one side has, as for `columns_to_ignore`.
     """
     if base.is_empty() or new.is_empty():
         return {}
@@ -101,12 +91,7 @@ def unlike_columns(base: pl.DataFrame, new: pl.DataFrame) -> dict[str, tuple[str
 
 
 def columns_to_ignore(base: pl.DataFrame, new: pl.DataFrame) -> tuple[str, ...]:
-    """Return the fewest columns without which groups of both sides pair and none of one side merge; empty if none do.
-
-    Args:
-        base: match columns of the groups that only the base has.
-        new: those of the new side.
-    """
+    """Return the fewest columns without which groups of both sides pair and none of one side merge; empty if none do."""
     names, others = base.columns, new.rows()
     differing: Counter[tuple[str, ...]] = Counter()
     for one in base.rows():

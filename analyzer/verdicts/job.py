@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
 DEFAULT_RELIABILITY = "0.99"
-"""Share of messages that must arrive within the deadline where a job does not name one: 1000 messages can decide it."""
+"""Share of messages within the deadline where a job names none: 1000 messages can decide it."""
 
 IMU_BYTES = 296
 """Size of a message of `data=imu`: 37 float64."""
@@ -26,7 +26,7 @@ IMU_BYTES = 296
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Messages to send, and what is required of their latency.
+    """Messages to send, and the deadline for their latency.
 
     Attributes:
         data_type: `binary`, `string`, `imu` or another payload's name.
@@ -87,10 +87,7 @@ _KEYS: dict[str, _Key[str] | _Key[int] | _Key[float]] = {
 
 
 def parse_job(text: str) -> Job:
-    """Read a job from `KEY=VALUE ...`.
-
-    Keys: `data`, `size` (bytes, KB, MB, KiB, MiB; `data=imu` needs none), `rate` (Hz), `deadline` (ns, us, ms, s), and
-    optionally `reliability` (0.999 or 99.9%; `DEFAULT_RELIABILITY`), `domain` (same or different) and `metric`.
+    """Read a job from `KEY=VALUE ...`; `reliability`, `domain`, `metric` and the size of `data=imu` have defaults.
 
     Raises:
         OptionError: a key is unknown, given twice or missing, or a value is of another kind; the message names it.
@@ -141,8 +138,7 @@ class Guess:
     Attributes:
         value_ns: the time.
         error_factor: the largest factor by which a held-out measurement was off, at least 1.
-        held_out: number of held-out measurements. With m of them, the next error exceeds all of theirs in one case
-            of m + 1.
+        held_out: number of held-out measurements; the next error exceeds all of theirs in one case of `held_out + 1`.
     """
 
     value_ns: float
@@ -161,12 +157,7 @@ class Guess:
 
 
 def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Guess | None:
-    """Interpolate a time from measured ones; None if these do not surround it, or too few of them can be held out.
-
-    Args:
-        measured_ns: times above 0.
-        at: size and rate of the guess.
-    """
+    """Interpolate a time above 0 from measured ones; None if these do not surround it, or too few of them can be held out."""
     logs = {(math.log(size), math.log(rate)): math.log(value) for (size, rate), value in measured_ns.items()}
     log_value = _interpolate(logs, (math.log(at[0]), math.log(at[1])))
     errors = [abs(error) for error in _held_out_errors(logs)]
@@ -183,7 +174,7 @@ def _held_out_errors(logs: Mapping[SizeAndRate, float]) -> Iterable[float]:
 
 
 def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | None:
-    """Interpolate along the sizes and then the rates, and the other way round; return the mean of what is possible."""
+    """Return the mean of interpolating along the sizes and then the rates, and the other way round."""
     size, rate = at
     swapped = {(r, s): value for (s, r), value in logs.items()}
     values = [v for v in (_two_steps(logs, size, rate), _two_steps(swapped, rate, size)) if v is not None]
@@ -191,7 +182,7 @@ def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | 
 
 
 def _two_steps(logs: Mapping[SizeAndRate, float], first: float, second: float) -> float | None:
-    """Interpolate along the first coordinate on every line of equal second one, then between these lines."""
+    """Interpolate along the first coordinate on each line of equal second one, then between the lines."""
     lines: dict[float, dict[float, float]] = {}
     for (x, y), value in logs.items():
         lines.setdefault(y, {})[x] = value

@@ -1,7 +1,7 @@
 """Which groups of two sides are compared, and what was measured of each.
 
-Groups with equal parameters are the same experiment. Where a plan was measured against another (`dds-sweep --against`), the
-two differ on purpose: there each run of the new side is labelled with the cell of the base that it was interleaved with.
+Groups with equal parameters are the same experiment. Plans that were measured against each other (`dds-sweep --against`) differ
+on purpose: there each run of the new side is labelled with the cell of the base that it was interleaved with.
 """
 
 from __future__ import annotations
@@ -50,11 +50,7 @@ AGAINST_LABEL = "against"
 
 
 class MatchedGroup:
-    """The messages of one group by run.
-
-    Args:
-        rows: the group's round trips.
-    """
+    """The round trips of one group by run."""
 
     def __init__(self, rows: pl.DataFrame) -> None:
         self.runs = split_runs(rows)
@@ -100,13 +96,8 @@ class MatchedGroup:
 def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]:
     """Return the name that a device of the new side takes for a comparison: column -> name on the base.
 
-    Devices are matched by name. Where each side has a single ping device and a single relay device, the new device stands
-    for the old one, and what changed with it is part of the comparison. A relay without a trace has no name and is no
-    second device.
-
-    Args:
-        base: round trips or groups of the base, with `DEVICE_COLUMNS`.
-        new: those of the new side.
+    Devices are matched by name. Where each side has a single ping device and a single relay device, the new one stands for the old
+    one; a relay without a trace is no second device.
     """
     names = {column: (_names(base, column), _names(new, column)) for column in DEVICE_COLUMNS}
     if any(len(side) > 1 for sides in names.values() for side in sides):
@@ -129,8 +120,8 @@ def _names(frame: pl.DataFrame, column: str) -> list[str]:
 def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, MatchedGroup]:
     """Split round trips into groups by the values of the match columns; sorted by these, null first.
 
-    A run that received nothing may have no trace of its relay. It belongs to the only group that agrees in everything
-    else: in a group of its own it would be a loss that no comparison counts.
+    A run that received nothing may have no trace of its relay: it belongs to the only group that agrees in everything else, as in
+    a group of its own no comparison would count its losses.
     """
     parts = {
         part.select(match).row(0): part
@@ -160,13 +151,8 @@ def pair_keys(
 ) -> dict[Key, Key]:
     """Return which group of the new side each group of the base is compared with.
 
-    Equal keys first. A key without a relay trace has nulls for it, and a setting that is silent about it: it is paired with
-    the only group left on the other side that agrees in everything else; with none if there are several.
-
-    Args:
-        before: groups of the base by the values of `match`.
-        after: groups of the new side.
-        match: names of the columns.
+    Equal keys first. A key without a relay trace is paired with the only group left on the other side that agrees in everything
+    else; with none if there are several.
     """
     pairs = {key: key for key in before if key in after}
     open_after = [key for key in after if key not in pairs]
@@ -179,7 +165,7 @@ def pair_keys(
 
 
 def completed_key(key: Key, other: Key, match: Sequence[str]) -> Key:
-    """Return a key with the other one's values in place of nulls; of two settings that of the key that has a relay."""
+    """Return a key with the other one's values in place of nulls, and the setting of the one that has a relay."""
     is_silent = not knows_relay(key, match)
     return tuple(
         theirs if own is None or (name == SETTING and is_silent) else own
@@ -217,17 +203,16 @@ def interleaved_keys(
     new_runs: Iterable[RunDescription],
     match: Sequence[str],
 ) -> dict[int, Key]:
-    """Return for each run of the new side the group of the base that it was interleaved with.
+    """Return run_id -> values of `match` of the group that each run of the new side was interleaved with.
+
+    Without the runs whose partner was not recorded, or is more than one group.
 
     Args:
         base: round trips of the base: `run_id` and the match columns.
-        new: those of the new side.
+        new: round trips of the new side.
         base_runs: descriptions of the base's runs, with the label `cell`.
-        new_runs: those of the new side, with the label `against`.
+        new_runs: descriptions of the new side's runs, with the label `against`.
         match: names of the columns of a group.
-
-    Returns:
-        run_id -> values of `match`; without the runs whose partner was not recorded, or is more than one group.
     """
     cells = {run.run_id: run.labels[CELL_LABEL] for run in base_runs if CELL_LABEL in run.labels}
     groups: dict[str, set[Key]] = defaultdict(set)
@@ -248,7 +233,7 @@ def interleaved_keys(
 
 
 def with_partners(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> pl.DataFrame:
-    """Return the round trips of the new side, those of runs with a partner under the partner's parameters."""
+    """Return the round trips of the new side, runs with a partner under the partner's parameters."""
     schema = {name: new.schema[name] for name in ("run_id", *match)}
     rows = [(run_id, *key) for run_id, key in partners.items()]
     theirs = pl.DataFrame(rows, schema=schema, orient="row")
@@ -258,18 +243,13 @@ def with_partners(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequenc
 
 
 def partner_groups(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> dict[Key, Key]:
-    """Return for each group of the new side that has a partner the partner's group."""
+    """Return group of the new side -> group of the base that it was interleaved with."""
     rows = new.select("run_id", *match).unique(maintain_order=True).iter_rows()
     return {tuple(key): partners[run_id] for run_id, *key in rows if run_id in partners}
 
 
 def partner_differences(groups: Mapping[Key, Key], match: Sequence[str]) -> tuple[str, ...]:
-    """Return a sentence for each group of the new side whose parameters differ from its partner's.
-
-    Args:
-        groups: group of the new side -> that of the base (`partner_groups`).
-        match: names of the columns.
-    """
+    """Return a sentence for each group of the new side whose parameters differ from its partner's."""
     if not groups:
         return ()
     partners = pl.DataFrame(list(groups.values()), schema=list(match), orient="row")

@@ -1,11 +1,10 @@
 """Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
-A setting meets a job if messages arrive within the deadline with the requested reliability, in runs that sent at the planned
-rate and finished. Lost messages count as infinitely late, so the question is whether the `reliability` quantile of the
-job's metric is below the deadline, and its confidence interval from the runs (`run_statistics.between_runs`) decides: the
-setting meets the deadline if the upper end does, it misses it if the lower end does, and otherwise these traces are
-inconclusive. With fewer than three runs, and where the size and rate were not measured, it is `likely` at best. Plain sockets
-are no candidate where a middleware is one.
+The `reliability` quantile of the job's metric, with lost messages infinitely late, has a confidence interval from the runs
+(`run_statistics.between_runs`). A setting meets the deadline if the upper end does, it misses it if the lower end does, and
+otherwise these traces are inconclusive. With fewer than three runs, and where the size and rate were not measured, it is
+`likely` at best. A run must have sent at the planned rate and finished. Plain sockets are no candidate where a middleware is
+one.
 """
 
 from __future__ import annotations
@@ -121,8 +120,7 @@ class Recommendation:
 
     Attributes:
         job: the requested job.
-        candidates: best first: those that meet the deadline by their upper end, then the likely, the inconclusive, the
-            others.
+        candidates: best first: by fit, then measured before guessed, then upper end.
     """
 
     job: Job
@@ -153,7 +151,7 @@ def recommend_settings(
         roundtrips: rows of `docs/trace-format.md`.
         job: the requested job.
         confidence: of the intervals.
-        runs: descriptions of the runs, which say whether each finished; one without a description counts as finished.
+        runs: descriptions of the runs; one without a description counts as finished.
     """
     request = _Request(job, confidence, frozenset(run.run_id for run in runs if run.state != "finished"))
     is_of_job = pl.col("data_type") == job.data_type
@@ -207,14 +205,8 @@ class _Request:
 class _Measurement:
     """One size and rate of a setting.
 
-    Attributes:
-        rate_hz: the planned rate.
-        interval: of the `reliability` quantile of the job's metric, ns.
-        received_ratio: share of the messages whose reply came back.
-        survivors_ns: the quantile of the received messages.
-        rate_share: the least share of the planned rate that a run sent; None where no run has two messages.
-        unfinished: runs that did not finish.
-        messages: published messages.
+    `interval` and `survivors_ns` are of the `reliability` quantile of the job's metric; `rate_share` is the least share of the
+    planned rate that a run sent; `unfinished` counts runs.
     """
 
     rate_hz: float
@@ -260,7 +252,7 @@ def _measure(rows: pl.DataFrame, request: _Request) -> _Measurement:
 
 
 def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
-    """Return the rate that a run sent divided by the planned one; None with fewer than two messages."""
+    """Return the sent rate of a run divided by the planned one; None with fewer than two messages."""
     times = sent_ns.unique().sort()
     if len(times) < 2:
         return None

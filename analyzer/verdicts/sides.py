@@ -55,14 +55,8 @@ def environment_differences(
 ) -> Differences:
     """Return the fields of the fingerprint in which the two sides differ, by recorder.
 
-    Pooled over devices, two that swapped places would look the same. What follows from the options, and what changes from
-    minute to minute, is no difference (`model.environment`), nor is a field that one side lacks.
-
-    Args:
-        base: sessions of the base.
-        new: those of the new side.
-        names: column (`ping_device`, `relay_device`) -> name that the only device of the new side takes
-            (`matching.replaced_devices`).
+    Pooled over devices, two that swapped places would look the same. What follows from the options, changes from minute to minute,
+    or is missing on one side is no difference. `names` are `matching.replaced_devices`.
     """
     before, after = _fields(base, {}), _fields(new, names or {})
     return {
@@ -128,10 +122,7 @@ def _listed(values: frozenset[str]) -> str:
 
 
 def recorded_apart(base: Iterable[Session], new: Iterable[Session]) -> str:
-    """Return a sentence if one side was recorded wholly before the other began, by their wall clocks; else an empty text.
-
-    Runs of one side are then alike in what changes with time (load, temperature), which no spread between them shows.
-    """
+    """Return a sentence if one side was recorded wholly before the other, by their wall clocks; else an empty text."""
     before, after = (
         [session.wall_anchor_ns for session in side if session.role == "ping"] for side in (base, new)
     )
@@ -166,13 +157,7 @@ WHOLE_RECORDING = frozenset({"recorder_drops", "recording_stopped", "bridge_fail
 
 
 def errors_of(side: str, findings: Iterable[Finding], groups: Sequence[Key]) -> Iterator[SideError]:
-    """Yield each finding of severity error.
-
-    Args:
-        side: `base` or `new`.
-        findings: of that side.
-        groups: match columns of the groups of that side, in the order of its summary.
-    """
+    """Yield each finding of severity error of a side; `groups` are its match columns in the order of its summary."""
     for finding in findings:
         if finding.severity is Severity.ERROR:
             is_whole = finding.code in WHOLE_RECORDING

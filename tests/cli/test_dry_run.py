@@ -67,7 +67,7 @@ def plan(tmp_path, domains):
     [
         ("rmw = 'rmw_fastrtps_cpp'", "--rmw rmw_fastrtps_cpp: the backend socket has no ROS middleware"),
         ("executor = 'single'", "--executor single: the backend socket has none"),
-        ("transport = 'shm'", "--transport shm: the backend socket knows"),
+        ("transport = 'shm'", "--transport shm: the backend socket only has"),
         ("[devices.ping]\noptions = ['--depth', '0']", "--depth 0"),
         ("data = 'file:/nowhere/at/all'", "--data file:/nowhere/at/all: No such file"),
         ("[devices.ping]\noptions = ['--data', 'photos']", "there is no data type 'photos'"),

@@ -1,4 +1,4 @@
-"""The closed sets of words that options take: light, so that `--help` shows them without loading a middleware or numpy."""
+"""Enums of the values of options; light, since `--help` loads them."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from enum import Enum
 
 
 class Discovery(Enum):
-    """Reach of a node's search for others."""
+    """How far a node looks for others."""
 
     LOCALHOST = "localhost"
     SUBNET = "subnet"
 
 
 class Serialization(Enum):
-    """Form in which messages pass the client library: serialized bytes, or message objects."""
+    """What the client library gets: serialized bytes or message objects."""
 
     RAW = "raw"
     TYPED = "typed"
 
 
 class ExecutorKind(Enum):
-    """Executor of the client library that calls the subscriptions; `AUTO` is the fastest one installed."""
+    """Executor that calls the subscriptions; `AUTO` is the fastest one installed."""
 
     AUTO = "auto"
     EVENTS = "events"
@@ -28,7 +28,7 @@ class ExecutorKind(Enum):
 
 
 class Transport(Enum):
-    """Transports that Fast DDS and zenoh may use, and protocol of sockets; other backends know `DEFAULT` alone."""
+    """Transports of Fast DDS and zenoh, and protocol of sockets; other backends only have `DEFAULT`."""
 
     DEFAULT = "default"
     UDP = "udp"
@@ -45,7 +45,7 @@ class Role(Enum):
 
 
 class FileMode(Enum):
-    """Readers of a trace and its ring: the owner and the group, or the owner alone."""
+    """Readers of a trace and its ring."""
 
     GROUP = "0640"
     OWNER = "0600"

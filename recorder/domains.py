@@ -1,7 +1,7 @@
-"""The guard of DDS domain ids: the ports of a domain on this machine, and the participants that have taken them.
+"""Ports of a DDS domain on this machine, and the participants that use them.
 
-Ports are 7400 + 250 * domain, then 10 + 2 * participant for discovery (DDSI-RTPS 2.5, section 9.6.2.3). The
-discovery port of participant 120 is the first port of the next domain; nothing in DDS says so.
+The discovery port is 7400 + 250 * domain + 10 + 2 * participant (DDSI-RTPS 2.5, section 9.6.2.3). That of participant 120 is
+the first port of the next domain.
 """
 
 from __future__ import annotations
@@ -17,20 +17,12 @@ _PROC = Path("/proc")
 
 
 def check_domain_id(domain_id: int) -> None:
-    """Refuse a number that is no DDS domain id.
-
-    Raises:
-        OptionError: naming the range.
-    """
+    """Raise an `OptionError` for a number that is not a DDS domain id."""
     limits.check(limits.DOMAIN_ID, domain_id, "--domain")
 
 
 def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
-    """Return warnings about joining `domain_id` now, counted on the running system.
-
-    Args:
-        domain_id: the domain to join.
-        proc: where the kernel shows its sockets.
+    """Return warnings about joining a domain now.
 
     Raises:
         OptionError: there is no such domain, or one more participant would use the next domain's ports.
@@ -40,7 +32,7 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
     if len(participants_in(domain_id, ports)) >= PARTICIPANTS_PER_DOMAIN:
         raise OptionError(
             f"--domain {domain_id}: {PARTICIPANTS_PER_DOMAIN} participants of this machine are in it already, and "
-            f"the next one would use the ports of domain {domain_id + 1}; end some of them or choose another domain"
+            f"the next one would use ports of domain {domain_id + 1}; stop some of them or choose another domain"
         )
     warnings = []
     if domain_id > 0 and len(participants_in(domain_id - 1, ports)) >= PARTICIPANTS_PER_DOMAIN:
@@ -86,7 +78,7 @@ def bound_udp_ports(proc: Path = _PROC) -> set[int]:
 
 
 def first_ephemeral_port(proc: Path = _PROC) -> int | None:
-    """Return the lowest port that the kernel hands out by itself, None if it does not report it."""
+    """Return the lowest ephemeral port, None if the kernel does not report it."""
     try:
         return int((proc / "sys/net/ipv4/ip_local_port_range").read_text().split()[0])
     except (OSError, ValueError, IndexError):

@@ -6,7 +6,7 @@ from dds_trace.base.errors import TraceError
 
 
 class NoEchoError(TraceError):
-    """Ping that no relay answered in time."""
+    """No relay answered a ping in time."""
 
     exit_code = 8
 
@@ -14,28 +14,28 @@ class NoEchoError(TraceError):
 class StoppedError(TraceError):
     """Recording that was stopped (Ctrl-C, SIGTERM) before it had a message to send."""
 
-    exit_code = 130  # as a shell has it of a program that Ctrl-C ended
+    exit_code = 130  # as shells report Ctrl-C
 
 
 class NotAppliedError(TraceError):
-    """The middleware does not use a setting that was asked for, and the recording is strict about it."""
+    """The middleware does not use a requested setting, under `--strict`."""
 
-    exit_code = 11  # 10 is dds-sweep's: some cells have no recording
+    exit_code = 11  # 10 is an incomplete sweep
 
 
 class RelayLostError(TraceError):
-    """Relay that answered a ping and then, in the middle of its run, no more."""
+    """Relay that stopped answering in the middle of a run."""
 
     exit_code = 12
 
 
 class LossesError(TraceError):
-    """Run that lost a greater share of its messages than `--fail-if-lost` allows."""
+    """Run that lost more messages than `--fail-if-lost` allows."""
 
     exit_code = 13
 
 
 class BridgeError(TraceError):
-    """Bridge whose program ended, never came up, or cannot be started; the text holds the program's last line."""
+    """Bridge whose program ended, did not come up, or cannot start; the text has the program's last line."""
 
     exit_code = 9

@@ -1,14 +1,13 @@
-"""One row of the table of options: a field of a record of options, whose metadata says all that is made from it.
-
-The rows make the command line of `dds-record` and its help, the checks, the keys of `dds-trace.toml`, the axes of a plan, the
-settings of a run that part results, and the reference.
-"""
+"""One row of the table of options, which is the metadata of a field of a record of options."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
+
+from dds_trace.base.limits import Real, Whole
 
 from .choices import Role
 
@@ -42,7 +41,7 @@ class Axis:
 
     Attributes:
         of_relay: whether the relay is started with it too.
-        meaning: for the reference and editors, where the help does not do.
+        meaning: for the reference and editors; by default the help.
         default: value where the plan is silent, if it is not the option's own default.
         kind: type of the value, if it is not the option's.
         unit: unit of a number.
@@ -63,11 +62,11 @@ class Option:
         metavar: name of the value in the help; empty for a flag.
         kind: type of the value on the command line; an Enum's values are its choices.
         limit: validator of the field's value.
-        parse: makes the field's value of what is given; of a list if the option is repeatable.
-        default: the default in words, where the field's own default does not say it.
+        parse: makes the field's value of the text, of a list of texts if the option is repeatable.
+        default: the default in words, where the field's own does not say it.
         role: the only role that takes it.
-        in_key: whether a value other than the default parts results, as a setting of session or run.
-        axis: how it is an axis of plans.
+        in_key: whether it is a setting of session or run: results with different values are not mixed.
+        axis: how it is an axis of plans; None if it is none.
         variables: environment variables of ROS 2 that override a configured default.
         field_default: default of the field.
     """
@@ -92,11 +91,7 @@ class Option:
         return isinstance(self.field_default, tuple | dict)
 
     def read(self, given: Any) -> object:
-        """Return the field's value of what the command line or the file of defaults has.
-
-        Raises:
-            OptionError: `parse` refuses it.
-        """
+        """Return the field's value of a value of the command line or of `dds-trace.toml`."""
         if self.field_default is True:  # --no-own-cost
             return False
         if self.parse is not None:
@@ -123,19 +118,35 @@ def option(
     kind: type | None = None,
     limit: Limit | None = None,
     parse: Callable[[Any], object] | None = None,
-    default_words: str = "",
     role: Role | None = None,
     in_key: bool = True,
     axis: Axis | None = None,
     variables: tuple[str, ...] = (),
 ) -> _T:
-    """Return a dataclass field that is an option; the arguments are those of `Option`, `name` has the metavar after a space."""
-    if kind is None:
-        kind = str if default is None or isinstance(default, tuple | dict) else type(default)
+    """Return a dataclass field that is an option; `name` has the metavar after a space, `help` may end with a default in words.
+
+    The type on the command line is by default that of the field's default or of the limit.
+    """
+    if kind is None and isinstance(default, NoneType | tuple | dict):
+        kind = str if parse is not None else {Whole: int, Real: float}.get(type(limit), str)
     name, _, metavar = name.partition(" ")
+    text, _, default_words = help.partition(" Default: ")
     role = _ROLES.get(panel, role)
     row = Option(
-        *(name, panel, help, metavar, kind, limit, parse, default_words, role, in_key, axis, variables),
+        *(
+            name,
+            panel,
+            text,
+            metavar,
+            kind or type(default),
+            limit,
+            parse,
+            default_words,
+            role,
+            in_key,
+            axis,
+            variables,
+        ),
         field_default=default,
     )
     if isinstance(default, dict):

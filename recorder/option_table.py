@@ -1,4 +1,4 @@
-"""The table of the options of `dds-record`: its rows, and the values and help texts that are made of them."""
+"""The table of the options of `dds-record`, with their choices and help texts."""
 
 from __future__ import annotations
 
@@ -28,11 +28,7 @@ class CommandOptions:
     """The options of `dds-record` that are not a field of the other records as they are."""
 
     role: Role | None = option(
-        None,
-        "--role ROLE",
-        Panel.OUTPUT,
-        "ping sends messages, relay sends them back.",
-        kind=Role,
+        None, "--role ROLE", Panel.OUTPUT, "ping sends messages, relay sends them back.", kind=Role
     )
     out: Path | None = option(
         None,

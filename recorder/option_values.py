@@ -20,11 +20,7 @@ AGE_UNITS_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
 
 
 def parse_percentage(name: str, text: str) -> float:
-    """Return the share, 0 to 1, of a text like `1%` or `0.5 %`.
-
-    Raises:
-        OptionError: it is not a percentage from 0 to 100.
-    """
+    """Return the share, 0 to 1, of a text like `1%` or `0.5 %`."""
     try:
         share = float(text.strip().removesuffix("%")) / 100
     except ValueError:
@@ -35,11 +31,7 @@ def parse_percentage(name: str, text: str) -> float:
 
 
 def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]:
-    """Return keys and values of `KEY=VALUE` texts; `example` is for the error.
-
-    Raises:
-        OptionError: a text has no key or no `=`.
-    """
+    """Return keys and values of `KEY=VALUE` texts; `example` is for the error."""
     pairs = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -54,9 +46,9 @@ class Rotation:
     """When a relay starts a new file, whichever comes first, and how many files it keeps.
 
     Attributes:
-        file_bytes: length of a file, None for any.
-        age_s: seconds from its first event to the next file, None for any.
-        keep: files of the recording that stay, the current one included; None for all.
+        file_bytes: largest length of a file.
+        age_s: longest time from its first event to the next file.
+        keep: files of the recording that stay, the current one included.
     """
 
     file_bytes: int | None = None
@@ -65,11 +57,7 @@ class Rotation:
 
     @classmethod
     def parse(cls, text: str) -> Rotation:
-        """Return the value of `--rotate`: a size, an age, or both with a comma between.
-
-        Raises:
-            OptionError: a part is neither.
-        """
+        """Return the value of `--rotate`: a size, an age, or both with a comma between."""
         file_bytes: int | None = None
         age_s: float | None = None
         for part in text.split(","):
@@ -85,11 +73,7 @@ class Rotation:
         return cls(file_bytes, age_s)
 
     def check(self, destination: TraceDestination) -> None:
-        """Refuse limits that no file can keep, and a destination that cannot be several files.
-
-        Raises:
-            OptionError: naming the option.
-        """
+        """Raise an `OptionError` for limits that no file can keep, and a destination that cannot be several files."""
         limits.check(limits.FILE_BYTES, self.file_bytes, "--rotate")
         limits.check(limits.FILE_AGE_S, self.age_s, "--rotate")
         limits.check(limits.RETAINED_FILES, self.keep, "--keep")
@@ -103,23 +87,14 @@ class Rotation:
 
 @dataclass(frozen=True, slots=True)
 class KeepFree:
-    """The free space that a recording leaves on its disk: a share of the disk or a number of bytes, whichever is less.
-
-    Attributes:
-        share: 0 to 1.
-        most_bytes: bytes; None for the share only.
-    """
+    """The free space that a recording leaves on its disk: a share of it (0 to 1) or `most_bytes`, whichever is less."""
 
     share: float = 0.05
     most_bytes: int | None = 1_000_000_000
 
     @classmethod
     def parse(cls, text: str) -> KeepFree:
-        """Return the value of `--keep-free`: a size, or a percentage of the disk.
-
-        Raises:
-            OptionError: the text is neither.
-        """
+        """Return the value of `--keep-free`: a size, or a percentage of the disk."""
         if text.strip().endswith("%"):
             return cls(parse_percentage("--keep-free", text), None)
         return cls(1.0, parse_size(text, "--keep-free"))

@@ -1,7 +1,7 @@
-"""The table of options: each field of the records below, and of `NodeOptions`, with `option(...)` is one of `dds-record`.
+"""The options of a recording. Each field with `option(...)`, here or in `NodeOptions`, is an option of `dds-record`.
 
-A new option is a row here and the line that uses its value; the command, its help, the checks, `dds-trace.toml`, the axes of
-plans and the reference are made of the rows.
+A new option is such a field and the line that uses its value; command, help, checks, `dds-trace.toml`, axes of plans and reference
+are made of the fields.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from .backends.node import NodeOptions
 
 DEFAULT_MESSAGES = 1000
-"""Messages of a run: what gates were simulated with (docs/explanation/coverage.md). With five runs a side that spread by 5 % they
-find +20 % of p50 four times in five; p99 rests on ten messages of a run."""
+"""Messages of a run: gates were simulated with it (docs/explanation/coverage.md)."""
 DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10
 DEFAULT_WAIT_S = 20.0
@@ -54,10 +53,9 @@ class PingOptions:
         None,
         "--size SIZE",
         Panel.MESSAGE,
-        "Size of a message: a number of bytes, 33KB or 4MB (1000), 1KiB (1024).",
+        "Size of a message: a number of bytes, 33KB or 4MB (1000), 1KiB (1024). Default: 33KB; string 91; imu always 296",
         limit=limits.SIZE_BYTES,
         parse=lambda text: parse_size(text, "--size"),
-        default_words="33KB; string 91; imu always 296",
         in_key=False,
         axis=Axis(
             of_relay=False,
@@ -70,20 +68,16 @@ class PingOptions:
         None,
         "--seed N",
         Panel.MESSAGE,
-        "Seed of the random content.",
-        kind=int,
+        "Seed of the random content. Default: drawn",
         limit=limits.SEED,
-        default_words="drawn",
         in_key=False,
     )
     rate_hz: float | None = option(
         None,
         "--rate HZ",
         Panel.SCHEDULE,
-        "Messages per second.",
-        kind=float,
+        f"Messages per second. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate",
         limit=limits.RATE_HZ,
-        default_words=f"{DEFAULT_RATE_HZ:g}; of a bag its own rate",
         in_key=False,
         axis=Axis(of_relay=False, default=DEFAULT_RATE_HZ, unit="Hz"),
     )
@@ -91,10 +85,8 @@ class PingOptions:
         None,
         "--messages N",
         Panel.SCHEDULE,
-        "Messages to measure.",
-        kind=int,
+        f"Messages to measure. Default: {DEFAULT_MESSAGES}, or what fits --duration",
         limit=limits.MESSAGES,
-        default_words=f"{DEFAULT_MESSAGES}, or what fits --duration",
         in_key=False,
     )
     warmup: int = option(
@@ -114,12 +106,7 @@ class PingOptions:
         in_key=False,
     )
     relays: int = option(
-        1,
-        "--relays N",
-        Panel.SCHEDULE,
-        "How many relays to wait for.",
-        limit=limits.RELAYS,
-        in_key=False,
+        1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS, in_key=False
     )
     bridge: str = option(
         "none",
@@ -131,11 +118,7 @@ class PingOptions:
         axis=Axis(of_relay=False, meaning="bridge between two domains; `none` puts ping and relay into one"),
     )
     bridge_running: bool = option(
-        False,
-        "--bridge-running",
-        Panel.BRIDGE,
-        "The bridge is running already: start nothing.",
-        in_key=False,
+        False, "--bridge-running", Panel.BRIDGE, "The bridge is running already: start nothing.", in_key=False
     )
     bridge_listen: str | None = option(
         None,
@@ -156,10 +139,8 @@ class PingOptions:
         None,
         "--relay-domain ID",
         Panel.BRIDGE,
-        "DDS domain of the relay.",
-        kind=int,
+        "DDS domain of the relay. Default: ROS_DOMAIN_ID, else 10",
         limit=limits.DOMAIN_ID,
-        default_words="ROS_DOMAIN_ID, else 10",
         in_key=False,
         variables=("ROS_DOMAIN_ID",),
     )
@@ -182,11 +163,7 @@ class PingOptions:
     )
 
     def check(self) -> None:
-        """Refuse values that make no sense.
-
-        Raises:
-            OptionError: naming the option.
-        """
+        """Raise an `OptionError` for a value that makes no sense."""
         check_fields(self)
         check_data(self.data)
         for name, pairs in (("--label", self.labels), ("--setting", self.settings)):
@@ -218,7 +195,6 @@ class RecordOptions:
         "--duration SECONDS",
         Panel.OUTPUT,
         "Stop after this many seconds; a relay without it runs until stopped.",
-        kind=float,
         limit=limits.LENGTH_S,
         in_key=False,
     )
@@ -226,10 +202,9 @@ class RecordOptions:
         KeepFree(),
         "--keep-free SIZE",
         Panel.OUTPUT,
-        "Stop writing when free disk space falls below SIZE: 500MB, 10%, or 0.",
+        "Stop writing when free disk space falls below SIZE: 500MB, 10%, or 0. Default: 5% of the disk, at most 1GB",
         kind=str,
         parse=KeepFree.parse,
-        default_words="5% of the disk, at most 1GB",
         in_key=False,
     )
     backend: str = option(
@@ -271,25 +246,18 @@ class RecordOptions:
         None,
         "--relay-id N",
         Panel.RELAY,
-        "Number of the relay in the trace.",
-        kind=int,
+        "Number of the relay in the trace. Default: drawn",
         limit=limits.RELAY_ID,
-        default_words="drawn",
         in_key=False,
     )
     cpu_affinity: str | None = option(
-        None,
-        "--cpu-affinity CPUS",
-        Panel.PROCESS,
-        "Run only on these CPUs: 3, or 0,2-3.",
-        limit=limits.CPUS,
+        None, "--cpu-affinity CPUS", Panel.PROCESS, "Run only on these CPUs: 3, or 0,2-3.", limit=limits.CPUS
     )
     realtime_priority: int | None = option(
         None,
         "--realtime PRIORITY",
         Panel.PROCESS,
         "Run under SCHED_FIFO with this priority, 1 to 99, and all memory locked.",
-        kind=int,
         limit=limits.REALTIME_PRIORITY,
     )
     strict: bool = option(
@@ -317,28 +285,21 @@ class RecordOptions:
         None,
         "--device NAME",
         Panel.DESCRIPTION,
-        "Name of this device in the trace.",
+        "Name of this device in the trace. Default: host name",
         limit=limits.NAME,
-        default_words="host name",
         in_key=False,
     )
     connectivity: str | None = option(
         None,
         "--connectivity NAME",
         Panel.DESCRIPTION,
-        "Link of this device: loopback, wired, wireless, or a word of yours.",
+        "Link of this device: loopback, wired, wireless, or a word of yours. Default: detected",
         limit=limits.NAME,
-        default_words="detected",
         in_key=False,
     )
 
     def check(self) -> None:
-        """Refuse values that make no sense, and an output that exists already.
-
-        Raises:
-            OptionError: naming the option.
-            OutputExistsError: there is a trace already.
-        """
+        """Refuse values that make no sense (`OptionError`), and an output that exists (`OutputExistsError`)."""
         destination = self.destination
         check_fields(self)
         check_fields(self.node)
@@ -355,11 +316,7 @@ class RecordOptions:
 
 
 def check_fields(record: object) -> None:
-    """Check the options of a record by their limits.
-
-    Raises:
-        OptionError: naming the option.
-    """
+    """Raise an `OptionError` for an option of a record that is beyond its limit."""
     assert is_dataclass(record)
     for column in fields(record):
         row: Option | None = column.metadata.get("option")

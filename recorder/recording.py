@@ -1,4 +1,4 @@
-"""`record`: one recording from its options to a closed trace, for the command line and for sweeps."""
+"""`record`: one recording from its options to a closed trace."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ if TYPE_CHECKING:
     from .roles.wire_record import WireRecord
 
 LOOK_S = 0.5
-"""Time between two looks at a role while it runs."""
+"""Time between two checks of a running role."""
 WIRE_LOOKS = 4
-"""Looks of silence after which a relay writes what its capture of the wire has counted."""
+"""Checks without a message after which a relay writes the counts of its capture."""
 QUIET_LOOKS = 10
-"""Idle looks before a relay collects garbage."""
+"""Checks without a message after which a relay collects garbage."""
 HOPELESS_S = 2.6
-"""Part of the wait for an echo after which quality of service that can never match ends it.
+"""Wait for an echo after which QoS that can never match ends it.
 
-Not in step with Fast DDS, which each 3 s drops the port of a side that it cannot reach, and opens it anew."""
+Chosen not to coincide with Fast DDS's 3 s retry, which reopens unreachable ports."""
 ALL_RELAYS_S = 3.0
-"""Longest wait for the other relays in sight after a first one has answered."""
+"""Longest wait for further discovered relays after the first one has answered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +73,10 @@ class Recorded:
     """The result of a recording.
 
     Attributes:
-        trace: the closed trace; None for a ping that was stopped before its echo, which writes none.
-        session: the session as it began.
-        progress: what the role did.
+        trace: the closed trace; None for a ping that was stopped before its echo.
+        session: the session at its start.
         run: the run of a ping.
-        error: the reason why a ping's run ended before its plan, or with nobody left to answer, or why a relay recorded
-            nothing for a while; None at a regular end.
+        error: why a ping's run ended early or without an answering relay, or why a relay recorded nothing for a while.
     """
 
     trace: ClosedTrace | None
@@ -91,21 +89,16 @@ class Recorded:
 def record(
     options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool = False
 ) -> Recorded:
-    """Record as a ping or as a relay until it is done or `stop` is set.
+    """Record as a ping or as a relay until it is done or `stop` is set; `watch` receives notes and progress.
 
-    Args:
-        options: options of the recording.
-        stop: ends it; a rehearsal sets it.
-        watch: receiver of notes and progress.
-        rehearses: whether all is opened as asked and closed again before the first message, without the measurement of
-            what recording costs.
+    A rehearsal opens everything and closes it again before the first message.
 
     Raises:
         OptionError: an option makes no sense, or not on this machine.
         BackendUnavailableError: the middleware or the bridge is not on this machine.
-        NoEchoError: no relay answered; nothing is written then.
-        NotAppliedError: the middleware does not use what was asked for and `options.strict` is set; a trace is left only
-            if it shows at the end.
+        NoEchoError: no relay answered; nothing is written.
+        NotAppliedError: the middleware does not use a requested setting and `options.strict` is set; a trace remains only if
+            this shows at the end.
         OutputExistsError: there is a trace already.
         OutputError: the trace cannot be written.
     """
@@ -117,7 +110,7 @@ def record(
 
 
 class _Recording:
-    """One recording in either role, with what both roles need."""
+    """One recording in either role."""
 
     def __init__(
         self, options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool
@@ -170,30 +163,28 @@ class _Recording:
                 read_back.report(trace.path)
                 return Recorded(trace, session, relay.progress(), error=upkeep.shortage)
 
-    def ping(self, asked: PingOptions) -> Recorded:
-        seed = secrets.randbits(32) if asked.seed is None else asked.seed
+    def ping(self, ping_options: PingOptions) -> Recorded:
+        seed = secrets.randbits(32) if ping_options.seed is None else ping_options.seed
         with ExitStack() as stack:
-            payload = stack.enter_context(self._open_payload(asked, seed))
-            plan = plan_run(self.options, asked, payload, session_id=self.session_id, seed=seed)
+            payload = stack.enter_context(self._open_payload(ping_options, seed))
+            plan = plan_run(self.options, ping_options, payload, session_id=self.session_id, seed=seed)
             self._warn_of_depth(plan)
             self._measure_costs(plan.rate_hz)
-            wire = stack.enter_context(self._open_wire(asked))
+            wire = stack.enter_context(self._open_wire(ping_options))
             node = stack.enter_context(self._open_node("ping"))
             ping = open_ping(node, plan, self.clock)
             node.start()
-            bridge = open_requested_bridge(self.options, asked, payload.data_type, stack)
+            bridge = open_requested_bridge(self.options, ping_options, payload.data_type, stack)
             read_back = self._read_back(node)
-            if self.rehearses:  # what is applied shows once there is a connection
+            if self.rehearses:  # there is no connection to read applied settings from
                 return Recorded(None, self._describe("ping", node, read_back), ping.progress())
-            self._wait_for_echo(ping, node, asked, bridge, read_back)
+            self._wait_for_echo(ping, node, ping_options, bridge, read_back)
             read_back.read_begin()
             if bridge is not None:
                 read_back.note_bridge(bridge.read_applied())
             read_back.report()
             session = self._describe("ping", node, read_back)
-            if (
-                self.stop.is_set()
-            ):  # before the trace is made: a file without a message would block the next try
+            if self.stop.is_set():  # a file without a message would block the next try
                 return Recorded(None, session, ping.progress())
             upkeep = stack.enter_context(self._open_trace(session))
             sink = upkeep.sink
@@ -204,7 +195,7 @@ class _Recording:
             read_back.read_end(ping.traffic)
             if bridge is not None:
                 read_back.note_bridge(bridge.read_applied())
-                bridge.stop()  # so that its description says how it ended
+                bridge.stop()  # its description then says how it ended
             described: JsonObject = {"error": None if error is None else str(error)}
             if bridge is not None:
                 described = {**described, "bridge": bridge.describe()}
@@ -213,22 +204,22 @@ class _Recording:
             return Recorded(trace, session, ping.progress(), run, error)
 
     def _warn_of_depth(self, plan: RunPlan) -> None:
-        if load_backend(self.options.backend).speaks_dds:  # the others keep what their connection keeps
+        if load_backend(self.options.backend).speaks_dds:
             warning = warn_of_depth(plan.qos.history, plan.qos.depth, plan.rate_hz)
             if warning is not None:
                 self.watch.note(warning)
 
     def _measure_costs(self, rate_hz: float | None = None) -> None:
-        """Measure the costs of recording at a run's rate, where it is known, before there is a node to be disturbed."""
+        """Measure the costs of recording, at the rate of a run, before there is a node to disturb."""
         if self.rehearses or not self.options.own_cost:
             return
         floor = measured_floor(self.options.backend, self.options.node, rate_hz)
         self.costs = {**measured_cost(), **floor}
 
-    def _open_wire(self, asked: PingOptions | None = None) -> AbstractContextManager[WireRecord]:
-        """Open the capture of the wire, if `--wire` asks for it; behind a bridge messages go through two domains."""
+    def _open_wire(self, ping_options: PingOptions | None = None) -> AbstractContextManager[WireRecord]:
+        """Open the capture of the wire, if enabled; with a bridge messages go through two domains."""
         node = self.options.node
-        other = None if asked is None else asked.relay_domain_id
+        other = None if ping_options is None else ping_options.relay_domain_id
         return open_wire(
             enabled=self.options.wire,
             discovery=node.discovery,
@@ -237,7 +228,7 @@ class _Recording:
         )
 
     def _open_node(self, role: str) -> Node:
-        # A name of its own, by which the node tells its endpoints from those of others.
+        # Unique, so that the node recognizes its own endpoints.
         name = f"dds_trace_{role}_{self.session_id:016x}"
         return open_node(self.options.backend, replace(self.options.node, name=name, listens=role == "relay"))
 
@@ -266,25 +257,25 @@ class _Recording:
         )
 
     def _clock_at_end(self) -> JsonObject:
-        """Return the session's field `clock`: the kernel's correction of the clock at begin and end."""
+        """Return the session's field `clock`: the kernel's correction of the clock at start and end."""
         return {"clock": {"begin": self.correction, "end": read_adjtimex()}}
 
     def _open_trace(self, session: Session) -> Upkeep:
-        """Open the trace, which is closed behind a block whatever happens."""
+        """Context manager: the trace is closed on exit."""
         return Upkeep(self.options, session, self.clock.monotonic_ns, self.watch.note)
 
     def _note_disk(self, sink: TraceSink) -> None:
         if sink.error is not None and not self._noted_disk:
             self._noted_disk = True
-            self.watch.note(f"{sink.error}; the node goes on answering, what was written stays readable")
+            self.watch.note(f"{sink.error}; the node continues to answer; what was written stays readable")
 
-    def _open_payload(self, asked: PingOptions, seed: int) -> AbstractContextManager[Payload]:
+    def _open_payload(self, ping_options: PingOptions, seed: int) -> AbstractContextManager[Payload]:
         return open_payload(
-            asked.data,
-            asked.size_bytes,
+            ping_options.data,
+            ping_options.size_bytes,
             seed,
             open_node=partial(self._open_node, "source"),
-            wait_s=asked.wait_s,
+            wait_s=ping_options.wait_s,
             stop=self.stop,
         )
 
@@ -292,47 +283,45 @@ class _Recording:
         self,
         ping: AnyPing,
         node: Node,
-        asked: PingOptions,
+        ping_options: PingOptions,
         bridge: RunningBridge | None,
         read_back: ReadBack,
     ) -> None:
         data_type = ping.plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
-        came, waited_s = False, 0.0
+        has_echo, waited_s = False, 0.0
         not_applied: tuple[Difference, ...] = ()
-        while not came and waited_s < asked.wait_s and not self.stop.is_set() and node.error is None:
-            slice_s = min(HOPELESS_S, asked.wait_s - waited_s)
-            came = ping.wait_for_echo(slice_s, self.stop, asked.relays)
+        while (
+            not has_echo and waited_s < ping_options.wait_s and not self.stop.is_set() and node.error is None
+        ):
+            slice_s = min(HOPELESS_S, ping_options.wait_s - waited_s)
+            has_echo = ping.wait_for_echo(slice_s, self.stop, ping_options.relays)
             waited_s += slice_s
             _raise_error_of(node)
             if bridge is not None:
                 bridge.check()
-            if (
-                not came
-            ):  # not at the end alone: after 20 s Fast DDS has forgotten a side that cannot be reached
+            if not has_echo:  # each time: after 20 s Fast DDS has forgotten an unreachable side
                 not_applied = read_back.explain(ping.probes) or not_applied
             if look_for_relays(node, data_type).is_hopeless:
                 break
-        if not came and not self.stop.is_set():
+        if not has_echo and not self.stop.is_set():
             answers = (
-                f"{ping.echoing_relays} of {asked.relays} relays answer; " if ping.echoing_relays else ""
+                f"{ping.echoing_relays} of {ping_options.relays} relays answer; "
+                if ping.echoing_relays
+                else ""
             )
             raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied))
-        if came and bridge is not None:
+        if has_echo and bridge is not None:
             bridge.mark_ready()
-        # One that was found later may need a moment more; behind a bridge nobody sees how many there are.
+        # Others may need a moment more; through a bridge they are not discovered.
         relays = len(look_for_relays(node, data_type).publishers) if bridge is None else 1
-        if came and not ping.wait_for_echo(ALL_RELAYS_S, self.stop, relays):
-            self.watch.note(f"{ping.echoing_relays} of {relays} relays in sight answer")
+        if has_echo and not ping.wait_for_echo(ALL_RELAYS_S, self.stop, relays):
+            self.watch.note(f"{ping.echoing_relays} of {relays} discovered relays answer")
 
     def _run(
         self, ping: AnyPing, node: Node, upkeep: Upkeep, bridge: RunningBridge | None
     ) -> tuple[Run, BridgeError | RelayLostError | OutputError | None]:
-        """Run the ping on a thread of its own; this one looks at it now and then, and ends it when it has no hope.
-
-        Returns:
-            The finished run, and the reason if it had to end or ended with nobody left to answer.
-        """
+        """Run the ping on its own thread and check it now and then; return the run, and why it ended early, if it did."""
         end_ns, enough, hopeless = self._end_ns(), threading.Event(), threading.Event()
         error: BridgeError | RelayLostError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:
@@ -364,7 +353,7 @@ class _Recording:
             self._note_disk(upkeep.sink)
             try:
                 read_back.report()
-            except NotAppliedError:  # it shows before the first message, so the trace would hold next to none
+            except NotAppliedError:  # before the first message: the trace is empty
                 upkeep.sink.close()
                 discard(upkeep.destination)
                 raise
@@ -379,7 +368,7 @@ class _Recording:
                 gc.collect()
                 lines = {line for topic in relay.topics for line in node.look_at(topic).incompatible}
                 for line in sorted(lines - noted):
-                    self.watch.note(f"these will never meet: {line}")
+                    self.watch.note(f"these will never match: {line}")
                 noted |= lines
 
     def _end_ns(self) -> int | None:
@@ -391,7 +380,7 @@ class _Recording:
 
 
 def _sampled(sink: TraceSink, wire: WireRecord, bridge: RunningBridge | None = None) -> HostSampler:
-    """Return a sampler that writes the load of this host, this process and its helpers once a second within a block."""
+    """Return a context that writes the load of this host and of our processes once a second."""
     processes = {**wire.processes, **({} if bridge is None else bridge.processes)}
     return HostSampler(partial(sink.write_json, HOST_TOPIC), processes)
 
@@ -399,7 +388,7 @@ def _sampled(sink: TraceSink, wire: WireRecord, bridge: RunningBridge | None = N
 def _find_failure(
     ping: AnyPing, node: Node, bridge: RunningBridge | None, *, ended: bool
 ) -> BridgeError | RelayLostError | None:
-    """Return the reason why nobody answers a ping any more: its bridge has ended, or the relay is lost."""
+    """Return why nobody answers a ping any more: its bridge has ended, or the relay is lost."""
     if bridge is not None:
         try:
             bridge.check()
@@ -409,6 +398,6 @@ def _find_failure(
 
 
 def _raise_error_of(node: Node) -> None:
-    """Raise the error of a callback: it is ours, and ends the recording; the trace is closed on the way out."""
+    """Raise the error of a callback, which ends the recording."""
     if node.error is not None:
         raise node.error

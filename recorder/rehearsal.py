@@ -1,4 +1,4 @@
-"""What is known of a recording before it records: its options alone, or a start that ends before the first message."""
+"""Checks before a recording: of its options only, or by a start that ends before the first message."""
 
 from __future__ import annotations
 
@@ -26,25 +26,22 @@ if TYPE_CHECKING:
 
 
 def rehearse(options: RecordOptions, watch: Watch) -> None:
-    """Start a recording as asked and end it before its first message; the trace goes to a folder that is removed again.
+    """Start a recording and end it before its first message; its trace is removed. Errors are those of `record`.
 
-    Everything that a recording needs of this machine is opened: the data, the capture of the wire, the node with its
-    endpoints, the bridge, the privileges. What may still fail is what surrounds it: the other side, the network, the disk.
-
-    Raises:
-        TraceError: as `record` would.
+    All that a recording needs of this machine is opened: data, capture, node, bridge, privileges. The other side, the network
+    and the disk are not tested.
     """
     check_options(options)
     with tempfile.TemporaryDirectory(prefix="dds-trace-rehearsal-") as folder:
-        elsewhere = replace(options.destination, path=Path(folder) / options.destination.path.name)
-        record(replace(options, destination=elsewhere), threading.Event(), watch, rehearses=True)
+        scratch = replace(options.destination, path=Path(folder) / options.destination.path.name)
+        record(replace(options, destination=scratch), threading.Event(), watch, rehearses=True)
 
 
 def check_options(options: RecordOptions) -> None:
-    """Check the options of a recording, and that its data is there, without opening a node or making a payload.
+    """Check the options of a recording, and that its data exists, without opening a node or making a payload.
 
     Raises:
-        OptionError: an option makes no sense, alone or beside another.
+        OptionError: an option makes no sense, or not with the others.
         OutputExistsError: there is a trace already.
     """
     options.check()
@@ -59,20 +56,16 @@ def check_options(options: RecordOptions) -> None:
         check_requested_bridge(options, options.ping, BINARY)
 
 
-def _check_data(asked: PingOptions) -> None:
-    """Check that the data can be found and has the asked size; a live topic is part of the surroundings.
-
-    Raises:
-        OptionError: it cannot.
-    """
-    if is_live(asked.data):
-        check_rate(asked, is_live=True)
+def _check_data(ping: PingOptions) -> None:
+    """Check that the data exists and has the requested size; a live topic cannot be checked."""
+    if is_live(ping.data):
+        check_rate(ping, is_live=True)
         return
     stop = threading.Event()
-    stop.set()  # ends the making behind the checks of the size
+    stop.set()  # makes no payload after the checks
     with (
         suppress(StoppedError),
-        open_payload(asked.data, asked.size_bytes, 0, open_node=_no_node, wait_s=0.0, stop=stop),
+        open_payload(ping.data, ping.size_bytes, 0, open_node=_no_node, wait_s=0.0, stop=stop),
     ):
         pass
 

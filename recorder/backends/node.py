@@ -48,9 +48,8 @@ class NodeOptions:
         10,
         "--domain ID",
         Panel.MIDDLEWARE,
-        "DDS domain.",
+        "DDS domain. Default: ROS_DOMAIN_ID, else 10; a ping with --bridge: 5",
         limit=limits.DOMAIN_ID,
-        default_words="ROS_DOMAIN_ID, else 10; a ping with --bridge: 5",
         in_key=False,
         variables=("ROS_DOMAIN_ID",),
     )
@@ -59,8 +58,7 @@ class NodeOptions:
         Discovery.SUBNET,
         "--discovery RANGE",
         Panel.MIDDLEWARE,
-        "How far to look for other nodes: localhost or subnet.",
-        default_words="as the environment of ROS 2 has it, else subnet",
+        "How far to look for other nodes: localhost or subnet. Default: as the environment of ROS 2 has it, else subnet",
         variables=("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"),
     )
     peers: tuple[str, ...] = option(
@@ -75,9 +73,8 @@ class NodeOptions:
         None,
         "--rmw NAME",
         Panel.MIDDLEWARE,
-        "ROS middleware of the backend ros2.",
+        "ROS middleware of the backend ros2. Default: RMW_IMPLEMENTATION, else that of ROS 2",
         limit=limits.RMW,
-        default_words="RMW_IMPLEMENTATION, else that of ROS 2",
         in_key=False,
         axis=Axis(),
         variables=("RMW_IMPLEMENTATION",),
@@ -111,8 +108,7 @@ class NodeOptions:
         None,
         "--congestion-control NAME",
         Panel.MIDDLEWARE,
-        "Congestion control of TCP, for the backend socket: cubic, bbr, reno ...",
-        default_words="that of the system",
+        "Congestion control of TCP, for the backend socket: cubic, bbr, reno ... Default: that of the system",
         axis=Axis(),
     )
     listens: bool = field(default=False, metadata=OUTSIDE_OF_KEY)

@@ -1,4 +1,4 @@
-"""One cell of a sweep: the parameters of one ping run, its name, and its relay; the axes are rows of the table of options."""
+"""One cell of a sweep: the parameters of one ping run, its name, and its relay."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Key:
     """One key of a plan.
 
     Attributes:
-        meaning: what the value says, as a sentence without its subject, for the documentation and editors.
+        meaning: for the reference and editors.
         limit: validator of the value.
-        unit: unit of a number, empty where the name tells it or there is none.
-        default: what holds where the plan says nothing, in words; empty where the field's own default tells it.
+        unit: unit of a number.
+        default: the default in words, where the field's own does not say it.
     """
 
     meaning: str
@@ -42,7 +42,7 @@ class Key:
 
 
 def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default_words: str = "") -> _T:
-    """Return a dataclass field that is a key of a plan; the arguments are those of `Key`, `default` is the field's."""
+    """Return a dataclass field that is a key of a plan; the arguments are those of `Key`."""
     value: _T = field(default=default, metadata={"key": Key(meaning, limit, unit, default_words)})
     return value
 
@@ -52,9 +52,8 @@ class PlanAxis(Key):
     """A key of `[axes]`, which takes one value or a list of them.
 
     Attributes:
-        option: option of `dds-record`, empty for what it is not given.
-        of_relay: whether the relay has to be started with it too.
-        kind: type of a plan's value.
+        option: option of `dds-record`, empty for none.
+        of_relay: whether the relay is started with it too.
         row: option whose choices are those of the axis.
         value: value where the plan is silent.
     """
@@ -67,12 +66,12 @@ class PlanAxis(Key):
 
     @property
     def choices(self) -> list[str]:
-        """The allowed values, empty where any value of the type is allowed."""
+        """The allowed values, empty for any of the type."""
         return choices_of(self.row) if self.row else []
 
 
 def _axis_of(row: Option) -> PlanAxis:
-    """Return the axis of an option of `dds-record`; the plan's default is that of the option."""
+    """Return the axis of an option of `dds-record`."""
     assert row.axis is not None
     default = row.axis.default if row.field_default is None else row.field_default
     return PlanAxis(
@@ -101,23 +100,23 @@ AXES: Mapping[str, PlanAxis] = {
         value="",
     ),
 }
-"""The axes of a plan, by name: options of `dds-record`, and what else two sides may differ in."""
+"""The axes of a plan: options of `dds-record`, and what else two sides may differ in."""
 
 DEFAULTS: dict[str, Any] = {name: axis.value for name, axis in AXES.items()}
 """Value of each axis where a plan is silent."""
 
 RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.of_relay)
-"""Names of the axes that a relay has to be started with."""
+"""Axes that a relay is started with."""
 
 _ALWAYS_NAMED = {"backend", "rmw", "relay_backend", "relay_rmw", "bridge", "data", "size", "rate"}
 OTHER_AXES = tuple(name for name in AXES if name not in _ALWAYS_NAMED)
-"""Names of the axes that a cell's name has only where they differ from the default."""
+"""Axes that the name of a cell has only where they are not the default."""
 
 _Class = TypeVar("_Class")
 
 
 def _with_all_axes(cell: type[_Class]) -> type[_Class]:
-    """Make every axis a field; the class itself declares those that the sweep reads by name."""
+    """Make every axis a field; the class declares those that the sweep reads by name."""
     for name, default in DEFAULTS.items():
         cell.__annotations__.setdefault(name, "object")
         setattr(cell, name, default)
@@ -154,17 +153,17 @@ class Cell:
 
     @property
     def crosses_domains(self) -> bool:
-        """Whether ping and relay are in different domains."""
+        """Whether a bridge joins two domains."""
         return self.bridge != "none"
 
     @property
     def payload_bit_s(self) -> float | None:
-        """Bits of payload a second in one direction, None where the data decides the size."""
+        """Payload in bit/s in one direction, None where the data decides the size."""
         return None if self.size is None else self.size * 8 * self.rate
 
     @property
     def relay(self) -> Cell:
-        """The parameters of this cell's relay; all others are at their defaults, so that equal relays are equal."""
+        """The parameters of this cell's relay; the others are at their defaults."""
         values = {name: getattr(self, name) for name in RELAY_AXES}
         if self.relay_backend is not None:
             values |= {"backend": self.relay_backend, "rmw": self.relay_rmw}
@@ -179,7 +178,7 @@ class Cell:
 
     @property
     def changed_axes(self) -> list[str]:
-        """The values that are in the name only because they are not the default."""
+        """The values that are in the name because they are not the default."""
         values = [(name, getattr(self, name)) for name in OTHER_AXES]
         return [_other_name(name, value) for name, value in values if value != DEFAULTS[name]]
 
@@ -187,8 +186,7 @@ class Cell:
     def name(self) -> str:
         """Name of the cell and stem of its files: `ros2-fastrtps_same_binary-33KB_10Hz`.
 
-        Middleware, domains, data and rate are always there, every other parameter where it is not the
-        default: when a plan gets a new axis, recorded cells keep their names.
+        Only the main parameters are always in it: with a new axis, recorded cells keep their names.
         """
         relay = (
             ["to-" + _middleware_name(self.relay.backend, self.relay.rmw)]

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from .schedule import CellGroup
 
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
-"""Label of a run with the number of its pass, by which an analysis compares two sides pass by pass."""
+"""Label with the number of the pass, for comparisons pass by pass."""
 
 AGAINST_LABEL = "against"
-"""Label of a run with the name of the cell that it takes turns with, by which an analysis compares two plans cell by cell."""
+"""Label with the name of the cell of the other plan that it alternates with, for comparisons cell by cell."""
 
 
 def relay_arguments(plan: Plan, need: Cell, number: int = 1) -> list[str]:
-    """Return the arguments of the relay that serves every cell with this need in pass `number`, without `--out`."""
+    """Return the arguments of a relay in pass `number`, without `--out`."""
     return [
         *("--role", "relay", "--domain", str(plan.run.domain)),
         *_axis_arguments(need, RELAY_AXES),
@@ -32,10 +32,7 @@ def relay_arguments(plan: Plan, need: Cell, number: int = 1) -> list[str]:
 
 
 def half_arguments(plan: Plan, group: CellGroup) -> list[str]:
-    """Return the arguments of `dds-bridge` for the half of the group's bridge that runs beside its relay.
-
-    This half waits for the ping's, which each ping starts anew: between two cells nothing has to be found again.
-    """
+    """Return the arguments of `dds-bridge` for the half next to the relay, which waits for the half of each ping."""
     assert group.bridge is not None
     need = group.need
     interface = "127.0.0.1" if plan.discovery == "localhost" else "0.0.0.0"  # noqa: S104 - the other device is outside
@@ -48,14 +45,7 @@ def half_arguments(plan: Plan, group: CellGroup) -> list[str]:
 
 
 def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | None) -> list[str]:
-    """Return the arguments of the ping of this cell, without `--out`.
-
-    Args:
-        plan: parameters of all cells.
-        cell: parameters of this one.
-        wait_s: longest time that the ping waits for an echo.
-        relay_address: address of the relay's device, None on one machine.
-    """
+    """Return the arguments of a cell's ping, without `--out`; `relay_address` is None on one machine."""
     partner = plan.partners.get(replace(cell, repeat=1).name)
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
     return [
@@ -84,7 +74,7 @@ def _common_arguments(plan: Plan, device: DeviceSettings, number: int) -> list[s
 
 
 def _axis_arguments(parameters: Cell, names: Iterable[str]) -> list[str]:
-    """Return options for the values that differ from the default: `dds-record`'s own defaults are the plan's as well."""
+    """Return options for the values that are not the default, which a plan shares with `dds-record`."""
     return [
         argument
         for name in names

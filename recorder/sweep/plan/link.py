@@ -1,4 +1,4 @@
-"""A link between two network namespaces: its values, its presets, and the report of its work."""
+"""An emulated link between two network namespaces: values, presets, and its report."""
 
 from __future__ import annotations
 
@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """One emulated link, equal in both directions; a field left at its default is not applied.
-
-    Attributes: a key of a plan each, but `name`, which is `custom` where the plan names neither link nor preset.
-    """
+    """One emulated link, equal in both directions; a field at its default is not applied."""
 
     name: str = plan_key(
         "custom",
@@ -72,12 +69,12 @@ class Link:
 
     @property
     def connectivity(self) -> str:
-        """The sessions' `connectivity`, which says that the link is emulated."""
+        """The sessions' `connectivity`."""
         return f"emulated-{self.name}"
 
     @property
     def needs_only_rate(self) -> bool:
-        """Whether a queue discipline for the rate emulates the whole link."""
+        """Whether a queue discipline for the rate is enough."""
         return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms)
 
     def to_dict(self) -> dict[str, str | float]:
@@ -141,8 +138,7 @@ PRESETS: Mapping[str, Link] = {
     for link in (
         Link("ethernet-1g", rate_mbit_s=1000),
         Link("ethernet-100m", rate_mbit_s=100),
-        # 802.11g/a at its highest rate: the medium's rate is shared by both directions in the air and is
-        # each direction's own here, so two-way load sees more than real Wi-Fi would give it.
+        # 802.11g/a at its highest rate. In the air both directions share it; here each has it.
         Link("wifi-54", rate_mbit_s=54, delay_ms=1, jitter_ms=0.5, loss_percent=0.1),
         Link(
             "wifi-poor",
@@ -156,6 +152,6 @@ PRESETS: Mapping[str, Link] = {
         Link("5g", rate_mbit_s=100, delay_ms=10, jitter_ms=3, loss_percent=0.01),
     )
 }
-"""Typical links by name, examples and no standards; a plan's `[link]` may change single values."""
+"""Typical links, not standards; a plan's `[link]` may change single values."""
 
 LINK_KEYS = tuple(f.name for f in fields(Link) if f.name != "name")

@@ -1,4 +1,4 @@
-"""The schedule of a plan: the order in which its cells run, grouped by the relay that serves them, and its duration."""
+"""The schedule of a plan: the order of its cells, grouped by their relay, and its duration."""
 
 from __future__ import annotations
 
@@ -15,27 +15,26 @@ if TYPE_CHECKING:
     from .plan import Plan
 
 RUN_OVERHEAD_S = 1.5
-"""Start of the ping's process, discovery up to the echo, drain and close; measured with four middlewares on two slow cores."""
+"""Start, discovery, drain and close of a ping; measured with four middlewares on two slow cores."""
 
 OWN_COST_S = 1.0
-"""What a session measures of its own cost before its node opens, in the passes that do (`own_cost_passes`)."""
+"""Measurement of a session's own cost, in the passes that do it (`own_cost_passes`)."""
 
 BRIDGE_OVERHEAD_S = 2.0
 """Start and discovery of a bridge."""
 
 RELAY_OVERHEAD_S = 1.5
-"""End of one relay and start of the next, for which the ping of its first cell waits."""
+"""End of one relay and start of the next."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellGroup:
-    """Cells that one relay serves without a restart, in the order in which they run.
+    """Cells that one relay serves without a restart, in their order.
 
     Attributes:
-        number: 1, 2 ... in the order in which the groups run.
+        number: 1, 2 ... in the order of the groups.
         need: parameters of the relay.
-        bridge: bridge of all the cells, if one half of it runs beside the ping and one beside the relay; else None.
-        cells: the cells.
+        bridge: bridge of the cells, if half of it runs next to the relay.
     """
 
     number: int
@@ -45,10 +44,7 @@ class CellGroup:
 
 
 def schedule(plan: Plan) -> list[CellGroup]:
-    """Return all cells of the plan, each once for each pass, in groups of one relay.
-
-    The order depends on the plan's seed alone, so an interrupted sweep goes on in it.
-    """
+    """Return all cells of all passes in groups of one relay; the order depends only on the plan, so a sweep can continue."""
     groups = [
         group
         for number in range(1, plan.run.repeats + 1)
@@ -63,13 +59,7 @@ def number_groups(groups: Iterable[CellGroup], first: int = 1) -> list[CellGroup
 
 
 def schedule_pass(plan: Plan, cells: Iterable[Cell], number: int) -> list[CellGroup]:
-    """Return these cells as those of a pass, in the plan's order, in groups of one relay.
-
-    Args:
-        plan: has the order and its seed.
-        cells: cells of the plan.
-        number: number of the pass: 1, 2 ...
-    """
+    """Return these cells of pass `number` (1, 2 ...) in the plan's order, in groups of one relay."""
     groups = group_by_relay(plan, [replace(cell, repeat=number) for cell in cells])
     return _ORDERS[plan.run.order](groups, plan.run.seed, number)
 
@@ -79,17 +69,16 @@ def _listed(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
 
 
 def _shuffled(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
-    """Shuffle the relays and the cells of each relay, not all cells at once: a relay serves its cells without a restart."""
+    """Shuffle the relays, and the cells of each relay, which it serves without a restart."""
     chance = random.Random(f"{seed} {number}")  # noqa: S311 - an order, not a secret
     chance.shuffle(groups)
     return [replace(group, cells=tuple(chance.sample(group.cells, len(group.cells)))) for group in groups]
 
 
 def _alternating(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
-    """Shuffle an odd pass, and run an even one backwards through the pass before it.
+    """Shuffle an odd pass; run an even one backwards, so that a linear drift gives every cell the same mean.
 
-    A drift that is linear over two such passes gives every cell the same mean. Reversals alone would leave each cell
-    the same two neighbours in every pass, so each pair of passes has an order of its own.
+    Each pair of passes has its own order: else each cell would have the same neighbours in every pass.
     """
     shuffled = _shuffled(groups, seed, (number + 1) // 2)
     if number % 2:
@@ -102,15 +91,15 @@ _ORDERS: dict[Order, Callable[[list[CellGroup], int, int], list[CellGroup]]] = {
     Order.SHUFFLED: _shuffled,
     Order.ALTERNATING: _alternating,
 }
-"""Order -> function from the groups of a pass in the listed order, the seed and the number of the pass."""
+"""Order -> function of the listed groups of a pass, the seed and the number of the pass."""
 
 
 def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
-    """Return the cells in groups of one relay, relays and cells in the order of their first appearance."""
+    """Return the cells in groups of one relay, in the order of their first appearance."""
     served: dict[tuple[Cell, str | None], list[Cell]] = {}
     for cell in cells:
-        beside_relay = cell.bridge if plan.runs_halves(cell) else None
-        served.setdefault((cell.relay, beside_relay), []).append(cell)
+        half = cell.bridge if plan.runs_halves(cell) else None
+        served.setdefault((cell.relay, half), []).append(cell)
     return [
         CellGroup(number, need, bridge, tuple(listed))
         for number, ((need, bridge), listed) in enumerate(served.items(), 1)
@@ -119,11 +108,7 @@ def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
 
 @dataclass(frozen=True, slots=True)
 class Remaining:
-    """An estimate of the time that is left.
-
-    Attributes:
-        seconds: the estimate.
-    """
+    """An estimate of the remaining time."""
 
     seconds: float
 
@@ -137,13 +122,13 @@ class Remaining:
 
 @dataclass(slots=True)
 class Estimate:
-    """The duration of runs: their schedules, and the overhead of starting and ending one as measured so far."""
+    """The duration of runs: their schedules, and the overhead of a run as measured so far."""
 
     plan: Plan
     _measured_s: list[float] = field(default_factory=list)
 
     def cell_seconds(self, cell: Cell) -> float:
-        """Return the expected time of one run, settling included."""
+        """Return the expected time of a run, settling included."""
         overhead_s = RUN_OVERHEAD_S + BRIDGE_OVERHEAD_S * cell.crosses_domains
         overhead_s += OWN_COST_S * self.plan.run.measures_own_cost(cell.repeat)
         if self._measured_s:
@@ -151,16 +136,16 @@ class Estimate:
         return self.plan.run.planned_seconds(cell.rate) + overhead_s + self.plan.run.settle_seconds
 
     def measured(self, cell: Cell, seconds: float) -> None:
-        """Take the measured time of a run, from start to end of its ping, into the estimate."""
+        """Add the measured time of a run, from start to end of its ping."""
         self._measured_s.append(max(0.0, seconds - self.plan.run.planned_seconds(cell.rate)))
 
     def remaining(self, cells: list[Cell]) -> Remaining:
-        """Return the expected time of these cells, without the restarts of relays."""
+        """Return the expected time of these cells, without restarts of relays."""
         return Remaining(sum(self.cell_seconds(cell) for cell in cells))
 
 
 def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | None = None) -> Remaining:
-    """Return the expected time of the plan, or of another number of its passes or of starts of a relay."""
+    """Return the expected time of the plan, or of another number of passes or starts of a relay."""
     passes = plan.run.repeats if passes is None else passes
     first_s = Estimate(plan).remaining(list(plan.cells)).seconds
     measuring = min(passes, plan.run.own_cost_passes or passes)

@@ -1,4 +1,4 @@
-"""Tables of a TOML file that check the type of what is taken out of them; errors name file, table and key."""
+"""Tables of a TOML file with checked values; errors name file, table and key."""
 
 from __future__ import annotations
 
@@ -43,10 +43,9 @@ class TomlTable:
     """One table of a TOML file.
 
     Attributes:
-        values: the table's keys and values as the TOML parser gives them.
         path: path of the file, for errors.
-        key: dotted key of the table in the file, empty for the root.
-        validators: table of the file -> its keys and their validators; a key without one takes any value of its type.
+        key: dotted key of the table, empty for the root.
+        validators: table of the file -> its keys -> their validators.
     """
 
     values: Mapping[str, object]
@@ -61,13 +60,13 @@ class TomlTable:
         """Return the root table of a TOML text.
 
         Raises:
-            OptionError: `text` is no TOML, or none that this machine can take apart.
+            OptionError: `text` is not TOML, or cannot be parsed here.
         """
         try:
             return cls(tomllib.loads(text), path, validators=validators or {})
         except RecursionError as err:
             raise OptionError(f"{path}: a value is nested deeper than any plan needs") from err
-        except ValueError as err:  # TOMLDecodeError, and what an integer of 5000 digits raises
+        except ValueError as err:  # also of an integer of 5000 digits
             raise OptionError(f"{path}: {printable(err)}") from err
 
     @property
@@ -82,7 +81,7 @@ class TomlTable:
         )
 
     def tables(self, key: str) -> list[TomlTable]:
-        """Return the tables of an array of tables; a single table counts as an array of one."""
+        """Return an array of tables; a single table counts as an array of one."""
         if isinstance(self.values.get(key), dict):
             return [self.table(key)]
         return [
@@ -93,11 +92,7 @@ class TomlTable:
         ]
 
     def take(self, key: str, kind: type[_T], default: _D) -> _T | _D:
-        """Return the value of a key, or `default` if it is missing.
-
-        Raises:
-            OptionError: the value is not of the type `kind`.
-        """
+        """Return the checked value of a key, or `default` if it is missing."""
         return self.check(key, self.values[key], kind) if key in self.values else default
 
     def check(self, key: str, value: object, kind: type[_T]) -> _T:
@@ -116,22 +111,14 @@ class TomlTable:
         return kind(value) if is_number else value  # type: ignore[call-arg,return-value]  # float of an int
 
     def choose(self, key: str, value: object, choices: Collection[str]) -> str:
-        """Return `value` if it is one of `choices`.
-
-        Raises:
-            OptionError: it is none of them; the message has the nearest one, or all.
-        """
+        """Return `value` if it is one of `choices`; the error names the nearest one, or all."""
         if not isinstance(value, str) or value not in choices:
             near = limits.nearest(value if isinstance(value, str) else "", choices)
             raise OptionError(f"{self.where}: {key} is {limits.shown(value)}; {near}")
         return value
 
     def allow(self, *keys: str) -> None:
-        """Refuse every key that is not among `keys`.
-
-        Raises:
-            OptionError: the table has such a key.
-        """
+        """Raise an `OptionError` for a key that is not among `keys`."""
         for key in self.values:
             if key not in keys:
                 raise OptionError(
@@ -141,9 +128,7 @@ class TomlTable:
     def fill(self, defaults: _Record) -> _Record:
         """Return a dataclass with the table's values, and with those of `defaults` where a key is missing.
 
-        Raises:
-            OptionError: a key is no field, or its value is not of the type of the default. The values of an Enum are
-                its choices; a tuple takes one text or a list of them; a default of None stands for a text.
+        A value has the type of its default: an Enum takes its values, a tuple one text or a list of texts, None a text.
         """
         names = [field.name for field in fields(defaults)]
         self.allow(*names)

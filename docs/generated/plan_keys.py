@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
-from dds_trace.recorder.sweep.plan.tables import TABLES, axis_choices
+from dds_trace.recorder.sweep.plan.schema import TABLES, axis_choices
 
 from .markdown import code, table
 
@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from dds_trace.base.limits import Limit
-    from dds_trace.recorder.sweep.plan.tables import Table, TableKey
+    from dds_trace.recorder.sweep.plan.cells import Key
+    from dds_trace.recorder.sweep.plan.schema import Table
 
 _AXES = TABLES["axes"].keys
 _KINDS = {str: "text", int: "whole number", float: "number", bool: "true or false"}
@@ -28,7 +29,7 @@ _BOUNDS: Mapping[type[Limit], Callable[..., list[str]]] = {
 
 def plan_keys() -> str:
     """Return a section for each table, and a row for each key: its value, bounds, default and meaning."""
-    return "\n".join(_section(name, each) for name, each in TABLES.items())
+    return "\n".join(_section(name, table) for name, table in TABLES.items())
 
 
 def _section(name: str, of: Table) -> str:
@@ -39,14 +40,14 @@ def _section(name: str, of: Table) -> str:
     return "\n".join([f"## {title}\n", f"{of.meaning}\n", *shown])
 
 
-def _row(of: str, name: str, key: TableKey) -> list[str]:
-    default = key.key.default or _default(key.default)
-    return [code(name), "; ".join(_values(of, name, key)), default, key.key.meaning]
+def _row(of: str, name: str, key: Key) -> list[str]:
+    default = key.default_words or _default(key.default)
+    return [code(name), "; ".join(_values(of, name, key)), default, key.meaning]
 
 
-def _values(of: str, name: str, key: TableKey) -> Iterator[str]:
+def _values(of: str, name: str, key: Key) -> Iterator[str]:
     """Yield what a value may be: its choices, or its kind with its unit and its bounds."""
-    limit = key.key.limit
+    limit = key.limit
     choices = axis_choices(name) if of == "axes" else []
     if isinstance(limit, limits.OneOf):
         choices = [f"{choice:g}" if isinstance(choice, float) else choice for choice in limit.choices]
@@ -54,7 +55,7 @@ def _values(of: str, name: str, key: TableKey) -> Iterator[str]:
         yield ", ".join(map(code, choices))
         return
     kind = _KINDS[key.kind] + (" or a list of them" if key.takes_list and of != "axes" else "")
-    yield f"{kind}, {key.key.unit}" if key.key.unit else kind
+    yield f"{kind}, {key.unit}" if key.unit else kind
     yield from _BOUNDS[type(limit)](limit)
 
 

@@ -32,18 +32,26 @@ class Key:
         meaning: for the reference and editors.
         limit: validator of the value.
         unit: unit of a number.
-        default: the default in words, where the field's own does not say it.
+        default_words: the default in words, where `default` does not say it.
+        kind: type of the value; a float may be written as a whole number.
+        takes_list: whether it may be a list of values.
     """
 
     meaning: str
     limit: Limit = limits.TEXT
     unit: str = ""
-    default: str = ""
+    default_words: str = ""
+    kind: type = str
+    default: object = None
+    takes_list: bool = False
 
 
 def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default_words: str = "") -> _T:
     """Return a dataclass field that is a key of a plan; the arguments are those of `Key`."""
-    value: _T = field(default=default, metadata={"key": Key(meaning, limit, unit, default_words)})
+    kind = str if default is None or isinstance(default, tuple | Enum) else type(default)
+    shown = default.value if isinstance(default, Enum) else default
+    key = Key(meaning, limit, unit, default_words, kind, shown, isinstance(default, tuple))
+    value: _T = field(default=default, metadata={"key": key})
     return value
 
 
@@ -55,14 +63,12 @@ class PlanAxis(Key):
         option: option of `dds-record`, empty for none.
         of_relay: whether the relay is started with it too.
         row: option whose choices are those of the axis.
-        value: value where the plan is silent.
     """
 
+    takes_list: bool = True
     option: str = ""
     of_relay: bool = False
-    kind: type = str
     row: Option | None = None
-    value: object = None
 
     @property
     def choices(self) -> list[str]:
@@ -78,31 +84,33 @@ def _axis_of(row: Option) -> PlanAxis:
         row.axis.meaning or row.help.rstrip(".:"),
         row.limit or limits.TEXT,
         unit=row.axis.unit,
-        default=row.default if default is None else "",
+        default_words=row.default if default is None else "",
         option=row.name,
         of_relay=row.axis.of_relay,
         kind=row.axis.kind or (str if issubclass(row.kind, Enum) else row.kind),
         row=row,
-        value=getattr(default, "value", default),
+        default=getattr(default, "value", default),
     )
 
 
 AXES: Mapping[str, PlanAxis] = {
     **{row.name[2:].replace("-", "_"): _axis_of(row) for row in OPTIONS.values() if row.axis},
     "relay_backend": PlanAxis(
-        "backend of the relay", default="the ping's", option="--backend", row=OPTIONS["backend"]
+        "backend of the relay", default_words="the ping's", option="--backend", row=OPTIONS["backend"]
     ),
-    "relay_rmw": PlanAxis("ROS middleware of the relay", limits.RMW, default="the ping's", option="--rmw"),
+    "relay_rmw": PlanAxis(
+        "ROS middleware of the relay", limits.RMW, default_words="the ping's", option="--rmw"
+    ),
     "environment": PlanAxis(
         "folder of the Python environment whose `dds-record` runs; both sides on this machine",
-        default="this environment",
+        default_words="this environment",
         of_relay=True,
-        value="",
+        default="",
     ),
 }
 """The axes of a plan: options of `dds-record`, and what else two sides may differ in."""
 
-DEFAULTS: dict[str, Any] = {name: axis.value for name, axis in AXES.items()}
+DEFAULTS: dict[str, Any] = {name: axis.default for name, axis in AXES.items()}
 """Value of each axis where a plan is silent."""
 
 RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.of_relay)

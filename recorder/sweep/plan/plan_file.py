@@ -18,7 +18,7 @@ from ...payloads import check_data
 from .cells import AXES, DEFAULTS, Cell
 from .link import LINK_KEYS, PRESETS, Link
 from .plan import DeviceSettings, Exclusion, Network, Plan, RunSettings, Search
-from .tables import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
+from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 from .toml_table import TomlTable
 
 if TYPE_CHECKING:

@@ -1,14 +1,13 @@
-"""The JSON schema of a plan, by which editors complete its keys and mark what the parser would refuse.
+"""The tables of a plan and their keys, and the JSON schema with which editors complete them.
 
-It refuses nothing that the parser takes. What it cannot say, and the parser does: NaN and numbers outside of an integer's
-type, what data and bags there are, and rules of several keys (two cells of one name, an outage of length zero, rates in the
-wrong order).
+The schema refuses nothing that the parser accepts. It cannot say all: NaN, huge integers, missing data, rules of several keys.
 """
 
 from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base import limits
@@ -16,22 +15,119 @@ from dds_trace.base.units import UNIT_BYTES
 
 from ...payloads import PAYLOADS, data_types
 from ...payloads.base import Source
-from .tables import TABLES, axis_choices
+from .cells import AXES, Key
+from .link import PRESETS, Link
+from .plan import DeviceSettings, Network, RunSettings, Search
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from _typeshed import DataclassInstance
+
     from dds_trace.base.limits import Limit
 
-    from .tables import Table, TableKey
+INSTALLED = "installed"
+"""Value of `backend` that stands for every middleware of this machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of a plan; a repeated one may be written several times, as `[[name]]`."""
+
+    meaning: str
+    keys: Mapping[str, Key]
+    subtables: tuple[str, ...] = ()
+    is_repeated: bool = False
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The names of its keys and tables."""
+        return (*self.keys, *self.subtables)
+
+
+def _keys_of(record: type[DataclassInstance], *, without: str = "") -> dict[str, Key]:
+    """Return the fields of a record that are keys."""
+    return {
+        column.name: column.metadata["key"]
+        for column in fields(record)
+        if "key" in column.metadata and column.name != without
+    }
+
+
+def _text(meaning: str, limit: Limit = limits.TEXT, default: str = "none") -> Key:
+    return Key(meaning, limit, default_words=default)
+
+
+TABLES: Mapping[str, Table] = {
+    "": Table(
+        "At the top of the file, before any table.",
+        {
+            "name": _text("name of the folder below `--out`", limits.FILE_NAME, "the name of the file"),
+            "description": _text("what the plan is for, in words"),
+        },
+        ("axes", "matrix", "exclude", "run", "devices", "network", "link", "search"),
+    ),
+    "axes": Table(
+        "Every combination of the values is a cell; `[axes]` is combined with each `[[matrix]]`. Several `[[axes]]` are each combined "
+        "with every `[[matrix]]`, for values that belong together (a vendor and its own bridge). Each key takes one value or a list.",
+        AXES,
+        is_repeated=True,
+    ),
+    "matrix": Table("The same keys as `[axes]`.", AXES, is_repeated=True),
+    "exclude": Table(
+        "Cells to leave out: those whose every named axis has one of the values. The same keys as `[axes]`, and",
+        {**AXES, "reason": _text("why, shown by `--dry-run`")},
+        is_repeated=True,
+    ),
+    "run": Table("What all cells have in common.", _keys_of(RunSettings)),
+    "devices": Table(
+        "The two devices; both are this machine unless the relay has `ssh`.",
+        {
+            "connectivity": _text(
+                "the link as the traces name it: `loopback`, `wired`, `wireless`, or a word of yours",
+                limits.NAME,
+                "`loopback` on one machine, `wired` between namespaces, `emulated-NAME` over `[link]`; looked up on two devices",
+            )
+        },
+        ("ping", "relay"),
+    ),
+    "devices.ping": Table("The ping's device: this machine.", _keys_of(DeviceSettings, without="ssh")),
+    "devices.relay": Table(
+        "The relay's device. **A plan is code**: these run on both machines.", _keys_of(DeviceSettings)
+    ),
+    "network": Table("On one machine.", _keys_of(Network)),
+    "link": Table(
+        "An emulated link between two namespaces of this machine, equal in both directions.",
+        {
+            "preset": _text(
+                f"a link to start from, of which single values can be changed: {', '.join(f'`{name}`' for name in PRESETS)}",
+                limits.OneOf(tuple(PRESETS)),
+            ),
+            **_keys_of(Link),
+        },
+    ),
+    "search": Table("What `--max-rate` looks for.", _keys_of(Search)),
+}
+"""Dotted name -> table; the root has no name."""
+
+PLAN_LIMITS: Mapping[str, Mapping[str, Limit]] = {
+    name: {word: key.limit for word, key in table.keys.items()} for name, table in TABLES.items()
+}
+"""Table of a plan -> its keys -> the validator of each."""
+
+
+def axis_choices(name: str) -> list[str]:
+    """Return the values that an axis takes, the default first; empty for any of its type."""
+    return [*AXES[name].choices, *([INSTALLED] if name == "backend" else [])]
+
 
 Schema: TypeAlias = "dict[str, object]"
 
 SCHEMA_FILE_NAME = "plan.schema.json"
-"""Name under which the schema lies beside plans; their first line names it."""
+"""Name of the schema in the folder of a plan."""
 
 POINTER = f"#:schema ./{SCHEMA_FILE_NAME}"
-"""First line of a plan, by which Taplo, Tombi and the editors on them find the schema."""
+"""First line of a plan, with which Taplo and Tombi find the schema."""
 
 _JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean"}
 _LINK = re.compile(r"\[([^]]+)\]\([^)]+\)")
@@ -55,7 +151,7 @@ def schema_text() -> str:
 
 
 def _object(name: str, table: Table) -> Schema:
-    inner = {f"{name}.{each}".lstrip("."): each for each in table.subtables}
+    inner = {f"{name}.{word}".lstrip("."): word for word in table.subtables}
     properties: dict[str, object] = {word: _reference(name, word, key) for word, key in table.keys.items()}
     properties |= {word: _table(path) for path, word in inner.items()}
     return {"type": "object", "additionalProperties": False, "properties": properties, **_RULES.get(name, {})}
@@ -63,20 +159,20 @@ def _object(name: str, table: Table) -> Schema:
 
 def _table(name: str) -> Schema:
     table = TABLES[name]
-    said: Schema = {"description": plain(table.meaning)}
+    schema: Schema = {"description": plain(table.meaning)}
     if not table.is_repeated:
-        return said | _object(name, table)
-    # A table or an array of them: what is no table is no object, so that the properties do not concern it.
+        return schema | _object(name, table)
+    # A table or an array of tables.
     one = _object(name, table)
-    return said | {
+    return schema | {
         **one,
         "type": ["object", "array"],
         "items": {"$ref": f"#/properties/{name}", "type": "object"},
     }
 
 
-def _reference(table: str, name: str, key: TableKey) -> Schema:
-    """Return a key; those of `[axes]` are said once, as three tables have them."""
+def _reference(table: str, name: str, key: Key) -> Schema:
+    """Return a key; three tables share those of `[axes]`."""
     return (
         {"$ref": f"#/$defs/{name}"}
         if name in TABLES["axes"].keys and key.takes_list
@@ -84,40 +180,39 @@ def _reference(table: str, name: str, key: TableKey) -> Schema:
     )
 
 
-def _key(table: str, name: str, key: TableKey) -> Schema:
+def _key(table: str, name: str, key: Key) -> Schema:
     value = _value(table, name, key)
     if key.takes_list:
         value = {"anyOf": [value, {"type": "array", "items": value}]}
-    said: Schema = {"description": plain(key.key.meaning) + (f" ({key.key.unit})" if key.key.unit else "")}
-    # A default in words is that of the whole plan, not of the key.
-    if key.default not in (None, "", ()) and not key.key.default:
-        said["default"] = key.default
-    return said | value
+    schema: Schema = {"description": plain(key.meaning) + (f" ({key.unit})" if key.unit else "")}
+    if key.default not in (None, "", ()) and not key.default_words:
+        schema["default"] = key.default
+    return schema | value
 
 
-def _value(table: str, name: str, key: TableKey) -> Schema:
+def _value(table: str, name: str, key: Key) -> Schema:
     """Return what one value of a key may be."""
     if table == "axes":
         choices = axis_choices(name)
-        value: Schema = {"enum": choices} if choices else _AXES.get(name, _of_limit)(key)
-        # An empty text is the None of an axis that may be None.
+        value: Schema = {"enum": choices} if choices else _SPECIAL_AXES.get(name, _of_limit)(key)
+        # An empty text means None.
         return {"anyOf": [value, {"const": ""}]} if key.default is None else value
     return _of_limit(key)
 
 
-def _of_limit(key: TableKey) -> Schema:
-    limit = key.key.limit
+def _of_limit(key: Key) -> Schema:
+    limit = key.limit
     return {"type": _JSON_TYPES[key.kind], **_BOUNDS[type(limit)](limit)}
 
 
-def _size(key: TableKey) -> Schema:
+def _size(key: Key) -> Schema:
     units = "|".join(sorted(filter(None, UNIT_BYTES), key=lambda unit: (-len(unit), unit)))
     letters = "".join(f"[{letter}{letter.upper()}]" if letter.isalpha() else letter for letter in units)
     text = {"type": "string", "pattern": rf"^\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*({letters})?\s*$"}
     return {"anyOf": [_of_limit(key), text]}
 
 
-def _data(_: TableKey) -> Schema:
+def _data(_: Key) -> Schema:
     sources = [name for name, payload in PAYLOADS.items() if isinstance(payload, Source)]
     text = {
         "type": "string",
@@ -127,12 +222,12 @@ def _data(_: TableKey) -> Schema:
     return {"anyOf": [{"enum": list(data_types())}, text]}
 
 
-_AXES: Mapping[str, Callable[[TableKey], Schema]] = {"size": _size, "data": _data}
-"""Axes of which a value is more than its type and validator tell."""
+_SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"size": _size, "data": _data}
+"""Axes whose values are not described by type and limit."""
 
 
 def _words(limit: limits.Words) -> Schema:
-    """Return the length and the pattern of a text, with letters and end spelled as every engine reads them."""
+    """Return length and pattern of a text, in the syntax of every engine."""
     pattern = r"[^\x00]*"
     if limit is not limits.TEXT:
         pattern = f"(?:{limit.pattern.pattern})".replace(r"\Z", "$")
@@ -150,7 +245,7 @@ _BOUNDS: Mapping[type[Limit], Callable[..., Schema]] = {
     limits.OneOf: lambda limit: {"enum": list(limit.choices)},
     limits.Flag: lambda _: {},
 }
-"""Kind of validator -> its bounds as the schema says them."""
+"""Kind of limit -> its bounds in the schema."""
 
 _ABOVE_ZERO = {"exclusiveMinimum": 0}
 _RULES: Mapping[str, Schema] = {
@@ -162,9 +257,9 @@ _RULES: Mapping[str, Schema] = {
         ]
     },
 }
-"""Table -> its rules of several keys: a run has a length in messages or in time."""
+"""Table -> rules of several keys: a run has a length in messages or in time."""
 
 
 def plain(text: str) -> str:
-    """Return a meaning without the addresses of its links."""
+    """Return a meaning without links."""
     return _LINK.sub(r"\1", text)

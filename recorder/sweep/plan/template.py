@@ -16,8 +16,7 @@ from ...options import DEFAULT_MESSAGES
 from ...payloads import PAYLOADS, check_data
 from ...payloads.base import Source
 from .link import PRESETS
-from .schema import POINTER, plain
-from .tables import INSTALLED, TABLES
+from .schema import INSTALLED, POINTER, TABLES, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -148,9 +147,7 @@ def _where(place: str) -> list[str]:
     if place in PRESETS:
         return [_block("[link]", "link", [_line("link", "preset", place)])]
     lines = [_line("devices.relay", "ssh", place)]
-    further = [
-        f"# {key}: {plain(TABLES['devices.relay'].keys[key].key.meaning)}" for key in ("setup", "path")
-    ]
+    further = [f"# {key}: {plain(TABLES['devices.relay'].keys[key].meaning)}" for key in ("setup", "path")]
     return [_block("[devices.relay]", "devices.relay", [*lines, *further])]
 
 
@@ -159,7 +156,7 @@ def _block(title: str, table: str, lines: Sequence[str]) -> str:
 
 
 def _line(table: str, key: str, value: object) -> str:
-    return f"{_comment(plain(TABLES[table].keys[key].key.meaning))}\n{key} = {_toml(value)}"
+    return f"{_comment(plain(TABLES[table].keys[key].meaning))}\n{key} = {_toml(value)}"
 
 
 def _comment(text: str) -> str:

@@ -21,8 +21,7 @@ from dds_trace.recorder.sweep.plan.link import LINK_KEYS
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings, RunSettings, Search
 from dds_trace.recorder.sweep.plan.plan_file import read_plan
 from dds_trace.recorder.sweep.plan.schedule import plan_seconds, schedule
-from dds_trace.recorder.sweep.plan.schema import plan_schema
-from dds_trace.recorder.sweep.plan.tables import PLAN_LIMITS
+from dds_trace.recorder.sweep.plan.schema import PLAN_LIMITS, plan_schema
 
 if sys.version_info >= (3, 11):
     import tomllib

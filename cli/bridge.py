@@ -135,7 +135,7 @@ def _list(*, as_json: bool) -> None:
                 "program": None if program is None else str(program),
                 "version": None if program is None else bridge.version(program),
                 "install": bridge.install,
-            },
+            }
         )
     if as_json:
         print(json.dumps(rows, indent=2))

@@ -74,8 +74,7 @@ def compare_command(
         typer.Option(metavar="KIND", help="Report to write: terminal, md, json, junit or html."),
     ] = ComparisonReport.TERMINAL,
     shows_all: Annotated[
-        bool,
-        typer.Option("--all", help="Show every result and gate in terminal and md, not only the first."),
+        bool, typer.Option("--all", help="Show every result and gate in terminal and md, not only the first.")
     ] = False,
     ignore: Annotated[
         str,
@@ -139,11 +138,7 @@ def compare_command(
 
 
 def _text(
-    report: ComparisonReport,
-    info: "ComparisonInfo",
-    comparison: "Comparison",
-    title: str,
-    shows_all: bool,
+    report: ComparisonReport, info: "ComparisonInfo", comparison: "Comparison", title: str, shows_all: bool
 ) -> str:
     from dds_trace.reports.comparison import document, junit, markdown, page, terminal
 

@@ -99,10 +99,7 @@ class Option:
         return tuple(given) if self.is_repeatable else given
 
 
-_ROLES = {
-    **dict.fromkeys((Panel.MESSAGE, Panel.SCHEDULE, Panel.BRIDGE), Role.PING),
-    Panel.RELAY: Role.RELAY,
-}
+_ROLES = {**dict.fromkeys((Panel.MESSAGE, Panel.SCHEDULE, Panel.BRIDGE), Role.PING), Panel.RELAY: Role.RELAY}
 """Panel whose options only one role takes -> that role."""
 
 OUTSIDE_OF_KEY = {"in_key": False}

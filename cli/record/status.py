@@ -53,10 +53,7 @@ def _lines(listed: Listed) -> list[str]:
     files = f", {counted(entry.files, 'file')}" if entry.files > 1 else ""
     middleware = entry.rmw or entry.backend
     first = f"{entry.role}  domain {entry.domain_id}  {middleware}  pid {entry.pid}  "
-    lines = [
-        f"{first}{counted(entry.messages, 'message')}{files}",
-        f"    since {since}, into {entry.path}",
-    ]
+    lines = [f"{first}{counted(entry.messages, 'message')}{files}", f"    since {since}, into {entry.path}"]
     if listed.state is State.KILLED:
         lines[0] = f"killed: {lines[0]}"
         waits = f"its last events wait in the ring: dds-record --recover {listed.waiting}"

@@ -41,10 +41,7 @@ class NewSide:
 
 
 def new_side(
-    text: str,
-    base_path: Path,
-    base: Plan,
-    installed: Callable[[], Collection[tuple[str, str | None]]],
+    text: str, base_path: Path, base: Plan, installed: Callable[[], Collection[tuple[str, str | None]]]
 ) -> NewSide:
     """Return the side that `--against` names: a plan, the folder of a Python environment, or `SAME`.
 

@@ -41,8 +41,7 @@ class Printed(str, Enum):
 @declare_command(app, "sweep")
 def main_command(
     plan: Annotated[
-        Path,
-        typer.Argument(metavar="PLAN", help="TOML file, e.g. plans/quick.toml.", show_default=False),
+        Path, typer.Argument(metavar="PLAN", help="TOML file, e.g. plans/quick.toml.", show_default=False)
     ],
     out: Annotated[
         Path,

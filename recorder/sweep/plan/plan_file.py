@@ -70,12 +70,7 @@ def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = F
 
 
 def parse_plan(
-    text: str,
-    name: str,
-    where: str,
-    installed: FindInstalled = tuple,
-    *,
-    by_hand: bool = False,
+    text: str, name: str, where: str, installed: FindInstalled = tuple, *, by_hand: bool = False
 ) -> Plan:
     """Return the plan in a TOML text; `where` names the text in errors, which are those of `read_plan`."""
     root = TomlTable.parse(text, where, PLAN_LIMITS)

@@ -214,11 +214,7 @@ def _size(key: Key) -> Schema:
 
 def _data(_: Key) -> Schema:
     sources = [name for name, payload in PAYLOADS.items() if isinstance(payload, Source)]
-    text = {
-        "type": "string",
-        "pattern": rf"^({'|'.join(sources)}):[^\x00]+$",
-        "maxLength": limits.TEXT.most,
-    }
+    text = {"type": "string", "pattern": rf"^({'|'.join(sources)}):[^\x00]+$", "maxLength": limits.TEXT.most}
     return {"anyOf": [{"enum": list(data_types())}, text]}
 
 
@@ -255,7 +251,7 @@ _RULES: Mapping[str, Schema] = {
             {"required": ["seconds"], "properties": {"seconds": _ABOVE_ZERO}},
             {"not": {"anyOf": [{"required": ["messages"]}, {"required": ["seconds"]}]}},
         ]
-    },
+    }
 }
 """Table -> rules of several keys: a run has a length in messages or in time."""
 

@@ -1,8 +1,6 @@
 """`dds-analyze runs/`: a folder of traces becomes tables, reports and Parquet files.
 
-Further commands, such as `dds-analyze compare BASE NEW`, are entries of `COMMANDS`: the first argument chooses
-one, and anything else belongs to the command without a name. So no command changes what `dds-analyze runs/`
-means; a folder that bears the name of a command is written `./compare`.
+The first argument may be a command of `COMMANDS`; a folder of that name is written `./compare`.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ if TYPE_CHECKING:
 
 
 def expand_paths(texts: Sequence[str]) -> list[Path]:
-    """Return the paths that these texts mean: each one that is there or in object storage, and what a pattern matches.
+    """Return the paths that exist, that are in object storage, or that match a pattern.
 
     Raises:
         OptionError: a text cannot be a path.
@@ -57,11 +55,11 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
 
 
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-"""Any of these is set where a browser can show something: without one, `webbrowser` may start a text browser in this terminal."""
+"""One of these is set on a desktop; without one, `webbrowser` may start a text browser in this terminal."""
 
 
 def open_page(page: Path) -> None:
-    """Open a page in the default browser; where that cannot be, print a line to stderr that says so."""
+    """Open a page in the default browser, or print that there is no desktop."""
     import webbrowser
 
     if any(map(os.environ.get, DESKTOP_VARIABLES)) and webbrowser.open(page.absolute().as_uri()):
@@ -73,22 +71,18 @@ def open_page(page: Path) -> None:
 
 
 HTML = "html"
-"""The kind of report that `--open` opens."""
+"""Kind of report that `--open` opens."""
 
 
 class ExportKind(str, Enum):
-    """Kinds of export; the keys of `EXPORTERS` in analyzer/exports/tables.py."""
+    """Kinds of export, keys of `EXPORTERS`."""
 
     CSV = "csv"
     ARROW = "arrow"
 
 
-def _known_kinds(kinds: list[str] | None) -> list[str] | None:
-    """Refuse a kind of report that the table of reporters does not have.
-
-    Raises:
-        typer.BadParameter: as for an option with a fixed choice.
-    """
+def _check_kinds(kinds: list[str] | None) -> list[str] | None:
+    """Refuse an unknown kind of report, as typer does for a fixed choice."""
     for kind in kinds or ():
         if kind not in REPORT_MODULES:
             raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, REPORT_MODULES))}.")
@@ -119,7 +113,7 @@ def main_command(
             metavar="KIND",
             help=f"Report to write: {', '.join(REPORT_MODULES)}; repeatable. Default: terminal",
             show_default=False,
-            callback=_known_kinds,
+            callback=_check_kinds,
         ),
     ] = None,
     out: Annotated[
@@ -253,7 +247,7 @@ def main_command(
 
 
 def _show_page(pages: list[Path], *, open_it: bool) -> None:
-    """Print the address of the page, where there is one, as the last line; open it if that was asked for."""
+    """Print the address of the page as the last line, and open it if requested."""
     for page in pages:
         if open_it:
             open_page(page)
@@ -261,11 +255,7 @@ def _show_page(pages: list[Path], *, open_it: bool) -> None:
 
 
 def _parse_deadline(text: str | None) -> tuple[int | None, str]:
-    """Return the deadline in ns, None for none, and the metric that it is for.
-
-    Raises:
-        OptionError: the time or the metric is not understood.
-    """
+    """Return the deadline in ns, None for none, and its metric."""
     from dds_trace.analyzer.groups.batch import DEADLINE_METRIC, DEADLINE_METRICS
     from dds_trace.base.errors import OptionError
 
@@ -305,7 +295,7 @@ def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
 
 
 COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.app}
-"""Name -> command; anything else as first argument belongs to the command without a name."""
+"""Name -> command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -317,7 +307,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def _reading_bar() -> Iterator[Callable[[int, int, Path], None] | None]:
-    """Show a bar on stderr while the block runs; yield its update, or None where stderr is no terminal."""
+    """Show a bar on stderr during the block; yield its update, or None where stderr is not a terminal."""
     if not sys.stderr.isatty():
         yield None
         return

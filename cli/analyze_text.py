@@ -1,4 +1,4 @@
-"""The tables that `dds-analyze` prints of the topics of foreign recordings: one for each recording, in 80 columns."""
+"""Tables of the topics of other tools' recordings."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 HOW_TO_READ = (
-    "Size: the mean. Gaps: intervals of more than two typical ones, where messages are missing. Jitter: how much the intervals vary (standard "
-    "deviation). Age: median from the header's stamp, or else from publishing, to the recording; with two machines it is wrong by "
-    "what their clocks differ."
+    "Size: mean. Gaps: intervals longer than two typical ones, where messages are missing. Jitter: standard deviation of the "
+    "intervals. Age: median from the header's stamp, or from publishing, to the recording; between two machines it includes the "
+    "difference of their clocks."
 )
 _COLUMNS = (("Messages", 8), ("Rate", 8), ("Gaps", 5), ("Jitter", 7), ("Size", 7), ("Age", 15))
 

@@ -1,4 +1,4 @@
-"""`dds-analyze compare BASE NEW`: two folders of traces against each other, as a table or as a gate for CI."""
+"""`dds-analyze compare BASE NEW`: two folders of traces, as a table or as a gate for CI."""
 
 import sys
 from enum import Enum
@@ -152,11 +152,7 @@ def _text(
 
 
 def _print_or_write(text: str, out: Path | None) -> None:
-    """Print a report, or write it to `out`.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Print a report, or write it to `out`."""
     from dds_trace.base.errors import OutputError
     from dds_trace.base.files import replacing
 
@@ -173,7 +169,7 @@ def _print_or_write(text: str, out: Path | None) -> None:
 
 
 def _print_outcome(outcome: "GateOutcome", *, gated: bool) -> None:
-    """Print the outcome to stderr; without a gate, only that there is nothing to compare."""
+    """Print the outcome to stderr."""
     from dds_trace.analyzer.verdicts.gate import GateOutcome
 
     if gated or outcome is GateOutcome.NOTHING_TO_COMPARE:

@@ -1,7 +1,7 @@
-"""Defaults of options from `dds-trace.toml`: where the file is looked for, what may stand in it, and where a value is from.
+"""Defaults of options from `dds-trace.toml`.
 
-An option counts most, then a variable of ROS 2, then the file in the working directory or above it, then the user's own, then what
-`--help` says. `dds-sweep` starts its programs without any file (`VARIABLE` empty): a plan says all of what it measures.
+First an option counts, then a variable of ROS 2, then the file in the working directory or above it, then the user's own file,
+then the default of `--help`.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 FILE_NAME = "dds-trace.toml"
 
 VARIABLE = "DDS_TRACE_CONFIG"
-"""Variable that names the file in place of all others; empty for none."""
+"""Variable that names the file instead of all others; empty for none."""
 
 TABLES = ("record", "bridge", "sweep", "analyze", "compare", "watch")
-"""Tables of the file, one for each command."""
+"""Tables of the file, one per command."""
 
 _MOST_BYTES = 1 << 20
 
-_EACH_TIME = frozenset(
+_WITHOUT_DEFAULT = frozenset(
     ("force", "recover", "self-test", "check", "dry-run", "print", "print-config", "version", "help", "list")
 )
-"""Options that are given each time: what overwrites, and what ends a command before it does its part."""
+"""Options without a configured default: they overwrite, or do something else than the command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,36 +42,33 @@ class Default:
 
 
 def find_files() -> list[Path]:
-    """Return the files that hold defaults, the one that counts most first; that of `VARIABLE` alone if it is set."""
+    """Return the files of defaults, the first one counts most; only that of `VARIABLE` if it is set."""
     named = os.environ.get(VARIABLE)
     if named is not None:
         return [Path(named)] if named else []
     nearest = next((path for folder in _folders() if (path := folder / FILE_NAME).is_file()), None)
     config = os.environ.get("XDG_CONFIG_HOME") or os.path.join(_home(), ".config")  # noqa: PTH118 - no home, no folder
     own = Path(config, "dds-trace", FILE_NAME)
-    found = [path for path in (nearest, own) if path is not None]
-    return [path for path in dict.fromkeys(found) if path.is_file()]
+    paths = [path for path in (nearest, own) if path is not None]
+    return [path for path in dict.fromkeys(paths) if path.is_file()]
 
 
 def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]) -> dict[str, Default]:
-    """Read the defaults of one command.
+    """Return name of an option -> its default, for one command.
 
     Args:
-        files: the one that counts most first.
-        table: its table.
-        options: name of each option without its dashes -> whether it may be given several times.
-
-    Returns:
-        Name of an option -> its default.
+        files: the first one counts most.
+        table: the command's table.
+        options: name of each option without dashes -> whether it is repeatable.
 
     Raises:
-        OptionError: a file cannot be read, belongs to somebody else, or has a key that no option is.
+        OptionError: a file cannot be read, belongs to another user, or has an unknown key.
     """
-    found: dict[str, Default] = {}
+    defaults: dict[str, Default] = {}
     for path in reversed(files):
         for key, value in _read(path, table, options).items():
-            found[key] = Default(value, path)
-    return found
+            defaults[key] = Default(value, path)
+    return defaults
 
 
 def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, object]:
@@ -84,7 +81,9 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
             data = file.read(_MOST_BYTES + 1)
         text = data.decode()
     except OSError as err:
-        raise OptionError(f"{path}: {err.strerror}; name another file in {VARIABLE}, or none") from err
+        raise OptionError(
+            f"{path}: {err.strerror}; name another file in {VARIABLE}, or leave it empty"
+        ) from err
     except UnicodeDecodeError as err:
         raise OptionError(f"{path}: {err}; it is UTF-8 text") from err
     if len(data) > _MOST_BYTES:
@@ -92,9 +91,9 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
     root = TomlTable.parse(text, str(path))
     root.allow(*TABLES)
     own = root.table(table)
-    allowed = [name for name in options if name not in _EACH_TIME]
+    allowed = [name for name in options if name not in _WITHOUT_DEFAULT]
     for key, value in own.values.items():
-        if key in _EACH_TIME and key in options:
+        if key in _WITHOUT_DEFAULT and key in options:
             raise OptionError(f"{own.where}: {key} has no default; give --{key} each time")
         own.allow(*allowed)
         if isinstance(value, dict) or (isinstance(value, list) and not options[key]):
@@ -106,7 +105,7 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
 
 
 def _folders() -> Iterator[Path]:
-    """Yield the working directory and those above it, as far as the repository or the home that it lies in; else it alone."""
+    """Yield the working directory and those above it up to the repository or home; outside of both only itself."""
     here = Path.cwd()
     home = Path(_home())
     above = []
@@ -119,11 +118,7 @@ def _folders() -> Iterator[Path]:
 
 
 def _check_owner(path: Path, owner: int) -> None:
-    """Refuse a file that somebody else laid into a folder that is not theirs, such as `/tmp`.
-
-    Raises:
-        OptionError: it is one.
-    """
+    """Refuse a file that another user put into a shared folder such as `/tmp`."""
     trusted = {os.geteuid(), 0, path.parent.stat().st_uid}
     if owner not in trusted:
         raise OptionError(

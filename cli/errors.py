@@ -1,4 +1,4 @@
-"""The one place that turns a `TraceError`, or a package that is missing, into a line on stderr and an exit code."""
+"""Turns a `TraceError`, or a missing package, into a line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -12,19 +12,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _EXTRA = re.compile(r"""(?P<package>[\w-]+).*\bextra == ['"](?P<extra>\w+)['"]""")
-"""A requirement of an extra in the metadata of a distribution, such as `polars<3,>=1.30; extra == 'analyze'`."""
+"""A requirement of an extra, such as `polars<3,>=1.30; extra == 'analyze'`."""
 
 
-_TOO_LARGE = "this machine has not enough memory for it; ask for smaller or fewer messages, or give a part of the traces"
+_TOO_LARGE = "not enough memory; request smaller or fewer messages, or give a part of the traces"
 
 
 def run_command(command: Callable[[], object]) -> None:
-    """Call a command's app; end the process with one clear message at an error that a user can act on.
-
-    Args:
-        command: reads its arguments from the command line, as a `typer.Typer` does when called.
-    """
-    # A path or a text of a trace that the terminal's encoding does not have is spelled out, and ends no command.
+    """Call a command's app; end the process with one line at an error that a user can act on."""
+    # Escape what the terminal's encoding lacks.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -52,13 +48,8 @@ def run_command(command: Callable[[], object]) -> None:
 
 
 def _extra_with(module: str) -> str | None:
-    """Return the extra of ours that brings the package of a module; None if none does.
-
-    The packages of our extras are imported by the names under which they are installed.
-    """
-    from importlib.metadata import (
-        requires,
-    )  # an import that fails is rare, and the module takes a while to load
+    """Return the extra that brings the package of a module, None if none does."""
+    from importlib.metadata import requires  # slow, and rarely needed
 
     package = module.partition(".")[0]
     for requirement in requires("dds-trace") or ():

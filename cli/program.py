@@ -1,8 +1,6 @@
-"""A program of several commands: which one is meant, typed or to be completed by the shell.
+"""A program of several commands: the first word chooses one, or belongs to the command without a name.
 
-Typer sees each command as an app of its own; the first word chooses one, and anything else belongs to the command without a
-name. A shell that completes a line calls the program again with the words so far in its environment. Where their second one
-is a command, it is taken out, and the rest is that command's to complete.
+A shell that completes a line calls the program with the words in its environment; a command among them is taken out.
 """
 
 from __future__ import annotations
@@ -24,23 +22,16 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
 BASH_WORDS, BASH_POSITION, OTHER_WORDS = "COMP_WORDS", "COMP_CWORD", "_TYPER_COMPLETE_ARGS"
-"""What typer's scripts tell: words with line breaks and the position of the cursor in them (bash), or the line (zsh, fish)."""
+"""Variables of typer's scripts: words with line breaks and the cursor's position (bash), or the line (zsh, fish)."""
 
 CLOSE_ENOUGH = 0.7
-"""Likeness of a word to a command from which it is taken for a misspelt one (`difflib`: 1 is equal)."""
+"""Similarity from which a word is taken for a misspelt command (`difflib`: 1 is equal)."""
 
 
 def run_program(
     name: str, app: typer.Typer, commands: Mapping[str, typer.Typer], arguments: Sequence[str] | None
 ) -> None:
-    """Run the command that the first word names, or the one without a name.
-
-    Args:
-        name: name of the program.
-        app: its command without a name.
-        commands: name -> each other command.
-        arguments: the words behind the program; None for those of the process.
-    """
+    """Run the command that the first word names, or the one without a name; `arguments` None are those of the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     completed = _take_completed_command(name, app, commands)
     if completed is not None:
@@ -52,7 +43,7 @@ def run_program(
 
 
 def _run_nameless(name: str, app: typer.Typer, commands: Collection[str], given: list[str]) -> None:
-    """Run the command without a name, unless the first word is no path and nearly another command."""
+    """Run the command without a name, unless the first word is not a path and nearly another command."""
     word = given[0] if given else "-"
     meant = get_close_matches(word, commands, n=1, cutoff=CLOSE_ENOUGH)
     if meant and not word.startswith("-") and not Path(word).exists():
@@ -61,19 +52,19 @@ def _run_nameless(name: str, app: typer.Typer, commands: Collection[str], given:
 
 
 def _take_completed_command(program: str, app: typer.Typer, commands: Collection[str]) -> str | None:
-    """Take the command out of the words that are to be completed; return it, None where there is none."""
+    """Take the command out of the words to complete and return it, None if there is none."""
     if f"_{program}_COMPLETE".replace("-", "_").upper() not in os.environ:
         return None
     variable = BASH_WORDS if BASH_WORDS in os.environ else OTHER_WORDS
     text = os.environ.get(variable, "")
-    first, _, behind = text.partition("\n" if "\n" in text else " ")
-    name = next(iter(behind.split()), "")
-    rest = behind[len(name) :]
+    first, _, others = text.partition("\n" if "\n" in text else " ")
+    name = next(iter(others.split()), "")
+    rest = others[len(name) :]
     if (
         name not in commands or not rest[:1].isspace()
-    ):  # without a space behind it the word itself is being typed
+    ):  # without a space after it the word itself is being typed
         return None
-    typer.main.get_command(app)  # an app with options of completion sets completion up for all
+    typer.main.get_command(app)  # an app that completes sets it up for all
     os.environ[variable] = first + rest
     if BASH_POSITION in os.environ:
         os.environ[BASH_POSITION] = str(int(os.environ[BASH_POSITION]) - 1)

@@ -1,8 +1,7 @@
-"""numpy's sorts on AMD's Zen 4, which take five times as long with AVX-512 as with AVX2.
+"""numpy's sorts on AMD's Zen 4, which are five times slower with AVX-512 than with AVX2.
 
-They store what lies on one side of a pivot by `vpcompress` into memory, microcode on that processor
-(https://github.com/numpy/x86-simd-sort/issues/6; "Software Optimization Guide for the AMD Zen4 Microarchitecture", 2.11.2: avoid it).
-numpy reads which loops it may use from the environment, once, when it is imported; processes started later inherit that.
+They use `vpcompress` into memory, microcode there (https://github.com/numpy/x86-simd-sort/issues/6; "Software Optimization Guide
+for the AMD Zen4 Microarchitecture", 2.11.2). numpy reads the choice from the environment when it is imported.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _HEAD_BYTES = 4096  # of a file with a part for each processor
 
 
 def avoid_slow_sorts(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
-    """Let numpy sort with AVX2 where AVX-512 is slower; nothing is changed where the user has chosen, or numpy is loaded."""
+    """Let numpy sort with AVX2 where AVX-512 is slower, unless the user has chosen or numpy is loaded."""
     if "numpy" in sys.modules or VARIABLE in os.environ or OTHER_VARIABLE in os.environ:
         return
     with suppress(OSError):  # no Linux
@@ -32,7 +31,7 @@ def avoid_slow_sorts(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
 
 
 def is_slow_with_avx512(cpuinfo: str) -> bool:
-    """Return whether a processor is of Zen 4, by the first part of Linux' `/proc/cpuinfo`."""
+    """Return whether a processor is a Zen 4, from the first part of `/proc/cpuinfo`."""
     fields = dict(re.findall(r"^([\w ]+?)\s*: (.*)$", cpuinfo, re.MULTILINE))
     return (
         fields.get("vendor_id") == AMD
@@ -42,6 +41,6 @@ def is_slow_with_avx512(cpuinfo: str) -> bool:
 
 
 def _is_wheel() -> bool:
-    """Return whether numpy is its own wheel: one built for this processor alone refuses to do without any of its features."""
+    """Return whether numpy is a wheel: a build for this processor refuses to work without its features."""
     numpy = find_spec("numpy")
     return bool(numpy and numpy.origin and (Path(numpy.origin).parents[1] / "numpy.libs").is_dir())

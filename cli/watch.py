@@ -1,4 +1,4 @@
-"""`dds-analyze watch FOLDER`: the HTML report on a local address, written again whenever a trace in the folder changes."""
+"""`dds-analyze watch FOLDER`: the HTML report on a local address, updated whenever a trace changes."""
 
 import signal
 import time
@@ -72,9 +72,9 @@ def watch_command(
 
 
 class _CtrlC:
-    """A handler of Ctrl-C that ends a wait at once, and an analysis after its end, or at once if it is pressed twice.
+    """Ctrl-C ends a wait at once and an analysis after its end, or at once if pressed twice.
 
-    Raised in the middle of an analysis, KeyboardInterrupt might meet an import or a callback that swallows it.
+    Raised during an analysis, KeyboardInterrupt might meet a callback that swallows it.
     """
 
     def __init__(self) -> None:

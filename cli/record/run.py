@@ -1,4 +1,4 @@
-"""One recording at the terminal: its progress on stderr, its end at Ctrl-C or by itself, its result on stdout."""
+"""One recording at the terminal: progress on stderr, result on stdout."""
 
 from __future__ import annotations
 
@@ -28,27 +28,26 @@ if TYPE_CHECKING:
 
 
 def describe_progress(progress: PingProgress | RelayProgress) -> str:
-    """Return the work of a role so far in one line."""
+    """Return the progress of a role in one line."""
     if isinstance(progress, RelayProgress):
         line = f"{counted(progress.relayed, 'message')} sent back in {counted(progress.runs, 'run')}"
-        return f"{line}, {progress.foreign} without our stamp left alone" if progress.foreign else line
+        return f"{line}, {progress.foreign} without our stamp ignored" if progress.foreign else line
     p50, p99 = (format_duration(time_ns, "ms") for time_ns in (progress.rtt_p50_ns, progress.rtt_p99_ns))
-    warmup, lost_there = progress.warmup, progress.warmup_lost
-    beside = f" (+{warmup} warm-up{f', {lost_there} lost' if lost_there else ''})" if warmup else ""
+    warmup, warmup_lost = progress.warmup, progress.warmup_lost
+    plus = f" (+{warmup} warm-up{f', {warmup_lost} lost' if warmup_lost else ''})" if warmup else ""
     return (
-        f"sent {max(progress.sent - warmup, 0)}/{progress.planned - warmup}{beside}, "
-        f"received {progress.received - progress.warmup_received}, lost {progress.lost - lost_there}, "
+        f"sent {max(progress.sent - warmup, 0)}/{progress.planned - warmup}{plus}, "
+        f"received {progress.received - progress.warmup_received}, lost {progress.lost - warmup_lost}, "
         f"RTT p50 {p50}, p99 {p99}"
     )
 
 
 class TerminalWatch:
-    """A `recorder.Watch` on stderr: notes as lines and, on a terminal, one line of progress that is drawn anew at each call."""
+    """A `Watch` on stderr: notes are lines; on a terminal, progress is one line that is redrawn."""
 
     def __init__(self) -> None:
         self._console = Console(stderr=True, highlight=False)
-        # Drawn by our caller's thread when it calls, by no thread of its own: each drawing holds the
-        # interpreter lock for a while, and a received message would wait for it.
+        # Without a thread of its own: drawing holds the interpreter lock, and a received message would wait.
         self._live = Live(
             console=self._console,
             auto_refresh=False,
@@ -77,7 +76,7 @@ class TerminalWatch:
             print(text, file=sys.stderr, flush=True)
 
     def progress(self, progress: PingProgress | RelayProgress) -> None:
-        """Draw the line anew."""
+        """Redraw the line."""
         if self._live.is_started:
             self._live.update(
                 Text(describe_progress(progress), no_wrap=True, overflow="ellipsis"), refresh=True
@@ -85,28 +84,28 @@ class TerminalWatch:
 
 
 def record_until_stopped(options: RecordOptions) -> Recorded:
-    """Record until done; Ctrl-C and SIGTERM end the recording with a closed trace, however often they come."""
+    """Record until done; Ctrl-C and SIGTERM end the recording with a closed trace."""
     stop = stop_at_signals()
     with TerminalWatch() as watch:
         return record(options, stop, watch)
 
 
 def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | None = None) -> None:
-    """Print the result of a recording, and raise what was wrong with it.
+    """Print the result of a recording, and raise its error.
 
     Args:
         recorded: the result.
-        as_json: whether it is printed for a script.
-        fail_if_lost: largest share of lost messages, 0 to 1, that is no error; None for any.
+        as_json: whether to print it for a script.
+        fail_if_lost: largest allowed share of lost messages, 0 to 1.
 
     Raises:
         OutputError: not all of the trace could be written.
-        BridgeError: the bridge died in the middle of the run.
+        BridgeError: the bridge died during the run.
         RelayLostError: the relay did.
         LossesError: more messages were lost than `fail_if_lost` allows.
     """
     trace = recorded.trace
-    error = _fault(recorded, fail_if_lost)
+    error = _error_of(recorded, fail_if_lost)
     if as_json:
         print(json.dumps(_result(recorded, error)))
     elif trace is None:
@@ -120,11 +119,11 @@ def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | Non
         raise error
 
 
-def _fault(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:
-    """Return the worst that happened to a recording, None if all is well."""
+def _error_of(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:
+    """Return the error of a recording, None if there is none."""
     trace, progress = recorded.trace, recorded.progress
     if trace is not None and trace.error is not None:
-        return _fault_of(trace, trace.error)
+        return _trace_error(trace, trace.error)
     if recorded.error is not None:
         return recorded.error
     if fail_if_lost is None or not isinstance(progress, PingProgress) or not progress.sent:
@@ -138,14 +137,14 @@ def _fault(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:
     )
 
 
-def _fault_of(trace: ClosedTrace, error: OutputError) -> OutputError:
-    """Return the error of a trace that is not whole, with where the rest of its events is."""
+def _trace_error(trace: ClosedTrace, error: OutputError) -> OutputError:
+    """Return the error of an incomplete trace, with where its other events are."""
     if not trace.ring_events:
         return error
-    if isinstance(error.__cause__, FileNotFoundError):  # the ring was in that folder, too
+    if isinstance(error.__cause__, FileNotFoundError):  # the ring was there, too
         return OutputError(f"{error}; {counted(trace.events + trace.ring_events, 'event')} went with it")
     return OutputError(
-        f"{error}; {counted(trace.ring_events, 'event waits', 'events wait')} in the ring beside it: make "
+        f"{error}; {counted(trace.ring_events, 'event waits', 'events wait')} in its ring file: make "
         f"room or copy both files to another disk, then `dds-record --recover {trace.path}`"
     )
 

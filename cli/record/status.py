@@ -22,17 +22,17 @@ def status_command(
 ) -> None:
     """List the recordings that run on this machine: role, domain, process, messages so far, file.
 
-    One that was killed is listed as such, with what to do for its events. Those of other users show as far as their
-    runtime folders may be read.
+    A killed one is listed with the command that recovers its events. Recordings of other users are shown if their runtime folders
+    are readable.
     """
     from dds_trace.recorder.service.running import list_recordings
 
     recordings = list_recordings()
     if as_json:
-        print(json.dumps([_as_json(each) for each in recordings]))
+        print(json.dumps([_as_json(recording) for recording in recordings]))
         return
-    for each in recordings:
-        print("\n".join(_lines(each)))
+    for recording in recordings:
+        print("\n".join(_lines(recording)))
     if not recordings:
         print("no recording runs on this machine")
 
@@ -42,7 +42,7 @@ def _as_json(listed: Listed) -> dict[str, object]:
 
 
 def _lines(listed: Listed) -> list[str]:
-    """Return the lines of one recording: what it is and does, its file, and what is wrong with it."""
+    """Return the lines of one recording."""
     from datetime import datetime
 
     from dds_trace.base.units import counted
@@ -56,10 +56,10 @@ def _lines(listed: Listed) -> list[str]:
     lines = [f"{first}{counted(entry.messages, 'message')}{files}", f"    since {since}, into {entry.path}"]
     if listed.state is State.KILLED:
         lines[0] = f"killed: {lines[0]}"
-        waits = f"its last events wait in the ring: dds-record --recover {listed.waiting}"
-        lines.append(f"    {waits if listed.waiting else 'nothing of it waits'}")
+        waits = f"its last events are in the ring: dds-record --recover {listed.waiting}"
+        lines.append(f"    {waits if listed.waiting else 'no events are left to recover'}")
     elif listed.state is State.UNSEEN:
-        lines.append(f"    process {entry.pid} is not seen from here: it may run in a container")
+        lines.append(f"    process {entry.pid} is not visible from here; it may run in a container")
     if entry.stopped is not None and listed.state is not State.KILLED:
         lines.append(f"    waiting for disk space: {entry.stopped}")
     return lines

@@ -1,4 +1,4 @@
-"""The tools of `dds-record` beside recording: `--recover`, `--self-test` and `--check`."""
+"""Tools of `dds-record`: `--recover`, `--self-test` and `--check`."""
 
 from __future__ import annotations
 
@@ -21,11 +21,7 @@ if TYPE_CHECKING:
 
 
 def recover_trace(path: Path) -> None:
-    """Make a closed trace of the one at `path`; print its path and what was recovered.
-
-    Raises:
-        TraceFormatError: `path` is no trace of ours.
-    """
+    """Close the trace at `path`; print its path and what was recovered."""
     report = recover(path)
     if report.recovered is not None:
         print(f"Wrote {report.recovered}")
@@ -33,13 +29,9 @@ def recover_trace(path: Path) -> None:
 
 
 def check_start(options: RecordOptions) -> None:
-    """Start a recording as asked and end it before its first message; print that it can begin.
-
-    Raises:
-        TraceError: as recording would.
-    """
+    """Start a recording and end it before its first message; print that it can begin. Errors are those of recording."""
     rehearse(options, _Notes())
-    print(f"{'a relay' if options.ping is None else 'a ping'} can begin as asked")
+    print(f"{'a relay' if options.ping is None else 'a ping'} can begin")
 
 
 class _Notes:
@@ -50,28 +42,21 @@ class _Notes:
         print(text, file=sys.stderr)
 
     def progress(self, progress: PingProgress | RelayProgress) -> None:
-        """Take nothing: a rehearsal has no progress."""
+        """Do nothing: a rehearsal has no progress."""
 
 
 def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> None:
     """Print the recorder's own cost, and the client library's floor if its middleware is installed.
 
-    Args:
-        out: path whose folder holds the measured trace for a moment, since its disk may matter; None for the
-            temporary folder.
-        backend: backend whose floor is measured.
-        options: options of the node that sends to itself.
-
-    Raises:
-        OutputError: no trace can be written there.
+    The trace of the measurement is for a moment in the folder of `out`, since its disk may matter.
     """
-    # A folder that recording would make lies on the disk of the one that will hold it.
-    folder = None if out is None else next(each for each in out.absolute().parents if each.is_dir())
+    # The nearest existing folder is on the same disk.
+    folder = None if out is None else next(folder for folder in out.absolute().parents if folder.is_dir())
     cost = measure_recorder_cost(folder)
-    # At 1 kHz caches are cold, as they are in a node; in a loop an event costs a fraction of it.
+    # At 1 kHz caches are cold, as in a node.
     print(f"recording an event: median {_us(cost.record_median_ns)}, p99 {_us(cost.record_p99_ns)}, ", end="")
     print(f"slowest {_us(cost.record_max_ns)} ({cost.events} events at 1 kHz)")
-    cold = f", {_us(cost.cold_timer_ns)} at 1 kHz, taken off" if cost.cold_timer_ns else ""
+    cold = f", {_us(cost.cold_timer_ns)} at 1 kHz, subtracted" if cost.cold_timer_ns else ""
     print(
         f"slowest ten events in a row: {_us(cost.stall_of_ten_ns)}; reading the clock: {_us(cost.timer_ns)}{cold}"
     )

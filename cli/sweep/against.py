@@ -1,4 +1,4 @@
-"""`dds-sweep --against`: two sides in turns, and for equal ones how often the comparison errs."""
+"""`dds-sweep --against`: two sides in alternation, and for equal ones how often the comparison is wrong."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ SAME = "SAME"
 
 @dataclass(frozen=True, slots=True)
 class NewSide:
-    """The new side of a sweep in turns.
+    """The new side.
 
     Attributes:
         name: its part of the folder's name.
         plan: what it records.
         command: its `dds-record`, None for the one of this installation.
-        is_same: whether it is the base once more.
+        is_same: whether it is the base again.
     """
 
     name: str
@@ -43,11 +43,7 @@ class NewSide:
 def new_side(
     text: str, base_path: Path, base: Plan, installed: Callable[[], Collection[tuple[str, str | None]]]
 ) -> NewSide:
-    """Return the side that `--against` names: a plan, the folder of a Python environment, or `SAME`.
-
-    Raises:
-        OptionError: it is none of these, or the environment has no dds-record.
-    """
+    """Return the side that `--against` names: a plan, the folder of a Python environment, or `SAME`."""
     from dds_trace.base.files import expand_home
     from dds_trace.recorder.sweep.plan.cells import environment_name
     from dds_trace.recorder.sweep.plan.plan_file import read_plan
@@ -74,7 +70,7 @@ def new_side(
 
 
 def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str]]:
-    """Return the runs of both sides in their order and how long they take, as a JSON object and as lines."""
+    """Return the runs of both sides in their order and their duration, as a JSON object and as lines."""
     from dds_trace.recorder.sweep.against import against_seconds, interleave
 
     turns = [(turn.side, turn.group.cells[0].name) for turn in interleave(base, other.plan)]
@@ -92,7 +88,7 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
 
 
 def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path, tuple[str, ...] | None]]:
-    """Return plan, folder and `dds-record` of each side; None is the one of this installation."""
+    """Return plan, folder and `dds-record` of each side; None for that of this installation."""
     from dds_trace.recorder.sweep.against import BASE, NEW
 
     folder = out / _name(base, other)
@@ -101,7 +97,7 @@ def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path
 
 
 def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
-    """Record both sides, print what to compare, and of two equal sides how often the comparison errs; return the exit code."""
+    """Record both sides, print how to compare them, and for equal sides the false alarms; return the exit code."""
     from rich.console import Console
 
     from dds_trace.recorder.sweep.against import run_against

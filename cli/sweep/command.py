@@ -1,4 +1,4 @@
-"""`dds-sweep`: record the whole parameter space of a plan, unattended."""
+"""`dds-sweep`: record all runs of a plan, unattended."""
 
 from __future__ import annotations
 
@@ -118,46 +118,43 @@ def main_command(
     )
     limits.check(limits.FOLDER, str(out), "--out")
     limits.check(limits.REPEATS, max_passes, "--max-passes")
-    asked = read_plan(plan, installed_middlewares, by_hand=printed is not None)
-    target = None if until is None else precision(until, max_passes, asked)
-    other = None if against is None else new_side(against, plan, asked, installed_middlewares)
+    requested = read_plan(plan, installed_middlewares, by_hand=printed is not None)
+    target = None if until is None else precision(until, max_passes, requested)
+    other = None if against is None else new_side(against, plan, requested, installed_middlewares)
     if dry_run:
-        raise typer.Exit(dry_run_of(asked, out, other, target, max_rate=max_rate, as_json=as_json))
+        raise typer.Exit(dry_run_of(requested, out, other, target, max_rate=max_rate, as_json=as_json))
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         if max_rate:
-            code = _search(asked, out, as_json)
+            code = _search(requested, out, as_json)
         elif other is not None:
-            code = run_sides(asked, other, out, as_json=as_json)
+            code = run_sides(requested, other, out, as_json=as_json)
         else:
-            code = _sweep(asked, out, as_json, target)
+            code = _sweep(requested, out, as_json, target)
     except KeyboardInterrupt:
-        print("Interrupted; the same command goes on from here", file=sys.stderr)
+        print("Interrupted; the same command continues here", file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE
     raise typer.Exit(code)
 
 
 def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> None:
-    """Refuse options that exclude each other, and one that needs another.
+    """Raise an `OptionError` for options that exclude each other, and one that needs another.
 
     Args:
-        kinds: option -> value, falsy if it was not given; at most one may be.
-        dependent: the option and the one that it needs.
-
-    Raises:
-        OptionError: they cannot go together.
+        kinds: option -> value; at most one may be given.
+        dependent: an option and the one that it needs.
     """
     given = [name for name, value in kinds.items() if value]
     if len(given) > 1:
         reason = (
-            "the programs of both devices are started here, and a person cannot be waited for"
+            "they start the programs of both devices and cannot wait for a person"
             if "--print" in given
-            else "each is a sweep of its own"
+            else "each is another kind of sweep"
         )
-        raise OptionError(f"{' and '.join(given)} do not go together: {reason}; leave one out")
+        raise OptionError(f"{' and '.join(given)} cannot be combined: {reason}; remove one")
     (option, value), (needed, other) = dependent.items()
     if value is not None and other is None:
-        raise OptionError(f"{option} belongs to {needed}; give both or leave it out")
+        raise OptionError(f"{option} needs {needed}; give both or remove it")
 
 
 def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
@@ -177,7 +174,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
     complete = done.cells - len(done.missing)
     if as_json:
         result = {"folder": str(done.folder), "cells": done.cells, "missing": done.missing}
-        if until is not None:  # JSON has no infinity: null is an interval that lacks an end
+        if until is not None:  # JSON has no infinity
             result["too_wide"] = {
                 name: width if math.isfinite(width) else None for name, width in done.too_wide.items()
             }
@@ -189,8 +186,8 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
         print(f"{name}: {reason}", file=sys.stderr)
     for name, width in done.too_wide.items():
         assert until is not None
-        known = f"known to +-{width:.1f} %" if math.isfinite(width) else "without an interval of two ends"
-        print(f"{name}: {until.statistic} is {known} after the last pass", file=sys.stderr)
+        precision = f"known to +-{width:.1f} %" if math.isfinite(width) else "without a two-sided interval"
+        print(f"{name}: {until.statistic} is {precision} after the last repeat", file=sys.stderr)
     if done.missing:
         return INCOMPLETE_EXIT_CODE
     return TOO_WIDE_EXIT_CODE if done.too_wide else 0
@@ -214,7 +211,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
         table = Table(*COLUMNS, box=None)
         for row in rows:
             table.add_row(*row)
-        # A terminal folds what is too long for it; a file is to have whole lines.
+        # A file gets whole lines.
         Console(width=None if sys.stdout.isatty() else 200).print(table)
         for path in written:
             print(f"Wrote {path}")
@@ -222,7 +219,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
 
 
 COMMANDS: Mapping[str, typer.Typer] = {"new": new.app}
-"""Name -> command; anything else as first argument belongs to the command without a name. A plan of that name: `./new`."""
+"""Name -> command; a plan of that name is written `./new`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""`dds-sweep --dry-run`: the cells, how long they take, and a rehearsal that proves that each kind of them can start."""
+"""`dds-sweep --dry-run`: the recordings, their duration, and a rehearsal of each kind of them."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from .against import NewSide
 
 LOOPBACK_MBIT_S = 10_000
-"""Rate that hardly any machine carries through a middleware in one direction."""
+"""Rate that few machines reach through a middleware in one direction."""
 
 
 def dry_run(
     plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, max_rate: bool, as_json: bool
 ) -> int:
-    """Show a sweep and rehearse it; return the exit code that it would end with if nothing around it fails.
+    """Show a sweep and rehearse it; return the exit code.
 
     Args:
         plan: the plan.
         out: folder of all sweeps.
-        other: the other side of a sweep in turns.
+        other: the other side with `--against`.
         until: precision at which the sweep ends.
-        max_rate: whether the highest rate of each cell is to be searched.
-        as_json: whether the result is printed as JSON.
+        max_rate: whether to search the highest rate of each cell.
+        as_json: whether to print JSON.
     """
     from dds_trace.recorder.sweep.rehearsal import rehearse_plan
     from dds_trace.recorder.sweep.search import search_plan
@@ -51,24 +51,19 @@ def dry_run(
     if other is not None:
         sides = side_folders(plan, other, out)
     else:
-        asked = search_plan(plan) if max_rate else plan
-        sides = [(asked, out / asked.name, None)]
+        recorded = search_plan(plan) if max_rate else plan
+        sides = [(recorded, out / recorded.name, None)]
     refused: dict[str, str] = {}
     for side, folder, command in sides:
         refused |= rehearse_plan(side, folder, check_arguments, note=_note, command=command)
     if as_json:
         print(json.dumps({**described, "cannot_start": refused}))
-    _tell(refused)
+    _print_reasons(refused)
     return INCOMPLETE_EXIT_CODE if refused else 0
 
 
 def check_arguments(arguments: Sequence[str]) -> None:
-    """Refuse what `dds-record` would refuse of its arguments before it opens anything.
-
-    Raises:
-        OptionError: naming the option.
-        TraceError: as `check_options`.
-    """
+    """Raise the error of `dds-record` for its arguments, without opening anything."""
     from dds_trace.recorder.rehearsal import check_options
 
     from ..record.command import app
@@ -77,15 +72,15 @@ def check_arguments(arguments: Sequence[str]) -> None:
     command.table = ""  # a plan says all that is measured: no file of defaults adds to it
     try:
         command.main(list(arguments), "dds-record", standalone_mode=False, obj=check_options)
-    except Exception as err:  # typer's own errors have no name that all its versions know
-        said = getattr(err, "format_message", None)
-        if said is None:
+    except Exception as err:  # the name of typer's errors differs between versions
+        message = getattr(err, "format_message", None)
+        if message is None:
             raise
-        raise OptionError(str(said())) from err
+        raise OptionError(str(message())) from err
 
 
-def _tell(refused: Mapping[str, str]) -> None:
-    """Print each reason once, with the cells that it keeps from starting."""
+def _print_reasons(refused: Mapping[str, str]) -> None:
+    """Print each reason once, with its recordings."""
     names = defaultdict(list)
     for name, reason in refused.items():
         names[reason].append(name)
@@ -99,7 +94,7 @@ def _note(text: str) -> None:
 
 
 def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str]]:
-    """Return the cells in the order in which they run, as a JSON object and as lines."""
+    """Return the cells in their order, as a JSON object and as lines."""
     from dds_trace.recorder.sweep.plan.schedule import plan_seconds, schedule
 
     groups = schedule(plan)
@@ -113,7 +108,8 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
     lines = []
     for group in groups:
         lines.append(
-            f"relay {group.need.relay_name}" + (f", half of {group.bridge} beside it" if group.bridge else "")
+            f"relay {group.need.relay_name}"
+            + (f", half of {group.bridge} next to it" if group.bridge else "")
         )
         lines += [
             f"  {cell.name}  {plan.run.planned_seconds(cell.rate):.0f} s{_doubt(plan, cell)}"
@@ -128,14 +124,14 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
         most = plan_seconds(plan, passes=until.max_passes)
         described["most_seconds"] = most.seconds
         lines.append(
-            f"until {until.statistic} is known to +-{until.percent:g} % for every combination: {until.max_passes} passes at "
-            f"most, about {most} if each takes all of them"
+            f"until {until.statistic} of every result is known to +-{until.percent:g} %: at most {until.max_passes} "
+            f"repeats, about {most} for all of them"
         )
     return described, lines
 
 
 def _remarks(plan: Plan) -> list[str]:
-    """Return the lines about the plan as a whole: what it leaves out, warnings, its link, commands for the other device."""
+    """Return lines about the plan as a whole: exclusions, warnings, its link, commands for the other device."""
     from dds_trace.recorder.sweep.plan.plan import depth_warnings
 
     left_out = Counter(reason for _, reason in plan.excluded).items()
@@ -151,19 +147,19 @@ def _remarks(plan: Plan) -> list[str]:
 
 
 def _doubt(plan: Plan, cell: Cell) -> str:
-    """Return the end of a cell's line if its rate cannot be carried, else an empty text."""
+    """Return the end of a cell's line if its rate cannot be reached."""
     limit_mbit_s = (plan.link.rate_mbit_s if plan.link else 0) or LOOPBACK_MBIT_S
-    asked_mbit_s = (cell.payload_bit_s or 0) / 1e6
-    if asked_mbit_s <= limit_mbit_s:
+    payload_mbit_s = (cell.payload_bit_s or 0) / 1e6
+    if payload_mbit_s <= limit_mbit_s:
         return ""
     return (
-        f"  asks {asked_mbit_s:.0f} of {limit_mbit_s:g} Mbit/s: will be cut off after "
+        f"  needs {payload_mbit_s:.0f} of {limit_mbit_s:g} Mbit/s: will be cut off after "
         f"{plan.run.cutoff_seconds:g} s more"
     )
 
 
 def relay_commands(plan: Plan) -> list[str]:
-    """Return the commands for a person to start on the other device, in order."""
+    """Return the commands for a person to start on the other device."""
     from dds_trace.recorder.sweep.plan.commands import half_arguments, relay_arguments
     from dds_trace.recorder.sweep.plan.schedule import schedule
     from dds_trace.recorder.sweep.station.devices import printed_command
@@ -174,5 +170,5 @@ def relay_commands(plan: Plan) -> list[str]:
             f"relay {group.number}: {printed_command(relay_arguments(plan, group.need, group.cells[0].repeat), group.number)}"
         )
         if group.bridge:
-            lines.append(f"beside it: dds-bridge {' '.join(half_arguments(plan, group))}")
+            lines.append(f"next to it: dds-bridge {' '.join(half_arguments(plan, group))}")
     return lines

@@ -1,4 +1,4 @@
-"""`dds-sweep new PLAN.toml`: a commented plan from three questions, asked on a terminal or answered by options."""
+"""`dds-sweep new PLAN.toml`: a commented plan from three questions."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def main_command(
         COMPARISONS,
         DATA_EXAMPLE,
         HERE,
-        check_place,
+        check_location,
         parse_comparisons,
         parse_messages,
         plan_text,
@@ -82,9 +82,9 @@ def main_command(
     messages = _answer(send, "--send", "What is sent, and how often a second?", DATA_EXAMPLE, parse_messages)
     words = f"Of {', '.join(COMPARISONS)}; or nothing"
     comparisons = _answer(compare, "--compare", f"What is compared? {words}", "middleware", parse_comparisons)
-    places = f"{HERE}, USER@HOST, or over a link emulated here: {', '.join(PRESETS)}"
-    place = _answer(relay, "--relay", f"Where is the relay? {places}", HERE, check_place)
-    text = plan_text(plan.stem, messages, comparisons, place)
+    locations = f"{HERE}, USER@HOST, or over a link emulated here: {', '.join(PRESETS)}"
+    location = _answer(relay, "--relay", f"Where is the relay? {locations}", HERE, check_location)
+    text = plan_text(plan.stem, messages, comparisons, location)
     parse_plan(text, plan.stem, "these answers", lambda: [("ros2", None)])
     try:
         with plan.open("x", encoding="utf-8") as file:
@@ -105,11 +105,7 @@ def _exists(plan: Path) -> OutputExistsError:
 
 
 def _answer(given: str | None, option: str, question: str, example: str, parse: Callable[[str], _T]) -> _T:
-    """Return the answer to a question: the option's, or what is typed on the terminal, which is asked again until it is one.
-
-    Raises:
-        OptionError: the option's answer is none, or there is neither option nor terminal.
-    """
+    """Return the option, or what is typed on the terminal, which is asked until the answer is valid."""
     if given is not None:
         try:
             return parse(given)
@@ -124,6 +120,6 @@ def _answer(given: str | None, option: str, question: str, example: str, parse: 
         except OptionError as err:
             raise typer.BadParameter(str(err)) from err
 
-    shown = textwrap.fill(question, 78 - len(example), break_on_hyphens=False)  # the example stands behind it
+    shown = textwrap.fill(question, 78 - len(example), break_on_hyphens=False)  # the example follows it
     answer: _T = typer.prompt(shown, default=example, value_proc=typed)
     return answer

@@ -15,15 +15,10 @@ if TYPE_CHECKING:
 
 
 def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
-    """Return the precision at which a sweep ends.
-
-    Args:
-        text: statistic and half width, such as `latency_p99:5%`.
-        max_passes: most passes, None for the default.
-        plan: the plan, whose passes are run in any case.
+    """Return the precision at which a sweep ends: `text` has a statistic and half a width, such as `latency_p99:5%`.
 
     Raises:
-        OptionError: the text is wrong, or the plan has more passes than allowed.
+        OptionError: the text is wrong, or the plan has more repeats than `max_passes`.
     """
     from dds_trace.analyzer.verdicts.false_alarms import check_statistic
     from dds_trace.recorder.sweep.plan.plan_file import check_runs
@@ -34,7 +29,7 @@ def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
     most = max(DEFAULT_MAX_PASSES, plan.run.repeats) if max_passes is None else max_passes
     if most < plan.run.repeats:
         raise OptionError(
-            f"--max-passes {most} is below the {plan.run.repeats} passes of the plan; give at least so many"
+            f"--max-passes {most} is below the {plan.run.repeats} repeats of the plan; give at least as many"
         )
     check_runs("--max-passes", len(plan.cells), most)
 
@@ -42,7 +37,7 @@ def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
         from dds_trace.analyzer.pipeline import analyze
         from dds_trace.analyzer.verdicts.false_alarms import half_widths
 
-        if not runs:  # nothing was recorded: there is no trace to analyze
+        if not runs:  # nothing was recorded
             return {}
         return half_widths(analyze(folder, details=False).load_messages(), runs, statistic)
 

@@ -1,4 +1,4 @@
-"""The plan of a sweep as frozen records; `plan_file.py` reads them from TOML."""
+"""The plan of a sweep; `plan_file.py` reads it from TOML."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 
 PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
-"""Percentiles in the result of a cell, and those that a search may set its deadline for."""
+"""Percentiles in the result of a cell, and of the deadline of a search."""
 
 
 class Order(Enum):
-    """Order in which the cells run."""
+    """Order of the cells."""
 
     LISTED = "listed"
     SHUFFLED = "shuffled"
@@ -39,10 +39,7 @@ class Order(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """Settings of all cells of a plan: its table `[run]`.
-
-    Attributes: a key of a plan each. A plan with neither `messages` nor `seconds` has `recorder.options.DEFAULT_MESSAGES`.
-    """
+    """The table `[run]`, for all cells; without `messages` and `seconds` a run has `DEFAULT_MESSAGES`."""
 
     messages: int = plan_key(
         0,
@@ -109,24 +106,21 @@ class RunSettings:
     )
 
     def messages_at(self, rate_hz: float) -> int:
-        """Return the number of messages of a run at this rate, warm-up not counted."""
+        """Return the messages of a run at this rate, without warm-up."""
         return self.messages or max(self.min_messages, round(self.seconds * rate_hz))
 
     def planned_seconds(self, rate_hz: float) -> float:
-        """Return the time that the schedule of a run takes, warm-up included."""
+        """Return the time of a run's schedule, with warm-up."""
         return (self.messages_at(rate_hz) + self.warmup) / rate_hz
 
     def measures_own_cost(self, number: int) -> bool:
-        """Return whether the sessions of pass `number` (1, 2 ...) measure what recording and the client library cost."""
+        """Return whether pass `number` (1, 2 ...) measures what recording and the client library cost."""
         return not self.own_cost_passes or number <= self.own_cost_passes
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceSettings:
-    """One of the two devices: `[devices.ping]` or `[devices.relay]`.
-
-    Attributes: a key of a plan each.
-    """
+    """`[devices.ping]` or `[devices.relay]`."""
 
     name: str | None = plan_key(
         None, limits.NAME, "name of the device in the trace", default_words="its host name"
@@ -169,33 +163,25 @@ class DeviceSettings:
 
     @property
     def reached_at(self) -> str | None:
-        """Address at which the other device finds this one, None if the plan has none."""
+        """Address at which the other device reaches this one, None if the plan has none."""
         return self.address or (self.ssh.rpartition("@")[2] if self.ssh else None)
 
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """A rule that leaves out the cells whose every named axis has one of the values.
-
-    Attributes:
-        values: name of an axis -> its values.
-        reason: the reason, shown by `--dry-run`.
-    """
+    """A rule that leaves out the cells whose every named axis has one of its values; `--dry-run` shows the reason."""
 
     values: Mapping[str, tuple[object, ...]]
     reason: str = ""
 
     def covers(self, cell: Cell) -> bool:
-        """Return whether the rule leaves this cell out."""
+        """Return whether the rule leaves out this cell."""
         return all(getattr(cell, axis) in values for axis, values in self.values.items())
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """Conditions of a search with `--max-rate`: the plan's `[search]`.
-
-    Attributes: a key of a plan each.
-    """
+    """The table `[search]`, for `--max-rate`."""
 
     min_rate: float = plan_key(1.0, limits.RATE_HZ, "lowest rate tried", unit="Hz")
     max_rate: float = plan_key(2000.0, limits.RATE_HZ, "highest rate tried", unit="Hz")
@@ -229,10 +215,7 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """Where both sides run on one machine: a plan's table `[network]`.
-
-    Attributes: a key of a plan each.
-    """
+    """The table `[network]`, for two sides on one machine."""
 
     namespaces: bool = plan_key(
         False,
@@ -246,14 +229,14 @@ class Plan:
     """All cells of a sweep, with the settings and devices to record them.
 
     Attributes:
-        name: name of the folder below `--out`; the stem of the plan file unless the plan gives one.
+        name: folder below `--out`.
         cells: in the listed order, first repeat only, exclusions applied.
-        excluded: cells left out, with the reason.
-        namespaces: whether ping and relay run each in a network namespace of its own.
-        link: emulated link between the namespaces, None for a bare veth.
-        connectivity: the sessions' `connectivity`; None lets each device look it up.
-        by_hand: whether a person starts the relay, on another device.
-        partners: name of a cell, without its pass -> name of the cell of another plan that it takes turns with.
+        excluded: excluded cells, with the reason.
+        namespaces: whether each side runs in its own network namespace.
+        link: emulated link between the namespaces.
+        connectivity: the sessions' `connectivity`; None lets each device detect it.
+        by_hand: whether a person starts the relay on another device.
+        partners: cell without pass -> cell of the other plan that it alternates with.
     """
 
     name: str
@@ -287,17 +270,14 @@ class Plan:
         return connects_to_relay(cell.backend) or self.runs_halves(cell)
 
     def runs_halves(self, cell: Cell) -> bool:
-        """Return whether the cell's bridge runs one half beside the ping and one beside the relay.
-
-        On one machine, and where a bridge is one program, the ping's `dds-record` runs all of it.
-        """
+        """Return whether half of the cell's bridge runs next to the relay; else the ping's `dds-record` runs all of it."""
         return (
             self.has_two_devices and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS
         )
 
     @property
     def digest(self) -> str:
-        """Digest of all settings that change how a cell of a given name is recorded; new cells leave it as it is."""
+        """Digest of all settings that change how a cell is recorded, but not which cells there are."""
         settings = {
             "run": {
                 name: value
@@ -314,7 +294,7 @@ class Plan:
 
 
 def depth_warnings(plan: Plan) -> list[str]:
-    """Return a warning for each history of the plan's cells that holds too few messages at its rate, and the cells it is about."""
+    """Return warnings about cells whose history is too short for their rate."""
     warned: dict[str, list[str]] = {}
     for cell in plan.cells:
         if (warning := depth_warning(cell)) is not None:
@@ -328,12 +308,12 @@ def depth_warnings(plan: Plan) -> list[str]:
 
 
 def depth_warning(cell: Cell) -> str | None:
-    """Return a warning if the cell's history holds too few messages at its rate; backends without DDS have no such history."""
+    """Return a warning if the cell's history is too short for its rate; only DDS has a history."""
     if not load_backend(cell.backend).speaks_dds:
         return None
     return warn_of_depth(cell.history, cell.depth, cell.rate)
 
 
 def connects_to_relay(backend: str) -> bool:
-    """Return whether a backend's ping connects to the relay's address instead of looking for the relay."""
+    """Return whether a backend's ping connects to the relay's address."""
     return load_backend(backend).meeting is Meeting.PEERS

@@ -1,4 +1,4 @@
-"""Reads a plan's TOML file into a frozen `Plan`; a wrong key or value is an error with its place and the remedy."""
+"""Reads a plan's TOML file; errors name the place of a wrong key or value and the remedy."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ if TYPE_CHECKING:
     AxisValues: TypeAlias = dict[str, list[AxisValue]]
 
 MAX_PLAN_BYTES = 4 << 20
-"""Largest file that is read as a plan; ours are a few kilobytes."""
+"""Largest plan; ours have a few kilobytes."""
 
 MAX_RUNS = 1_000_000
-"""Most runs of a sweep: at four seconds each they take six weeks."""
+"""Most runs of a sweep, six weeks of four seconds each."""
 
 MOST_NAME_BYTES = 200
-"""Longest name of a cell: with `.r1000.relay.mcap.ring.0123abcd.part` behind it, a file's name has 255 bytes at most."""
+"""Longest name of a cell: with `.r1000.relay.mcap.ring.0123abcd.part` a file's name has at most 255 bytes."""
 
-_OF_PASS = re.compile(r"(.+)_r([1-9][0-9]{0,6})")
+_PASS_NAME = re.compile(r"(.+)_r([1-9][0-9]{0,6})")
 
 
 def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
-    """Read the plan in a TOML file.
+    """Read a plan.
 
     Args:
         path: path of the file.
-        installed: returns (backend, rmw) of every middleware of this machine; called only for a plan that asks for it.
-        by_hand: whether a person starts the relay, on another device.
+        installed: returns (backend, rmw) of every middleware of this machine; called only if the plan needs it.
+        by_hand: whether a person starts the relay on another device.
 
     Raises:
-        OptionError: the file cannot be read, is no TOML, or has a wrong key or value.
+        OptionError: the file cannot be read, or has a wrong key or value.
     """
     try:
         with open_regular(path) as file:
@@ -72,10 +72,9 @@ def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = F
 def parse_plan(
     text: str, name: str, where: str, installed: FindInstalled = tuple, *, by_hand: bool = False
 ) -> Plan:
-    """Return the plan in a TOML text; `where` names the text in errors, which are those of `read_plan`."""
+    """Return the plan in a TOML text; `where` names it in errors."""
     root = TomlTable.parse(text, where, PLAN_LIMITS)
     root.allow(*TABLES[""].words)
-    # One [axes] table or several [[axes]], each of them combined with each [[matrix]].
     axes = [_axis_values(table) for table in root.tables("axes")] or [{}]
     matrices = [_axis_values(table) for table in root.tables("matrix")] or [{}]
     exclusions = [
@@ -130,16 +129,7 @@ def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by
 
 
 def check_runs(where: str, cells: int, passes: int) -> None:
-    """Refuse a sweep of more runs than one can take, before there is a cell of it.
-
-    Args:
-        where: place of the error.
-        cells: number of cells, those that are left out included.
-        passes: number of passes over them.
-
-    Raises:
-        OptionError: there are more than `MAX_RUNS`.
-    """
+    """Raise an `OptionError` for more than `MAX_RUNS` runs."""
     if cells * passes > MAX_RUNS:
         times = f" in {passes:,} passes" if passes > 1 else ""
         raise OptionError(
@@ -149,7 +139,7 @@ def check_runs(where: str, cells: int, passes: int) -> None:
 
 
 def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
-    """Return the number of cells that `_cells` yields."""
+    """Return how many cells `_cells` yields."""
     counts = [len(values) for values in axes.values()]
     if axes.get("backend") == [INSTALLED]:
         counts = [len(values) for axis, values in axes.items() if axis not in ("backend", "rmw")]
@@ -158,18 +148,14 @@ def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
 
 
 def _folder_name(root: TomlTable, stem: str) -> str:
-    """Return the name of the sweep's folder below `--out`, which it cannot leave; `stem` where the plan gives none.
-
-    Raises:
-        OptionError: the name is not that of one folder.
-    """
+    """Return the name of the sweep's folder, by default the `stem` of the file; it cannot leave `--out`."""
     name = root.take("name", str, stem)
     limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
     return name
 
 
 def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:
-    """Yield a cell for every combination of the values; the axis that is written last changes fastest."""
+    """Yield a cell for every combination of the values; the last axis changes fastest."""
     if axes.get("backend") == [INSTALLED]:
         others = {axis: values for axis, values in axes.items() if axis not in ("backend", "rmw")}
         for backend, rmw in installed():
@@ -180,28 +166,24 @@ def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:
 
 
 def _cell(values: Mapping[str, AxisValue]) -> Cell:
-    """Return the cell with these values; `_axis_value` has checked the type of each."""
+    """Return the cell with these checked values."""
     return replace(Cell(), **values)  # type: ignore[arg-type]  # mypy sees a union
 
 
 def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell], list[tuple[Cell, str]]]:
-    kept: list[Cell] = []
+    included: list[Cell] = []
     excluded: list[tuple[Cell, str]] = []
     for cell in listed:
         rule = next((rule for rule in exclusions if rule.covers(cell)), None)
         if rule is None:
-            kept.append(cell)
+            included.append(cell)
         else:
             excluded.append((cell, rule.reason))
-    return kept, excluded
+    return included, excluded
 
 
 def _check_names(cells: list[Cell], where: str, passes: int) -> None:
-    """Check that each cell of each pass has a file name of its own.
-
-    Raises:
-        OptionError: two have the same, or one is longer than a file's name may be.
-    """
+    """Raise an `OptionError` if two cells of two passes have the same file name, or a name is too long."""
     seen: set[str] = set()
     for cell in cells:
         if cell.name in seen:
@@ -215,19 +197,15 @@ def _check_names(cells: list[Cell], where: str, passes: int) -> None:
             )
         seen.add(cell.name)
     for name in seen:
-        of_pass = _OF_PASS.fullmatch(name)
-        if of_pass is not None and of_pass[1] in seen and 1 < int(of_pass[2]) <= passes:
+        match = _PASS_NAME.fullmatch(name)
+        if match is not None and match[1] in seen and 1 < int(match[2]) <= passes:
             raise OptionError(
-                f"{where}: the cell {name} would be pass {of_pass[2]} of {of_pass[1]}; rename the folder of its environment"
+                f"{where}: the cell {name} would be pass {match[2]} of {match[1]}; rename the folder of its environment"
             )
 
 
 def _check(plan: Plan, where: str) -> None:
-    """Check the rules that concern more than one key.
-
-    Raises:
-        OptionError: a rule is broken.
-    """
+    """Raise an `OptionError` for a fault of several keys."""
     run, search, rates = plan.run, plan.search, {cell.rate for cell in plan.cells}
     faults = (
         (
@@ -280,7 +258,7 @@ def _link(table: TomlTable) -> Link | None:
     values = {key: table.take(key, float, None) for key in LINK_KEYS}
     changed = {key: value for key, value in values.items() if value is not None}
     base = PRESETS[preset] if preset else Link()
-    # A preset with other values is no longer that preset, and the trace should not call it so.
+    # A changed preset has another name in the trace.
     name = table.take("name", str, f"{base.name}-changed" if preset and changed else base.name)
     link = replace(base, name=name, **changed)
     if (link.outage_ms > 0) != (link.outage_every_s > 0):
@@ -291,7 +269,7 @@ def _link(table: TomlTable) -> Link | None:
 
 
 def _axis_values(table: TomlTable, ignore: Collection[str] = ()) -> AxisValues:
-    """Return the values of each axis of a table, in the order of the plan."""
+    """Return the values of each axis, in the order of the plan."""
     table.allow(*AXES, *ignore)
     return {
         axis: [
@@ -303,7 +281,7 @@ def _axis_values(table: TomlTable, ignore: Collection[str] = ()) -> AxisValues:
 
 
 def _axis_value(table: TomlTable, name: str, value: object) -> AxisValue:
-    """Return a plan's value of an axis as `Cell` holds it; an empty text is the None of an axis that may be None."""
+    """Return the value of an axis as `Cell` has it; an empty text means None."""
     axis, default = AXES[name], DEFAULTS[name]
     if value == "" and default is None:
         return None

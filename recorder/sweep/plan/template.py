@@ -47,11 +47,7 @@ class Message:
 
 
 def parse_messages(text: str) -> list[Message]:
-    """Read what is sent: `binary 33KB @ 20, imu @ 100`, each with its rate in messages a second.
-
-    Raises:
-        OptionError: a kind, size or rate is not understood.
-    """
+    """Read messages with their rates: `binary 33KB @ 20, imu @ 100`."""
     return [_message(part.strip()) for part in text.split(",")]
 
 
@@ -74,11 +70,7 @@ def _message(text: str) -> Message:
 
 
 def parse_comparisons(text: str) -> list[str]:
-    """Read what is compared: words of `COMPARISONS` with commas between them, or `nothing`.
-
-    Raises:
-        OptionError: a word is not known.
-    """
+    """Read words of `COMPARISONS` with commas between them, or `nothing`."""
     words = [word for word in re.split(r"[,\s]+", text.strip()) if word and word != NOTHING]
     for word in words:
         if word not in COMPARISONS:
@@ -86,28 +78,19 @@ def parse_comparisons(text: str) -> list[str]:
     return list(dict.fromkeys(words))
 
 
-def check_place(text: str) -> str:
-    """Return where the relay is: `here`, `USER@HOST`, or the name of an emulated link.
-
-    Raises:
-        OptionError: it is none of these.
-    """
-    place = text.strip()
-    if place != HERE and place not in PRESETS and "@" not in place:
-        raise OptionError(f"{limits.shown(place)}: write {HERE}, USER@HOST, or a link: {', '.join(PRESETS)}")
-    limits.check(limits.NAME, place, "the relay's device")
-    return place
+def check_location(text: str) -> str:
+    """Return where the relay is: `here`, `USER@HOST`, or the name of an emulated link."""
+    location = text.strip()
+    if location != HERE and location not in PRESETS and "@" not in location:
+        raise OptionError(
+            f"{limits.shown(location)}: write {HERE}, USER@HOST, or a link: {', '.join(PRESETS)}"
+        )
+    limits.check(limits.NAME, location, "the relay's device")
+    return location
 
 
-def plan_text(name: str, messages: Sequence[Message], comparisons: Sequence[str], place: str) -> str:
-    """Return a commented plan.
-
-    Args:
-        name: name of the plan, which its comments use.
-        messages: what is sent, each a `[[matrix]]`.
-        comparisons: words of `COMPARISONS`.
-        place: where the relay is (`check_place`).
-    """
+def plan_text(name: str, messages: Sequence[Message], comparisons: Sequence[str], location: str) -> str:
+    """Return a commented plan of these messages and comparisons (words of `COMPARISONS`)."""
     axes = [_line("axes", *COMPARISONS[word]) for word in comparisons]
     blocks = [
         POINTER,
@@ -129,7 +112,7 @@ def plan_text(name: str, messages: Sequence[Message], comparisons: Sequence[str]
         ),
         *([_block("[axes]", "axes", axes)] if axes else []),
         *(_matrix(message) for message in messages),
-        *_where(place),
+        *_where(location),
     ]
     return "\n\n".join(blocks) + "\n"
 
@@ -140,13 +123,13 @@ def _matrix(message: Message) -> str:
     return "\n".join(["[[matrix]]", *lines])
 
 
-def _where(place: str) -> list[str]:
-    """Return the table that tells where the relay is; none on one machine."""
-    if place == HERE:
+def _where(location: str) -> list[str]:
+    """Return the table of the relay's place; none on one machine."""
+    if location == HERE:
         return []
-    if place in PRESETS:
-        return [_block("[link]", "link", [_line("link", "preset", place)])]
-    lines = [_line("devices.relay", "ssh", place)]
+    if location in PRESETS:
+        return [_block("[link]", "link", [_line("link", "preset", location)])]
+    lines = [_line("devices.relay", "ssh", location)]
     further = [f"# {key}: {plain(TABLES['devices.relay'].keys[key].meaning)}" for key in ("setup", "path")]
     return [_block("[devices.relay]", "devices.relay", [*lines, *further])]
 
@@ -166,5 +149,5 @@ def _comment(text: str) -> str:
 def _toml(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.15g}"
-    # A text, a list or a flag of TOML is one of JSON, but for DEL, which JSON leaves as it is.
+    # JSON is TOML here, but for DEL.
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -23,7 +23,7 @@ from dds_trace.reports.reporters import REPORT_MODULES
 
 from . import compare, watch
 from .program import run_program
-from .quick_help import Version, command_app, declare_command
+from .quick_help import Version, argument, command_app, declare_command, option
 from .vector_sorts import avoid_slow_sorts
 
 if TYPE_CHECKING:
@@ -100,89 +100,71 @@ app = command_app(completes=True)
 def main_command(
     paths: Annotated[
         list[str],
-        typer.Argument(
-            metavar="PATH...",
-            help="Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns such as 'runs/*/pi4*.mcap'.",
-            show_default=False,
+        argument(
+            "PATH...",
+            "Folders with traces at any depth, .mcap files, rosbag2 folders, or patterns such as 'runs/*/pi4*.mcap'.",
             autocompletion=_complete_commands,
         ),
     ],
     report: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="KIND",
-            help=f"Report to write: {', '.join(REPORT_MODULES)}; repeatable. Default: terminal",
-            show_default=False,
+        option(
+            "--report KIND",
+            f"Report to write: {', '.join(REPORT_MODULES)}; repeatable. Default: terminal",
             callback=_check_kinds,
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder for all files. Default: analysis/ in the common folder of all traces",
-            show_default=False,
-        ),
+        option("--out FOLDER", "Folder for all files. Default: analysis/ in the common folder of all traces"),
     ] = None,
     cluster: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Use the workers of a Dask scheduler, e.g. tcp://scheduler:8786; they read the traces from shared folders "
+        option(
+            "--cluster ADDRESS",
+            "Use the workers of a Dask scheduler, e.g. tcp://scheduler:8786; they read the traces from shared folders "
             "or object storage (s3://bucket/runs as PATH).",
-            show_default=False,
         ),
     ] = None,
     sketch: Annotated[
         bool,
-        typer.Option(
+        option(
             "--sketch",
-            help="Compute percentiles from histograms (error at most 0.05 %); write no roundtrips.parquet.",
+            "Compute percentiles from histograms (error at most 0.05 %); write no roundtrips.parquet.",
         ),
     ] = False,
     no_cache: Annotated[
-        bool,
-        typer.Option("--no-cache", help="Read every trace again, and cache nothing for the next analysis."),
+        bool, option("--no-cache", "Read every trace again, and cache nothing for the next analysis.")
     ] = False,
     deadline: Annotated[
         str | None,
-        typer.Option(
-            metavar="TIME",
-            help="Count messages later than this, e.g. 20ms from planned send to reply, or '20ms metric=outbound'.",
-            show_default=False,
+        option(
+            "--deadline TIME",
+            "Count messages later than this, e.g. 20ms from planned send to reply, or '20ms metric=outbound'.",
         ),
     ] = None,
     recommend: Annotated[
         str | None,
-        typer.Option(
-            metavar="JOB",
-            help="Rank the setups for a job: "
-            "'data=binary size=502KB rate=20 deadline=50ms reliability=0.999'.",
-            show_default=False,
+        option(
+            "--recommend JOB",
+            "Rank the setups for a job: 'data=binary size=502KB rate=20 deadline=50ms reliability=0.999'.",
         ),
     ] = None,
     export: Annotated[
         list[ExportKind] | None,
-        typer.Option(
-            metavar="KIND", help="Write csv or arrow in addition to Parquet; repeatable.", show_default=False
-        ),
+        option("--export KIND", "Write csv or arrow in addition to Parquet; repeatable."),
     ] = None,
     derived_mcap: Annotated[
         bool,
-        typer.Option(
-            "--derived-mcap", help="Write the latency of every message as MCAP, and a layout for Foxglove."
-        ),
+        option("--derived-mcap", "Write the latency of every message as MCAP, and a layout for Foxglove."),
     ] = False,
     topics: Annotated[
         bool,
-        typer.Option(
-            "--topics",
-            help="For recordings of other tools: show rate, gaps, jitter, size and age of every topic.",
+        option(
+            "--topics", "For recordings of other tools: show rate, gaps, jitter, size and age of every topic."
         ),
     ] = False,
-    open_it: Annotated[
-        bool, typer.Option("--open", help="Write the HTML report and open it in a browser.")
-    ] = False,
+    open_it: Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")] = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
     """Analyze traces: latency, losses and rates for every middleware, domain, size and frequency.

@@ -6,29 +6,20 @@ import json
 import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.choices import Role  # noqa: TC001 - typer reads the annotation
 
 from .errors import run_command
-from .quick_help import Version, command_app, declare_command
+from .quick_help import Version, argument, command_app, declare_command, option
 from .table_options import given_values, read_record, with_options
 
 if TYPE_CHECKING:
-    from typer.models import OptionInfo
-
     from dds_trace.recorder.bridges.base import Bridge, BridgeOptions
     from dds_trace.recorder.bridges.process.running import RunningBridge
 
 LOOK_S = 0.2
 
 app = command_app(completes=True)
-
-
-def _option(name: str, *, help: str, metavar: str | None = None) -> OptionInfo:  # noqa: A002 - typer's word
-    option: OptionInfo = typer.Option(name, help=help, metavar=metavar, show_default=False)
-    return option
 
 
 _SHARED = ("discovery", "reliability", "durability", "depth", "deadline", "lifespan", "tuned")
@@ -38,40 +29,31 @@ _SHARED = ("discovery", "reliability", "durability", "depth", "deadline", "lifes
 @declare_command(app, "bridge")
 @with_options(_SHARED, in_panels=False)
 def main_command(
-    name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help=f"{', '.join(BRIDGE_MODULES)}.", show_default=False)
-    ] = None,
+    name: Annotated[str | None, argument("[NAME]", f"{', '.join(BRIDGE_MODULES)}.")] = None,
     list_them: Annotated[
-        bool, _option("--list", help="Show which bridges are installed, and how to get the others.")
+        bool, option("--list", "Show which bridges are installed, and how to get the others.")
     ] = False,
-    as_json: Annotated[bool, _option("--json", help="Print the --list as JSON.")] = False,
+    as_json: Annotated[bool, option("--json", "Print the --list as JSON.")] = False,
     print_config: Annotated[
-        bool, _option("--print-config", help="Print the configuration and run nothing.")
+        bool, option("--print-config", "Print the configuration and run nothing.")
     ] = False,
     check: Annotated[
-        bool, _option("--check", help="Check that the program is here and takes these options; run nothing.")
+        bool, option("--check", "Check that the program is here and takes these options; run nothing.")
     ] = False,
-    from_domain: Annotated[int, _option("--from", metavar="ID", help="Domain of the ping. Default: 5")] = 5,
-    to_domain: Annotated[int, _option("--to", metavar="ID", help="Domain of the relay. Default: 10")] = 10,
+    from_domain: Annotated[int, option("--from ID", "Domain of the ping. Default: 5")] = 5,
+    to_domain: Annotated[int, option("--to ID", "Domain of the relay. Default: 10")] = 10,
     topics: Annotated[
         list[str] | None,
-        _option(
-            "--topic", metavar="NAME:TYPE", help="Carry this topic and NAME_relay, its way back; repeatable."
-        ),
+        option("--topic NAME:TYPE", "Carry this topic and NAME_relay, its way back; repeatable."),
     ] = None,
     half: Annotated[
-        Role | None,
-        _option(
-            "--half", metavar="ROLE", help="Run only the half of ping or relay, with --listen or --peer."
-        ),
+        Role | None, option("--half ROLE", "Run only the half of ping or relay, with --listen or --peer.")
     ] = None,
     listen: Annotated[
-        str | None,
-        _option("--listen", metavar="HOST:PORT", help="Address at which this half waits for the other."),
+        str | None, option("--listen HOST:PORT", "Address at which this half waits for the other.")
     ] = None,
     peer: Annotated[
-        list[str] | None,
-        _option("--peer", metavar="HOST:PORT", help="Address at which the other half waits; repeatable."),
+        list[str] | None, option("--peer HOST:PORT", "Address at which the other half waits; repeatable.")
     ] = None,
     version: Version = False,  # noqa: ARG001 - its callback does it
     **values: Any,

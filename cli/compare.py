@@ -9,7 +9,7 @@ import typer
 
 from dds_trace.base import limits
 
-from .quick_help import command_app, declare_command
+from .quick_help import argument, command_app, declare_command, option
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.compare import Comparison
@@ -39,56 +39,48 @@ app = command_app()
 
 @declare_command(app, "compare")
 def compare_command(
-    base: Annotated[
-        Path, typer.Argument(metavar="BASE", help="Traces before the change.", show_default=False)
-    ],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="Traces after the change.", show_default=False)],
+    base: Annotated[Path, argument("BASE", "Traces before the change.")],
+    new: Annotated[Path, argument("NEW", "Traces after the change.")],
     fail_if: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="GATE",
-            help="Condition that fails the comparison: 'latency_p99 > +10%', 'rtt_p50 > +2ms', 'latency_p99 > 20ms', "
+        option(
+            "--fail-if GATE",
+            "Condition that fails the comparison: 'latency_p99 > +10%', 'rtt_p50 > +2ms', 'latency_p99 > 20ms', "
             "'received_ratio < 99%', 'received_ratio < -0.5 points'; repeatable. 'default': p50 > +10%, p99 > +20%, "
             "received < -0.5 points.",
-            show_default=False,
         ),
     ] = None,
     allow_missing: Annotated[
-        bool,
-        typer.Option(
-            "--allow-missing", help="Allow results that are missing or receive nothing on the new side."
-        ),
+        bool, option("--allow-missing", "Allow results that are missing or receive nothing on the new side.")
     ] = False,
     inconclusive: Annotated[
-        Unsure, typer.Option(metavar="EXIT", help="Exit of an inconclusive gate: pass (0) or fail (21).")
+        Unsure,
+        option(
+            "--inconclusive EXIT", "Exit of an inconclusive gate: pass (0) or fail (21).", show_default=True
+        ),
     ] = Unsure.FAIL,
     paired: Annotated[
         bool,
-        typer.Option(
-            "--paired",
-            help="Compare repeat by repeat: both sides were measured in the same repeats of one sweep.",
+        option(
+            "--paired", "Compare repeat by repeat: both sides were measured in the same repeats of one sweep."
         ),
     ] = False,
     report: Annotated[
         ComparisonReport,
-        typer.Option(metavar="KIND", help="Report to write: terminal, md, json, junit or html."),
+        option("--report KIND", "Report to write: terminal, md, json, junit or html.", show_default=True),
     ] = ComparisonReport.TERMINAL,
     shows_all: Annotated[
-        bool, typer.Option("--all", help="Show every result and gate in terminal and md, not only the first.")
+        bool, option("--all", "Show every result and gate in terminal and md, not only the first.")
     ] = False,
     ignore: Annotated[
         str,
-        typer.Option(
-            metavar="COLUMNS",
-            help="Compare results that differ in these columns, e.g. bridge,domain_mode; refused if two results of one side "
+        option(
+            "--ignore COLUMNS",
+            "Compare results that differ in these columns, e.g. bridge,domain_mode; refused if two results of one side "
             "would become one.",
-            show_default=False,
         ),
     ] = "",
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File for the report. Default: stdout", show_default=False),
-    ] = None,
+    out: Annotated[Path | None, option("--out FILE", "File for the report. Default: stdout")] = None,
 ) -> None:
     """Compare two sets of traces: what became slower or loses more, and which changes are too small to detect.
 

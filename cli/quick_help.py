@@ -18,6 +18,8 @@ from .defaulted import DefaultedCommand
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from typer.models import ArgumentInfo, OptionInfo
+
 WIDEST_COLUMNS = 120
 """Columns of help on a wide terminal."""
 WIDEST_NAME = 30
@@ -73,6 +75,21 @@ def _filled(text: str, indent: str, width: int) -> str:
         break_long_words=False,
     )
     return "\n".join(lines or [""]) + "\n"
+
+
+def option(name: str, help: str, *, show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
+    """Return an option; `name` has the metavar after a space."""
+    flag, _, metavar = name.partition(" ")
+    info: OptionInfo = typer.Option(
+        flag, metavar=metavar or None, help=help, show_default=show_default, **more
+    )
+    return info
+
+
+def argument(metavar: str, help: str, **more: Any) -> ArgumentInfo:  # noqa: A002 - typer's word
+    """Return an argument."""
+    info: ArgumentInfo = typer.Argument(metavar=metavar, help=help, show_default=False, **more)
+    return info
 
 
 def command_app(*, completes: bool = False) -> typer.Typer:

@@ -7,11 +7,9 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Annotated
 
-import typer
-
 from dds_trace.base import limits
 
-from .quick_help import command_app, declare_command
+from .quick_help import argument, command_app, declare_command, option
 
 LOOK_SECONDS = 3.0
 """Default time between two checks of the files."""
@@ -21,34 +19,28 @@ app = command_app()
 
 @declare_command(app, "watch")
 def watch_command(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FOLDER", help="Folder that a sweep writes into.", show_default=False, exists=True
-        ),
-    ],
+    folder: Annotated[Path, argument("FOLDER", "Folder that a sweep writes into.", exists=True)],
     host: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS", help="Address to listen on; anybody who reaches it can read the report."
+        option(
+            "--host ADDRESS",
+            "Address to listen on; anybody who reaches it can read the report.",
+            show_default=True,
         ),
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option(metavar="PORT", help="Port to listen on; 0 takes a free one.", min=0, max=65535)
+        int,
+        option("--port PORT", "Port to listen on; 0 takes a free one.", min=0, max=65535, show_default=True),
     ] = 8765,
     every: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Time between two checks of the files.", min=0.1)
+        float, option("--every SECONDS", "Time between two checks of the files.", min=0.1, show_default=True)
     ] = LOOK_SECONDS,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder for all files. Default: analysis/ in the folder of the traces",
-            show_default=False,
-        ),
+        option("--out FOLDER", "Folder for all files. Default: analysis/ in the folder of the traces"),
     ] = None,
     no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Read every trace again each time, and write no files.")
+        bool, option("--no-cache", "Read every trace again each time, and write no files.")
     ] = False,
 ) -> None:
     """Show the report of a folder in a browser while a sweep writes into it; Ctrl-C ends.

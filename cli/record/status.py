@@ -6,9 +6,7 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from ..quick_help import command_app, declare_command
+from ..quick_help import command_app, declare_command, option
 
 if TYPE_CHECKING:
     from dds_trace.recorder.service.running import Listed
@@ -17,9 +15,7 @@ app = command_app()
 
 
 @declare_command(app)
-def status_command(
-    as_json: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
-) -> None:
+def status_command(as_json: Annotated[bool, option("--json", "Print the list as JSON.")] = False) -> None:
     """List the recordings that run on this machine: role, domain, process, messages so far, file.
 
     A killed one is listed with the command that recovers its events. Recordings of other users are shown if their runtime folders

@@ -17,7 +17,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted
 
 from ..program import run_program
-from ..quick_help import Version, command_app, declare_command
+from ..quick_help import Version, argument, command_app, declare_command, option
 from . import new
 
 if TYPE_CHECKING:
@@ -40,60 +40,50 @@ class Printed(str, Enum):
 
 @declare_command(app, "sweep")
 def main_command(
-    plan: Annotated[
-        Path, typer.Argument(metavar="PLAN", help="TOML file, e.g. plans/quick.toml.", show_default=False)
-    ],
+    plan: Annotated[Path, argument("PLAN", "TOML file, e.g. plans/quick.toml.")],
     out: Annotated[
         Path,
-        typer.Option(
-            "--out", metavar="FOLDER", help="Folder for the traces, in OUT/NAME with the name of the plan."
+        option(
+            "--out FOLDER", "Folder for the traces, in OUT/NAME with the name of the plan.", show_default=True
         ),
     ] = Path("runs"),
     dry_run: Annotated[
         bool,
-        typer.Option(
+        option(
             "--dry-run",
-            help="Show the recordings and how long they take, and check that each kind of them can start; record nothing.",
+            "Show the recordings and how long they take, and check that each kind of them can start; record nothing.",
         ),
     ] = False,
     printed: Annotated[
         Printed | None,
-        typer.Option(
-            "--print",
-            metavar="ROLE",
-            help="relay: print the relay commands for a person to start on the other device, and wait for the echo of each.",
-            show_default=False,
+        option(
+            "--print ROLE",
+            "relay: print the relay commands for a person to start on the other device, and wait for the echo of each.",
         ),
     ] = None,
     max_rate: Annotated[
-        bool,
-        typer.Option("--max-rate", help="Search the highest rate that works, instead of the plan's rates."),
+        bool, option("--max-rate", "Search the highest rate that works, instead of the plan's rates.")
     ] = False,
     until: Annotated[
         str | None,
-        typer.Option(
-            metavar="STATISTIC:PERCENT",
-            help="Repeat until every result is this precise: half the confidence interval in percent of the value, e.g. "
+        option(
+            "--until STATISTIC:PERCENT",
+            "Repeat until every result is this precise: half the confidence interval in percent of the value, e.g. "
             "latency_p99:5%.",
-            show_default=False,
         ),
     ] = None,
     max_passes: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Maximum number of repeats for --until. Default: 20", min=1, show_default=False
-        ),
+        int | None, option("--max-passes N", "Maximum number of repeats for --until. Default: 20", min=1)
     ] = None,
     against: Annotated[
         str | None,
-        typer.Option(
-            metavar="SIDE",
-            help="Alternate between the plan (base) and another side (new): another plan.toml, the folder of a Python "
+        option(
+            "--against SIDE",
+            "Alternate between the plan (base) and another side (new): another plan.toml, the folder of a Python "
             "environment with dds-record, or SAME, which measures how often the comparison is wrong.",
-            show_default=False,
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
     """Record every run of a plan: one closed trace for each device and run.

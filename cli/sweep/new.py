@@ -12,7 +12,7 @@ import typer
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, OutputError, OutputExistsError
 
-from ..quick_help import command_app, declare_command
+from ..quick_help import argument, command_app, declare_command, option
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,35 +24,26 @@ app = command_app()
 
 @declare_command(app)
 def main_command(
-    plan: Annotated[
-        Path,
-        typer.Argument(metavar="PLAN.toml", help="File to write; it must not exist.", show_default=False),
-    ],
+    plan: Annotated[Path, argument("PLAN.toml", "File to write; it must not exist.")],
     send: Annotated[
         str | None,
-        typer.Option(
-            "--send",
-            metavar="DATA",
-            help="Messages to send, each with its rate: 'binary 33KB @ 20, imu @ 100, file:photo.jpg @ 5'.",
-            show_default=False,
+        option(
+            "--send DATA",
+            "Messages to send, each with its rate: 'binary 33KB @ 20, imu @ 100, file:photo.jpg @ 5'.",
         ),
     ] = None,
     compare: Annotated[
         str | None,
-        typer.Option(
-            "--compare",
-            metavar="WORDS",
-            help="What to compare: middleware, bridge, reliability, tuning, serialization (comma-separated), or nothing.",
-            show_default=False,
+        option(
+            "--compare WORDS",
+            "What to compare: middleware, bridge, reliability, tuning, serialization (comma-separated), or nothing.",
         ),
     ] = None,
     relay: Annotated[
         str | None,
-        typer.Option(
-            "--relay",
-            metavar="WHERE",
-            help="Where the relay runs: here, USER@HOST, or here over an emulated link, e.g. wifi-54.",
-            show_default=False,
+        option(
+            "--relay WHERE",
+            "Where the relay runs: here, USER@HOST, or here over an emulated link, e.g. wifi-54.",
         ),
     ] = None,
 ) -> None:

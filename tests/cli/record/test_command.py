@@ -306,7 +306,7 @@ def test_progress_in_words():
     assert line == "sent 300/410, received 298, lost 1, RTT p50 0.815 ms, p99 1.43 ms"
     assert describe_progress(PingProgress(410, 0, 0, 0)).endswith("RTT p50 -, p99 -")
     assert describe_progress(RelayProgress(7, 2, 0)) == "7 messages sent back in 2 runs"
-    assert describe_progress(RelayProgress(7, 2, 1)).endswith("1 without our stamp left alone")
+    assert describe_progress(RelayProgress(7, 2, 1)).endswith("1 without our stamp ignored")
 
 
 def recorded(error=None):

@@ -180,7 +180,8 @@ def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
     assert code == 0
     assert "left out by [[exclude]]: 1 combination (for the test)" in out
     assert (
-        "ros2_same_binary-4MB_1000Hz  0 s  needs 32000 of 10000 Mbit/s: will be cut off after 30 s more" in out
+        "ros2_same_binary-4MB_1000Hz  0 s  needs 32000 of 10000 Mbit/s: will be cut off after 30 s more"
+        in out
     )
     assert "plan small: 3 recordings, 1 left out, 1 start of a relay" in out
 

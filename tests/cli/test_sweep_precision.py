@@ -157,7 +157,7 @@ def test_options_that_make_no_sense_are_refused(plan, tmp_path, options, message
 def test_dry_run_tells_the_most_that_further_passes_take_and_the_turns_of_two_sides(plan):
     until = sweep(plan(3), "--dry-run", "--until", "latency_p99:5%", "--max-passes", 6)
     assert until.stdout.splitlines()[-1].startswith(
-        "until latency_p99 is known to +-5 % for every combination: 6 passes at most, about "
+        "until latency_p99 of every result is known to +-5 %: at most 6 repeats, about "
     )
     turns = sweep(plan(2), "--dry-run", "--against", "SAME").stdout.splitlines()
     assert turns[:4] == [f"base  {CELL}", f"new   {CELL}", f"new   {CELL}_r2", f"base  {CELL}_r2"]

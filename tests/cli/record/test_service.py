@@ -143,9 +143,7 @@ def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(doma
     )  # killed before the next one was dropped
     said = status(command.pid)[1].splitlines()
     assert said[0].startswith(f"killed: relay  domain {domain_id}  socket  pid {command.pid}  0 messages, ")
-    assert said[2].startswith(
-        f"    its last events wait in the ring: dds-record --recover {tmp_path}/relay.0"
-    )
+    assert said[2].startswith(f"    its last events are in the ring: dds-record --recover {tmp_path}/relay.0")
     for number in range(2):
         trace = sorted(tmp_path.glob("relay.*.mcap"))[number]
         assert read_trace(trace).sessions[0].role == "relay"

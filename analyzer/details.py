@@ -53,17 +53,10 @@ def collect_details(
     judged: GroupRows,
     mapper: Mapper,
 ) -> Details:
-    """Make the details of a campaign, empty ones if they are not requested.
+    """Make the details of a campaign from the frames of all batches, empty ones if they are not requested.
 
-    Args:
-        campaign: its sessions, runs and traces.
-        grouping: its exchanges by group.
-        frames: frames of `frames.DETAIL_MAKERS` of all batches.
-        rows: the round trips.
-        in_parts: groups that no batch held whole; their intervals and one-way times are computed here.
-        options: the options of the analysis.
-        judged: the messages by which groups are compared.
-        mapper: maps a function over messages, perhaps in other processes.
+    The intervals and one-way times of groups in parts are computed here. `judged` are the messages by which groups are
+    compared; `mapper` maps a function over them, perhaps in other processes.
     """
     if not options.details:
         return details_not_requested()

@@ -58,14 +58,7 @@ class Evidence:
     """The results of every step of one analysis.
 
     Attributes:
-        campaign: traces, sessions and runs.
-        exchanges: who exchanged messages with whom, and the events of no exchange.
-        grouping: the exchanges by group.
-        summary: counts and statistics.
-        details: empty if they were not requested.
-        rows: the round trips; a sketch has none.
         in_parts: groups that no batch held whole.
-        options: the options of the analysis.
         stale_rows: file with rows of an earlier analysis that this one does not replace.
         sending: how each run was sent (`sending.sending_frame`).
         shapes: latency over the time of each run (`shapes.shape_frame`); empty without details.

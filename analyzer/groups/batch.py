@@ -83,15 +83,7 @@ def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisOptions:
-    """The outputs of an analysis in addition to the summary.
-
-    Attributes:
-        rows: the rows of `roundtrips`; without, groups have histograms only.
-        details: one-way times and the frames of `frames.DETAIL_MAKERS`; without, these are empty.
-        deadline_ns: a message later than this, or lost, misses its deadline; None for no deadline.
-        deadline_metric: one of `DEADLINE_METRICS`.
-        job: what to recommend settings for.
-    """
+    """Which outputs to make in addition to the summary, and the deadline and job to judge by (`pipeline.analyze`)."""
 
     rows: bool = True
     details: bool = True
@@ -108,9 +100,7 @@ class Batch:
         exchanges: by group, then by start of the run, then by relay.
         group_of_exchange: uint32, ascending: the group of each exchange, a row of `summary`.
         all_exchanges: number of exchanges of the campaign, which share the points of a drawing.
-        whole: False for a part, with whole runs, of a group larger than memory. Frames that need a whole group have no
-            rows then.
-        options: the options of the analysis.
+        whole: False for a part, with whole runs, of a group larger than memory; frames that need a whole group are then empty.
     """
 
     exchanges: tuple[Exchange, ...]
@@ -121,7 +111,7 @@ class Batch:
 
     @property
     def events(self) -> int:
-        """Number of events of its exchanges."""
+        """Number of events."""
         return sum(sum(exchange.counts) for exchange in self.exchanges)
 
     @property
@@ -130,12 +120,12 @@ class Batch:
         return int(self.group_of_exchange[0])
 
     def event_keys(self) -> list[EventKey]:
-        """Return the keys of its exchanges' events in the event index, each once."""
+        """Return the keys of its events in the event index, each once."""
         return list(dict.fromkeys(key for exchange in self.exchanges for key in exchange.event_keys()))
 
 
 def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
-    """Yield each group and the indices of its exchanges; nothing for a part of a group."""
+    """Yield each whole group and the indices of its exchanges."""
     if not batch.whole:
         return
     groups = batch.group_of_exchange
@@ -145,7 +135,7 @@ def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
 
 
 def columns_by_group(batch: Batch, rows: PairedRows) -> Iterator[tuple[int, Callable[[str], pl.Series]]]:
-    """Yield each group and a function that fetches a column of its rows; nothing for a part of a group."""
+    """Yield each whole group and a function that fetches a column of its rows."""
     bounds = rows.bounds.tolist()
     for group, numbers in exchanges_by_group(batch):
         first, after = bounds[numbers.start], bounds[numbers.stop]

@@ -3,13 +3,11 @@
     T0 ..waiting.. T1 ..transport.. R3 ..delivery.. T3 ..relay.. T4 ..transport.. R2 ..delivery.. T2
                    |------- outbound_ns ----------|             |--------- return_ns --------|
 
-R3 and R2 are the middleware's reception stamps, wall clock of the receiver; without them only the whole `outbound_ns` and
-`return_ns` are known. The parts add up to `response_ns` exactly.
+R3 and R2 are the middleware's reception stamps, wall clock of the receiver. The parts add up to `response_ns` exactly.
 
-Clocks are never mixed without a bound. Between two devices it is the clock fit's. The wall clock and the monotonic clock of
-one device differ by a constant until somebody sets the wall clock, as NTP slews both alike (clock_gettime(2)). The session's
-anchor gives the constant; the stamps check it, because no message is delivered before the middleware received it
-(`received <= T3`), nor stamped by the middleware before it was handed over (`source >= T4`).
+The wall clock and the monotonic clock of a device differ by a constant until somebody sets the wall clock, as NTP slews both
+alike (clock_gettime(2)). The session's anchor gives the constant. The stamps check it: no message is delivered before the
+middleware received it (`received <= T3`), nor stamped by it before it was handed over (`source >= T4`).
 """
 
 from __future__ import annotations
@@ -55,10 +53,10 @@ _RELAY_SOURCE, _RELAY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T3]
 _REPLY_SOURCE, _REPLY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T2]
 
 _PART_COLUMNS = ("scheduled_ns", "outbound_ns", "intermediate_ns", "return_ns", "clock_bound_ns")
-"""Columns in which a message with all parts has a value; only such messages are shown."""
+"""Columns of the parts; only messages with all of them are shown."""
 
 _SIDES = 4
-"""Deliveries and writes of relay and ping, by which their anchors are judged from both sides."""
+"""Deliveries and writes of relay and ping: with all of them the error of the anchors is bounded on both sides."""
 
 BREAKDOWN_SCHEMA = frame_schema(
     "group:u32 part:str order:u32 messages:u64 mean_ns:f64 p50_ns:f64 p99_ns:f64 bound_ns:f64"
@@ -76,10 +74,9 @@ def breakdown_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     Only messages with all parts count, so that the means add up to the mean response; part of a group has no rows.
 
     Returns:
-        Columns of `BREAKDOWN_SCHEMA`: `part` (a name of `STAGES`; `outbound_ns` and `return_ns` in place of transports and
-        deliveries where a message has no reception stamp, or a run contradicts its anchor: wall clock set meanwhile),
-        `order` (0, 1, ... in time), `p99_ns` null below 100 messages, `bound_ns` (mean bound of the clocks, 0 on one clock;
-        null where only one side of an anchor can be judged: no source stamps, or a bridge that writes its own).
+        Columns of `BREAKDOWN_SCHEMA`: `part` (a name of `STAGES`, or `outbound_ns` and `return_ns` as a whole where a
+        reception stamp is missing or contradicts its anchor), `order` in time, `p99_ns` null below 100 messages, `bound_ns`
+        (mean bound of the clocks, 0 on one clock; null where an anchor is bounded on one side only).
     """
     columns = _Columns(roundtrips)
     is_complete = _is_complete(roundtrips)
@@ -125,7 +122,7 @@ def _is_complete(rows: PairedRows) -> Bools:
 
 
 class _Columns:
-    """Columns of rows as int64 arrays, `MISSING` where there is no value; columns in memory are filled once."""
+    """Columns of rows as int64 arrays with `MISSING` for null; columns in memory are filled once."""
 
     def __init__(self, rows: PairedRows) -> None:
         self._rows = rows
@@ -168,12 +165,7 @@ class _Messages:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ExchangeRows:
-    """An exchange of a group.
-
-    Attributes:
-        rows: its messages in the group's.
-        is_direct: whether source stamps are of ping and relay, as without a bridge.
-    """
+    """An exchange of a group, its rows in the group, and whether no bridge writes the source stamps."""
 
     exchange: Exchange
     rows: slice
@@ -193,14 +185,7 @@ class _ExchangeRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Deliveries:
-    """Deliveries of the shown messages of a group.
-
-    Attributes:
-        relay_ns: R3 to T3 of each.
-        ping_ns: R2 to T2 of each.
-        bound_ns: mean error bound of the wall clocks' anchors; None where none can be judged.
-        with_clock_ns: mean of this bound plus the clocks' bound.
-    """
+    """Deliveries of the shown messages: R3 to T3, R2 to T2, the anchors' mean bound, and this plus the clocks' bound."""
 
     relay_ns: Int64
     ping_ns: Int64
@@ -236,8 +221,7 @@ def _percentiles(values_ns: Int64, prefix: str = "") -> dict[str, float | None]:
 def _deliveries(messages: _Messages, exchanges: Iterable[_ExchangeRows]) -> _Deliveries | None:
     """Return the deliveries of a group; None unless all shown messages have both, by anchors that no stamp contradicts.
 
-    The shortest delivery and write of an exchange bound the error of its anchor: nothing arrives or leaves before its time,
-    and a larger error would make one of them negative.
+    The shortest delivery and write of an exchange bound the error of its anchor: a larger error would make one negative.
     """
     is_complete, stamps = messages.is_complete, messages.columns.stamps
     shown = [exchange for exchange in exchanges if is_complete[exchange.rows].any()]
@@ -292,14 +276,13 @@ def _deliveries(messages: _Messages, exchanges: Iterable[_ExchangeRows]) -> _Del
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Times:
-    """The time between two stamps of each message of a group, which may be on clocks that an anchor relates."""
+    """The time between two stamps of each message, which may be on two clocks."""
 
     values_ns: Int64
     has_value: Bools
 
     @classmethod
     def between(cls, messages: _Messages, start: str, end: str) -> _Times:
-        """Return the times between two columns."""
         start_ns, end_ns = messages.column(start), messages.column(end)
         return cls(end_ns - start_ns, (start_ns != MISSING) & (end_ns != MISSING))
 
@@ -312,14 +295,12 @@ class _Times:
 def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Compare response times with round trips, a row per whole group.
 
-    A sender that waits (a blocked publish, a slow loop) sends late and then fast: its round trips look good and its users
-    wait ("coordinated omission", G. Tene, "How not to measure latency", 2013). T0 is recorded, so `response_ns` includes
-    the waiting and the difference shows it.
+    A sender that waits (a blocked publish, a slow loop) hides the waiting in round trips ("coordinated omission", G. Tene,
+    "How not to measure latency", 2013). `response_ns` starts at T0 and includes it.
 
     Returns:
-        Columns of `RESPONSE_SCHEMA`: `messages` (with T0 and T2), `late_ratio` (sent more than a tenth of the
-        period after T0), `waiting_max_ns`, and for p50, p99 (null below 100 messages): `rtt_*_ns`,
-        `response_*_ns` and `hidden_*_ns` = response - rtt.
+        Columns of `RESPONSE_SCHEMA`: `messages` with T0 and T2, `late_ratio` sent more than a tenth of the period after T0,
+        `waiting_max_ns`; p50 and p99 (null below 100 messages) of rtt and response, `hidden_*_ns` = response - rtt.
     """
     names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")
     columns = {name: filled(roundtrips.column(name)) for name in names}

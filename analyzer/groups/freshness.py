@@ -26,14 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class AgeOfInformation:
-    """Age of the newest information at a receiver, from the first reception to the last.
-
-    Attributes:
-        mean_ns: average over time.
-        peak_mean_ns: average of the peaks, each just before newer information arrived.
-        peak_max_ns: highest peak.
-        updates: receptions of newer information than any before.
-    """
+    """Age of the newest information at a receiver from the first update to the last: mean over time, and its peaks."""
 
     mean_ns: float
     peak_mean_ns: float
@@ -107,11 +100,9 @@ class Outage:
     """A run of lost messages.
 
     Attributes:
-        first_sequence: first lost message.
-        messages: number of messages lost in a row.
-        start_ns: planned time of the first one (T0, else T1), ping's monotonic clock.
-        end_ns: reception of the next message that got through; None if the run ended first.
-        recovery_ns: from `end_ns` to the first of `RECOVERED_MESSAGES` messages in a row in time; None if there are none.
+        start_ns: planned time of the first message (T0, else T1), ping's monotonic clock.
+        end_ns: reception of the next message that came back; None if the run ended first.
+        recovery_ns: from `end_ns` to the first of `RECOVERED_MESSAGES` messages in a row in time; None without these.
     """
 
     first_sequence: int
@@ -129,15 +120,7 @@ class Outage:
 def find_outages(
     sequence: NDArray[np.uint64], planned_ns: Int64, receive_ns: Int64, lost: Bools, in_time: Bools
 ) -> list[Outage]:
-    """Find the outages of one run, in order.
-
-    Args:
-        sequence: of every published message, ascending.
-        planned_ns: planned time of each.
-        receive_ns: reception of its reply; any value where `lost`.
-        lost: whether no reply was received.
-        in_time: whether it was received in time, by deadline or by the usual time of the run.
-    """
+    """Find the outages of one run, in order, from its messages by sequence number."""
     outages = []
     good = in_time & ~lost
     for start, stop in runs_of(lost):
@@ -157,7 +140,7 @@ ONE_WAY = ("outbound_ns", "return_ns")
 """Metrics that are wrong by at most `clock_bound_ns`."""
 
 _NEVER = {"outbound_ns": (Outcome.LOST_OUTBOUND,)}
-"""Metric -> outcomes of messages that surely never arrived; any loss for a metric that is not here."""
+"""Metric -> outcomes of messages that surely never arrived; for other metrics all losses."""
 
 FRESHNESS_SCHEMA = frame_schema(
     "group:u32 run_id:u64 relay_id:u32 messages:u64 deadline_ns:i64 judged:u64 missed:u64 "
@@ -179,12 +162,10 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     round trip. A one-way time is judged only if it surely meets or misses the deadline, given its `clock_bound_ns`.
 
     Returns:
-        Columns of `FRESHNESS_SCHEMA`, by group, run and relay. `messages` published; `judged` messages, unsent ones
-        included; `unsure` the others (a deadline within the clock bound, a latency without the relay's trace); `missed`,
-        `missed_ratio` of the judged, `longest_missed` in a row and `longest_missed_ns` from the first one's planned time to
-        the next message in time; `age_*`: information that went to the relay and back, at the ping, exact on one clock;
-        `relay_age_*`: at the relay, on the ping's clock, wrong by at most `clock_bound_ns`; `outages` of at least
-        `OUTAGE_MESSAGES` losses, the longest one and the longest recovery.
+        Columns of `FRESHNESS_SCHEMA`, by group, run and relay. `judged` messages, unsent ones included; `unsure` the others (a
+        deadline within the clock bound, a latency without the relay's trace); `missed_ratio` of the judged; `longest_missed`
+        in a row, and `longest_missed_ns` to the next message in time; `age_*` of information that went to the relay and back;
+        `relay_age_*` at the relay, wrong by at most `clock_bound_ns`; `outages` of at least `OUTAGE_MESSAGES` losses.
     """
     unsent = roundtrips.counts["unsent"].to_list()
     rows: list[dict[str, object]] = []
@@ -240,10 +221,7 @@ def _names(batch: Batch, number: int) -> dict[str, object]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """The metric of a deadline for each message, and its error bound.
-
-    `never`: whether a message surely never arrived.
-    """
+    """The metric of a deadline for each message, its error bound, and whether the message surely never arrived."""
 
     deadline_ns: int
     value_ns: Int64
@@ -262,10 +240,7 @@ class _Judged:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Run:
-    """One run and relay as arrays, by sequence number; missing times are 0 and masked.
-
-    `seen`: whether `outbound_ns` and `bound_ns` have a value. `judged`: None without a deadline.
-    """
+    """One run and relay as arrays by sequence number; `seen`: whether `outbound_ns` and `bound_ns` have a value."""
 
     sequence: NDArray[np.uint64]
     planned_ns: Int64
@@ -347,7 +322,7 @@ def _deadline(run: _Run, unsent: int) -> dict[str, object]:
     for start, stop in runs_of(missed):
         end_ns = run.planned_ns[stop] if stop < len(missed) else run.planned_ns[stop - 1]
         lengths_ns.append(int(end_ns - run.planned_ns[start]))
-    # Messages that never left were due after the last one that did.
+    # Unsent messages were due after the last sent one.
     ending = len(missed) - int(np.flatnonzero(~missed)[-1]) - 1 if not missed.all() else len(missed)
     all_judged, all_missed = int(judged.sum()) + unsent, int(missed.sum()) + unsent
     return {

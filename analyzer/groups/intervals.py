@@ -56,11 +56,10 @@ def interval_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
 
     Returns:
         Columns of `INTERVAL_SCHEMA`, five rows per group and metric with a value (`METRICS`, `outbound`, `return`).
-        `estimate_ns` is the summary's percentile; `low_ns`, `high_ns` are null where the sample does not support that end,
-        all three where it does not support the percentile. `method` is `student_t_of_runs` or `order_statistics`, null
-        without both ends. `independent`: number of independent messages that the sample is worth. `typical_ns`: the
-        percentile of a typical run, whose interval this is; within one run `estimate_ns`. `basis`, `runs`, `units`,
-        `episodes` as in `statistics.intervals.Interval`; `between`, `within` as in `run_statistics.spread.Spread`.
+        `estimate_ns` is the summary's percentile; it, `low_ns` and `high_ns` are null where the sample does not support them.
+        `method` is `student_t_of_runs` or `order_statistics`, null without both ends. `typical_ns`: the percentile of a
+        typical run, whose interval this is. `independent`, `basis`, `runs`, `units`, `episodes` as in
+        `statistics.intervals.Interval`; `between`, `within` as in `run_statistics.spread.Spread`.
     """
     rows = [
         row
@@ -75,13 +74,7 @@ def interval_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
 def interval_rows(
     group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
 ) -> Iterator[dict[str, object]]:
-    """Yield the rows of `interval_frame` for one group.
-
-    Args:
-        group: its number.
-        column: fetches a column of the group's rows.
-        run_of_row: number of the run of each row, ascending.
-    """
+    """Yield the rows of `interval_frame` for one group from its columns and the run of each row, ascending."""
     sent_ns = column("publish_ns").to_numpy()
     all_messages = _Sending.of(sent_ns, run_of_row)
     bounds_ns = present(column("clock_bound_ns"))
@@ -143,11 +136,9 @@ def sample_columns(interval: Interval) -> dict[str, object]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sending:
-    """When messages of a group were sent, run after run.
+    """T1 of messages, ascending in each run, and their indices in that order.
 
-    Attributes:
-        times: T1 of each message, ascending in each run.
-        order: indices of the messages in that order; None if they have it, as all but messages of several relays do.
+    `order` is None if they have it, as all but messages of several relays do.
     """
 
     times: SendTimes

@@ -44,10 +44,9 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Describe for each run and relay how its messages were sent.
 
     Returns:
-        Columns of `SENDING_SCHEMA`. `messages` published; `elapsed_ns`, `behind_ns`: see `schedule_lag`; `late`: messages
-        with T1 - T0 above `LATE_NS`, and `late_max_ns` the largest T1 - T0, without messages delayed by a stand-still;
-        `late_p99_ns`: 99th percentile of T1 - T0 of all messages; `still`: number of stand-stills; the longest one took
-        `still_ns` and ended at `still_end_ns`, ping's monotonic clock.
+        Columns of `SENDING_SCHEMA`. `elapsed_ns`, `behind_ns`: see `schedule_lag`; `late` messages with T1 - T0 above
+        `LATE_NS` and the largest T1 - T0, `late_max_ns`, without messages delayed by a stand-still; `late_p99_ns` of all
+        messages; `still`: number of stand-stills; the longest took `still_ns` and ended at `still_end_ns`, ping's clock.
     """
     rows: list[dict[str, object]] = []
     scheduled = roundtrips.measured["scheduled_ns"]

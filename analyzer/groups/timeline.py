@@ -32,9 +32,9 @@ def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize the round trips of each run in each group.
 
     Returns:
-        Columns of `RUN_SCHEMA`, a row for each run of each group: `origin_ns` (planned send time of its first message on the
-        ping's clock, else T1), `last_ns` (T1 of its last message), `published` and `received` messages, times the relays of
-        the group, `p50_ns` and `max_ns` of the latency, of the round trip without the relay's stamps.
+        Columns of `RUN_SCHEMA`: `origin_ns` T0 (else T1) of the first message, `last_ns` T1 of the last one, ping's clock;
+        `published` and `received` messages, times the relays of the group; `p50_ns` and `max_ns` of the latency, of the round
+        trip without the relay's stamps.
     """
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     keys = list(zip(batch.group_of_exchange.tolist(), run_ids, strict=True))
@@ -44,14 +44,9 @@ def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
-    """Merge the rows of runs whose relays are in several groups.
+    """Return one row a run, by `run_id`, without `group`.
 
-    Args:
-        run_times: the frame of all groups.
-        roundtrips: read for those runs, which need a common median; about `ROWS_AT_ONCE` at a time.
-
-    Returns:
-        Columns of `RUN_SCHEMA` but `group`, one row a run, by `run_id`.
+    Runs whose relays are in several groups need a common median: their round trips are read, `ROWS_AT_ONCE` at a time.
     """
     is_whole = pl.col("run_id").is_unique()
     parts = [run_times.filter(is_whole)]
@@ -73,13 +68,7 @@ def _runs_at_once(run_times: pl.DataFrame) -> Iterator[pl.DataFrame]:
 def _summarize(
     roundtrips: pl.DataFrame, keys: Sequence[tuple[int, int]], bounds: Sequence[int]
 ) -> pl.DataFrame:
-    """Return columns of `RUN_SCHEMA` from rows that are ordered by run.
-
-    Args:
-        roundtrips: columns of `_READ`.
-        keys: group and run_id of each run.
-        bounds: run i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
-    """
+    """Return columns of `RUN_SCHEMA` for runs with these groups and run_ids, run i in rows `bounds[i]` to `bounds[i + 1]`."""
     sent_ns, is_back = roundtrips["publish_ns"].to_numpy(), (roundtrips["outcome"] == "completed").to_numpy()
     planned_ns = first_known(roundtrips, "scheduled_ns", "publish_ns").to_numpy()
     times = first_known(roundtrips, "latency_ns", "rtt_ns")
@@ -125,12 +114,11 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Choose rows to draw; all exchanges of the campaign share the points.
 
     An exchange with more rows than points is cut into stretches of equal length. Each keeps its lowest and its highest
-    latency (round trip without the relay's trace) and the first message of every kind of loss: a curve through these covers
-    what a curve through all rows covers.
+    latency (round trip without the relay's trace) and the first message of every kind of loss.
 
     Returns:
         Columns `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (T0, else T1, since the run's first
-        counted message), `latency_ns` i64 null, `rtt_ns` i64 null, `outcome` str.
+        counted message), `latency_ns`, `rtt_ns` i64, `outcome` str.
     """
     recorded = np.array([exchange.relay_recorded for exchange in batch.exchanges])
     rows = _rows_to_draw(roundtrips, recorded, points_of_exchange(batch.all_exchanges))

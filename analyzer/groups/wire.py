@@ -35,15 +35,12 @@ WIRE_SCHEMA = frame_schema(
     "discovery_bytes_per_minute:f64 reassembly_failed:u64 udp_receive_buffer_full:u64 tcp_again_bytes:u64 "
     "shared_counts:u32 tcp_retransmitted_segments:u64 tcp_rtt_p50_ns:f64 tcp_congestion_window_p50:f64"
 )
-"""A row per group with counts. `runs` with counts; `complete`: no capture dropped a packet (`kernel_drops`); `total_bytes` on
-the ping's interfaces, both ways, Ethernet headers included; `payload_bytes` of all messages and replies, warm-up included;
-`again_bytes_share` of bytes that were sent again; `messages` with a record, `again_messages` of them sent again on either
-way, half of these after `resent_after_p50_ns` and `waited_heartbeats_p50` heartbeats of their writer; `requests` to send
-again; `match_p50_ns` from a participant's first announcement to the first echo, median of the runs; `discovery_*` SPDP, SEDP
-and liveliness; `reassembly_failed` and `udp_receive_buffer_full` datagrams of both devices; `tcp_again_bytes` TCP payload
-sent again in `tcp_retransmitted_segments` (`TCP_INFO`), medians of smoothed round-trip times and congestion windows
-(segments) of the ping's connections at the end of its runs, null without TCP; `shared_counts` of a relay's capture that belong
-to other groups' runs as well: only their `kernel_drops` count here."""
+"""A row per group with counts. `complete`: no capture dropped a packet (`kernel_drops`); `total_bytes` on the ping's interfaces,
+both ways, from Ethernet headers on; `payload_bytes` of messages and replies, warm-up included; `again_*`: sent again on either
+way, half of the messages after `resent_after_p50_ns` and `waited_heartbeats_p50` heartbeats of their writer; `requests` to
+send again; `match_p50_ns` from a participant's first announcement to the first echo; `discovery_*` SPDP, SEDP and liveliness;
+`reassembly_failed`, `udp_receive_buffer_full` datagrams of both devices; `tcp_*` from `TCP_INFO` of the ping's connections,
+null without TCP; `shared_counts` of a relay's capture that belong to other groups' runs, too: only their `kernel_drops` count."""
 
 WIRE_CLASS_SCHEMA = frame_schema("group:u32 wire_class:str packets:u64 bytes:u64 share:f64")
 """A row per group and class of traffic (`docs/reference/wire.md`) on the ping's interfaces, both ways; `share` of the group's bytes."""
@@ -102,13 +99,9 @@ def no_wire_frames() -> WireFrames:
 def wire_frames(
     traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore
 ) -> WireFrames:
-    """Make the frames of `WIRE_FRAMES`.
+    """Make the frames from the traces' records of messages and counts of relays, and the runs' counts of the ping.
 
-    Args:
-        traces: have records of messages and counts of relays.
-        runs: the latest description of each run.
-        grouping: the exchanges of each group.
-        rows: the round trips; without them (a sketch) records are in no frame.
+    Without rows (a sketch) records are in no frame.
     """
     counts = {run_id: value for run_id, run in runs.items() if (value := _object(run.extra.get("wire")))}
     if not counts:

@@ -32,8 +32,8 @@ from dds_trace.recorder.host.recorder_cost import (
     worst_stall_ns,
 )
 from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP
+from dds_trace.tracefile.format.encoding import CDR_HEADER
 from dds_trace.tracefile.format.events import EVENT_DEFINITION, EVENT_SCHEMA_NAME, Stage
-from dds_trace.tracefile.format.string_cdr import CDR_HEADER
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 

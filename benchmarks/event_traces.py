@@ -17,6 +17,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Schema, Statistics
 
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
+from dds_trace.tracefile.format.encoding import CDR_HEADER, encode_string
 from dds_trace.tracefile.format.events import (
     EVENT_DEFINITION,
     EVENT_DTYPE,
@@ -25,7 +26,6 @@ from dds_trace.tracefile.format.events import (
     SESSION_TOPIC,
     Stage,
 )
-from dds_trace.tracefile.format.string_cdr import CDR_HEADER, encode_string
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -20,7 +20,7 @@ from mcap.writer import CompressionType, Writer
 from dds_trace.base.errors import OutputError, OutputExistsError
 from dds_trace.base.files import replacing
 from dds_trace.base.version import __version__
-from dds_trace.tracefile.format.string_cdr import CDR_HEADER
+from dds_trace.tracefile.format.encoding import CDR_HEADER
 
 from ..model.metrics import METRICS
 

@@ -6,7 +6,7 @@ import itertools
 import struct
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.format.string_cdr import CDR_HEADER
+from dds_trace.tracefile.format.encoding import CDR_HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OutputError
 from dds_trace.base.units import format_size
 from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
-from dds_trace.tracefile.reading.first_session import read_first_session
+from dds_trace.tracefile.reading.mcap_source import read_first_session
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -17,8 +17,8 @@ from mcap.opcode import Opcode
 from trace_files import Message, ping_events, ping_session, run, string_cdr, write_trace
 
 from dds_trace.base.errors import TraceError
+from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.events import EventColumns, Stage
-from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.reading.reader import iter_event_batches, read_trace, read_trace_in_pieces
 from dds_trace.tracefile.writing.destination import TraceDestination

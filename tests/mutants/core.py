@@ -46,7 +46,7 @@ CORE = {
     "intervals": Part(("analyzer/groups/intervals.py",), ("tests/analyzer/groups",)),
     "clocks": Part(("analyzer/clocks",), ("tests/analyzer/clocks",)),
     "ring": Part(
-        ("tracefile/format/ring.py", "tracefile/format/events.py", "tracefile/format/event_record.py"),
+        ("tracefile/format/ring.py", "tracefile/format/events.py"),
         (
             "tests/tracefile/format",
             "tests/tracefile/reading/test_reader_ring.py",

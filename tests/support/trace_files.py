@@ -18,6 +18,7 @@ from event_cdr import pack_event
 from mcap.writer import CompressionType, IndexType, Writer
 
 from dds_trace.tracefile.format.descriptions import Run, Session
+from dds_trace.tracefile.format.encoding import STRING_DEFINITION, STRING_SCHEMA_NAME
 from dds_trace.tracefile.format.events import (
     EVENT_DEFINITION,
     EVENT_SCHEMA_NAME,
@@ -26,7 +27,6 @@ from dds_trace.tracefile.format.events import (
     SESSION_TOPIC,
     Stage,
 )
-from dds_trace.tracefile.format.string_cdr import STRING_DEFINITION, STRING_SCHEMA_NAME
 from dds_trace.tracefile.format.wire import WIRE_TOPIC
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 
 from dds_trace.base.units import counted
 
-from ..format.framing import MAGIC
+from ..format.encoding import MAGIC
 from .chunks import DamagedChunkError, PackedChunk, UnpackMemory
 from .file import MAX_RECORD_BYTES, TornRecordError
 from .records import record_name
@@ -25,10 +25,9 @@ from .scan import MESSAGES_AND_CHANNELS, Scan, scan_records, split_by_channel
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from .file import RecordFile, RecordHeader
+    from .file import RecordFile, RecordHeader, Summary
     from .records import Buffer
     from .scan import ChannelEvents
-    from .summary import Summary
 
 BLOCK_BYTES = 2 << 20
 """Size up to which small chunks are handled together, so that their number costs no more than their bytes."""

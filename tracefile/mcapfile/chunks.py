@@ -11,7 +11,7 @@ import zstandard
 
 from dds_trace.base.units import counted
 
-from ..format.framing import crc32
+from ..format.encoding import crc32
 from .file import MAX_RECORD_BYTES
 from .records import RecordContent
 

@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from ..format.event_record import (
+from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER
+from ..format.events import (
     EVENT_CDR,
+    EVENT_DTYPE,
     EVENT_HEAD,
     EVENT_RECORD_BYTES,
     EVENT_RECORD_DTYPE,
 )
-from ..format.events import EVENT_DTYPE
-from ..format.framing import MESSAGE_HEADER, RECORD_HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Container
 
-    from ..format.event_record import Records
+    from ..format.events import Records
     from .records import Buffer
 
 MESSAGES_AND_CHANNELS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})

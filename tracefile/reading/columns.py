@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from ..format.event_record import Records
+    from ..format.events import Records
 
 # An event is six fields of 8 bytes and then two of 4: two blocks of columns, each filled in one step.
 _NAMES = EVENT_DTYPE.names or ()

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
+from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.threads import in_order
 from dds_trace.base.units import counted
 
-from ..format.event_record import EVENT_RECORD_BYTES
-from ..format.events import Stage
-from ..format.framing import MAGIC, MESSAGE_HEADER
+from ..format.descriptions import Session
+from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
+from ..format.events import EVENT_RECORD_BYTES, Stage
 from ..mcapfile.blocks import BlockJobs
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
-from ..mcapfile.file import RecordFile, TornRecordError
-from ..mcapfile.summary import read_summary
+from ..mcapfile.file import RecordFile, TornRecordError, read_summary
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
 
 if TYPE_CHECKING:
@@ -231,3 +231,24 @@ def _blocks_ahead() -> int:
     More of them only push each other out of the caches.
     """
     return min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)
+
+
+def read_first_session(path: Path) -> Session | None:
+    """Return the session that a file begins with; None if it does not begin as the files of our recorder do."""
+    try:
+        with RecordFile(path) as file:
+            chunk = PackedChunk.at(file, file.header_at(len(MAGIC), frozenset({Opcode.CHUNK})))
+            return _session_in(chunk.unpack(file), path)
+    except (TraceFormatError, TornRecordError, DamagedChunkError, ValueError):
+        return None
+
+
+def _session_in(records: memoryview, path: Path) -> Session | None:
+    at = 0
+    while at + RECORD_HEADER.size <= len(records):
+        opcode, length = RECORD_HEADER.unpack_from(records, at)
+        at += RECORD_HEADER.size
+        if opcode == Opcode.MESSAGE:
+            return Session.from_json(decode_string(records[at + MESSAGE_HEADER.size : at + length]), path)
+        at += length
+    return None

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING
 
 from ..format.events import EventColumns, Stage
 from .columns import ColumnsBuilder, ColumnsMemory
-from .ring_events import ring_beside
 from .storage import open_source, storage_files
-from .trace import TraceBuilder
+from .trace import TraceBuilder, ring_beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

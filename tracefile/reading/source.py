@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import zstandard
 
+from ..format.encoding import CDR_HEADER
 from ..format.events import EVENT_CDR_BYTES, EVENT_DTYPE
-from ..format.string_cdr import CDR_HEADER
 from ..mcapfile.chunks import unpack_zstd
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from ..format.event_record import Records
-    from ..format.events import Stage
+    from ..format.events import Records, Stage
 
 TOPIC_PREFIX = "/dds_trace/"
 """Beginning of the topics that are ours."""

@@ -11,16 +11,15 @@ from mcap.records import Header
 
 from dds_trace.base.errors import TraceFormatError
 
-from ..format.event_record import EVENT_RECORD_DTYPE
-from ..format.framing import MAGIC, MESSAGE_HEADER
+from ..format.encoding import MAGIC, MESSAGE_HEADER, decode_string
+from ..format.events import EVENT_RECORD_DTYPE
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
-from ..format.string_cdr import decode_string
 from ..mcapfile.blocks import most_unpacked_bytes
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import TornRecordError
 from ..mcapfile.scan import scan_records
-from ..writing.declarations import LIBRARY
+from ..writing.event_chunks import LIBRARY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import queue
     from collections.abc import Callable
 
-    from .trace_files import TraceFiles
+    from .writer import TraceFiles
 
 ExpectedPair: TypeAlias = tuple[int, int, int, int]
 """A pair of events that is packed but for its times: ticket of the first, its first word in the ring, the marks of both."""

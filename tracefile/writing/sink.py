@@ -24,7 +24,7 @@ from dds_trace.base.threads import run_in_background
 
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
 from .packing import EventPacker
-from .trace_files import TraceFiles
+from .writer import TraceFiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

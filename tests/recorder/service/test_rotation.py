@@ -7,7 +7,7 @@ from trace_files import RELAY_SESSION_ID, relay_session, write_trace
 
 from dds_trace.recorder.option_values import KeepFree
 from dds_trace.recorder.service.rotation import RotatedFiles, find_shortage
-from dds_trace.tracefile.reading.first_session import read_first_session
+from dds_trace.tracefile.reading.mcap_source import read_first_session
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 

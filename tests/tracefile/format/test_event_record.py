@@ -9,7 +9,7 @@ from event_cdr import pack_event
 from mcap.data_stream import RecordBuilder
 from mcap.records import Message
 
-from dds_trace.tracefile.format.event_record import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, fill_constants
+from dds_trace.tracefile.format.events import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, fill_constants
 
 
 def test_an_event_is_the_message_that_mcap_writes():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.tracefile.format.string_cdr import decode_string, encode_string
+from dds_trace.tracefile.format.encoding import decode_string, encode_string
 
 
 def test_a_text_is_little_endian_with_a_nul():

@@ -15,11 +15,10 @@ import pytest
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema, Statistics
 
-from dds_trace.tracefile.format.framing import MESSAGE_HEADER
+from dds_trace.tracefile.format.encoding import MESSAGE_HEADER
 from dds_trace.tracefile.mcapfile.blocks import BlockJobs
-from dds_trace.tracefile.mcapfile.file import RecordFile
+from dds_trace.tracefile.mcapfile.file import RecordFile, read_summary
 from dds_trace.tracefile.mcapfile.records import OPCODES, parse_record
-from dds_trace.tracefile.mcapfile.summary import read_summary
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

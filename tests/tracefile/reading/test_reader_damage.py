@@ -23,8 +23,8 @@ from trace_files import (
 )
 
 from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.events import EVENT_DTYPE, Stage
-from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.mcapfile.file import RecordFile
 from dds_trace.tracefile.reading import mcap_source
 from dds_trace.tracefile.reading.reader import read_trace

@@ -16,8 +16,8 @@ from rosbags.rosbag2 import Reader
 from trace_files import ping_session, run, write_trace
 
 from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
+from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.events import HOST_TOPIC, Stage
-from dds_trace.tracefile.format.framing import MAGIC
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.mcapfile.channels import ChannelTable

@@ -16,11 +16,11 @@ from trace_files import RELAY_SESSION_ID, relay_session
 from dds_trace.base.errors import OutputError, OutputExistsError
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import ring_path
-from dds_trace.tracefile.reading.first_session import read_first_session
+from dds_trace.tracefile.reading.mcap_source import read_first_session
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
-from dds_trace.tracefile.writing.trace_files import TraceFiles
+from dds_trace.tracefile.writing.writer import TraceFiles
 
 FILES = 6
 

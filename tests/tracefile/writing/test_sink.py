@@ -29,7 +29,7 @@ from dds_trace.tracefile.format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOP
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import BUSY_SWITCH_INTERVAL_S, TraceSink
-from dds_trace.tracefile.writing.trace_files import TraceFiles
+from dds_trace.tracefile.writing.writer import TraceFiles
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

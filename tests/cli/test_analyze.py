@@ -93,7 +93,7 @@ def test_doubts_that_spoil_numbers_go_to_stderr(tmp_path, capsys):
     [
         (lambda folder: folder.mkdir(), 4, "empty"),
         (lambda folder: folder.exists(), 4, "no such"),
-        (lambda folder: folder.write_bytes(b"no trace"), 3, "no MCAP file"),
+        (lambda folder: folder.write_bytes(b"no trace"), 3, "not a MCAP file"),
     ],
 )
 def test_errors_are_one_line_and_an_exit_code(tmp_path, capsys, make, status, text):

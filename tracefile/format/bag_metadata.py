@@ -17,19 +17,12 @@ METADATA_NAME = "metadata.yaml"
 """Name of the file that makes a folder a bag."""
 
 BAG_VERSION = 9
-"""Version that ROS 2 Jazzy writes. Version 7 brought type hashes, 8 the distribution, 9 QoS profiles as YAML, not as text."""
+"""Version that ROS 2 Jazzy writes: with type hashes (7), distribution (8), QoS profiles as YAML (9)."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicCount:
-    """A topic of a bag.
-
-    Attributes:
-        topic: its name.
-        schema_name: the type of its messages.
-        type_hash: the type's hash (REP 2016).
-        messages: number of its messages.
-    """
+    """A topic of a bag: its name, the type of its messages with hash (REP 2016), and their number."""
 
     topic: str
     schema_name: str
@@ -45,23 +38,23 @@ def write_metadata(
     mode: int = OWNER_AND_GROUP,
     fsync: bool = False,
 ) -> None:
-    """Write `metadata.yaml` beside the one MCAP file of a bag.
+    """Write `metadata.yaml` next to the one MCAP file of a bag.
 
-    No QoS profile is offered: nothing was received over these topics, so a player uses its default.
+    It has no QoS profile: nothing was received over these topics, so a player uses its default.
 
     Args:
         trace: the closed MCAP file.
         topics: its topics.
         time_range_ns: its earliest and latest log time.
         mode: the most rights that the file has.
-        fsync: whether it is on the disk, not only in the page cache, when this returns.
+        fsync: whether it is on the disk, not only in the page cache, on return.
 
     Raises:
         OSError: the file cannot be written.
     """
     start_ns, end_ns = time_range_ns
     count = sum(topic.messages for topic in topics)
-    name = json.dumps(trace.name)  # a JSON string is a YAML string, whatever is in it
+    name = json.dumps(trace.name)  # a JSON string is a YAML string
     per_topic = "".join(
         _TOPIC.format(
             topic=json.dumps(topic.topic),

@@ -1,4 +1,4 @@
-"""The two JSON descriptions in a trace: `Session` for a recording process, `Run` for one cell of a sweep.
+"""The two JSON descriptions in a trace: `Session` of a recording process, `Run` of a ping's run.
 
 Unknown fields are kept and written back; a missing field is an error that names the file and the field.
 """
@@ -28,8 +28,8 @@ class Qos:
         reliability: `reliable` or `best_effort`.
         durability: `volatile` or `transient_local`.
         history: `keep_last` or `keep_all`.
-        depth: number of messages kept, for `keep_last`.
-        extra: further fields of the JSON object (`deadline_ns`, `lifespan_ns`), kept as they are.
+        depth: number of messages in the history, for `keep_last`.
+        extra: further fields of the JSON object (`deadline_ns`, `lifespan_ns`).
     """
 
     reliability: str = "reliable"
@@ -51,12 +51,12 @@ class Qos:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """Description of one recording process, written at its start and again at a clean end.
+    """One recording process, described at its start and again at a clean end.
 
     Attributes:
         session_id: 64-bit random number, 16 hex digits in the JSON.
         role: `ping` or `relay`.
-        device: name of the machine, as the user gave it or as the system has it.
+        device: name of the machine, from the user or the system.
         backend: the API that carried the messages.
         vendor: the DDS implementation, or `none`.
         rmw: the ROS middleware; None outside of ROS 2.
@@ -66,9 +66,9 @@ class Session:
         wall_anchor_ns: ns since 1970 at the instant `monotonic_anchor_ns` of CLOCK_MONOTONIC.
         monotonic_anchor_ns: CLOCK_MONOTONIC at the same instant, ns.
         host: fingerprint of the environment.
-        dropped_events: number of events that the recorder could not keep.
+        dropped_events: number of events that the recorder could not store.
         state: `open` at the start, `closed` at a clean end.
-        extra: fields that this version does not know, kept as they are.
+        extra: fields that this version does not know.
     """
 
     session_id: int
@@ -88,7 +88,7 @@ class Session:
     extra: JsonObject = field(default_factory=dict)
 
     def closed(self, dropped_events: int, **extra: Json) -> Session:
-        """Return the session as it is described at a clean end, with `extra` added."""
+        """Return the session as described at a clean end, with `extra` added."""
         return replace(self, state="closed", dropped_events=dropped_events, extra={**self.extra, **extra})
 
     def wall_ns(self, monotonic_ns: int) -> int:
@@ -120,15 +120,11 @@ class Session:
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Session:
-        """Parse the description of a session.
-
-        Args:
-            text: the JSON text.
-            path: the trace, for errors.
+        """Parse the description of a session; `path` names the trace in errors.
 
         Raises:
-            TraceFormatError: `text` is no JSON object, has another format version, or lacks a field or has one of
-                another type; the message names `path` and the field.
+            TraceFormatError: `text` is not a JSON object, has another format version, or lacks a field or has one of another
+                type; the message names `path` and the field.
         """
         take = DescriptionFields.parse(text, path, "session")
         return cls(
@@ -152,23 +148,23 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Description of one run (one cell of a sweep) by its ping, written at its start and at its end.
+    """One run, described by its ping at its start and at its end.
 
     Attributes:
         run_id: 64-bit random number, 16 hex digits in the JSON.
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message, without the stamp.
         rate_hz: messages a second, as planned.
-        planned_messages: number of messages to be measured, without the warm-up before them.
-        warmup_messages: number of first messages that are kept out of every statistic.
+        planned_messages: number of messages to measure, without warm-up.
+        warmup_messages: number of first messages that no statistic includes.
         bridge: the bridge between the two domains, or `none`.
-        relay_domain_id: the relay's domain, as the user told the ping; None if unknown.
+        relay_domain_id: the relay's domain, as the user gave it; None if unknown.
         serialization: `raw` or `typed`.
         qos: quality of service of the data topics.
         labels: the user's labels.
         published: number of messages handed to the middleware, with the warm-up; final in state `finished`.
         state: `started` or `finished`.
-        extra: fields that this version does not know, kept as they are.
+        extra: fields that this version does not know.
     """
 
     run_id: int
@@ -187,7 +183,7 @@ class Run:
     extra: JsonObject = field(default_factory=dict)
 
     def finished(self, published: int, **extra: Json) -> Run:
-        """Return the run as it is described at its end, with `extra` added."""
+        """Return the run as described at its end, with `extra` added."""
         return replace(self, state="finished", published=published, extra={**self.extra, **extra})
 
     def to_json(self) -> str:

@@ -4,23 +4,6 @@ from __future__ import annotations
 
 import struct
 
-try:  # reading lz4 spends a fifth of its time in this checksum, and isal's is four times as fast
-    from isal.isal_zlib import crc32
-except ImportError:  # a device that only records, or a platform without a wheel of it
-    from zlib import crc32
-
-__all__ = [
-    "CDR_HEADER",
-    "MAGIC",
-    "MESSAGE_HEADER",
-    "RECORD_HEADER",
-    "STRING_DEFINITION",
-    "STRING_SCHEMA_NAME",
-    "crc32",
-    "decode_string",
-    "encode_string",
-]
-
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of a file."""
 
@@ -28,13 +11,13 @@ RECORD_HEADER = struct.Struct("<BQ")
 """Opcode of a record, length of the content that follows."""
 
 MESSAGE_HEADER = struct.Struct("<HIQQ")
-"""Channel id, sequence, log time and publish time (ns): what a Message record's content begins with."""
+"""Start of a Message record's content: channel id, sequence, log time and publish time (ns)."""
 
 STRING_SCHEMA_NAME = "std_msgs/msg/String"
 STRING_DEFINITION = "string data\n"
 
 CDR_HEADER = b"\x00\x01\x00\x00"
-"""Encapsulation of XCDR1 in little-endian byte order, as everything of ours is written."""
+"""Encapsulation of XCDR1 in little-endian byte order, which we write."""
 
 _LENGTHS = {b"\x00\x00": struct.Struct(">4xI"), b"\x00\x01": struct.Struct("<4xI")}
 """Representation identifier of XCDR1 -> encapsulation and length of a string in that byte order."""
@@ -49,10 +32,10 @@ def encode_string(text: str) -> bytes:
 
 
 def decode_string(data: bytes | memoryview) -> str:
-    """Return the text of a String message of either byte order; bytes behind the message are ignored.
+    """Return the text of a String message of either byte order; bytes after the message are ignored.
 
     Raises:
-        ValueError: `data` is no String, or its text is not UTF-8; the error completes "the message is ...".
+        ValueError: `data` is not a String, or its text is not UTF-8; the error completes "the message is ...".
     """
     length = _LENGTHS.get(bytes(data[:2]))
     size = length.unpack_from(data)[0] if length is not None and len(data) >= _TEXT_AT else 0

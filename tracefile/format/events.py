@@ -1,4 +1,4 @@
-"""The event: the eight integers that a time stamp T1..T4 leaves in a trace, as bytes, record and columns.
+"""The event: the eight integers of a time stamp T1..T4 in a trace, as bytes, MCAP record and columns.
 
 The layout is `docs/trace-format.md`; other programs depend on every name here.
 """
@@ -74,7 +74,7 @@ class EventColumns:
     """Events of one stage as columns, in file order; all arrays are one-dimensional and equally long.
 
     Attributes:
-        run_id: uint64, the random number of the run (one cell of a sweep).
+        run_id: uint64, the random number of the run.
         sequence: uint64, the message's number within the run.
         monotonic_ns: int64, CLOCK_MONOTONIC of the recording device.
         scheduled_ns: int64, T0 on the same clock (T1 only, else 0).
@@ -108,9 +108,9 @@ class EventColumns:
 
     @classmethod
     def concatenate(cls, parts: Iterable[EventColumns]) -> EventColumns:
-        """Join the events of `parts`, one after the other."""
-        held = list(parts) or [cls.empty()]
-        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in held]) for f in fields(cls)})
+        """Join the events of `parts` in order."""
+        columns = list(parts) or [cls.empty()]
+        return cls(**{f.name: np.concatenate([getattr(p, f.name) for p in columns]) for f in fields(cls)})
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> EventColumns:
         """Return the events at `index` (integer positions or a boolean mask)."""
@@ -118,7 +118,7 @@ class EventColumns:
 
 
 Records: TypeAlias = "NDArray[np.void]"
-"""One-dimensional array of `EVENT_RECORD_DTYPE`, or of `EVENT_DTYPE` where that is said."""
+"""One-dimensional array of `EVENT_RECORD_DTYPE`, or of `EVENT_DTYPE` where documented."""
 
 _DATA_AT = RECORD_HEADER.size + MESSAGE_HEADER.size
 EVENT_RECORD_BYTES = _DATA_AT + EVENT_CDR_BYTES
@@ -152,8 +152,8 @@ EVENT_RECORD_DTYPE = np.dtype(
         "itemsize": EVENT_RECORD_BYTES,
     },
 )
-"""The record's fields: `head` is the opcode and the seven low bytes of the length, which one comparison checks together;
-`length_top` the length's last byte; `times_ns` log and publish time; `cdr` the first half of `cdr_header`."""
+"""Fields: `head` is the opcode and the seven low bytes of the length, for one comparison; `length_top` the length's last byte;
+`times_ns` log and publish time; `cdr` the first half of `cdr_header`."""
 
 EVENT_HEAD = Opcode.MESSAGE | (MESSAGE_HEADER.size + EVENT_CDR_BYTES) << 8
 """`head` of every event; `length_top` is 0."""

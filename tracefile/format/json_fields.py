@@ -28,12 +28,12 @@ FORMAT_VERSION = 1
 
 
 def parse_json(text: str) -> Json:
-    r"""Return the value of a JSON text from a trace, made fit for every library that an analysis hands it to.
+    r"""Return the value of a JSON text from a trace, safe for every library of an analysis.
 
     A lone surrogate, which no encoding has, is spelled out (`\udcff`); numbers keep their values.
 
     Raises:
-        ValueError: `text` is no JSON, is nested deeper than any description, or has an integer beyond 64 bits.
+        ValueError: `text` is not JSON, is nested too deeply, or has an integer beyond 64 bits.
     """
     try:
         value: Json = json.loads(text, parse_int=_integer)
@@ -47,7 +47,7 @@ _MAX_DIGITS = 20
 
 
 def _integer(digits: str) -> int:
-    # The length first: int() of a million digits takes seconds, and of more than 4300 it raises an error of its own.
+    # The length first: int() of a million digits needs seconds, and of more than 4300 it raises its own error.
     if len(digits) > _MAX_DIGITS or STORED_INTEGER.fault(int(digits)) is not None:
         raise ValueError(f"an integer of {len(digits)} digits does not fit into 64 bits")
     return int(digits)
@@ -62,14 +62,9 @@ def _encodable(value: Json) -> Json:
 
 
 class DescriptionFields:
-    """JSON object from a trace, taken field by field; what is left at the end is unknown to this version.
+    """JSON object from a trace, taken field by field; the rest is unknown to this version.
 
     Every method that takes a field raises `TraceFormatError` if it is missing or of another type.
-
-    Args:
-        left: the object; each field that is taken is removed from it.
-        path: the trace, for errors.
-        what: the name of the description, for errors.
     """
 
     def __init__(self, left: dict[str, Json], path: Path | str, what: str) -> None:
@@ -81,16 +76,21 @@ class DescriptionFields:
     def parse(cls, text: str, path: Path | str, what: str) -> DescriptionFields:
         """Parse a description and check that its format version is `FORMAT_VERSION`.
 
+        Args:
+            text: the JSON.
+            path: the trace, for errors.
+            what: the name of the description, for errors.
+
         Raises:
-            TraceFormatError: `text` is no JSON object, or of another version.
+            TraceFormatError: `text` is not a JSON object, or of another version.
         """
         try:
-            described = parse_json(text)
+            value = parse_json(text)
         except ValueError as err:
             raise TraceFormatError(path, f"the {what} description is not JSON ({err})") from err
-        if not isinstance(described, dict):
+        if not isinstance(value, dict):
             raise TraceFormatError(path, f"the {what} description is not a JSON object")
-        fields = cls(described, path, what)
+        fields = cls(value, path, what)
         version = fields.integer("format")
         if version != FORMAT_VERSION:
             raise TraceFormatError(

@@ -1,7 +1,7 @@
 r"""The ring file: events that are not yet in the trace, in memory that outlives the process.
 
-`NAME.mcap.ring` lies beside `NAME.mcap` while it is recorded and is deleted at a clean close. The mapping is
-shared with the page cache, so that a killed process loses no event that it packed. All numbers are little-endian:
+`NAME.mcap.ring` is next to `NAME.mcap` during the recording and is deleted at a clean close. The mapping is shared with the
+page cache, so that a killed process loses no packed event. All numbers are little-endian:
 
     offset  type      field
     0       8 bytes   magic b"DDSRING\n", written last: a ring without it holds no event yet
@@ -18,19 +18,15 @@ A slot is one event and its mark:
     0       56 bytes  the event without its CDR header (`EVENT_DTYPE`)
     56      uint64    ticket + (stage << 56); stage 1..4, the key of its topic
 
-Tickets count the events of a session: 0, 1, 2 ... Ticket t lies in slot t modulo slots. The mark is stored
-last and the packer zeroes a slot first, so a slot is an event exactly if its mark names a stage and the ticket
-belongs there. An event that is stamped while it is packed (`TraceSink.stamp`) gets its time and its mark in two
-stores behind all else; one that was packed before it came (`TraceSink.expect`) likewise, and without a mark it is none. Events go to the trace in order of their tickets, in whole chunks; if the complete chunks
-of the trace hold n events then these are tickets 0..n-1, and what the ring adds is every ticket from n on. There
-is no counter that would have to agree with the file: a kill between a chunk and its bookkeeping neither doubles
-nor loses an event.
+Tickets number the events of a session: 0, 1, 2 ... Ticket t is in slot t modulo slots. The packer zeroes a slot first and
+stores the mark last, so a slot is an event exactly if its mark has a stage and a ticket that belongs there. `stamp` and
+`expect` pack an event before its time is known; time and mark follow in two stores. Events go to the trace in order of
+their tickets, in whole chunks: if the complete chunks of the trace have n events, these are tickets 0..n-1, and the ring
+adds every ticket from n on. No counter has to agree with the file, so a kill neither doubles nor loses an event.
 
-What is believed: a slot whose mark names a stage and a ticket below 2^40 that belongs there, and whose run is not 0, which
-no run is. A kill leaves every slot whole, and a power loss every sector, which holds eight whole slots, old or new: what a
-disk loses or garbles is no event, since garbage has such a mark once in 10^11 slots. A single bit that a disk flips within
-an event is not noticed before the event is in the file, whose chunks have CRCs. A CRC in each slot would more than double the
-time of packing (0.55 to 1.15 us) and could not cover the time stamp without adding to what lies between stamp and publish.
+A mark is believed if its ticket is below 2^40 and the event's run is not 0. A kill leaves every slot whole, and a power loss
+every sector of eight slots, old or new; garbage has such a mark once in 10^11 slots. A bit that a disk flips within an
+event is not noticed: a CRC per slot would double the time of packing (0.55 to 1.15 us).
 """
 
 from __future__ import annotations
@@ -67,18 +63,18 @@ DROPPED_AT = 32
 """Offset of the number of dropped events in the header."""
 
 MOST_RING_BYTES = 1 << 28
-"""Largest ring that is read: four million events, far more than any recorder holds back."""
+"""Largest ring that is read: four million events."""
 
 SLOT_BYTES = 64
 SLOT_STRUCT = struct.Struct("<QQqqqqIIQ")
 """A slot as it is packed: the event's eight fields, then the mark."""
 
 SLOT_PAIR_STRUCT = struct.Struct("<QQqqqqIIQQQqqqqIIQ")
-"""Two slots that lie one behind the other."""
+"""Two adjacent slots."""
 
 SLOT_WORDS = SLOT_BYTES // 8
 TIME_WORD, SOURCE_WORD, RECEIVED_WORD, MARK_WORD = 2, 4, 5, 7
-"""Positions of the monotonic time, of the middleware's two times and of the mark among the words of a slot."""
+"""Indices of the monotonic time, the middleware's two times and the mark among the words of a slot."""
 
 SLOT_DTYPE = np.dtype(
     {
@@ -93,9 +89,9 @@ SLOT_DTYPE = np.dtype(
 STAGE_MARKS = (0, *(number << 56 for number in range(1, len(Stage) + 1)))
 """Stage's number -> what a slot's mark adds to the ticket."""
 
-TICKET_MASK = np.uint64((1 << 56) - 1)  # numpy 1 takes no Python int beside a single uint64
+TICKET_MASK = np.uint64((1 << 56) - 1)  # numpy 1 mixes no Python int with a single uint64
 _TICKETS = np.uint64(1 << 40)
-"""More events than a session has: twelve days at a million a second."""
+"""More than a session has: twelve days at a million a second."""
 
 STAGE_NUMBERS = dict(enumerate(Stage, start=1))
 """Number of a stage in slots, and of its channel in our files -> stage."""
@@ -111,10 +107,8 @@ def ring_path(trace: Path) -> Path:
 
 def events_by_stage(slots: Slots) -> list[tuple[Stage, NDArray[np.void]]]:
     """Return the events of each stage that has some, in the order of `slots`: arrays of `EVENT_DTYPE`."""
-    of_stage = [(stage, slots["event"][slots["stage"] == number]) for number, stage in STAGE_NUMBERS.items()]
-    return [
-        (stage, np.frombuffer(events.tobytes(), EVENT_DTYPE)) for stage, events in of_stage if len(events)
-    ]
+    parts = [(stage, slots["event"][slots["stage"] == number]) for number, stage in STAGE_NUMBERS.items()]
+    return [(stage, np.frombuffer(events.tobytes(), EVENT_DTYPE)) for stage, events in parts if len(events)]
 
 
 class Ring:
@@ -127,15 +121,14 @@ class Ring:
         mode: the most rights that the file has.
 
     Attributes:
-        path: the file.
-        memory: the mapped file, to pack into (packing into a memoryview of it costs 0.1 us more).
+        memory: the mapped file, to pack into (0.1 us faster than a memoryview of it).
         slots_at: offset of the first slot.
         slots: the slots as an array of `SLOT_DTYPE`.
-        words: the slots as int64 words of this machine's byte order, little-endian wherever a ROS 2 runs; each is
-            stored by one instruction, and in a third of the time of a `struct`.
+        words: the slots as int64 words of this machine's byte order (little-endian on every ROS 2 machine); each is stored by
+            one instruction, in a third of the time of a `struct`.
 
     Raises:
-        OSError: the file cannot be made whole (disk full, read-only folder).
+        OSError: the file cannot be created (disk full, read-only folder).
     """
 
     __slots__ = ("_descriptor", "memory", "path", "slots", "slots_at", "words")
@@ -154,7 +147,7 @@ class Ring:
         try:
             with suppress(
                 OSError
-            ):  # a file system without locks: recovery cannot see there that this process lives
+            ):  # a file system without locks: recovery then cannot see that this process lives
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             _fill(self._descriptor, slots_at + slot_count * SLOT_BYTES)
             self.memory = mmap.mmap(self._descriptor, 0)
@@ -176,18 +169,14 @@ class Ring:
         return self.slots[start : min(start + end - first, len(self.slots))]
 
     def note_dropped(self, dropped: int) -> None:
-        """Write the number of dropped events into the header, where recovery finds it."""
+        """Write the number of dropped events into the header."""
         struct.pack_into("<Q", self.memory, DROPPED_AT, dropped)
 
     def close(self, *, delete: bool) -> None:
-        """Unmap the ring, into which nothing may be packed any more.
-
-        Args:
-            delete: whether to delete the file, because every event is in the trace.
-        """
+        """Unmap the ring; with `delete` remove its file, because every event is in the trace."""
         self.slots = self.slots[:0].copy()
         self.words.release()
-        with suppress(BufferError):  # the traceback of a failed write may still hold an array of slots
+        with suppress(BufferError):  # the traceback of a failed write may still refer to the slots
             self.memory.close()
         if delete:
             self.path.unlink(missing_ok=True)
@@ -197,8 +186,8 @@ class Ring:
 def _fill(descriptor: int, size: int) -> None:
     """Write `size` zeros, so that every page has its block on disk.
 
-    A mapped page without one kills the process (SIGBUS) when the disk is full. The zeros are written, not only
-    allocated, because then the first store to a page changes no extent on disk.
+    A mapped page without one kills the process (SIGBUS) when the disk is full. Written, not only allocated, so that the first
+    store to a page changes no extent on disk.
     """
     zeros = bytes(1 << 20)
     while size > 0:
@@ -207,13 +196,13 @@ def _fill(descriptor: int, size: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingContents:
-    """Content of a ring file that the trace beside it does not have.
+    """Content of a ring file that its trace does not have.
 
     Attributes:
-        session: the recording process, as it described itself at its start.
+        session: the recording process, as described at its start.
         slots: the events whose tickets are not in the trace, ordered by ticket; array of `SLOT_DTYPE`.
-        missing_events: number of tickets between the trace's last event and the ring's last that are in neither;
-            0 after a killed process, but a power failure may lose pages of either file.
+        missing_events: number of tickets between the trace's last event and the ring's last that are in neither; a power
+            failure may lose pages of either file, a killed process none.
         dropped_events: number of events that found no free slot.
         recording: whether the recording process is still alive.
     """
@@ -226,18 +215,18 @@ class RingContents:
 
 
 def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
-    """Read the events that a ring has and the trace beside it has not.
+    """Read the events that a ring has and its trace has not.
 
     Args:
         path: the ring file, `ring_path(trace)`.
-        events_in_trace: number of messages on the four event topics in the complete chunks of the trace: the sum
-            over the topics of the highest MCAP sequence plus one, which a damaged chunk in the middle does not change.
+        events_in_trace: number of messages on the four event topics in the complete chunks of the trace: the sum over the
+            topics of the highest MCAP sequence plus one, which a damaged chunk in the middle does not change.
 
     Returns:
-        None if the recorder was killed before the ring was complete; it then holds no event.
+        None if the recorder was killed before the ring was complete; it then has no event.
 
     Raises:
-        TraceFormatError: the file is no ring, or one of another version, or larger than any.
+        TraceFormatError: the file is not a ring, or of another version, or too large.
         OSError: the file cannot be read.
     """
     content, recording = _read(path)
@@ -245,7 +234,7 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
         return None
     magic, version, slot_bytes, slot_count, slots_at, dropped, text_bytes = RING_HEADER.unpack_from(content)
     if magic != RING_MAGIC:
-        raise TraceFormatError(path, "this is no ring file of dds-trace")
+        raise TraceFormatError(path, "this is not a ring file of dds-trace")
     if version != RING_VERSION or slot_bytes != SLOT_BYTES:
         raise TraceFormatError(
             path, f"ring of version {version}, this version reads {RING_VERSION}; update dds-trace"
@@ -253,8 +242,8 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
     if len(content) < slots_at + slot_count * SLOT_BYTES or RING_HEADER.size + text_bytes > slots_at:
         raise TraceFormatError(path, "the ring file is shorter than its header says")
     session = _session(content[RING_HEADER.size : RING_HEADER.size + text_bytes], path)
-    every = np.frombuffer(content, SLOT_DTYPE, slot_count, slots_at)
-    return _pending(every, slot_count, events_in_trace, session, dropped, recording=recording)
+    slots = np.frombuffer(content, SLOT_DTYPE, slot_count, slots_at)
+    return _pending(slots, slot_count, events_in_trace, session, dropped, recording=recording)
 
 
 def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> RingContents | None:
@@ -263,10 +252,10 @@ def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> R
     Args:
         path: the ring file.
         events_in_trace: as for `read_ring`.
-        session: the session of the trace beside it, for a ring that names none; None without a trace.
+        session: the session of the trace, for a ring that has none; None without a trace.
 
     Returns:
-        None if not even the places of its slots are known, or nobody describes its session.
+        None if the offset of its slots or its session is unknown.
 
     Raises:
         OSError: the file cannot be read.
@@ -286,39 +275,36 @@ def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> R
         if session is None:
             return None
     whole = min(slot_count, (len(content) - slots_at) // SLOT_BYTES)
-    every = np.frombuffer(content, SLOT_DTYPE, whole, slots_at)
-    return _pending(every, slot_count, events_in_trace, session, dropped, recording=recording)
+    slots = np.frombuffer(content, SLOT_DTYPE, whole, slots_at)
+    return _pending(slots, slot_count, events_in_trace, session, dropped, recording=recording)
 
 
 def _read(path: Path) -> tuple[bytes, bool]:
-    """Return the bytes of a ring, and whether a living recorder holds it.
-
-    Raises:
-        TraceFormatError: it is larger than any ring; a file of holes may claim to be so for nothing.
-        OSError: the file cannot be read.
-    """
+    """Return the bytes of a ring, and whether a living recorder has it open."""
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > MOST_RING_BYTES:
-            raise TraceFormatError(path, f"has {size} bytes, more than any ring of dds-trace; it is not read")
+            raise TraceFormatError(
+                path, f"has {size} bytes, more than any ring of dds-trace; it was not read"
+            )
         recording = _is_locked(stream.fileno())  # before its content: a recorder may end meanwhile
         return stream.read(), recording
 
 
 def _pending(
-    every: Slots, slot_count: int, events_in_trace: int, session: Session, dropped: int, *, recording: bool
+    slots: Slots, slot_count: int, events_in_trace: int, session: Session, dropped: int, *, recording: bool
 ) -> RingContents:
     """Return the events among the first slots of a ring of `slot_count` that the trace has not."""
-    tickets = every["mark"] & TICKET_MASK
-    is_event = (every["stage"] >= 1) & (every["stage"] <= len(Stage))
-    is_event &= (tickets < _TICKETS) & (every["run_id"] != 0)
-    is_event &= tickets % max(slot_count, 1) == np.arange(len(every), dtype=np.uint64)
+    tickets = slots["mark"] & TICKET_MASK
+    is_event = (slots["stage"] >= 1) & (slots["stage"] <= len(Stage))
+    is_event &= (tickets < _TICKETS) & (slots["run_id"] != 0)
+    is_event &= tickets % max(slot_count, 1) == np.arange(len(slots), dtype=np.uint64)
     pending = np.flatnonzero(is_event & (tickets >= events_in_trace))
     pending = pending[np.argsort(tickets[pending])]
     end = int(tickets[pending[-1]]) + 1 if len(pending) else events_in_trace
     return RingContents(
         session=session,
-        slots=every[pending],
+        slots=slots[pending],
         missing_events=end - events_in_trace - len(pending),
         dropped_events=dropped,
         recording=recording,
@@ -334,7 +320,6 @@ def _session(text: bytes, path: Path) -> Session:
 
 
 def _is_locked(descriptor: int) -> bool:
-    """Return whether a living recorder holds the ring."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

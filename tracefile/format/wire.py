@@ -1,4 +1,4 @@
-"""What a message cost on the wire: one record a message and direction, and the texts that carry records and counts.
+"""What a message cost on the wire: one record per message and direction, and the texts that carry records and counts.
 
 The layout is `docs/trace-format.md`; other programs depend on every name here.
 """
@@ -45,20 +45,19 @@ MESSAGE_ROW = np.dtype(
 )
 """A message of ours on the wire, in one direction: 61 bytes, no padding.
 
-`run_id`, `sequence`, `relay_id` are those of its stamp (`relay_id` 0 on the way out, the relay's on the way back),
-`direction` a `Direction`, `fragments` the DATA_FRAGs of its first sending (1 for a DATA), `fragments_again` the DATA_FRAGs
-or DATAs sent again, `repeats` how often the one that was repeated most went out again, `sample_bytes` its serialized
-length, `first_ns` and `last_ns` the capture of its first and last packet on CLOCK_MONOTONIC, `resent_after_ns` the time
-from a fragment's first sending to the message's first repetition, NEVER_NS if nothing was repeated, `waited_heartbeats` how
-many heartbeats its writer sent in between.
+`run_id`, `sequence`, `relay_id` of its stamp (`relay_id` 0 on the way out); `direction` a `Direction`; `fragments` the
+DATA_FRAGs of its first sending (1 for a DATA); `fragments_again` the DATA_FRAGs or DATAs sent again; `repeats` how often the
+most repeated one was; `sample_bytes` its serialized length; `first_ns`, `last_ns` the capture of its first and last packet
+on CLOCK_MONOTONIC; `resent_after_ns` from a fragment's first sending to the message's first repetition, or NEVER_NS;
+`waited_heartbeats` the heartbeats that its writer sent in between.
 """
 
 _ROWS_OF_A_TEXT = 8192
-"""Most records of one text: 0.7 MB, a sixth of the longest text that a reader takes."""
+"""Most records of one text: 0.7 MB, a sixth of the longest text that a reader accepts."""
 
 
 class Direction(IntEnum):
-    """Which way a frame went; on the loopback interface every frame is both sent and received."""
+    """Direction of a frame; on the loopback interface every frame is both sent and received."""
 
     SENT = 0
     RECEIVED = 1
@@ -66,25 +65,21 @@ class Direction(IntEnum):
 
 
 def row_texts(rows: MessageRows) -> Iterator[JsonObject]:
-    """Yield the JSON objects that carry `rows` on `WIRE_TOPIC`, some thousand records each, one run at a time.
-
-    Args:
-        rows: records, sorted by run.
-    """
+    """Yield the JSON objects that carry `rows`, sorted by run, on `WIRE_TOPIC`: some thousand of one run each."""
     for run_id in np.unique(rows["run_id"]).tolist():
-        of_run = rows[rows["run_id"] == run_id]
-        for first in range(0, len(of_run), _ROWS_OF_A_TEXT):
-            block = of_run[first : first + _ROWS_OF_A_TEXT]
+        run_rows = rows[rows["run_id"] == run_id]
+        for first in range(0, len(run_rows), _ROWS_OF_A_TEXT):
+            block = run_rows[first : first + _ROWS_OF_A_TEXT]
             packed = base64.b64encode(block.tobytes()).decode()
             yield {"run_id": f"{run_id:016x}", "messages": len(block), "rows": packed}
 
 
 def rows_of_text(text: JsonObject) -> MessageRows:
-    """Return the records that a JSON object of `WIRE_TOPIC` carries; none of one with counts alone, or of a damaged one."""
+    """Return the records in a JSON object of `WIRE_TOPIC`; none of one with only counts, or of a damaged one."""
     packed = text.get("rows")
     if isinstance(packed, str):
         try:
             return np.frombuffer(base64.b64decode(packed, validate=True), MESSAGE_ROW)
-        except (binascii.Error, ValueError):  # no base64, or no whole number of records
+        except (binascii.Error, ValueError):  # not base64, or not a whole number of records
             pass
     return np.empty(0, MESSAGE_ROW)

@@ -1,7 +1,7 @@
 """A MCAP file cut into blocks of about two megabytes, each a job that unpacks, checks and sorts its records.
 
-Every file is read in one way: the headers of its records are walked from front to back. That takes microseconds a
-chunk, needs no index, and no wrong index can lead it astray. The summary serves only to resume behind a damaged record.
+Every file is read the same way: record headers are walked from front to back. That needs microseconds per chunk and no
+index, which might be wrong. The summary serves only to resume after a damaged record.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from .scan import ChannelEvents
 
 BLOCK_BYTES = 2 << 20
-"""Size up to which small chunks are handled together, so that their number costs no more than their bytes."""
+"""Size up to which small chunks are read together."""
 
 BLOCK_STEPS = 120
-"""Time that a block costs beside its records, in those of stepping over one."""
+"""Cost of a block besides its records, in steps over one record."""
 
 CHUNK_STEPS = 40
-"""Time that a chunk costs beside its records, in those of stepping over one."""
+"""Cost of a chunk besides its records, likewise."""
 
 LARGEST_FILE_RATIO = 200
-"""Most bytes that all chunks up to a place in a file may unpack to, for a byte of the file up to there."""
+"""Most bytes that all chunks up to an offset in a file may unpack to, per byte of the file up to there."""
 
 _UNSUSPECTED_FILE_BYTES = 256 << 20
 
@@ -52,11 +52,10 @@ def most_unpacked_bytes(end: int) -> int:
 _WALKED = MESSAGES_AND_CHANNELS | {Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER}
 _FIRST_STRETCH_BYTES = 4096
 _BLOCK_CHUNKS = 1000
-_KEPT_BYTES = 4 * BLOCK_BYTES  # memory that grew beyond this for one large chunk is not kept
+_MOST_REUSED_BYTES = 4 * BLOCK_BYTES  # memory that grew beyond this is dropped
 
 _FREE: deque[UnpackMemory] = deque(maxlen=8)
-"""Memory that is free for the next block, of whichever file: touching fresh memory took a fifth of reading lz4. Appending to a
-deque and taking from it are atomic, so files may be read in several threads."""
+"""Memory for the next block of any file: touching fresh memory was a fifth of reading lz4. `append` and `pop` are atomic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,18 +64,18 @@ class Block:
 
     Attributes:
         data: the records' bytes, lost when `memory` is used again.
-        scan: the places of the records in `data`.
-        places: (position in `data`, offset in the file) of the first byte of each chunk, or of the stretch.
+        scan: the offsets of the records in `data`.
+        starts: (position in `data`, offset in the file) of the first byte of each chunk, or of the stretch.
         chunked: whether the records were in chunks, whose unpacked bytes have no offsets in the file.
         events: the events of each channel, copied out of `data`.
         notes: one line for each chunk that was left out.
-        memory: the memory that holds `data`; None if `data` has its own.
+        memory: the memory of `data`; None if `data` has its own.
         chunks: number of its chunks, damaged ones included.
     """
 
     data: Buffer
     scan: Scan
-    places: list[tuple[int, int]]
+    starts: list[tuple[int, int]]
     chunked: bool
     events: list[ChannelEvents]
     notes: list[str] = field(default_factory=list)
@@ -85,12 +84,12 @@ class Block:
 
     @property
     def steps(self) -> int:
-        """Time that the block costs, in those of stepping over one record; events cost next to nothing."""
+        """Cost of the block in steps over one record; events are almost free."""
         return BLOCK_STEPS + CHUNK_STEPS * self.chunks + self.scan.steps
 
     def offset(self, position: int) -> int:
-        """Return the offset in the file of the byte at `position` of `data`, or of the chunk that holds it."""
-        start, offset = self.places[bisect(self.places, position, key=lambda place: place[0]) - 1]
+        """Return the offset in the file of the byte at `position` of `data`, or of its chunk."""
+        start, offset = self.starts[bisect(self.starts, position, key=lambda start: start[0]) - 1]
         return offset if self.chunked else offset + position - start
 
 
@@ -100,7 +99,7 @@ class BlockJobs:
 
     Attributes:
         file: the file.
-        summary: its summary; None if it has none, and then nothing behind a damaged record is read.
+        summary: its summary; without one nothing after a damaged record is read.
         notes: one line for each damage between the blocks; complete after the last block.
         truncated: the reason why the file ends early, or None; known after the last block.
     """
@@ -118,7 +117,7 @@ class BlockJobs:
 
     def take_back(self, block: Block) -> None:
         """Reuse the memory of `block`, whose `data` is no longer needed, for later blocks."""
-        if block.memory and block.memory.size <= _KEPT_BYTES:
+        if block.memory and block.memory.size <= _MOST_REUSED_BYTES:
             _FREE.append(block.memory)
 
     def __iter__(self) -> Iterator[tuple[int, Callable[[], Block]]]:
@@ -135,7 +134,7 @@ class BlockJobs:
         yield from self._chunks_so_far()
 
     def _headers(self) -> Iterator[RecordHeader]:
-        """Yield the headers of the data section; who reads more than the record at hand moves `_at` behind it."""
+        """Yield the headers of the data section; a caller that reads more than that record advances `_at`."""
         self._at = len(MAGIC)
         data_ended = False
         while True:
@@ -151,12 +150,12 @@ class BlockJobs:
                 yield header
 
     def _next_header(self) -> RecordHeader | None:
-        """Return the header at `_at`, or behind damage there; None at the end of all that can be read."""
+        """Return the header at `_at`, or after damage there; None at the end of what can be read."""
         while True:
             try:
                 return self.file.header_at(self._at, _WALKED)
             except TornRecordError as torn:
-                resumed_at = self._behind(torn)
+                resumed_at = self._resume_after(torn)
             if resumed_at is None:
                 return None
             self._at = resumed_at
@@ -169,7 +168,7 @@ class BlockJobs:
                 f"the {name} record of {counted(header.length, 'byte')} at byte {header.offset} is left out"
             )
             return
-        # Twice what the stretch before had: where each record outside is alone, little is read in vain.
+        # Twice the previous stretch: if each record outside is single, little is read in vain.
         size = max(header.end - header.offset, min(self._stretch_bytes, self.file.size - header.offset))
         data = self.file.read(header.offset, size)
         scan = scan_records(data, 0, len(data), only=True)
@@ -202,10 +201,9 @@ class BlockJobs:
             self._chunks, self._chunks_bytes = [], 0
 
     def _unpack(self, chunks: list[PackedChunk]) -> Block:
-        """Unpack `chunks` into one block, without the damaged ones."""
         memory = _free_memory()
         data = memory.records(sum(chunk.unpacked_bytes for chunk in chunks))
-        scan, places, notes, start = Scan(), [(0, 0)], list[str](), 0
+        scan, starts, notes, start = Scan(), [(0, 0)], list[str](), 0
         for chunk in chunks:
             stop = start + chunk.unpacked_bytes
             try:
@@ -213,31 +211,33 @@ class BlockJobs:
             except DamagedChunkError as err:
                 notes.append(_left_out(chunk.offset, err))
                 continue
-            of_chunk = scan_records(data, start, stop)
-            if of_chunk.end < stop:
+            chunk_scan = scan_records(data, start, stop)
+            if chunk_scan.end < stop:
                 notes.append(
                     _left_out(
                         chunk.offset,
-                        counted(stop - of_chunk.end, "byte in it is no record", "bytes in it are no records"),
+                        counted(
+                            stop - chunk_scan.end, "byte in it is no record", "bytes in it are no records"
+                        ),
                     )
                 )
                 continue
-            scan.extend(of_chunk)
-            places.append((start, chunk.offset))
+            scan.extend(chunk_scan)
+            starts.append((start, chunk.offset))
             start = stop
         return Block(
-            data, scan, places, True, split_by_channel(scan.events(data)), notes, memory, len(chunks)
+            data, scan, starts, True, split_by_channel(scan.events(data)), notes, memory, len(chunks)
         )
 
-    def _behind(self, torn: TornRecordError) -> int | None:
-        """Return the offset at which reading resumes behind a damaged record; None if it cannot."""
+    def _resume_after(self, torn: TornRecordError) -> int | None:
+        """Return the offset at which reading resumes after a damaged record; None if it cannot."""
         if self.summary is None:
-            self.truncated = f"ends early, {torn}; all that was complete before is used"
+            self.truncated = f"ends early, {torn}; everything complete before it is used"
             return None
         if self._chunk_offsets is None:
             self._chunk_offsets = self.summary.chunk_offsets()
-        behind = bisect(self._chunk_offsets, torn.offset)
-        resumed_at = self._chunk_offsets[behind] if behind < len(self._chunk_offsets) else None
+        following = bisect(self._chunk_offsets, torn.offset)
+        resumed_at = self._chunk_offsets[following] if following < len(self._chunk_offsets) else None
         end = self.summary.data_end if resumed_at is None else resumed_at
         self.notes.append(f"damaged at {torn}; nothing is read from there up to byte {end}")
         return resumed_at
@@ -247,7 +247,7 @@ class BlockJobs:
             self.truncated = f"ends early, byte {at}: the closing magic bytes are not there; every record is"
         elif at + len(MAGIC) < self.file.size:
             self.notes.append(
-                f"the bytes from {at + len(MAGIC)} on lie behind the end of the MCAP file; not read"
+                f"the bytes from {at + len(MAGIC)} on follow the end of the MCAP file and were ignored"
             )
 
 

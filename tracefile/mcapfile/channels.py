@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .records import Buffer
 
 
-_MOST_KNOWN_BYTES = 4096  # of a record that is parsed once: ours have some hundred
+_MOST_CACHED_BYTES = 4096  # of a record that is parsed once: ours have some hundred
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +31,8 @@ class DeclaredChannel:
 
     Attributes:
         topic: its topic.
-        stage: the stage whose events its messages are; None on every other topic.
-        fault: the reason why its messages cannot be events although its topic is a stage's; None if they can.
+        stage: the stage of its events; None on every other topic.
+        fault: the reason why its messages cannot be events although its topic is a stage's, or None.
     """
 
     topic: str
@@ -41,11 +41,7 @@ class DeclaredChannel:
 
 
 class ChannelTable:
-    """All channels that a file has declared so far.
-
-    Args:
-        path: the file's name in messages.
-    """
+    """All channels that a file has declared so far; `path` names it in errors."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -66,10 +62,10 @@ class ChannelTable:
         Args:
             opcode: which of the two it is.
             content: the record's content.
-            offset: offset in the file for messages about the record.
+            offset: offset in the file, for errors.
 
         Raises:
-            TraceFormatError: the record is damaged, or gives a known channel id another topic.
+            TraceFormatError: the record is damaged, or gives a declared channel id another topic.
         """
         try:
             record = _parsed(opcode, content)
@@ -82,12 +78,12 @@ class ChannelTable:
             self._add(record, offset)
 
     def _add(self, channel: Channel, offset: int) -> None:
-        known = self._channels.get(channel.id)
-        if known is not None and known.topic != channel.topic:
+        declared = self._channels.get(channel.id)
+        if declared is not None and declared.topic != channel.topic:
             raise TraceFormatError(
                 self._path,
-                f"channel {channel.id} is {known.topic!r} and here {channel.topic!r}; "
-                "its messages cannot be told apart",
+                f"channel {channel.id} is {declared.topic!r} and here {channel.topic!r}; "
+                "its messages cannot be distinguished",
                 offset,
             )
         stage = STAGE_OF_TOPIC.get(channel.topic)
@@ -97,25 +93,23 @@ class ChannelTable:
     def _fault(self, channel: Channel) -> str | None:
         if channel.message_encoding != "cdr":
             return f"its messages are encoded as {channel.message_encoding!r}, not 'cdr'"
-        schema = self._schemas.get(channel.schema_id, EVENT_SCHEMA_NAME)  # a lost schema is no other schema
+        schema = self._schemas.get(
+            channel.schema_id, EVENT_SCHEMA_NAME
+        )  # a lost schema is not another schema
         if schema != EVENT_SCHEMA_NAME:
             return f"its schema is {schema!r}, not {EVENT_SCHEMA_NAME!r}"
         return None
 
 
 def _parsed(opcode: int, content: Buffer) -> Schema | Channel:
-    """Parse a record that a file has twice, in its data and its summary, and that all files of a recorder have alike.
-
-    Raises:
-        ValueError: as `parse_record`.
-    """
-    if len(content) > _MOST_KNOWN_BYTES:
-        return _parsed_anew(opcode, content)
+    """Parse a record; data and summary, and all files of a recorder, have the same ones."""
+    if len(content) > _MOST_CACHED_BYTES:
+        return _parse(opcode, content)
     return _parsed_once(opcode, bytes(content))
 
 
-def _parsed_anew(opcode: int, content: Buffer) -> Schema | Channel:
+def _parse(opcode: int, content: Buffer) -> Schema | Channel:
     return parse_record(Schema, content) if opcode == Opcode.SCHEMA else parse_record(Channel, content)
 
 
-_parsed_once = lru_cache(maxsize=256)(_parsed_anew)
+_parsed_once = lru_cache(maxsize=256)(_parse)

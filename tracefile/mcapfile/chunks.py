@@ -1,4 +1,4 @@
-"""Chunks of a MCAP file: their place in the file, and their records unpacked and checked, within bounds of memory."""
+"""Chunks of a MCAP file: their position in the file, and their records unpacked and checked, with bounded memory."""
 
 from __future__ import annotations
 
@@ -11,25 +11,22 @@ import zstandard
 
 from dds_trace.base.units import counted
 
-from ..format.encoding import crc32
 from .file import MAX_RECORD_BYTES
-from .records import RecordContent
+from .records import RecordContent, crc32
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from .file import RecordFile, RecordHeader
 
-_HEADER_BYTES = 64  # all fields before the records, with room for the name of any known compression
+_HEADER_BYTES = 64  # all fields before the records
 
 LARGEST_RATIO = 1000
-"""Most unpacked bytes for a packed one. Events pack 5 to 30 times; a larger claim may be made to keep a reader busy."""
+"""Most unpacked bytes per packed byte; events pack 5 to 30 times, and a larger claim may be an attack."""
 
-_UNSUSPECTED_BYTES = (
-    1 << 20
-)  # up to here any ratio is allowed: a blank image packs better still and costs nothing
+_UNSUSPECTED_BYTES = 1 << 20  # up to here any ratio is allowed: a blank image packs better still
 
-_of_thread = threading.local()
+_thread_local = threading.local()
 
 
 class DamagedChunkError(Exception):
@@ -46,7 +43,7 @@ class PackedChunk:
         packed_bytes: length of the packed records.
         unpacked_bytes: claimed length of the unpacked records.
         crc: CRC-32 of the unpacked records; 0 if the writer made none.
-        compression: `zstd`, `lz4`, or empty for records that are not packed.
+        compression: `zstd`, `lz4`, or empty.
     """
 
     offset: int
@@ -61,7 +58,7 @@ class PackedChunk:
         """Read the header of the chunk whose record is at `header`.
 
         Raises:
-            DamagedChunkError: its fields are not as MCAP has them, or claim more than a chunk may hold.
+            DamagedChunkError: its fields are not valid MCAP, or claim more than a chunk may have.
         """
         content = RecordContent(file.peek(header.content, min(_HEADER_BYTES, header.length)))
         try:
@@ -79,11 +76,11 @@ class PackedChunk:
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
     def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
-        """Unpack the chunk's records; threads may unpack chunks of one file at once, each into memory of its own.
+        """Unpack the chunk's records; threads may unpack chunks of one file at once, each into its own memory.
 
         Args:
             file: the file of the chunk.
-            memory: the memory to unpack into; new memory if it is left out.
+            memory: the memory to unpack into, by default new memory.
             at: position in `memory.records` of the first unpacked byte.
 
         Returns:
@@ -95,56 +92,52 @@ class PackedChunk:
         """
         memory = memory or UnpackMemory()
         try:
-            room = memory.records(at + self.unpacked_bytes)[at:]
-            unpacked_bytes = self._unpack_into(room, file, memory)
+            target = memory.records(at + self.unpacked_bytes)[at:]
+            unpacked_bytes = self._unpack_into(target, file, memory)
         except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
             raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
         if unpacked_bytes != self.unpacked_bytes:
             raise DamagedChunkError(
                 f"it holds {counted(unpacked_bytes, 'byte')} and claims {self.unpacked_bytes}"
             )
-        if self.crc and crc32(room) != self.crc:
+        if self.crc and crc32(target) != self.crc:
             raise DamagedChunkError("its CRC does not match")
-        return room
+        return target
 
-    def _unpack_into(self, room: memoryview, file: RecordFile, memory: UnpackMemory) -> int:
+    def _unpack_into(self, target: memoryview, file: RecordFile, memory: UnpackMemory) -> int:
         if not self.compression:
-            file.read_into(room[: self.packed_bytes], self.data_offset)
+            file.read_into(target[: self.packed_bytes], self.data_offset)
             return self.packed_bytes
         packed = memory.packed(self.packed_bytes)
         file.read_into(packed, self.data_offset)
-        return _UNPACKERS[self.compression](packed, room)
+        return _UNPACKERS[self.compression](packed, target)
 
 
 def unpack_records(compression: str, packed: bytes, unpacked_bytes: int) -> bytes | bytearray:
     """Return the unpacked records of a chunk that another reader has taken out of its file.
 
     Raises:
-        DamagedChunkError: it claims more than a chunk may hold, or cannot be unpacked to what it claims.
+        DamagedChunkError: it claims more than a chunk may have, or cannot be unpacked to what it claims.
     """
     _check_claims(compression, len(packed), unpacked_bytes)
     if not compression:
         return packed
-    room = bytearray(unpacked_bytes)
+    target = bytearray(unpacked_bytes)
     try:
-        found_bytes = _UNPACKERS[compression](memoryview(packed), memoryview(room))
+        size_bytes = _UNPACKERS[compression](memoryview(packed), memoryview(target))
     except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
         raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
-    if found_bytes != unpacked_bytes:
-        raise DamagedChunkError(f"it holds {counted(found_bytes, 'byte')} and claims {unpacked_bytes}")
-    return room
+    if size_bytes != unpacked_bytes:
+        raise DamagedChunkError(f"it holds {counted(size_bytes, 'byte')} and claims {unpacked_bytes}")
+    return target
 
 
 def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int) -> None:
-    """Check the claims of a chunk before memory is taken for them.
-
-    Raises:
-        DamagedChunkError: it claims more than a chunk may hold, or an unknown compression.
-    """
+    """Refuse excessive claims and an unknown compression before memory is allocated."""
     if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
         raise DamagedChunkError(
             f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
-            "(a file that really has such chunks can be written anew by `mcap compress`)",
+            "(a file that really has such chunks can be rewritten by `mcap compress`)",
         )
     if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
         raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")
@@ -160,20 +153,20 @@ class UnpackMemory:
         self._records = bytearray()
 
     def packed(self, size: int) -> memoryview:
-        """Return room for `size` packed bytes; what was there before is overwritten."""
+        """Return space for `size` packed bytes; previous content is overwritten."""
         if len(self._packed) < size:
             self._packed = bytearray(size)
         return memoryview(self._packed)[:size]
 
     def records(self, size: int) -> memoryview:
-        """Return room for `size` unpacked bytes: what is there already, or new and empty memory if that is too little."""
+        """Return space for `size` unpacked bytes: the existing memory, or a new and empty one if it is too small."""
         if len(self._records) < size:
             self._records = bytearray(size)
         return memoryview(self._records)[:size]
 
     @property
     def size(self) -> int:
-        """Number of bytes held."""
+        """Number of bytes allocated."""
         return len(self._packed) + len(self._records)
 
 
@@ -181,32 +174,32 @@ def unpack_zstd(packed: bytes, limit_bytes: int) -> bytes:
     """Unpack the first `limit_bytes` bytes of zstd frames, in no more memory than that.
 
     Raises:
-        ZstdError: `packed` is no zstd frame, or a damaged one.
+        ZstdError: `packed` is not a zstd frame, or a damaged one.
     """
     with _zstd().stream_reader(packed, read_across_frames=True) as stream:
         return stream.read(limit_bytes)
 
 
-def _unpack_zstd_into(packed: memoryview, room: memoryview) -> int:
-    # One frame that fits is unpacked straight into `room`.
+def _unpack_zstd_into(packed: memoryview, target: memoryview) -> int:
+    # One frame that fits is unpacked straight into `target`.
     with _zstd().stream_reader(packed, read_across_frames=True) as stream:
-        return stream.readinto(room)
+        return stream.readinto(target)
 
 
-def _unpack_lz4_into(packed: memoryview, room: memoryview) -> int:
-    return cramjam.lz4.decompress_into(packed, room)
+def _unpack_lz4_into(packed: memoryview, target: memoryview) -> int:
+    return cramjam.lz4.decompress_into(packed, target)
 
 
 def _zstd() -> zstandard.ZstdDecompressor:
-    """Return this thread's own unpacker; making one takes longer than unpacking a small chunk with it."""
-    if not hasattr(_of_thread, "zstd"):
-        _of_thread.zstd = zstandard.ZstdDecompressor()
-    own: zstandard.ZstdDecompressor = _of_thread.zstd
-    return own
+    """Return this thread's unpacker; making one takes longer than unpacking a small chunk."""
+    if not hasattr(_thread_local, "zstd"):
+        _thread_local.zstd = zstandard.ZstdDecompressor()
+    unpacker: zstandard.ZstdDecompressor = _thread_local.zstd
+    return unpacker
 
 
 _UNPACKERS: dict[str, Callable[[memoryview, memoryview], int]] = {
     "zstd": _unpack_zstd_into,
     "lz4": _unpack_lz4_into,
 }
-"""Compression -> function that unpacks into the room it is given and returns the number of unpacked bytes."""
+"""Compression -> function that unpacks into a buffer and returns the number of unpacked bytes."""

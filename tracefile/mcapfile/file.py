@@ -1,4 +1,4 @@
-"""A MCAP file as bytes: reads at any offset from any thread, and headers of records whose lengths are not trusted."""
+"""A MCAP file as bytes: reads at any offset from any thread, headers of records whose lengths are not trusted, its summary."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import read_into
 from dds_trace.base.units import counted
 
-from ..format.encoding import MAGIC, RECORD_HEADER, crc32
-from .records import OPCODES, parse_record, record_name
+from ..format.encoding import MAGIC, RECORD_HEADER
+from .records import OPCODES, crc32, parse_record, record_name
 from .scan import scan_records
 
 if TYPE_CHECKING:
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
     R = TypeVar("R", bound=ParsedRecord)
 
-_AHEAD_BYTES = 4096  # many small records at once; beside a chunk it costs no more than a record's header
+_AHEAD_BYTES = 4096  # many small records at once
 
 MAX_RECORD_BYTES = 64 << 20
-"""Longest record, packed or unpacked, that is held in memory as a whole; writers' chunks have 0.7 to 8 MB."""
+"""Longest record, packed or unpacked, that is read into memory as a whole; chunks have 0.7 to 8 MB."""
 
 
 class TornRecordError(Exception):
@@ -44,7 +44,7 @@ class TornRecordError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RecordHeader:
-    """Opcode and place of a record that lies in its file as a whole.
+    """Opcode and offset of a record that is completely in its file.
 
     Attributes:
         opcode: the kind of record, known to MCAP or not.
@@ -63,7 +63,7 @@ class RecordHeader:
 
     @property
     def end(self) -> int:
-        """Offset of the first byte behind the record."""
+        """Offset of the first byte after the record."""
         return self.content + self.length
 
 
@@ -72,40 +72,39 @@ class RecordFile(AbstractContextManager["RecordFile"]):
 
     Args:
         path: the file.
-        shown_as: its name in messages, where `path` is an unpacked copy.
+        shown_as: its name in errors, if `path` is an unpacked copy.
 
     Attributes:
-        path: the file's name in messages.
+        path: the file's name in errors.
         size: bytes when it was opened; what a recorder adds later is not read.
 
     Raises:
-        TraceFormatError: the file cannot be read, or does not begin as a MCAP file does.
+        TraceFormatError: the file cannot be read, or is not a MCAP file.
     """
 
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
         self.path = shown_as or path
         self._ahead, self._ahead_at = b"", 0
         try:
-            self._descriptor = os.open(
-                path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
-            )  # a pipe would wait for a writer
+            # Without blocking: a pipe would wait for a writer.
+            self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         except OSError as err:
             raise TraceFormatError(self.path, f"cannot be read ({err.strerror})") from err
         status = os.fstat(self._descriptor)
         self.size = status.st_size
         if not stat.S_ISREG(status.st_mode):
             self.close()
-            raise TraceFormatError(self.path, "no MCAP file: it is not a regular file")
+            raise TraceFormatError(self.path, "not a MCAP file: it is not a regular file")
         begin = self.read(0, min(len(MAGIC), self.size))
         if begin != MAGIC[: len(begin)]:
             self.close()
-            raise TraceFormatError(self.path, "no MCAP file: it does not begin with MCAP's magic bytes", 0)
+            raise TraceFormatError(self.path, "not a MCAP file: it does not begin with MCAP's magic bytes", 0)
 
     def __exit__(self, *_exception: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """Give the file descriptor back."""
+        """Close the file."""
         os.close(self._descriptor)
 
     def read(self, offset: int, size: int) -> bytes:
@@ -118,21 +117,21 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         self.read_into(memoryview(data), offset)
         return bytes(data)
 
-    def read_into(self, room: memoryview, offset: int) -> None:
-        """Fill `room` with the bytes from `offset` on.
+    def read_into(self, target: memoryview, offset: int) -> None:
+        """Fill `target` with the bytes from `offset` on.
 
         Raises:
             TraceFormatError: as for `read`.
         """
         try:
-            done = read_into(self._descriptor, room, offset)
+            done = read_into(self._descriptor, target, offset)
         except OSError as err:
             raise TraceFormatError(self.path, f"cannot be read ({err.strerror})", offset) from err
-        if done < len(room):
+        if done < len(target):
             raise TraceFormatError(self.path, "became shorter while it was read", offset + done)
 
     def peek(self, offset: int, size: int) -> bytes:
-        """Return `size` bytes from `offset` on, read ahead for the next call; only for the one thread that walks headers.
+        """Return `size` bytes from `offset` on, and read ahead; only for the one thread that walks headers.
 
         Raises:
             TraceFormatError: as for `read`.
@@ -143,12 +142,8 @@ class RecordFile(AbstractContextManager["RecordFile"]):
             self._ahead_at, at = offset, 0
         return self._ahead[at : at + size]
 
-    def header_at(self, offset: int, wanted: Container[int] | None = None) -> RecordHeader:
-        """Return the header of the record that begins at `offset`, or of the first behind it of a wanted kind.
-
-        Args:
-            offset: offset of a record.
-            wanted: opcodes of the records that are not stepped over; None for all.
+    def header_at(self, offset: int, opcodes: Container[int] | None = None) -> RecordHeader:
+        """Return the header of the record at `offset`, or of the first after it whose opcode is in `opcodes`.
 
         Raises:
             TornRecordError: no record begins there, or the file ends before the record does.
@@ -167,7 +162,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
                 raise TornRecordError(offset, "no record, but a zero byte")
             if length > self.size - offset - RECORD_HEADER.size:
                 raise TornRecordError(offset, f"a {record_name(opcode)} record is cut off")
-            if wanted is None or opcode in wanted:
+            if opcodes is None or opcode in opcodes:
                 return RecordHeader(opcode, offset, length)
             offset += RECORD_HEADER.size + length
 
@@ -175,7 +170,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         """Read and parse a record of the class `kind`.
 
         Raises:
-            TornRecordError: its fields are not as MCAP has them, or it is longer than `MAX_RECORD_BYTES`.
+            TornRecordError: its fields are not valid MCAP, or it is longer than `MAX_RECORD_BYTES`.
         """
         name = record_name(header.opcode)
         if header.length > MAX_RECORD_BYTES:
@@ -195,7 +190,7 @@ _KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHU
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The records between the data section and the footer.
+    """The records between the data section and the footer: claims about the rest, which are useful but not trusted.
 
     Attributes:
         data_end: offset in the file at which the data section ends and `data` begins.
@@ -214,7 +209,7 @@ class Summary:
                 yield opcode, memoryview(self.data)[start : start + length], self.data_end + start
 
     def parsed(self, kind: type[R]) -> Iterator[R]:
-        """Yield each record of the class `kind`, without those that are damaged."""
+        """Yield each undamaged record of the class `kind`."""
         for opcode, start, length in self.records:
             if opcode == OPCODES[kind]:
                 try:
@@ -223,7 +218,7 @@ class Summary:
                     continue
 
     def message_counts(self) -> dict[int, int] | None:
-        """Return channel id -> number of messages as the statistics have it; None without statistics."""
+        """Return channel id -> number of messages by the statistics; None without statistics."""
         statistics = next(self.parsed(Statistics), None)
         return None if statistics is None else statistics.channel_message_counts
 
@@ -237,8 +232,7 @@ def read_summary(file: RecordFile) -> Summary | None:
     """Read the summary.
 
     Returns:
-        None if the file does not end as a finished file does. A finished file without summary section, or with one
-        that does not match its CRC, has an empty summary.
+        None if the file is not finished; an empty one if a finished file has none, or one that does not match its CRC.
 
     Raises:
         TraceFormatError: the file cannot be read.

@@ -1,8 +1,8 @@
-"""Events in a buffer of MCAP records, found and taken as arrays without a Python step per event.
+"""Events in a buffer of MCAP records, found and copied as arrays without a Python step per event.
 
-Every event is a record of the same length (`docs/trace-format.md`), so a run of events is an array of records.
-Opcode, length and CDR header are checked at every stride; the run is cut at the first mismatch, the record there
-is stepped over by its own length, and the next run begins behind it.
+Every event is a record of the same length (`docs/trace-format.md`), so a stretch of events is an array of records.
+Opcode, length and CDR header are checked at every stride; at the first mismatch the record there is stepped over by its
+own length, and the next stretch begins after it.
 """
 
 from __future__ import annotations
@@ -36,15 +36,14 @@ _CHECKED = struct.Struct(f"<QB{MESSAGE_HEADER.size}xH")
 _BLOCK_DTYPE = np.dtype(f"V{EVENT_RECORD_BYTES}")
 
 _SINGLE_STEPS = 16  # events that are checked one by one: so few cost less than an array of them
-# The first stretch is short because a run may be. The others still fit the core's own cache, so that the three
-# comparisons wait for memory once and not three times.
+# The first stretch is short because a run may be. The others fit the core's cache: three comparisons read memory once.
 _FIRST_STRETCH = 256
 _STRETCH = 4096
-_FEW_CHANNELS = 6  # ids so close to each other are looked for one by one, which is quicker than sorting
+_FEW_CHANNELS = 6  # ids in so small a range are searched one by one, which is faster than sorting
 
 
 class ChannelEvents(NamedTuple):
-    """Events of one channel, copied out of the buffer that was scanned.
+    """Events of one channel, copied out of the scanned buffer.
 
     Attributes:
         channel_id: the id of the channel.
@@ -59,12 +58,12 @@ class ChannelEvents(NamedTuple):
 
 @dataclass(slots=True)
 class Scan:
-    """Places of the records in a buffer.
+    """Offsets of the records in a buffer.
 
     Attributes:
-        runs: (byte offset, count) of each unbroken run of event-shaped records.
-        others: (opcode, byte offset of the content, its length) of each other record of a wanted kind, in order.
-        end: byte offset behind the last record: the end of the buffer, or the first byte that begins no record.
+        runs: (byte offset, count) of each unbroken stretch of event-shaped records.
+        others: (opcode, byte offset of the content, its length) of each other record of a requested kind, in order.
+        end: end of the last record: the end of the buffer, or the first byte that begins no record.
         steps: number of records that were stepped over one by one.
     """
 
@@ -73,25 +72,25 @@ class Scan:
     end: int = 0
     steps: int = 0
 
-    def extend(self, behind: Scan) -> None:
-        """Append the scan of the bytes that lie directly behind."""
+    def extend(self, following: Scan) -> None:
+        """Append the scan of the bytes that follow directly."""
         joins = (
             self.runs
-            and behind.runs
-            and self.runs[-1][0] + self.runs[-1][1] * EVENT_RECORD_BYTES == behind.runs[0][0]
+            and following.runs
+            and self.runs[-1][0] + self.runs[-1][1] * EVENT_RECORD_BYTES == following.runs[0][0]
         )
         if joins:
             offset, count = self.runs.pop()
-            self.runs.append((offset, count + behind.runs[0][1]))
-        self.runs += behind.runs[1:] if joins else behind.runs
-        self.others += behind.others
-        self.end = behind.end
-        self.steps += behind.steps
+            self.runs.append((offset, count + following.runs[0][1]))
+        self.runs += following.runs[1:] if joins else following.runs
+        self.others += following.others
+        self.end = following.end
+        self.steps += following.steps
 
-    def places(self, data: Buffer, channel_id: int) -> list[tuple[int, int]]:
+    def contents(self, data: Buffer, channel_id: int) -> list[tuple[int, int]]:
         """Return (byte offset, length) of the content of each event-shaped record of one channel."""
         length = EVENT_RECORD_BYTES - RECORD_HEADER.size
-        contents: list[tuple[int, int]] = []
+        offsets: list[tuple[int, int]] = []
         for offset, count in self.runs:
             records = np.frombuffer(data, EVENT_RECORD_DTYPE, count, offset)
             starts = (
@@ -99,12 +98,12 @@ class Scan:
                 + RECORD_HEADER.size
                 + np.flatnonzero(records["channel_id"] == channel_id) * EVENT_RECORD_BYTES
             )
-            contents += [(start, length) for start in starts.tolist()]
-        return contents
+            offsets += [(start, length) for start in starts.tolist()]
+        return offsets
 
     def events(self, data: Buffer) -> Records:
         """Return the records of all runs, an array of `EVENT_RECORD_DTYPE`; a view of `data` if there is one run."""
-        # Joined as blocks of bytes: joined as records, numpy would make a dtype of its own for them.
+        # Joined as blocks of bytes: for records numpy would make a new dtype.
         parts = [np.frombuffer(data, _BLOCK_DTYPE, count, offset) for offset, count in self.runs]
         joined = parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, _BLOCK_DTYPE), *parts])
         return joined.view(EVENT_RECORD_DTYPE)
@@ -114,19 +113,17 @@ def scan_records(
     data: Buffer,
     start: int,
     stop: int,
-    wanted: Container[int] = MESSAGES_AND_CHANNELS,
+    opcodes: Container[int] = MESSAGES_AND_CHANNELS,
     *,
     only: bool = False,
 ) -> Scan:
-    """Scan the records in `data[start:stop]`.
-
-    The scan ends early before a record that is cut off by `stop`, or that has opcode 0, which MCAP forbids.
+    """Scan the records in `data[start:stop]`; end before a record that is cut off, or has opcode 0, which MCAP forbids.
 
     Args:
         data: the buffer.
         start: offset of the first byte of a record.
-        stop: offset behind the last record.
-        wanted: opcodes of the records to list beside the events.
+        stop: end of the last record.
+        opcodes: opcodes of the records to list besides the events.
         only: whether the scan also ends before a record of any other kind.
     """
     scan = Scan()
@@ -144,7 +141,7 @@ def scan_records(
         content = at + RECORD_HEADER.size
         if opcode == 0 or length > stop - content:
             break
-        if opcode in wanted:
+        if opcode in opcodes:
             scan.others.append((opcode, content, length))
         elif only:
             break
@@ -158,12 +155,12 @@ def split_by_channel(records: Records) -> list[ChannelEvents]:
     if not len(records):
         return []
     channels = np.ascontiguousarray(records["channel_id"])
-    # Moved as blocks of bytes: a third of the time of taking them field by field.
+    # Copied as blocks of bytes: a third of the time of a copy by field.
     numbers, events = records["number"], records["event"]
     first, last = int(channels.min()), int(channels.max())
     if first == last:
         return [ChannelEvents(first, int(numbers[-1]), events.copy().view(EVENT_DTYPE))]
-    if last - first < _FEW_CHANNELS:  # looking for each is quicker than sorting
+    if last - first < _FEW_CHANNELS:
         positions = [(channel, np.flatnonzero(channels == channel)) for channel in range(first, last + 1)]
     else:
         order = np.argsort(channels, kind="stable")
@@ -178,7 +175,6 @@ def split_by_channel(records: Records) -> list[ChannelEvents]:
 
 
 def _count_events(data: Buffer, at: int, stop: int) -> int:
-    """Count the events that lie one after the other from `at` on, all of them before `stop`."""
     left = (stop - at) // EVENT_RECORD_BYTES
     count = 0
     while count < min(left, _SINGLE_STEPS):

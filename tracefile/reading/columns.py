@@ -26,23 +26,22 @@ _SMALLEST_GROWTH = 1 << 14
 
 
 class ColumnsMemory:
-    """Memory for columns, used again as soon as nobody has a column in it any more.
+    """Memory for columns, reused as soon as nobody refers to a column in it.
 
-    The C library gives large blocks of one size back to the kernel each time, so that each piece of a trace would be filled in
-    fresh memory, page by page.
+    The C library returns large blocks to the kernel each time, so that each piece of a trace would fill fresh memory.
     """
 
     def __init__(self) -> None:
-        self._free: list[NDArray[np.uint8]] = []  # appended to by whichever thread drops the last column
+        self._free: list[NDArray[np.uint8]] = []  # any thread that drops the last column appends
 
     def lend(self, size: int) -> NDArray[np.uint8]:
-        """Return memory of so many bytes, whatever is in it; it comes back with the last array that is a view of it."""
-        if not size:  # what is free is for who fills it
+        """Return memory of `size` bytes, not cleared; it comes back with the last array that is a view of it."""
+        if not size:
             return np.empty(0, np.uint8)
         owner = self._free.pop() if self._free else None
         if owner is None or len(owner) < size:
             owner = np.empty(size, np.uint8)
-        # Through its buffer: what is made from `lent` then keeps `lent`, and not the owner in its place.
+        # Through its buffer, so that views refer to `lent` and not to the owner.
         lent = np.frombuffer(owner.data, np.uint8)
         weakref.finalize(lent, self._free.append, owner).atexit = False
         return lent[:size]
@@ -52,9 +51,9 @@ class ColumnsBuilder:
     """Events of all stages, each batch copied into its place.
 
     Args:
-        expected: number of events expected of each stage; memory is reserved for them, and taken when they come.
+        expected: number of events expected of each stage; memory is reserved for them, and used when they come.
         most_events: events of all stages that make it full.
-        memory: that of builders before it; None for fresh memory.
+        memory: of earlier builders; None for fresh memory.
     """
 
     def __init__(
@@ -69,7 +68,7 @@ class ColumnsBuilder:
         self._most_events = most_events
 
     def is_full_before(self, events: int) -> bool:
-        """Return whether so many more are too many; what is empty takes any number."""
+        """Return whether so many more are too many; an empty builder accepts any number."""
         filled = sum(columns.filled for columns in self._columns.values())
         return filled > 0 and filled + events > self._most_events
 
@@ -83,11 +82,9 @@ class ColumnsBuilder:
 
 
 class _StageColumns:
-    """Events of one stage.
+    """Events of one stage, all columns in one piece of memory.
 
-    All columns lie in one piece of memory. numpy asks for large pages for it as a whole, so that touching fresh
-    memory, half of the time of filling it page by page, costs next to nothing. Memory that is never filled is never
-    taken from the system.
+    numpy requests large pages for it, which halves the cost of touching fresh memory; unfilled memory is never allocated.
 
     Attributes:
         filled: number of events.
@@ -115,7 +112,7 @@ class _StageColumns:
         self.filled = end
 
     def finish(self) -> EventColumns:
-        """Return views of the filled part, so that nothing is copied; a stage without events keeps no memory."""
+        """Return views of the filled part; a stage without events refers to no memory."""
         if not self.filled:
             return EventColumns.empty()
         rows = zip(_NAMES, [*self._wide, *self._narrow], strict=True)

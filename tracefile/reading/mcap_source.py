@@ -32,10 +32,12 @@ if TYPE_CHECKING:
 _MOST_BLOCKS_AHEAD = 8
 _ROOM_OPCODES = frozenset({Opcode.CHUNK, Opcode.MESSAGE})
 _UNSUSPECTED_STEPS = 2_000_000
-_STEP_BYTES = 4  # a recorded message that is no event takes more than that, packed as it may be
-_ROOM_CHUNKS = 100_000  # chunks that are looked at before the first is unpacked
-_BYTES_AHEAD = 32 << 20  # their bytes together: much larger chunks are unpacked one after the other
-_SMALL_FILE_BYTES = 1 << 19  # read by the caller alone: a block of it is unpacked before a thread has started
+_STEP_BYTES = 4  # a recorded message that is not an event needs more, even packed
+_ROOM_CHUNKS = 100_000  # chunks whose headers are read before the first is unpacked
+_BYTES_AHEAD = 32 << 20  # of all these blocks
+_SMALL_FILE_BYTES = (
+    1 << 19
+)  # read by the calling thread: a block is unpacked before another thread has started
 
 
 class McapSource:
@@ -44,10 +46,10 @@ class McapSource:
     Args:
         path: the file.
         pool: the threads that unpack and check chunks.
-        shown_as: its name in messages, where `path` is an unpacked copy.
+        shown_as: its name in errors, if `path` is an unpacked copy.
 
     Raises:
-        TraceFormatError: `path` is no MCAP file, or cannot be read.
+        TraceFormatError: `path` is not a MCAP file, or cannot be read.
     """
 
     def __init__(
@@ -86,9 +88,9 @@ class McapSource:
         return sum(self._numbered.values())
 
     def expected_events(self) -> dict[Stage, int]:
-        """Return the number of events of each stage by the statistics, or else the number that the chunks have room for."""
+        """Return the number of events of each stage by the statistics, or else the number that fits into the chunks."""
         counts = self._claimed
-        most = self._file.size  # no claim of more than one event for each packed byte is believed
+        most = self._file.size  # a claim of more than one event per packed byte is not believed
         if counts is None:
             return dict.fromkeys(Stage, min(most, self._room_for_events()))
         expected = Counter[Stage]()
@@ -98,7 +100,7 @@ class McapSource:
         return {stage: min(most, count) for stage, count in expected.items()}
 
     def batches(self) -> Iterator[Batch]:
-        """Yield all messages in file order; the last batch tells how the file ended.
+        """Yield all messages in file order; the last batch describes how the file ended.
 
         Raises:
             TraceFormatError: the device fails, or the file contradicts itself.
@@ -112,14 +114,14 @@ class McapSource:
             self._jobs.take_back(block)
             if steps_left < 0:
                 self._jobs.truncated = (
-                    f"is read up to byte {block.places[-1][1]}: it has more small records than a recorder writes into "
+                    f"is read up to byte {block.starts[-1][1]}: it has more small records than a recorder writes into "
                     "so few bytes"
                 )
                 break
         yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
 
     def _blocks(self) -> Iterator[Block]:
-        """Yield the blocks in order; of a small file without other threads, whose start takes longer than its few blocks."""
+        """Yield the blocks in order; of a small file without other threads, which start slower than its few blocks."""
         if self._file.size <= _SMALL_FILE_BYTES:
             return (job() for _, job in self._jobs)
         return in_order(self._jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD)
@@ -136,8 +138,8 @@ class McapSource:
         for channel_id, last_number, events in block.events:
             channel = self._channels.get(channel_id)
             if channel and not channel.stage and channel.topic.startswith(TOPIC_PREFIX):
-                # Texts that are as long as an event by chance.
-                singles += block.scan.places(block.data, channel_id)
+                # Texts that happen to be as long as an event.
+                singles += block.scan.contents(block.data, channel_id)
                 continue
             self._messages[channel_id] += len(events)
             if channel and channel.fault:
@@ -160,7 +162,7 @@ class McapSource:
         batch: Batch,
         packed: list[tuple[Stage, bytes]],
     ) -> None:
-        """Add a message that is not part of an array: a text, an event that was packed by itself, or one of others."""
+        """Add a message that is not part of an array: a text, an event that was packed by itself, or a foreign one."""
         if len(content) < MESSAGE_HEADER.size:
             return
         channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
@@ -183,7 +185,7 @@ class McapSource:
             if channel is None:
                 notes.append(
                     f"{counted(count, 'message belongs', 'messages belong')} to channel {channel_id}, "
-                    "which is nowhere declared; not used"
+                    "which is never declared; not used"
                 )
             elif channel.fault:
                 notes.append(
@@ -192,21 +194,21 @@ class McapSource:
         for channel_id, claimed in (self._claimed or {}).items():
             channel = self._channels.get(channel_id)
             if channel and channel.stage and claimed != self._messages[channel_id]:
-                found = self._messages[channel_id]
+                count = self._messages[channel_id]
                 notes.append(
                     f"the statistics claim {counted(claimed, 'message')} of {channel.topic}, "
-                    f"{found} {'was' if found == 1 else 'were'} found"
+                    f"{count} {'was' if count == 1 else 'were'} found"
                 )
         return notes
 
     def _is_of_others(self) -> bool:
-        """Return whether no message is ours by the summary: a large bag of camera images need not be unpacked."""
+        """Return whether the summary lists only foreign topics: a large bag of camera images need not be unpacked."""
         if self._claimed is None or not all(map(self._channels.get, self._claimed)):
             return False
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
 
     def _room_for_events(self) -> int:
-        """Return the number of events that the file's chunks, or its bytes outside of chunks, have room for."""
+        """Return the number of events that fit into the file's chunks, or its bytes outside of chunks."""
         room, at, chunks = 0, len(MAGIC), 0
         while True:
             try:
@@ -226,15 +228,12 @@ class McapSource:
 
 
 def _blocks_ahead() -> int:
-    """Return the number of blocks that are made before they are asked for: one a core and one more.
-
-    More of them only push each other out of the caches.
-    """
+    """Return the number of blocks made in advance: one per core and one more; further ones only fill the caches."""
     return min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)
 
 
 def read_first_session(path: Path) -> Session | None:
-    """Return the session that a file begins with; None if it does not begin as the files of our recorder do."""
+    """Return the session at the start of a file, read from its first chunk only; None if the file is not our recorder's."""
     try:
         with RecordFile(path) as file:
             chunk = PackedChunk.at(file, file.header_at(len(MAGIC), frozenset({Opcode.CHUNK})))

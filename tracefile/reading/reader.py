@@ -1,6 +1,6 @@
-"""A trace read back, all of it, piece by piece, or batch by batch.
+"""A trace read back: all of it, piece by piece, or batch by batch.
 
-The same events come out of every kind of file: ours, another tool's, unindexed, cut off, damaged, a rosbag2 folder.
+The same events come from every kind of file: ours, another tool's, unindexed, cut off, damaged, a rosbag2 folder.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .trace import Trace
 
 PIECE_EVENTS = 1 << 18
-"""Most events of a piece, if no chunk has more: 15 MB. A piece is read into memory that an earlier one has filled."""
+"""Most events of a piece (15 MB), if no chunk has more."""
 
 _MOST_WORKERS = 4  # more threads wait for memory, not for each other
 
@@ -34,11 +34,11 @@ def read_trace(path: str | os.PathLike[str]) -> Trace:
     """Read a whole trace.
 
     Args:
-        path: a `.mcap` file (with the ring beside it, if a killed recorder left one) or a rosbag2 folder.
+        path: a `.mcap` file (with its ring, if a killed recorder left one) or a rosbag2 folder.
 
     Raises:
-        TraceFormatError: `path` is no trace, or a description in it cannot be read. A file that ends early or is
-            damaged is no error: see `Trace.truncated` and `Trace.notes`.
+        TraceFormatError: `path` is not a trace, or a description in it cannot be read. A file that ends early or is damaged
+            is no error: see `Trace.truncated` and `Trace.notes`.
     """
     whole: dict[Stage, EventColumns] = {}
     return replace(_read(Path(path), whole.update, sys.maxsize), events=whole)
@@ -49,8 +49,8 @@ def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns
 
     Args:
         path: as for `read_trace`.
-        take: called with up to `PIECE_EVENTS` events of all stages, a stage without any being there and empty, piece by
-            piece in file order; at least once. They are the caller's: their memory is used again when they are gone.
+        take: called at least once, in file order, with up to `PIECE_EVENTS` events of all stages (a stage may be empty).
+            Their memory is reused when nothing refers to them.
 
     Returns:
         The trace without its events.
@@ -62,7 +62,6 @@ def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns
 
 
 def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], most_events: int) -> Trace:
-    """Read a trace, its events in pieces of so many."""
     builder = TraceBuilder(path)
     files = storage_files(path)
     rings = [ring_beside(file) for file in files]
@@ -85,7 +84,7 @@ def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], mo
 
 
 def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, EventColumns]]:
-    """Yield the events of a trace about a megabyte at a time, those of each stage in file order.
+    """Yield the events of a trace about a megabyte at a time, of each stage in file order.
 
     Memory follows the size of a chunk, not of the file. Descriptions, notes and the number of unreadable messages come
     from `read_trace`.
@@ -105,6 +104,6 @@ def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, Ev
 
 
 def _workers() -> ThreadPoolExecutor:
-    """Return the threads that unpack and check chunks beside the caller's; the libraries release the GIL."""
+    """Return the threads that unpack and check chunks besides the caller's; the libraries release the GIL."""
     others = len(os.sched_getaffinity(0)) - 1
     return ThreadPoolExecutor(max(1, min(_MOST_WORKERS, others)), thread_name_prefix="read_trace")

@@ -1,4 +1,4 @@
-"""Sources of messages, whatever they are stored in: batches of events as arrays, and the few other messages."""
+"""Sources of messages in any storage: batches of events as arrays, and the few other messages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Text:
         log_time_ns: wall clock, ns since 1970.
         data: the serialized message.
         path: the file of the message.
-        offset: offset in the file of the message or of the chunk around it; None in a database.
+        offset: offset in the file of the message or of its chunk; None in a database.
     """
 
     topic: str
@@ -49,10 +49,10 @@ class Batch:
     """Consecutive messages of a trace.
 
     Attributes:
-        events: (stage, contiguous array of `EVENT_DTYPE`) pairs, those of a stage in file order.
+        events: (stage, contiguous array of `EVENT_DTYPE`) pairs; each stage's events are in file order.
         texts: the messages of our other topics, in file order.
         unreadable: number of messages on event topics that are not events.
-        notes: one line for each thing that a reader of the numbers should know.
+        notes: one line for each fact that a reader of the numbers should know.
         truncated: the reason why the source ends early, in its last batch; else None.
     """
 
@@ -84,22 +84,25 @@ class Source(Protocol):
         """Close the file."""
 
 
-def event_batch(messages: Sequence[tuple[Stage, bytes]]) -> Batch:
-    """Return a batch of single messages on event topics; those that are no events are counted as unreadable."""
+def event_batch(singles: Sequence[tuple[Stage, bytes]]) -> Batch:
+    """Return a batch of single messages on event topics; those that are not events count as unreadable."""
     events: dict[Stage, list[bytes]] = {}
     unreadable = 0
-    for stage, data in messages:
+    for stage, data in singles:
         if len(data) == EVENT_CDR_BYTES and data[:2] == CDR_HEADER[:2]:
             events.setdefault(stage, []).append(data)
         else:
             unreadable += 1
     dtype = np.dtype([("cdr", f"V{len(CDR_HEADER)}"), ("event", EVENT_DTYPE)])
-    arrays = [(stage, np.frombuffer(b"".join(held), dtype)["event"].copy()) for stage, held in events.items()]
+    arrays = [
+        (stage, np.frombuffer(b"".join(messages), dtype)["event"].copy())
+        for stage, messages in events.items()
+    ]
     return Batch(arrays, unreadable=unreadable)
 
 
 def unpack_message(data: bytes) -> bytes:
-    """Unpack a message that rosbag2 has compressed by itself; return it unchanged if it is not, or is damaged.
+    """Unpack a message that rosbag2 has compressed by itself; return any other, or a damaged one, unchanged.
 
     Serialized CDR begins with a zero byte, so it cannot be taken for a zstd frame.
     """

@@ -22,24 +22,23 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _HEADER = struct.Struct(">16xH10xI")  # page size, pages
-# SQLite also reports that memory is short where a size in the file is absurd.
+# SQLite reports an absurd size in the file as a lack of memory.
 _SQLITE_ERRORS = (sqlite3.Error, MemoryError)
 _BATCH_ROWS = 8192
 _BATCH_BYTES = 4 << 20
 
 _MOST_TOPICS = 10_000
 
-# A database can be made so that few pages hold rows without end: pages that are used more than once, columns that are
-# computed. SQLite's steps are bounded, the rows that it gives (a recorded event takes 77 bytes), and their bytes.
+# A hostile database has endless rows in few pages: reused pages, computed columns. SQLite's steps are bounded, its rows (a
+# recorded event needs 77 bytes), and their bytes.
 _UNSUSPECTED_STEPS = 100_000_000
 _STEPS_A_BYTE = 4
-_STEPS_A_LOOK = 1_000_000
+_STEPS_A_CHECK = 1_000_000
 _UNSUSPECTED_ROWS = 2_000_000
 _ROW_BYTES = 64
 _LONGEST_VALUE_BYTES = 2 * _BATCH_BYTES
 
-# Every version of rosbag2's schema has these columns. A view or a virtual table in place of a table is not read, nor are
-# columns that are computed.
+# Every version of rosbag2's schema has these columns. Views, virtual tables and computed columns are not read.
 _TABLES = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND rootpage > 0 AND name IN ('topics', 'messages')"
 _COMPUTED = (
     "SELECT (SELECT count(*) FROM pragma_table_xinfo('topics') WHERE hidden)"
@@ -58,10 +57,10 @@ class SqliteSource:
 
     Args:
         path: the database.
-        shown_as: its name in messages, where `path` is an unpacked copy.
+        shown_as: its name in errors, if `path` is an unpacked copy.
 
     Raises:
-        TraceFormatError: `path` is no database of rosbag2, or cannot be read.
+        TraceFormatError: `path` is not a database of rosbag2, or cannot be read.
     """
 
     def __init__(self, path: Path, shown_as: Path | None = None) -> None:
@@ -77,18 +76,18 @@ class SqliteSource:
                 if self._one(_TABLES) != 2 or self._one(_COMPUTED):
                     raise TraceFormatError(
                         self._shown_as,
-                        "no rosbag2 database: no tables 'topics' and 'messages' as it makes them",
+                        "not a rosbag2 database: no tables 'topics' and 'messages' as it makes them",
                     )
                 topics = self._database.execute(_TOPICS, [_MOST_TOPICS + 1]).fetchall()
                 if len(topics) > _MOST_TOPICS:
                     raise TraceFormatError(
-                        self._shown_as, f"no rosbag2 database: more than {_MOST_TOPICS} topics"
+                        self._shown_as, f"not a rosbag2 database: more than {_MOST_TOPICS} topics"
                     )
                 self._last_row = self._one(_LAST_ROW)
             except (*_SQLITE_ERRORS, OSError, ValueError) as err:
-                raise TraceFormatError(self._shown_as, f"no rosbag2 database ({err!r})") from err
+                raise TraceFormatError(self._shown_as, f"not a rosbag2 database ({err!r})") from err
             undo.pop_all()
-        # A column of SQLite has no fixed type: a damaged page may hold anything.
+        # A column of SQLite has no fixed type: a damaged page may contain anything.
         self._topics: list[tuple[int, str, str, str]] = [
             row for row in topics if isinstance(row[0], int) and isinstance(row[1], str)
         ]
@@ -104,7 +103,7 @@ class SqliteSource:
 
     @property
     def written_events(self) -> int:
-        """Always 0: our recorder writes MCAP, and no ring lies beside a database."""
+        """Always 0: our recorder writes MCAP, and a database has no ring."""
         return 0
 
     def expected_events(self) -> dict[Stage, int]:
@@ -118,13 +117,13 @@ class SqliteSource:
         names = {topic_id: name for topic_id, name, *_ in self._topics}
         ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
         faults = self._faults()
-        wanted = ",".join(map(str, ours))
+        ids = ",".join(map(str, ours))
         last = Batch(
             notes=[f"messages of {names[topic_id]} are not used: {why}" for topic_id, why in faults.items()]
         )
         rows = _Rows(self._shown_as)
         try:
-            with closing(self._database.execute(_MESSAGES.format(limit=_BATCH_BYTES, ids=wanted))) as cursor:
+            with closing(self._database.execute(_MESSAGES.format(limit=_BATCH_BYTES, ids=ids))) as cursor:
                 for topic_id, timestamp, data in cursor:
                     rows.add(ours[topic_id], timestamp, data, faulty=topic_id in faults)
                     rows_left -= 1
@@ -148,16 +147,16 @@ class SqliteSource:
         yield last
 
     def _bound_work(self) -> None:
-        """Let SQLite give up beyond a number of steps, and refuse values of a length that no event or text of ours has."""
-        looks_left = (_UNSUSPECTED_STEPS + _STEPS_A_BYTE * self._size) // _STEPS_A_LOOK
+        """Let SQLite give up after a number of steps, and refuse values longer than any event or text of ours."""
+        checks_left = (_UNSUSPECTED_STEPS + _STEPS_A_BYTE * self._size) // _STEPS_A_CHECK
 
-        def look() -> bool:
-            nonlocal looks_left
-            looks_left -= 1
-            return looks_left < 0
+        def check() -> bool:
+            nonlocal checks_left
+            checks_left -= 1
+            return checks_left < 0
 
-        self._database.set_progress_handler(look, _STEPS_A_LOOK)
-        if sys.version_info >= (3, 11):  # before that Python has no way to say it
+        self._database.set_progress_handler(check, _STEPS_A_CHECK)
+        if sys.version_info >= (3, 11):  # earlier Pythons cannot set it
             self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE_BYTES)
 
     def _faults(self) -> dict[int, str]:
@@ -189,8 +188,6 @@ def _missing_bytes(path: Path) -> int:
 
 
 class _Rows:
-    """Rows that become a batch."""
-
     def __init__(self, path: Path) -> None:
         self._path = path
         self._events: list[tuple[Stage, bytes]] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -43,8 +43,8 @@ def find_traces(
 ) -> list[Path]:
     """Find the traces in `folder` and below it: `.mcap` files and rosbag2 folders, sorted.
 
-    Files are found by name and not opened; `read_trace` tells which of them are traces. A `folder` that is itself a
-    file or a rosbag2 folder is the only trace. Links to folders are not followed.
+    Files are found by name and not opened; `read_trace` refuses what is not a trace. A `folder` that is itself a file or a
+    rosbag2 folder is the only trace. Links to folders are not followed.
 
     Args:
         folder: the folder to search.
@@ -63,12 +63,12 @@ def find_traces(
         here, real = Path(name), Path(name).resolve()
 
         def is_left_out(child: Path, real: Path = real) -> bool:
-            # Only a link leads elsewhere: to look at each part of each path takes longer than all else.
+            # Only a link leads elsewhere, and resolving every path would be slow.
             return (child.resolve() if child.is_symlink() else real / child.name) in left_out
 
-        kept = [child for child in folders if not is_left_out(here / child)]
-        traces += [here / child for child in kept if is_bag(here / child)]
-        folders[:] = [child for child in kept if not is_bag(here / child)]
+        searched = [child for child in folders if not is_left_out(here / child)]
+        traces += [here / child for child in searched if is_bag(here / child)]
+        folders[:] = [child for child in searched if not is_bag(here / child)]
         traces += [here / file for file in files if file.endswith(".mcap") and not is_left_out(here / file)]
     return sorted(traces)
 
@@ -76,8 +76,8 @@ def find_traces(
 def storage_files(path: Path) -> list[Path]:
     """Return the files with the messages of a trace, in the order in which they were recorded.
 
-    rosbag2 numbers the parts of a split bag; `bag_10.mcap` comes after `bag_9.mcap`. A file that was packed as a
-    whole has `.zstd` behind its name; if a player has unpacked it into the same folder it counts once.
+    rosbag2 numbers the parts of a split bag; `bag_10.mcap` comes after `bag_9.mcap`. A file that was packed as a whole ends in
+    `.zstd`; if a player has unpacked it into the same folder it counts once.
 
     Raises:
         TraceFormatError: `path` is a folder that cannot be read or has no such file.
@@ -90,7 +90,7 @@ def storage_files(path: Path) -> list[Path]:
         raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
     files = [file for file in stored if file.suffix != ZSTD_SUFFIX or file.with_suffix("") not in stored]
     if not files:
-        raise TraceFormatError(path, "no rosbag2 folder: no .mcap or .db3 file is in it")
+        raise TraceFormatError(path, "not a rosbag2 folder: it contains no .mcap or .db3 file")
     return sorted(
         files,
         key=lambda file: [
@@ -115,30 +115,23 @@ def open_source(file: Path, pool: Executor) -> Iterator[Source]:
         TraceFormatError: the file is not of the kind that its name says, or cannot be read.
     """
     opener = _OPENERS[_opener_suffix(file) or ".mcap"]
-    if file.suffix == ZSTD_SUFFIX:
-        with tempfile.NamedTemporaryFile(prefix="dds-trace-") as copy:
+    with ExitStack() as opened:
+        path = file
+        if file.suffix == ZSTD_SUFFIX:
+            copy = opened.enter_context(tempfile.NamedTemporaryFile(prefix="dds-trace-"))
             _unpack_file(file, copy)
-            source = opener(Path(copy.name), pool, file)
-            try:
-                yield source
-            finally:
-                source.close()
-        return
-    source = opener(file, pool, file)
-    try:
-        yield source
-    finally:
-        source.close()
+            path = Path(copy.name)
+        yield opened.enter_context(closing(opener(path, pool, file)))
 
 
 def _opener_suffix(file: Path) -> str | None:
-    """Return the suffix that tells how a file is stored; None if it is no storage file."""
+    """Return the suffix that names the storage of a file; None if it is not a storage file."""
     suffix = file.with_suffix("").suffix if file.suffix == ZSTD_SUFFIX else file.suffix
     return suffix if suffix in _OPENERS else None
 
 
 def _unpack_file(packed: Path, copy: IO[bytes]) -> None:
-    """Unpack a file as far as possible: of a file that was cut off, the copy is cut off, and its reader says so."""
+    """Unpack a file as far as possible: the copy of a cut off file is cut off, and its reader reports it."""
     limit = packed.stat().st_size * LARGEST_RATIO
     with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:
         written = 0

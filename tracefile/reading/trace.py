@@ -27,32 +27,32 @@ if TYPE_CHECKING:
     from .source import Source, Text
 
 FOREIGN_HINT = "; for recordings of others: `dds-analyze PATH --topics`"
-"""End of the refusal of a recording that is whole and not ours."""
+"""End of the error about a whole recording that is not ours."""
 
-_MOST_NOTES = 20  # nobody reads more lines about one trace
+_MOST_NOTES = 20
 
 _NO_JSON_OBJECT = {
-    HOST_TOPIC: ("host sample is no JSON object", "host samples are no JSON objects"),
-    WIRE_TOPIC: ("text about the wire is no JSON object", "texts about the wire are no JSON objects"),
+    HOST_TOPIC: ("host sample is not a JSON object", "host samples are not JSON objects"),
+    WIRE_TOPIC: ("text about the wire is not a JSON object", "texts about the wire are not JSON objects"),
 }
-"""Topic -> words of a note about one and about several unreadable messages of it."""
+"""Topic -> words for one and for several unreadable messages."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """One trace: a `.mcap` file (with the ring beside it, if one was left) or a rosbag2 folder.
+    """One trace: a `.mcap` file (with its ring, if one was left) or a rosbag2 folder.
 
     Attributes:
         path: the file or folder it was read from.
         sessions: the latest description of each recording process, in order of appearance.
         runs: the latest description of each run, in order of appearance.
-        events: the events of every stage, in file order; a stage without events is there and empty.
+        events: the events of every stage, in file order; a stage may be empty.
         host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock, ns since 1970).
         wire: the JSON objects of `/dds_trace/wire`: records of messages, and counts of a relay (`format.wire`).
-        truncated: the reason why the file ends early, or None; all that was complete before is in `events`.
-        ring_events: number of the events that came from the ring that a killed recorder left behind.
+        truncated: the reason why the file ends early, or None; everything complete before it is in `events`.
+        ring_events: number of events from the ring that a killed recorder left.
         unreadable_messages: number of messages on event topics that are not events (wrong length or encoding).
-        notes: one line for each other thing that a reader of the numbers should know.
+        notes: one line for each other fact that a reader of the numbers should know.
     """
 
     path: Path
@@ -79,7 +79,7 @@ class TextCollector:
     """Latest description of each session and run, in order of first appearance, all host samples and texts about the wire.
 
     Attributes:
-        unreadable: topic -> number of its messages that are no JSON objects; of host samples and the wire.
+        unreadable: topic -> number of its host samples or texts about the wire that are not JSON objects.
     """
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class TextCollector:
         return tuple(self._wire)
 
     def add(self, text: Text) -> None:
-        """Add one message; a topic that this version does not know is ignored.
+        """Add one message; an unknown topic is ignored.
 
         Raises:
             TraceFormatError: a description cannot be read; the error names file, offset and field.
@@ -133,7 +133,7 @@ class TextCollector:
             raise TraceFormatError(text.path, what, text.offset) from err
 
     def add_ring_session(self, described: Session, dropped_events: int) -> None:
-        """Add the session that a ring describes, unless the trace has it, and the number of drops in the ring's header."""
+        """Add a ring's session, unless the trace has it, and the number of drops in the ring's header."""
         session = self._sessions.get(described.session_id, described)
         dropped_events = max(session.dropped_events, dropped_events)
         self._sessions[session.session_id] = replace(session, dropped_events=dropped_events)
@@ -157,7 +157,7 @@ class TextCollector:
             self._wire.append(value)
 
     def _object(self, text: Text) -> JsonObject | None:
-        """Return the JSON object of a message; None of one that is none, which is counted."""
+        """Return the JSON object of a message; None, and count it, if it is not one."""
         try:
             value = parse_json(_string(text))
         except (TraceFormatError, ValueError):
@@ -169,11 +169,6 @@ class TextCollector:
 
 
 def _string(text: Text) -> str:
-    """Return the text of a message.
-
-    Raises:
-        TraceFormatError: it is no `std_msgs/msg/String`, or longer than any description or sample.
-    """
     data = text.data
     if len(data) > _MAX_BYTES:
         raise TraceFormatError(
@@ -187,7 +182,7 @@ def _string(text: Text) -> str:
 
 @dataclass(frozen=True, slots=True)
 class RingBeside:
-    """Ring beside one file of a trace.
+    """Ring next to one file of a trace.
 
     Attributes:
         contents: the whole content of the ring; None if it cannot be read.
@@ -209,7 +204,7 @@ class RingBeside:
             missing = last + 1 - events_in_file - len(slots)
             if missing:
                 batch.notes.append(
-                    f"{counted(missing, 'event is', 'events are')} neither in the file nor in the ring beside it"
+                    f"{counted(missing, 'event is', 'events are')} neither in the file nor in its ring"
                 )
         if self.contents.recording:
             batch.notes.append("still being recorded; these are the events up to now")
@@ -217,13 +212,10 @@ class RingBeside:
 
 
 def ring_beside(file: Path) -> RingBeside | None:
-    """Read the ring of a storage file; call this before the file is opened.
+    """Read the ring of a storage file, if it has an event; call this before the file is opened.
 
-    In this order no event is missed while the recorder still lives: an event that has left the ring when the ring is
-    read is in the file when the file is read. The other way round it could be in neither.
-
-    Returns:
-        None if there is no ring, or none with an event.
+    In this order no event of a living recorder is missed: one that has left the ring when the ring is read is in the file
+    when the file is read.
     """
     path = ring_path(file)
     try:
@@ -231,7 +223,7 @@ def ring_beside(file: Path) -> RingBeside | None:
     except FileNotFoundError:
         return None
     except (TraceFormatError, OSError) as err:
-        return RingBeside(None, f"the ring beside it is not used: {err}")
+        return RingBeside(None, f"its ring is not used: {err}")
     return RingBeside(contents) if contents else None
 
 
@@ -245,7 +237,7 @@ class TraceBuilder:
         topics: its topics, ours or not.
         unreadable: number of messages on event topics that are not events.
         ring_events: number of events that only a ring has.
-        notes: one line for each thing that a reader of the numbers should know.
+        notes: one line for each fact that a reader of the numbers should know.
         truncated: one reason for each of its files that ends early.
     """
 
@@ -290,7 +282,7 @@ class TraceBuilder:
         ours = any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
         if not ours and (self.topics or not self.truncated):
             topics = ", ".join(sorted(self.topics)[:3]) or "none"
-            what = f"no trace: it has no topic {TOPIC_PREFIX}* (its topics: {topics})"
+            what = f"not a trace: it has no topic {TOPIC_PREFIX}* (its topics: {topics})"
             hint = FOREIGN_HINT if self.topics else ""
             raise TraceFormatError(self.path, "; ".join([what, *self.notes[:1]]) + hint)
 

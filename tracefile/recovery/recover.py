@@ -1,4 +1,4 @@
-"""Recovery: a closed trace is made of what a killed recorder left, its file, cut off anywhere, and the ring beside it."""
+"""Recovery: a closed trace is made of what a killed recorder left, a file that may be cut off and its ring."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from ..format.ring import RingContents, Slots
 
 KILLED_SUFFIX = ".killed"
-"""Added to the name of a trace that was recovered."""
+"""Suffix of a trace that was recovered."""
 
 UNFINISHED_SUFFIX = ".recovering"
-"""Added to the name of the new trace until it is complete."""
+"""Suffix of the new trace until it is complete."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,14 +39,14 @@ class RecoveryReport:
     Attributes:
         path: the trace that was to be recovered.
         recovered: the closed trace that was written; None if `path` was closed and whole.
-        originals: the cut off file and its ring, by their names now.
+        originals: the cut off file and its ring, by their new names.
         file_events: number of events in the complete chunks of the file.
         ring_events: number of events that only the ring had.
-        missing_events: number of events in neither, which only a power failure or a bad disk causes.
-        dropped_events: number of events that the recorder could not keep while it ran.
+        missing_events: number of events in neither, after a power failure or on a bad disk.
+        dropped_events: number of events that the recorder could not store.
         torn_bytes: number of bytes at the file's end that were no complete record.
         damaged_chunks: number of chunks left out because their content is not what was written.
-        ring_fault: the damage of the ring, of which whole slots alone were used, in words; None of a whole one.
+        ring_fault: the damage of a ring from which only whole slots were used, or None.
     """
 
     path: Path
@@ -66,7 +66,7 @@ class RecoveryReport:
             whole = (
                 f"{self.path} is closed and whole ({counted(self.file_events, 'event')}); nothing to recover"
             )
-            fault = f"the damaged ring beside it is left as it is: {self.ring_fault}"
+            fault = f"its damaged ring is left as it is: {self.ring_fault}"
             return [whole, fault] if self.ring_fault else [whole]
         torn = counted(self.torn_bytes, "byte")
         return [
@@ -83,18 +83,16 @@ def recover(
 ) -> RecoveryReport:
     """Make a closed trace of a cut off one and its ring, without changing a byte of either.
 
-    What is whole is used: the ring alone where the file is gone, the file alone where the ring is, and of a damaged ring
-    its whole slots.
+    What is whole is used: only the ring if the file is gone, only the file if the ring is, and whole slots of a damaged ring.
 
     Args:
-        path: a `.mcap` file, or a rosbag2 folder of ours, that was not closed; the file may be gone if its ring is there,
-            which may be named as well.
-        destination: the new `.mcap` file. Without it the new file takes the old one's name, so that a folder of
-            traces can be analyzed as it is, and the old one is kept as `NAME.mcap.killed`, its ring as
-            `NAME.mcap.killed.ring`. A kill at any moment of the recovery leaves a readable trace.
+        path: a `.mcap` file, or a rosbag2 folder of ours, that was not closed; or its ring, also if the file is gone.
+        destination: the new `.mcap` file. Without it the new file gets the old one's name, so that a folder of traces can be
+            analyzed as it is, and the old one is renamed to `NAME.mcap.killed`, its ring to `NAME.mcap.killed.ring`. A kill
+            at any moment of the recovery leaves a readable trace.
 
     Raises:
-        TraceFormatError: `path` is no trace of ours, or neither file nor ring describes a session.
+        TraceFormatError: `path` is not a trace of ours, or neither file nor ring has a session.
         OptionError: the trace is still being recorded.
         OutputExistsError: `destination` exists already.
         OutputError: the new file cannot be written.
@@ -115,7 +113,7 @@ def recover(
     report = RecoveryReport(
         path=path,
         recovered=destination or path,
-        originals=tuple(each for each in (trace, ring_path(trace)) if each.exists()),
+        originals=tuple(file for file in (trace, ring_path(trace)) if file.exists()),
         file_events=killed.file.events,
         ring_events=len(ring.slots) if ring else 0,
         missing_events=killed.file.tickets - killed.file.events + (ring.missing_events if ring else 0),
@@ -130,7 +128,7 @@ def recover(
         writer = _write(unfinished, killed, report)
         if destination is not None:
             return report
-        originals = _take_place(trace, unfinished)
+        originals = _swap_files(trace, unfinished)
         if path != trace:
             write_metadata(trace, writer.topics, writer.time_range_ns, mode=killed.mode, fsync=True)
         flush_to_disk(trace.parent)
@@ -141,7 +139,7 @@ def recover(
 
 @dataclass(frozen=True, slots=True)
 class _FileCounts:
-    """The counts of a `Salvage` behind its last item; all 0 of a file that is gone."""
+    """The final counts of a `Salvage`; all 0 of a file that is gone."""
 
     closed: bool = False
     events: int = 0
@@ -152,7 +150,7 @@ class _FileCounts:
 
 @dataclass(frozen=True, slots=True)
 class _KilledTrace:
-    """Trace read once: the counts of its file, its session, its ring and what is damaged of it."""
+    """Trace read once: the counts of its file, its session, its ring and the damage of that."""
 
     trace: Path
     file: _FileCounts
@@ -162,7 +160,7 @@ class _KilledTrace:
 
     @property
     def mode(self) -> int:
-        """Mode of the new file: the rights of the old one, or of its ring where that is all there is."""
+        """Rights of the old file, or of its ring if that is all there is."""
         original = self.trace if self.trace.exists() else ring_path(self.trace)
         return mode_within(original.stat().st_mode)
 
@@ -172,22 +170,17 @@ class _KilledTrace:
 
 
 def _inspect(trace: Path) -> _KilledTrace:
-    """Read a trace and its ring once.
-
-    Raises:
-        TraceFormatError: as for `recover`.
-        OptionError: as for `recover`.
-    """
-    beside = ring_path(trace)
+    """Read a trace and its ring once; errors as for `recover`."""
+    ring_file = ring_path(trace)
     counts, sessions = _FileCounts(), list[Session]()
-    if trace.exists() or not beside.exists():
+    if trace.exists() or not ring_file.exists():
         counts, sessions = _read_file(trace)
-    ring, fault = _read_beside(beside, counts.tickets, sessions[-1] if sessions else None)
+    ring, fault = _read_ring(ring_file, counts.tickets, sessions[-1] if sessions else None)
     if ring is not None and ring.recording:
         raise OptionError(f"{trace} is still being recorded; stop the recorder first")
     if ring is not None and sessions and sessions[-1].session_id != ring.session.session_id:
         raise TraceFormatError(
-            beside, f"this ring belongs to another recording than {trace.name}; move one of them away"
+            ring_file, f"this ring belongs to another recording than {trace.name}; move one of them away"
         )
     if ring is None and not sessions:
         raise TraceFormatError(
@@ -199,7 +192,6 @@ def _inspect(trace: Path) -> _KilledTrace:
 
 
 def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
-    """Return the counts of a trace's file and the sessions in it."""
     with closing(RecordFile(trace)) as file:
         salvage = Salvage(file)
         sessions = [
@@ -213,10 +205,10 @@ def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
     return counts, sessions
 
 
-def _read_beside(
+def _read_ring(
     ring: Path, events_in_trace: int, session: Session | None
 ) -> tuple[RingContents | None, str | None]:
-    """Return the content of a ring and its damage in words; None and None if there is no ring, or an empty one."""
+    """Return the content of a ring and its damage in words; both None if there is no ring, or an empty one."""
     if not ring.exists():
         return None, None
     try:
@@ -235,7 +227,7 @@ def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText]:
 
 
 def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> TraceWriter:
-    """Write the closed trace: the file's content, the ring's, and the session as it was, with the report's counts."""
+    """Write the closed trace: the content of file and ring, and the session with the report's counts."""
     counts = {
         "file_events": report.file_events,
         "ring_events": report.ring_events,
@@ -259,30 +251,30 @@ def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> Tr
     return writer
 
 
-def _take_place(trace: Path, unfinished: Path) -> tuple[Path, ...]:
-    """Give the new file the old one's name, and the old one another, so that there is a trace at every moment.
+def _swap_files(trace: Path, unfinished: Path) -> tuple[Path, ...]:
+    """Give the new file the old one's name, and the old one another, so that a trace exists at every moment.
 
-    The ring is renamed last: beside the new file it adds nothing, because that has all its events.
+    The ring is renamed last: to the new file, which has all its events, it adds nothing.
 
     Returns:
-        The old file and its ring, those of them that there were, by their new names.
+        The old file and its ring, if they exist, by their new names.
     """
     with unfinished.open("rb") as stream:
         os.fsync(stream.fileno())
-    kept = trace.with_name(trace.name + KILLED_SUFFIX)
+    backup = trace.with_name(trace.name + KILLED_SUFFIX)
     number = 1
-    while os.path.lexists(kept) or os.path.lexists(ring_path(kept)):
+    while os.path.lexists(backup) or os.path.lexists(ring_path(backup)):
         number += 1
-        kept = trace.with_name(f"{trace.name}{KILLED_SUFFIX}{number}")
+        backup = trace.with_name(f"{trace.name}{KILLED_SUFFIX}{number}")
     originals: tuple[Path, ...] = ()
     if trace.exists():
         try:
-            os.link(trace, kept)
-        except OSError:  # a file system without hard links (FAT): for a moment only the kept name is there
-            trace.rename(kept)
-        originals = (kept,)
+            os.link(trace, backup)
+        except OSError:  # a file system without hard links (FAT): for a moment only the backup exists
+            trace.rename(backup)
+        originals = (backup,)
     unfinished.replace(trace)
     ring = ring_path(trace)
     if not ring.exists():
         return originals
-    return (*originals, ring.rename(ring_path(kept)))
+    return (*originals, ring.rename(ring_path(backup)))

@@ -31,7 +31,7 @@ _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
 _CHANNEL_IDS = 1 << 16  # a channel id has 16 bits
 
 _UNSUSPECTED_STEPS = 1_000_000
-_STEP_BYTES = 32  # a second of a recording at 10 Hz takes a kilobyte: a chunk, six records behind it
+_STEP_BYTES = 32  # a second of a recording at 10 Hz needs a kilobyte: a chunk and six records
 _CHUNK_STEPS, _RECORD_STEPS = 16, 2
 
 
@@ -48,9 +48,6 @@ class Salvage:
     """Iterable, to be used once, of the events and texts in the complete chunks of a file.
 
     Events come as arrays of `SLOT_DTYPE`, whose marks have no tickets. The attributes are final after the last item.
-
-    Args:
-        file: the file.
 
     Attributes:
         closed: whether the file has its footer.
@@ -76,7 +73,7 @@ class Salvage:
 
     @property
     def tickets(self) -> int:
-        """Number of events that the recorder had written, those of damaged chunks included."""
+        """Number of events that the recorder had written, including damaged chunks."""
         return sum(self._next_number.values())  # MCAP sequences count the messages of a channel
 
     def __iter__(self) -> Iterator[Slots | SalvagedText]:
@@ -96,10 +93,10 @@ class Salvage:
             at = header.end
 
     def _check_origin(self, header: RecordHeader) -> None:
-        """Refuse files of other writers: they may hold what is neither event nor text, and would lose it."""
+        """Refuse files of other writers, which may contain other messages that would be lost."""
         try:
             library = self._file.parse(Header, header).library
-        except TornRecordError:  # a damaged header says nothing; the content decides
+        except TornRecordError:  # a damaged header: the content decides
             return
         if not library.startswith(LIBRARY):
             raise TraceFormatError(
@@ -142,7 +139,7 @@ class Salvage:
         """Count work.
 
         Raises:
-            TraceFormatError: it is more than a file of this size takes that a recorder wrote.
+            TraceFormatError: it is more than a recorder's file of this size needs.
         """
         self._steps_left -= steps
         if self._steps_left < 0:
@@ -169,6 +166,6 @@ class Salvage:
             return
         try:
             text = decode_string(content[MESSAGE_HEADER.size :])
-        except ValueError:  # no String, so not a text of the recorder's
+        except ValueError:  # not a String, so not a text of the recorder's
             return
         yield SalvagedText(channel.topic, text, log_time_ns)

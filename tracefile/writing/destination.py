@@ -1,4 +1,4 @@
-"""Where a recording goes and what it leaves behind."""
+"""Where a recording goes and what remains of it."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class TraceDestination:
     Attributes:
         path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
         force: whether existing files are overwritten.
-        fsync: whether file, folder and each chunk are on the disk, not only in the page cache; chunks are written twice
-            as often then, so that a power loss takes less than `chunk_seconds` wherever a flush takes a quarter of it.
+        fsync: whether file, folder and each chunk are on the disk, not only in the page cache; chunks are then written twice
+            as often, so that a power loss costs less than `chunk_seconds` if a flush needs up to a quarter of it.
         chunk_seconds: the longest time that an event waits in the ring.
-        ring_slots: number of events (64 bytes each) that the ring holds before further ones are dropped.
-        mode: the most rights that trace, ring and metadata have; the umask may take more away.
+        ring_slots: number of events (64 bytes each) in the ring before further ones are dropped.
+        mode: the most rights of trace, ring and metadata; the umask may reduce them.
     """
 
     path: Path
@@ -41,7 +41,7 @@ class TraceDestination:
 
     @property
     def flush_seconds(self) -> float:
-        """Time from one chunk to the next: with `fsync` an event waits for the end of one flush and for all of the next."""
+        """Time between chunks: with `fsync` an event waits for the end of one flush and for all of the next."""
         return self.chunk_seconds / 2 if self.fsync else self.chunk_seconds
 
     @property
@@ -62,11 +62,10 @@ class ClosedTrace:
     Attributes:
         path: the file or rosbag2 folder.
         events: number of events in the file.
-        dropped_events: number of events that could not be kept.
+        dropped_events: number of events that could not be stored.
         bytes: length of the MCAP file.
         error: the reason why writing failed; None if everything is in a closed file.
-        ring_events: number of events that stayed in the ring beside the file because of `error`; a reader of the
-            trace uses them, `recover` joins both.
+        ring_events: number of events that stayed in the ring because of `error`; readers use them, `recover` joins both.
     """
 
     path: Path
@@ -78,7 +77,7 @@ class ClosedTrace:
 
 
 def discard(destination: TraceDestination) -> None:
-    """Remove a closed trace that holds nothing of worth, so that the next recording finds its place free.
+    """Remove a closed trace without useful content, so that the next recording can use its name.
 
     Raises:
         OutputError: it cannot be removed.
@@ -99,11 +98,11 @@ def _files_of(destination: TraceDestination) -> list[Path]:
 
 
 def make_room(destination: TraceDestination) -> None:
-    """Make the folder of the trace; refuse existing files of the same names, or with `force` remove them.
+    """Create the folder of the trace; refuse existing files of the same names, or remove them with `force`.
 
     Raises:
-        OutputExistsError: a file is there already, and `force` was not given.
-        OutputError: the folder cannot be made, or a file cannot be removed.
+        OutputExistsError: a file exists, without `force`.
+        OutputError: the folder cannot be created, or a file cannot be removed.
     """
     ours = _files_of(destination)
     existing = [path for path in (destination.path, *ours) if os.path.lexists(path)]  # a dangling link too
@@ -118,7 +117,7 @@ def make_room(destination: TraceDestination) -> None:
 
 
 def _make_folder(folder: Path, destination: TraceDestination) -> None:
-    """Make a folder and those above it; a bag's own lets nobody in who may not read the trace."""
+    """Create a folder and its parents; a bag's own folder admits nobody who may not read the trace."""
     if folder.is_dir():
         return
     _make_folder(folder.parent, destination)
@@ -130,7 +129,7 @@ def _make_folder(folder: Path, destination: TraceDestination) -> None:
 
 
 def keep_names(destination: TraceDestination) -> None:
-    """With `fsync`, have the names of trace and ring on the disk: content of a file without a name is lost.
+    """With `fsync`, flush the names of trace and ring to the disk: content of a file without a name is lost.
 
     Raises:
         OSError: the folder cannot be flushed.

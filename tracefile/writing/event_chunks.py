@@ -1,4 +1,4 @@
-"""MCAP chunks built with numpy: slots of the ring in, records and their index out, no Python step per event."""
+"""Content of MCAP chunks: schemas and channels, and events by numpy, slots of the ring in, records and their index out."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ..format.ring import Slots
 
 LIBRARY = "dds-trace"
-"""Beginning of the library field of our files' Header."""
+"""Start of the library field of our files' Header."""
 
 EVENT_SCHEMA = Schema(id=1, name=EVENT_SCHEMA_NAME, encoding="ros2msg", data=EVENT_DEFINITION.encode())
 STRING_SCHEMA = Schema(id=2, name=STRING_SCHEMA_NAME, encoding="ros2msg", data=STRING_DEFINITION.encode())
@@ -41,20 +41,17 @@ TYPE_HASHES = {
     EVENT_SCHEMA_NAME: "RIHS01_bda991ead4fe8ce479c129efc17c1affed4da47fbc0d1731d7bad959cf922db2",
     STRING_SCHEMA_NAME: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
 }
-"""Message type -> type description hash of ROS 2 (REP 2016), computed once by rosbags from the definitions."""
+"""Message type -> type description hash of ROS 2 (REP 2016), computed by rosbags from the definitions."""
 
 EVENT_TOPICS = tuple(stage.topic for stage in Stage)
 """Topics of channels 1 to 4; a channel's id is the stage's number in the ring."""
 
 TEXT_TOPICS = (SESSION_TOPIC, RUN_TOPIC)
-"""Topics of channels 5 and 6; further texts get channels as they come."""
+"""Topics of channels 5 and 6; further topics get the next ids."""
 
 
 def declarations_of(channels: Sequence[Channel]) -> bytes:
-    """Return the schema and channel records at the beginning of a chunk.
-
-    Every chunk has its own, so that a damaged chunk loses no messages but its own.
-    """
+    """Return the schema and channel records at the start of a chunk; each has its own, so that a damaged one loses only itself."""
     schemas = {channel.schema_id: schema_of(channel) for channel in channels}
     return b"".join(map(encode_record, [*schemas.values(), *channels]))
 
@@ -73,7 +70,7 @@ def schema_of(channel: Channel) -> Schema:
 
 
 MESSAGES_AT = 4096
-"""Offset of the messages in the builder's buffer: room for the schemas and channels before them."""
+"""Offset of the messages in the builder's buffer, after space for schemas and channels."""
 
 Positions: TypeAlias = "NDArray[np.intp]"
 """Indices of slots."""
@@ -88,8 +85,7 @@ class Chunk:
 
     Attributes:
         content: schema, channel and message records.
-        start_ns: earliest log time, ns since 1970.
-        end_ns: latest log time.
+        start_ns, end_ns: earliest and latest log time, ns since 1970.
         index: channel id -> index of its messages.
     """
 
@@ -100,14 +96,14 @@ class Chunk:
 
 
 def positions_by_channel(slots: Slots) -> dict[int, Positions]:
-    """Return channel id -> positions of its events in `slots`; the ids are the numbers of the stages."""
+    """Return channel id (the number of its stage) -> positions of its events in `slots`."""
     stages = slots["stage"].copy()
     by_channel = {number: np.flatnonzero(stages == number) for number in range(1, len(Stage) + 1)}
     return {number: positions for number, positions in by_channel.items() if len(positions)}
 
 
 def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
-    """Return events as slots of a ring, ordered by their monotonic time; events of equal time keep the stages' order."""
+    """Return events as slots of a ring, ordered by their monotonic time, then by stage."""
     numbered = [(number, events[stage]) for number, stage in STAGE_NUMBERS.items() if stage in events]
     slots = np.zeros(sum(len(columns) for _, columns in numbered), SLOT_DTYPE)
     end = 0
@@ -122,7 +118,7 @@ def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
 
 
 class EventChunkBuilder:
-    """Builder of chunks of events in one buffer that is reused, because fresh memory is slow at its first touch.
+    """Builder of chunks of events in one reused buffer, because fresh memory is slow at its first touch.
 
     Args:
         wall_offset_ns: wall clock minus monotonic clock, by the session's anchor.
@@ -145,19 +141,18 @@ class EventChunkBuilder:
     ) -> Chunk:
         """Build the chunk of `slots` in their order.
 
-        Threads may stamp in one order and get their slots in another, a few microseconds apart. The file
-        keeps the order of the slots; a log time that would run backwards repeats the one before it (the
-        event's own `monotonic_ns` is untouched).
+        Threads may stamp in one order and get their slots in another, a few microseconds apart. The file has the order of the
+        slots; a log time that would run backwards repeats the previous one (the event's `monotonic_ns` is untouched).
 
         Args:
             slots: one to `max_events` events.
             by_channel: their positions, from `positions_by_channel`.
-            declarations: schema and channel records at the beginning of the chunk, at most `MESSAGES_AT` bytes.
+            declarations: schema and channel records at the start of the chunk, at most `MESSAGES_AT` bytes.
             written: channel id -> number of messages that the file already has.
             not_before_ns: log time of the file's last message.
 
         Returns:
-            The chunk, whose content lies in the buffer and is lost at the next call.
+            The chunk, whose content is in the buffer and lost at the next call.
         """
         count = len(slots)
         messages = self._messages[:count]

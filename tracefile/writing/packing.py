@@ -1,7 +1,7 @@
-"""The hot path of a trace: events are packed into the ring, by threads that others wait for.
+"""The hot path of a trace: events are packed into the ring, by threads that messages wait for.
 
-Caches are cold when a message arrives, so what is touched costs more than what is computed: nothing is called that need not
-be, the lock is a `FastLock`, and what is known before an instant is packed before it.
+Caches are cold when a message arrives, so memory touched costs more than computation: no avoidable call is made, the lock is
+a `FastLock`, and what is known before an instant is packed before it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .writer import TraceFiles
 
 ExpectedPair: TypeAlias = tuple[int, int, int, int]
-"""A pair of events that is packed but for its times: ticket of the first, its first word in the ring, the marks of both."""
+"""A pair of events packed without times: ticket of the first, its first word in the ring, the marks of both."""
 
 _pack_into, _pack_pair_into = SLOT_STRUCT.pack_into, SLOT_PAIR_STRUCT.pack_into
 
@@ -38,13 +38,13 @@ _pack_into, _pack_pair_into = SLOT_STRUCT.pack_into, SLOT_PAIR_STRUCT.pack_into
 class EventPacker:
     """The ring's side of a `TraceSink`: `record` and its like never raise and never wait for the disk.
 
-    The turn makes ticket, slot and mark one step, so that the ring has no holes; it is only ever held by a thread that runs
-    or waits for the GIL, so that waiting for it is waiting for the GIL, as every Python call does.
+    The lock makes ticket, slot and mark one step, so that the ring has no holes; its thread runs or waits for the GIL, so
+    waiting for the lock is waiting for the GIL, as every Python call does.
 
     Args:
         files: the files of the trace.
-        clock_ns: the monotonic clock of the events' time stamps, which `stamp` reads.
-        wake: is told True when a quarter of the ring is used.
+        clock_ns: the monotonic clock of the events' time stamps.
+        wake: receives True when a quarter of the ring is used.
     """
 
     def __init__(self, files: TraceFiles, clock_ns: Callable[[], int], wake: queue.SimpleQueue[bool]) -> None:
@@ -57,7 +57,7 @@ class EventPacker:
         self._use(files)
 
     def _use(self, files: TraceFiles) -> None:
-        """Send the next event to the ring of these files, its ticket 0; the caller has the turn, if there is one."""
+        """Send the next event to the ring of these files, with ticket 0; the caller has the lock, if there is one."""
         self._files = files
         self._memory = files.ring.memory
         self._words = files.ring.words
@@ -81,7 +81,7 @@ class EventPacker:
         payload_bytes: int = 0,
         relay_id: int = 0,
     ) -> None:
-        """Keep one event, or count it as dropped: when the ring is full, the sink closed, or a value out of range.
+        """Store one event, or count it as dropped if the ring is full, the sink closed, or a value out of range.
 
         Args:
             stage: 1 to 4, for T1 to T4.
@@ -134,10 +134,10 @@ class EventPacker:
         payload_bytes: int = 0,
         relay_id: int = 0,
     ) -> int:
-        """Read the clock, keep the event of this instant, and return its time stamp; arguments as for `record`.
+        """Read the clock, store the event of this instant, and return its time stamp; arguments as for `record`.
 
-        What is known before is packed before, so that only two stores lie between the clock and the return: a process
-        that is killed at any instruction behind the return, where the message leaves, has left its event.
+        Everything else is packed first, so that only two stores are between the clock and the return: a process that is killed
+        after the return, where the message leaves, has stored its event.
         """
         now = self._clock_ns
         try:
@@ -190,20 +190,9 @@ class EventPacker:
         payload_bytes: int,
         relay_id: int,
     ) -> int:
-        """Keep the arrival of a message, and stamp its departure: `record`, then `stamp`, in one step and one pack.
+        """Store the arrival of a message and stamp its departure: `record`, then `stamp`, in one step; arguments as for `record`.
 
-        Args:
-            stages: stages of the arrival and of the departure.
-            run_id: of both, as for `record`; so are `sequence`, `payload_bytes` and `relay_id`.
-            sequence: the message's number in the run.
-            monotonic_ns: time stamp of the arrival; `source_ns` and `received_ns` are its as well.
-            source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
-            received_ns: the middleware's reception time stamp, ns since 1970; 0 if unknown.
-            payload_bytes: application bytes of the message.
-            relay_id: the relay that handled the message.
-
-        Returns:
-            The time stamp of the departure.
+        `stages` are those of arrival and departure; the three times are the arrival's. Return the departure's time stamp.
         """
         now = self._clock_ns
         with self._packing:
@@ -251,13 +240,12 @@ class EventPacker:
     def expect(
         self, stages: tuple[int, int], run_id: int, sequence: int, payload_bytes: int, relay_id: int
     ) -> ExpectedPair | None:
-        """Pack the pair that `record_and_stamp` would keep for the next message, all but its times: it is no event yet.
+        """Pack the pair that `record_and_stamp` would store for the next message without its times: not an event yet.
 
-        Arguments as for `record_and_stamp`. Between an arrival and its reply every instruction counts; behind the reply
-        there is time.
+        Between an arrival and its reply every instruction counts; after the reply there is time.
 
         Returns:
-            The pair for `record_expected`; None if there is no place for it now.
+            The pair for `record_expected`; None if there is no slot for it now.
         """
         with self._packing:
             self._expected = None
@@ -270,18 +258,17 @@ class EventPacker:
                 marks = STAGE_MARKS[stages[0]] + head, STAGE_MARKS[stages[1]] + head + 1
                 _pack_pair_into(self._memory, self._slots_at + slot * SLOT_BYTES, *event, *event)
             except (struct.error, LookupError, TypeError):
-                return None  # counted as dropped if such a message comes
+                return None  # counted as dropped when such a message comes
             self._expected = expected = head, slot * SLOT_WORDS, *marks
             return expected
 
     def record_expected(
         self, expected: ExpectedPair, monotonic_ns: int, source_ns: int, received_ns: int
     ) -> bool:
-        """Keep the pair that `expect` has packed, its arrival at the time given, its departure at that of the clock.
+        """Store the pair that `expect` has packed, with its arrival's times; the clock gives the departure's.
 
         Returns:
-            False, and nothing is kept, if another event has taken the place or a time is out of range: `record_and_stamp`
-            then does all of it.
+            False, with nothing stored, if another event has the slot or a time is out of range: then call `record_and_stamp`.
         """
         now = self._clock_ns
         try:
@@ -312,7 +299,7 @@ class EventPacker:
                 self._packing.wake()
 
     def _has_room(self, head: int) -> bool:
-        """Wake the draining thread and return whether there is a free slot; the caller has the turn."""
+        """Wake the draining thread and return whether there is a free slot; the caller has the lock."""
         if head >= self._limit:
             self._drop()
             return False
@@ -322,6 +309,6 @@ class EventPacker:
 
     def _drop(self) -> None:
         self._dropped += 1
-        self._expected = None  # part of the dropped event may lie in its place
+        self._expected = None  # part of the dropped event may be in its slot
         if not self._is_closed:
             self._files.ring.note_dropped(self._dropped)

@@ -1,10 +1,9 @@
-"""`TraceSink`, which keeps the events of a recording node.
+"""`TraceSink`, which stores the events of a recording node.
 
-The hot path (`EventPacker`) packs an event into a ring file (`dds_trace.tracefile.format.ring`) and returns. The event of a message that is
-about to leave (T1, T4) is stamped in the ring as well, so that no message is on its way without it. A thread of the sink's
-own moves what is in the ring to the trace, a chunk every `chunk_seconds` or whenever a quarter of the ring is used. A slot
-is used again only after its chunk is in the file, so at every instant an event is in the file or in the ring, and a process
-killed at any instruction loses none (`dds_trace.tracefile.recovery.recover`).
+The hot path (`EventPacker`) packs an event into a ring file (`format.ring`) and returns. A departure (T1, T4) is stamped in
+the ring as well, so that no message leaves without its event. A thread of the sink moves the ring's events to the trace, a
+chunk every `chunk_seconds` or whenever a quarter of the ring is used. A slot is reused only after its chunk is in the file,
+so an event is always in the file or in the ring, and a killed process loses none (`recovery.recover`).
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
-"""Longest time that a thread keeps the GIL while another fills the ring (see `_quick_switches`)."""
+"""Switch interval while another thread fills the ring (see `_quick_switches`)."""
 
 
 class TraceSink(EventPacker):
@@ -43,12 +42,12 @@ class TraceSink(EventPacker):
 
     Args:
         destination: the file or folder, and how it is written.
-        session: the recording process, in state `open`; its description is in the file when this returns.
-        clock_ns: the monotonic clock of the events' time stamps, which `stamp` reads.
+        session: the recording process, in state `open`; its description is in the file on return.
+        clock_ns: the monotonic clock of the events' time stamps.
 
     Raises:
-        OutputExistsError: the destination exists already and `force` was not given.
-        OutputError: the file cannot be made.
+        OutputExistsError: the destination exists, without `force`.
+        OutputError: the file cannot be created.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class TraceSink(EventPacker):
         self._thread.start()
 
     def write_run(self, run: Run) -> None:
-        """Write a run's description; when this returns it is in the file, after all events before it."""
+        """Write a run's description to the file, after all events before it."""
         self._write(RUN_TOPIC, run.to_json())
 
     def write_json(self, topic: str, value: Mapping[str, object]) -> None:
@@ -85,27 +84,27 @@ class TraceSink(EventPacker):
         with self._write_lock:
             if (
                 self._closed is None and not self._is_paused
-            ):  # a host sample of that time is not worth the room
+            ):  # a host sample during a pause is not worth the space
                 self._texts.append((topic, text, self._session.wall_ns(self._clock_ns())))
                 self._flush()
 
     @property
     def dropped_events(self) -> int:
-        """Number of events that could not be kept so far."""
+        """Number of events that could not be stored so far."""
         return self._dropped
 
     @property
     def error(self) -> OutputError | None:
-        """First failure of writing, or None. What was written before stays; the ring continues to fill."""
+        """First failure of writing, or None. Earlier content stays; the ring continues to fill."""
         return self._error
 
     @property
     def bytes_written(self) -> int:
-        """Length of the file that is written now, in bytes."""
+        """Length of the current file in bytes."""
         return self._files.writer.bytes_written
 
     def pause(self) -> None:
-        """Write nothing until `resume`: events wait in the ring, whose room on the disk is its own; of more, the newest are dropped."""
+        """Write nothing until `resume`: events wait in the ring, whose disk space is reserved; when it is full, new ones are dropped."""
         with self._write_lock:
             self._is_paused = self._closed is None
 
@@ -117,18 +116,17 @@ class TraceSink(EventPacker):
                 self._flush()
 
     def go_on_in(self, destination: TraceDestination, **session_extra: Json) -> ClosedTrace | None:
-        """Close the file with `session_extra` and go on in another one, from one event to the next.
+        """Close the file with `session_extra` and continue in another one, between two events.
 
-        The new file and its ring are made before, and what the old ring still holds is written behind: no event waits for
-        the disk, and a process that is killed meanwhile leaves two whole traces. `part` of the session counts its files,
-        `followed` says that another one was begun.
+        The new file and its ring are created first, and the rest of the old ring is written afterwards: no event waits for the
+        disk, and a kill meanwhile leaves two whole traces. The session's `part` counts its files; `followed` marks the old one.
 
         Returns:
-            The closed file; None, and nothing is changed, if events wait for the disk or the sink is closed.
+            The closed file; None, and nothing changes, if events wait for the disk or the sink is closed.
 
         Raises:
-            OutputExistsError: the new file is there already; the recording goes on in the old one.
-            OutputError: it cannot be made; likewise.
+            OutputExistsError: the new file exists; the recording continues in the old one.
+            OutputError: it cannot be created; likewise.
         """
         with self._write_lock:
             if self._closed is not None or not self._flush():
@@ -147,8 +145,8 @@ class TraceSink(EventPacker):
     def close(self, **session_extra: Json) -> ClosedTrace:
         """Write what is pending, the closed session with `session_extra` and the summary; delete the ring.
 
-        If that fails, the ring stays beside the file, and the two together are still a whole trace. Do not call this
-        in a signal handler: the thread that it interrupts may be recording.
+        If that fails, the ring stays, and file and ring together are still a whole trace. Do not call this in a signal handler:
+        the interrupted thread may be recording.
         """
         self._wake.put(False)
         self._thread.join()
@@ -161,7 +159,7 @@ class TraceSink(EventPacker):
             return self._end(self._files, head, session_extra)
 
     def _end(self, files: TraceFiles, head: int, session_extra: Mapping[str, Json]) -> ClosedTrace:
-        """Write what is left up to ticket `head` and the closed session, and close the files; the caller holds the write lock."""
+        """Write the rest up to ticket `head` and the closed session, and close the files; the caller has the write lock."""
         self._flush_to(files, head)
         if self._measures_unsaved:
             session_extra = {**session_extra, "longest_unsaved_ns": self._longest_unsaved_ns}
@@ -182,7 +180,7 @@ class TraceSink(EventPacker):
         return closed
 
     def _drain(self) -> None:
-        """Write a chunk every `flush_seconds`, or when a quarter of the ring is used; the draining thread runs this."""
+        """Write a chunk every `flush_seconds`, or when a quarter of the ring is used, in the draining thread."""
         run_in_background()
         going_on = True
         while going_on:
@@ -196,18 +194,18 @@ class TraceSink(EventPacker):
         return not self._is_paused and self._flush_to(self._files, self._head)
 
     def _flush_to(self, files: TraceFiles, head: int) -> bool:
-        """Move the events up to ticket `head`, then the texts, to a file; the caller holds the write lock."""
-        began_ns, had = time.monotonic_ns(), files.drained
+        """Move the events up to ticket `head`, then the texts, to a file; the caller has the write lock."""
+        start_ns, before = time.monotonic_ns(), files.drained
         try:
-            with _quick_switches(only_if=head - had >= self._quarter):
+            with _quick_switches(only_if=head - before >= self._quarter):
                 while files.drained < head:
                     files.move_chunk(head)
                     if files is self._files:
                         self._limit = files.drained + self._slot_count
                         self._attention = files.drained + self._quarter
-            if head > had:
+            if head > before:
                 self._longest_unsaved_ns = max(self._longest_unsaved_ns, time.monotonic_ns() - self._saved_ns)
-            self._saved_ns = began_ns
+            self._saved_ns = start_ns
             while self._texts:
                 files.writer.write_text(*self._texts[0])
                 self._texts.popleft()
@@ -219,14 +217,10 @@ class TraceSink(EventPacker):
 
 @contextmanager
 def _quick_switches(*, only_if: bool) -> Iterator[None]:
-    """Shorten the interpreter's switch interval, so that this thread gets the GIL soon while a busy one fills the ring.
+    """Shorten the interpreter's switch interval, so that this thread soon gets the GIL from one that fills the ring.
 
-    A thread that computes without pause gives the GIL up only every switch interval (5 ms), and a chunk takes
-    it some twenty times between its array operations: 100 ms, in which 65536 slots fill. With 0.1 ms it is
-    10 ms. A recorder under ordinary load never shortens its interval.
-
-    Args:
-        only_if: whether to do so at all.
+    A busy thread releases the GIL once per switch interval (5 ms), and a chunk needs it some twenty times: 100 ms, in which
+    65536 slots fill. With 0.1 ms it is 10 ms. Under ordinary load `only_if` is false and nothing changes.
     """
     if not only_if:
         yield

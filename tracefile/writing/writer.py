@@ -1,4 +1,4 @@
-"""The MCAP file of a trace: it grows by whole chunks, is readable after each, and ends with summary and statistics."""
+"""The MCAP file of a trace, which grows by whole chunks and is readable after each, and the ring next to it."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ from dds_trace.base.files import OWNER_AND_GROUP, output_error
 from dds_trace.base.version import __version__
 
 from ..format.bag_metadata import METADATA_NAME, TopicCount, write_metadata
-from ..format.encoding import MAGIC, crc32, encode_string
+from ..format.encoding import MAGIC, encode_string
 from ..format.events import SESSION_TOPIC
 from ..format.ring import Ring, ring_path
+from ..mcapfile.records import crc32
 from .destination import ClosedTrace, keep_names, make_room
 from .event_chunks import (
     EVENT_SCHEMA,
@@ -56,9 +57,9 @@ if TYPE_CHECKING:
     from .destination import TraceDestination
 
 MAX_CHUNK_EVENTS = 1 << 14
-"""Most events of a chunk. Its 1.5 MB before compression pack well and are still read one at a time."""
+"""Most events of a chunk: 1.5 MB before compression."""
 
-ZSTD_LEVEL = -1  # level 1 makes a tenth smaller files in twice the time, level 3 no smaller ones
+ZSTD_LEVEL = -1  # level 1 saves a tenth of the size in twice the time, level 3 no more
 
 _CHUNK_HEADER = struct.Struct("<BQQQQI")  # opcode, length, start, end, uncompressed size, CRC of that
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
@@ -66,18 +67,16 @@ _COMPRESSION = b"\x04\x00\x00\x00zstd"
 
 
 class TraceWriter:
-    """Writer of one trace; every method leaves a readable file behind, also where it fails.
-
-    As a context it leaves a file that is not finished as `abandon` does.
+    """Writer of one trace; every method leaves a readable file, even if it fails, and so does the end of its context.
 
     Args:
         path: the `.mcap` file, which must not exist.
         session: the session whose clock anchor turns monotonic times into log times.
-        fsync: whether each chunk is on the disk, not only in the page cache, when its call returns.
+        fsync: whether each chunk is on the disk, not only in the page cache, on return.
         mode: the most rights that the file has.
 
     Raises:
-        OutputError: the file cannot be made; later, by each method: it cannot be written.
+        OutputError: the file cannot be created; later, by each method: it cannot be written.
     """
 
     def __init__(
@@ -89,9 +88,7 @@ class TraceWriter:
         self._builder = EventChunkBuilder(session.wall_ns(0), MAX_CHUNK_EVENTS)
         self._channels: dict[str, Channel] = {}
         self._counts: dict[int, int] = {}  # channel id -> number of messages in the file
-        self._indexes = (
-            bytearray()
-        )  # of the chunks so far, as the summary holds them: a week of seconds has 600,000
+        self._indexes = bytearray()  # of the chunks so far, as in the summary: a week of seconds has 600,000
         self._chunk_count = 0
         self._first_ns = 0
         self._last_ns = 0
@@ -153,9 +150,9 @@ class TraceWriter:
         """Append one `std_msgs/msg/String` in a chunk of its own, so that no later damage loses it.
 
         Args:
-            topic: a topic that holds no events.
+            topic: a topic without events.
             text: the text of the message.
-            time_ns: its log time; the log time of the file's last message if that is later.
+            time_ns: its log time, raised to the log time of the file's last message.
         """
         channel = self._channel(topic, STRING_SCHEMA)
         log_time = max(time_ns, self._last_ns)
@@ -206,7 +203,7 @@ class TraceWriter:
         self.abandon()
 
     def abandon(self) -> None:
-        """Close the file as it is, without summary; a file that is closed already stays as it is."""
+        """Close the file without summary, unless it is closed already."""
         if self._is_open:
             os.close(self._descriptor)
         self._is_open = False
@@ -280,7 +277,7 @@ class TraceWriter:
                 raise FileNotFoundError(errno.ENOENT, "deleted")
             end += os.pwritev(self._descriptor, parts, end)
             rest = memoryview(b"")
-            if end - self._end < sum(map(len, parts)):  # a disk fills up in the middle of a write
+            if end - self._end < sum(map(len, parts)):  # a disk fills up during a write
                 rest = memoryview(b"".join(parts))[end - self._end :]
             while rest:
                 written = os.pwrite(self._descriptor, rest, end)
@@ -295,7 +292,7 @@ class TraceWriter:
 
 
 class TraceFiles:
-    """A new trace file that describes its session, and its empty ring.
+    """A new trace file with its session's description, and its empty ring.
 
     Args:
         destination: the file or folder, and how it is written.
@@ -308,8 +305,8 @@ class TraceFiles:
         drained: number of events in the file; all tickets below.
 
     Raises:
-        OutputExistsError: the destination exists already and `force` was not given.
-        OutputError: the files cannot be made; none is left then.
+        OutputExistsError: the destination exists, without `force`.
+        OutputError: the files cannot be created; none remains.
     """
 
     def __init__(self, destination: TraceDestination, session: Session, time_ns: int) -> None:
@@ -338,7 +335,7 @@ class TraceFiles:
         self.drained += len(slots)
 
     def finish(self) -> OutputError | None:
-        """Close the file with its summary, everything being in it; return what kept it from that."""
+        """Close the file with its summary; return what prevented it."""
         try:
             self.writer.finish()
             if self._destination.is_bag:

@@ -158,7 +158,7 @@ def test_a_ring_killed_before_its_magic_holds_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("offset", "value", "says"),
     [
-        (0, b"NOTARING", "no ring file"),
+        (0, b"NOTARING", "not a ring file"),
         (8, struct.pack("<I", 2), "version 2"),
         (16, struct.pack("<Q", 1 << 40), "shorter than its header says"),
         (40, struct.pack("<Q", 1 << 40), "shorter than its header says"),

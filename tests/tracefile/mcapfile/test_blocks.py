@@ -51,7 +51,7 @@ def test_a_second_file_is_unpacked_into_the_memory_of_the_first(made, tmp_path):
 
 
 def test_memory_that_grew_for_one_large_chunk_is_not_kept(made, tmp_path, monkeypatch):
-    monkeypatch.setattr(blocks, "_KEPT_BYTES", 1000)
+    monkeypatch.setattr(blocks, "_MOST_REUSED_BYTES", 1000)
     read_trace(trace_of(tmp_path / "a.mcap", 0))
     assert made
     assert not blocks._FREE

@@ -112,7 +112,7 @@ def test_a_pipe_is_not_waited_for(whole, name):
     analysis = analyze(whole.parent, cache=True)
     assert analysis.summary["published"].to_list() == [12]
     if path.suffix == ".ring":
-        assert any("ring beside it is not used" in note for note in read_trace(whole).notes)
+        assert any("its ring is not used" in note for note in read_trace(whole).notes)
     else:
         with pytest.raises(TraceFormatError, match="not a regular file"):
             read_trace(path)
@@ -170,7 +170,7 @@ def test_work_on_a_database_is_bounded(database, monkeypatch, name, value):
     try:
         trace = read_trace(path)
     except TraceFormatError as err:
-        assert "no rosbag2 database" in str(err)  # noqa: PT017 - its first queries are over the bound already
+        assert "not a rosbag2 database" in str(err)  # noqa: PT017 - its first queries are over the bound already
     else:
         assert "ends early" in trace.truncated
         assert trace.event_count < 100

@@ -320,14 +320,14 @@ class TestDescriptions:
         messages = [RawMessage(HOST_TOPIC, string_cdr(text), kind=STRING) for text in texts]
         trace = read_trace(write_messages(tmp_path / "t.mcap", messages))
         assert trace.host_samples == ({"cpu": 2, "log_time_ns": WALL_ANCHOR_NS},)
-        assert trace.notes == ("3 host samples are no JSON objects; not used",)
+        assert trace.notes == ("3 host samples are not JSON objects; not used",)
 
     def test_texts_about_the_wire_are_kept_and_those_that_are_no_objects_noted(self, tmp_path):
         texts = ['{"run_id": "0000000000000011", "rows": ""}', "[1]"]
         messages = [RawMessage(WIRE_TOPIC, string_cdr(text), kind=STRING) for text in texts]
         trace = read_trace(write_messages(tmp_path / "t.mcap", messages))
         assert trace.wire == ({"run_id": "0000000000000011", "rows": ""},)
-        assert trace.notes == ("1 text about the wire is no JSON object; not used",)
+        assert trace.notes == ("1 text about the wire is not a JSON object; not used",)
 
 
 class TestMessagesThatAreNoEvents:
@@ -380,7 +380,7 @@ class TestNoTrace:
     def test_a_file_of_another_kind(self, tmp_path):
         path = tmp_path / "t.mcap"
         path.write_bytes(b"SQLite format 3\0" * 10)
-        with pytest.raises(TraceFormatError, match="no MCAP file") as caught:
+        with pytest.raises(TraceFormatError, match="not a MCAP file") as caught:
             read_trace(path)
         assert (caught.value.path, caught.value.offset) == (str(path), 0)
 

@@ -252,7 +252,7 @@ class TestDatabases:
     def test_a_file_that_is_no_database(self, tmp_path):
         path = self.database(tmp_path)
         path.write_bytes(b"nonsense" * 1000)
-        with pytest.raises(TraceFormatError, match="no rosbag2 database") as caught:
+        with pytest.raises(TraceFormatError, match="not a rosbag2 database") as caught:
             read_trace(path.parent)
         assert caught.value.path == str(path)
 

@@ -117,7 +117,7 @@ class TestTruncated:
         (_, start), (_, end) = record_ends(path)[:2]
         path.write_bytes(path.read_bytes()[: end - 3])
         assert read_trace(path).truncated == (
-            f"ends early, byte {start}: a Chunk record is cut off; all that was complete before is used"
+            f"ends early, byte {start}: a Chunk record is cut off; everything complete before it is used"
         )
 
     def test_an_empty_file_is_a_trace_that_ended_before_it_began(self, tmp_path):
@@ -147,7 +147,7 @@ class TestTruncated:
         path.write_bytes(path.read_bytes() * 2)
         trace = read_trace(path)
         assert trace.event_count == 24
-        assert trace.notes == (f"the bytes from {size} on lie behind the end of the MCAP file; not read",)
+        assert trace.notes == (f"the bytes from {size} on follow the end of the MCAP file and were ignored",)
 
 
 class TestDamaged:
@@ -244,7 +244,7 @@ class TestDamaged:
         trace = read_trace(path)
         assert len(trace.events[Stage.T1]) == 0
         assert len(trace.events[Stage.T2]) == 12
-        assert trace.notes[0].startswith("12 messages belong to channel 4, which is nowhere declared")
+        assert trace.notes[0].startswith("12 messages belong to channel 4, which is never declared")
 
 
 LIMIT_BYTES = 2 << 30

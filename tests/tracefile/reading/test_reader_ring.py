@@ -100,7 +100,7 @@ def test_a_ring_that_cannot_be_read_is_noted_and_the_file_is_used(killed):
     ring_path(path).write_bytes(b"nonsense" * 100)
     trace = read_trace(path)
     assert trace.event_count <= 600
-    assert "the ring beside it is not used" in trace.notes[0]
+    assert "its ring is not used" in trace.notes[0]
 
 
 def test_a_trace_that_is_still_being_recorded_is_read_up_to_now(tmp_path):

@@ -302,7 +302,7 @@ def test_a_bag_whose_file_is_gone_gets_one_from_its_ring(tmp_path):
 
 
 DAMAGED_HEADERS = [
-    (0, b"NOTARING", "no ring file", EVENTS),
+    (0, b"NOTARING", "not a ring file", EVENTS),
     (16, b"\0\0\0\0\0\1\0\0", "shorter than its header says", EVENTS),
     (40, b"\0\0\0\0\0\1\0\0", "shorter than its header says", EVENTS),
     (48, b"[", "names no session", EVENTS),

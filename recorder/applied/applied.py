@@ -28,15 +28,9 @@ class Snapshot:
     """What one process uses at one instant.
 
     Attributes:
-        monotonic_ns: when it was read.
         read_ns: how long reading took.
         sockets: UDP and TCP sockets of the process, None if the kernel reports none.
-        groups: multicast groups of its network namespace.
         memory: shared memory of a middleware that it maps, None if unknown.
-        libraries: middleware libraries that it has loaded.
-        interfaces: interface -> totals of its network namespace.
-        counters: kernel totals of lost fragments and datagrams, by name.
-        limits: kernel settings that bound buffers and reassembly, by name.
     """
 
     monotonic_ns: int = 0
@@ -55,8 +49,6 @@ class Applied:
     """What one side of a run really uses.
 
     Attributes:
-        begin: before the first message.
-        end: after the last one, None until then.
         path: what carried the payload: `shm`, the name of an interface, or `unknown` (`carried.payload_path`).
     """
 

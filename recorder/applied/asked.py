@@ -35,13 +35,8 @@ class Asked:
     """Settings that one side requests.
 
     Attributes:
-        vendor: middleware, as in the session.
-        domain_id: DDS domain, which gives the ports.
         transport: `default`, `udp`, `shm`, `large-data` or `tcp`; for a profile file, what its transports amount to.
-        tuned: whether `--tuned` was given.
-        discovery: `localhost` or `subnet`.
         receive_buffer_bytes: receive buffer that sockets are set to, 0 for the system's default.
-        send_buffer_bytes: send buffer likewise.
         shared_memory: requested on or off, None if the vendor decides.
         congestion_control: TCP congestion control, empty for the system's.
         interface: the one interface that a configuration names, empty if it names none or several.
@@ -78,16 +73,8 @@ def asked_settings(
 ) -> Asked:
     """Return what the options of a recording and the user's configuration request.
 
-    Args:
-        vendor: middleware, as the running node names it.
-        domain_id: DDS domain.
-        transport: value of `--transport`.
-        tuned: whether `--tuned` was given.
-        discovery: value of `--discovery`.
-        congestion_control: value of `--congestion-control`.
-        environment: variables as the user set them, without what the recorder adds.
-        settings: `Middleware.settings` of the node, whose CYCLONEDDS_URI includes the recorder's own part; without one the
-            user's own counts (rmw_cyclonedds).
+    `environment` is as the user set it, without what the recorder adds; `settings` are the node's (`Middleware.settings`), whose
+    CYCLONEDDS_URI includes the recorder's own part. Without one (rmw_cyclonedds) the user's own counts.
     """
     shared_memory = vendor_facts(vendor).shared_memory.get(transport)
     asked = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)

@@ -30,13 +30,7 @@ MOST_OVERHEAD = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What one side sent and received between its two snapshots.
-
-    Attributes:
-        sent: messages handed to the middleware, warm-up included.
-        received: messages received.
-        payload_bytes: bytes of a message.
-    """
+    """Messages that one side sent (handed to the middleware, warm-up included) and received between its two snapshots."""
 
     sent: int
     received: int

@@ -49,12 +49,10 @@ class DiagSocket:
     """One socket.
 
     Attributes:
-        local: address and port that it is bound to.
         remote: address and port that it is connected to; the port is 0 if it is not.
         state: number of its TCP state (1 established, 7 closed or not connected, 10 listening).
         inode: number of its inode, as in the links of `/proc/PID/fd`.
         cookie: number that differs from that of a later socket with the same ports.
-        attributes: number of an attribute -> its bytes.
     """
 
     local: tuple[str, int]
@@ -124,12 +122,7 @@ def parse_socket(body: bytes) -> DiagSocket:
 
 
 def tcp_info_fields(info: bytes, layout: Mapping[str, tuple[str, int]]) -> dict[str, Any]:
-    """Return fields of a struct tcp_info; those that an older kernel lacks are 0.
-
-    Args:
-        info: as sock_diag or `getsockopt(TCP_INFO)` gives it.
-        layout: name of a field -> its struct format and offset.
-    """
+    """Return fields of a struct tcp_info, by their format and offset; those that an older kernel lacks are 0."""
     padded = info.ljust(_INFO_BYTES, b"\0")
     return {name: struct.unpack_from(form, padded, offset)[0] for name, (form, offset) in layout.items()}
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 KERNELS_PORT = 32_768
 """First of the ports that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""
-GRANTED_PER_ASKED = 2
+GRANTED_PER_REQUESTED = 2
 """Linux grants twice the socket buffer that a program sets, for its own bookkeeping (socket(7))."""
 
 
@@ -47,14 +47,7 @@ class Setting(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One setting that was requested and not applied.
-
-    Attributes:
-        setting: kind of the setting.
-        asked: what was requested.
-        applied: what was read back.
-        words: both as one sentence without a full stop.
-    """
+    """One setting that was requested and not applied; `words` says both in a sentence without a full stop."""
 
     setting: Setting
     asked: str
@@ -72,13 +65,7 @@ class Difference:
 
 
 def differences(asked: Asked, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
-    """Return every setting that was not applied.
-
-    Args:
-        asked: settings of this side.
-        applied: read back before the first message, or with its end after the last one.
-        traffic: messages between the two snapshots, or those sent in vain while waiting for an echo.
-    """
+    """Return every setting that was not applied; `traffic` is between the snapshots, or was sent in vain for an echo."""
     results = [rule(asked, applied, traffic) for rule in _RULES]
     return tuple(difference for difference in results if difference is not None)
 
@@ -105,12 +92,12 @@ def _contradiction(
 ) -> str | None:
     """Return in words what the process uses that its transport does not, or lacks; None if nothing."""
     memory, sockets = _memory_of(asked, applied), applied.latest.sockets
-    is_memory_known = applied.latest.memory is not None
+    has_memory = applied.latest.memory is not None
     if facts.shared_memory is False and memory:
         if traffic is not None and payload_path(applied, traffic) == SHARED_MEMORY:
             return "the bytes went through shared memory"
         return f"shared memory is open ({_described(memory)})"
-    if facts.shared_memory is True and is_memory_known and not memory:
+    if facts.shared_memory is True and has_memory and not memory:
         return "no shared memory is mapped"
     if (
         facts.protocol is not None
@@ -144,20 +131,20 @@ def _send_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Di
 
 
 def _buffer(
-    way: str, limit_name: str, asked_bytes: int, granted_bytes: int | None, applied: Applied
+    way: str, limit_name: str, requested_bytes: int, granted_bytes: int | None, applied: Applied
 ) -> Difference | None:
-    expected_bytes = GRANTED_PER_ASKED * asked_bytes
-    if not asked_bytes or granted_bytes is None or granted_bytes >= expected_bytes:
+    expected_bytes = GRANTED_PER_REQUESTED * requested_bytes
+    if not requested_bytes or granted_bytes is None or granted_bytes >= expected_bytes:
         return None
     words = (
-        f"asked for {way} buffers of {asked_bytes:,} bytes, which the kernel shows as {expected_bytes:,}, "
+        f"asked for {way} buffers of {requested_bytes:,} bytes, which the kernel shows as {expected_bytes:,}, "
         f"and it shows {granted_bytes:,}"
     )
     limit_bytes = applied.latest.limits.get(limit_name)
-    if limit_bytes is not None and granted_bytes == GRANTED_PER_ASKED * limit_bytes:
+    if limit_bytes is not None and granted_bytes == GRANTED_PER_REQUESTED * limit_bytes:
         return Difference(
             Setting.KERNEL_LIMIT,
-            str(asked_bytes),
+            str(requested_bytes),
             str(limit_bytes),
             f"{words}: {limit_name} is {limit_bytes:,}",
         )

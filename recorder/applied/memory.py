@@ -37,8 +37,6 @@ class SharedMemory:
     """One shared-memory file of a middleware that the process maps.
 
     Attributes:
-        name: file name in `/dev/shm`.
-        middleware: vendor whose naming it follows.
         role: `segment` (payloads) or `port` (queue of one receiver).
         size_bytes: size of the file; of the mapping if the file is gone.
         owner_uid: user who owns the file, None if it is gone.
@@ -91,12 +89,7 @@ class _Mapped:
 
 
 def read_memory(pid: int | None = None, folder: Path = SHM) -> tuple[SharedMemory, ...] | None:
-    """Return the middlewares' shared memory that a process maps, by name; None if the process may not be inspected.
-
-    Args:
-        pid: a process of the caller's mount namespace, by default the calling one.
-        folder: where this namespace has its shared memory.
-    """
+    """Return the middlewares' shared memory that a process maps, by name; None if the process may not be inspected."""
     process = Path("/proc") / str(os.getpid() if pid is None else pid)
     memory: tuple[SharedMemory, ...] = ()
     for _ in range(_ATTEMPTS):
@@ -205,8 +198,6 @@ class Library:
     """One loaded library of a middleware.
 
     Attributes:
-        name: file name as it is loaded, without its folder.
-        vendor: middleware that it belongs to.
         version: from its file name, or of the Python distribution that contains it; empty if neither has one.
     """
 

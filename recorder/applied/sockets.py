@@ -36,9 +36,7 @@ class TcpState:
     """State of one TCP connection.
 
     Attributes:
-        congestion_control: name of the algorithm, for example `cubic`.
         rtt_us: smoothed round-trip time that TCP itself measures.
-        congestion_window: segments that may be in flight.
         retransmitted: segments sent again since the connection was made.
         acked_bytes: bytes that the other side acknowledged since then.
         received_bytes: bytes received since then.
@@ -57,8 +55,6 @@ class Socket:
     """One UDP or TCP socket of the process.
 
     Attributes:
-        protocol: `udp` or `tcp`.
-        family: `ipv4` or `ipv6`.
         local_address, local_port: that it is bound to; address `0.0.0.0` for any.
         remote_address, remote_port: that it is connected to; `0.0.0.0` and 0 if it is not.
         receive_buffer_bytes: SO_RCVBUF as the kernel granted it: for a buffer that a program set, twice what it set,
@@ -66,7 +62,6 @@ class Socket:
         send_buffer_bytes: SO_SNDBUF likewise, bounded by `net.core.wmem_max`.
         dropped: datagrams that the kernel dropped at this socket since it was opened.
         inode: number that identifies a socket while it is open.
-        is_listening: waits for TCP connections.
         tcp: state of a TCP connection, None for UDP and for a listening socket.
     """
 
@@ -92,11 +87,7 @@ class Socket:
 def read_sockets(pid: int | None = None) -> tuple[Socket, ...] | None:
     """Return the UDP and TCP sockets of a process of this network namespace, by protocol, family and local port.
 
-    Args:
-        pid: the process, by default the calling one.
-
-    Returns:
-        None if the kernel does not answer or the process may not be inspected.
+    None if the kernel does not answer or the process may not be inspected.
     """
     sockets = []
     try:

@@ -34,12 +34,7 @@ class TransportFacts:
 
 @dataclass(frozen=True, slots=True)
 class TunedFacts:
-    """Which buffers `--tuned` enlarges.
-
-    Attributes:
-        receive_bytes, send_bytes: socket buffers that the program sets, 0 if it sets none.
-        transport: transport that tuning implies if none is requested.
-    """
+    """Socket buffers that `--tuned` sets (0: none), and the transport that it implies if none is requested."""
 
     receive_bytes: int = 0
     send_bytes: int = 0
@@ -51,13 +46,11 @@ class VendorFacts:
     """One middleware.
 
     Attributes:
-        vendor: as in a session (`fastdds`, `cyclonedds`, `connext`, `zenoh`, `socket`).
         memory: role -> pattern of the names of its shared-memory files.
         locks_own_files: locks a file `NAME_el` for each file of its own while it uses it.
         libraries: pattern of a library's file name -> Python distribution that may contain it, empty if none does.
         transports: transport -> what must be seen.
         shared_memory: transport -> whether it requests shared memory or none, if a link is open either way.
-        tuned: what `--tuned` sets.
         profile_variables: environment variables that name a profile file of the user's.
         variables: further ones that change what its RMW does.
         files: profile files that are read from a process's working directory.
@@ -176,8 +169,6 @@ class RosMiddleware:
     """One middleware of ROS 2 (RMW).
 
     Attributes:
-        vendor: its vendor, as in a session.
-        label: name of the vendor for people.
         packages: ROS packages whose versions describe it.
         stamps_reception: whether `received_timestamp` is the time of reception; False if it is the time of the take.
         has_durations: whether deadline and lifespan have an effect.

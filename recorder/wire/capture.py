@@ -39,10 +39,6 @@ def run_interfaces(discovery: Discovery, system: Path = _SYSTEM) -> tuple[str, .
     """Return the interfaces of this network namespace that a run with this range of discovery uses.
 
     A port of a bridge or of a bond is left out: its packets also pass the bridge or bond, and would count twice.
-
-    Args:
-        discovery: range of the node's discovery.
-        system: the kernel's folder of interfaces.
     """
     if discovery is Discovery.LOCALHOST:
         return (LOOPBACK,)
@@ -72,7 +68,6 @@ class WireOptions:
     """Interfaces and ports of a capture, and its memory.
 
     Attributes:
-        interfaces: names of those that carry the run's messages.
         rtps_ports: UDP ports of the run's DDS domains (`domain_ports`); other RTPS is left out. Empty: all RTPS counts.
         udp_ports: of UDP that is not RTPS: the `socket` backend's, zenoh's scouting.
         tcp_ports: of the `socket` backend, of zenoh, of Fast DDS over TCP.
@@ -109,9 +104,6 @@ class WireCapture:
 
     Start it before the middleware: it looks for the first announcement of a participant.
 
-    Args:
-        options: interfaces, ports and memory.
-
     Raises:
         OptionError: no CAP_NET_RAW, a system without packet sockets, or an interface that cannot be captured.
     """
@@ -141,8 +133,7 @@ class WireCapture:
     def begin(self, run_id: int | None = None) -> None:
         """Restart counting; returns when all earlier packets are counted, after a quarter of a second.
 
-        Args:
-            run_id: of the run whose messages get rows; None for all runs, as a relay does not know it beforehand.
+        Messages of `run_id` get rows; of all runs if it is None, as a relay does not know it beforehand.
         """
         self._ask({"ask": "begin", "run_id": "" if run_id is None else f"{run_id:016x}"})
         self._answer()

@@ -36,13 +36,7 @@ class ClassTally:
 
 @dataclass(slots=True)
 class Beginnings:
-    """First sightings of discovery and traffic, CLOCK_MONOTONIC ns; None until then.
-
-    Attributes:
-        spdp_ns: the first announcement of a participant.
-        data_ns: the first message with our stamp, probes included.
-        reply_ns: the first with a relay's id: both ways have been matched.
-    """
+    """First announcement of a participant, message with our stamp, and message with a relay's id; CLOCK_MONOTONIC ns."""
 
     spdp_ns: int | None = None
     data_ns: int | None = None
@@ -59,13 +53,9 @@ class RunTally:
     """Counters that restart with each run.
 
     Attributes:
-        classes: by class and direction.
-        foreign_packets: of DDS domains other than ours.
         unseen_headers: packets in which a submessage header was not captured.
         requests: ACKNACK and NACK_FRAG that requested something again.
-        tcp_again_bytes: TCP payload that this side sent again.
         heartbeat_gaps_ns: between two heartbeats of a writer that came without data.
-        packets: frames handled.
     """
 
     classes: defaultdict[tuple[WireClass, Direction], ClassTally] = field(
@@ -109,7 +99,6 @@ class ClassCount:
     """Traffic of one class in one direction.
 
     Attributes:
-        name: a `WireClass`.
         direction: `sent`, `received`, or `local` on the loopback interface, where it is both.
         packets: IP packets; one with several classes counts for the first of them in `WireClass`'s order.
         bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages for
@@ -117,7 +106,6 @@ class ClassCount:
         submessages: RTPS submessages; 0 for TCP and other UDP.
         fragments: samples (DATA) and fragments of samples (DATA_FRAG, which may have several) in them. A DATA_FRAG with
             one repeated fragment counts as repeated.
-        ip_fragments: how many of the packets are IP fragments.
     """
 
     name: str
@@ -145,19 +133,7 @@ _IP_FIELDS = {
 
 @dataclass(frozen=True, slots=True)
 class IpCounts:
-    """Kernel counters of a run, or since boot; of all programs in the network namespace.
-
-    Attributes:
-        reassembly_requested: IP fragments that arrived and needed others.
-        reassembly_ok: datagrams put together.
-        reassembly_failed: failures: timeouts, no memory (`net.ipv4.ipfrag_high_thresh`), bad fragments.
-        reassembly_timeout: datagrams given up after `net.ipv4.ipfrag_time`.
-        datagrams_fragmented: datagrams sent in fragments.
-        fragmentation_failed: datagrams that must not be fragmented.
-        fragments_created: fragments made by this host.
-        udp_receive_buffer_full: datagrams that found no room in their socket.
-        udp_in_errors: datagrams that were not delivered, for any reason.
-    """
+    """Kernel counters (`_IP_FIELDS`) of a run, or since boot; of all programs in the network namespace."""
 
     reassembly_requested: int = 0
     reassembly_ok: int = 0
@@ -218,21 +194,12 @@ class WireCounts:
     """Counts of one run on the wire, seen from one side; times are CLOCK_MONOTONIC ns of this device.
 
     Attributes:
-        run_id: as in the run's JSON, 16 hex digits; empty if all runs were counted.
-        interfaces: that were captured.
         begin_ns, end_ns: of the counting.
         classes: traffic by class and direction; those that did not occur are left out.
         repeats: messages that this side sent, by how often they were sent again.
-        messages: number of messages with a row of their own, both directions.
-        sample_bytes: their serialized lengths in total.
-        requests: ACKNACK and NACK_FRAG of user topics that requested something again.
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
         first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
             the first message with our stamp (probes included), the first that a relay has sent back.
-        ip: the kernel's counters of IP fragments and UDP.
-        tcp: connections on the run's TCP ports, with their counters over the run.
-        tcp_again_bytes: TCP payload that the capture saw this side send again.
-        interface_counts: all traffic of the interfaces.
         foreign_packets: RTPS of other domains, in no class.
         unseen_headers: packets with a submessage whose header was not captured; its kind is missing in `classes`, its
             bytes count for the packet's class.
@@ -240,7 +207,6 @@ class WireCounts:
             not found, likewise. On the receiving side of a lossy link that is the link's loss.
         late_repeats: repeats of samples that were no longer remembered; they are in `classes` and in no row.
         kernel_drops, kernel_freezes: packets that found no room in the ring, and how often it was full.
-        packets: handled.
         cpu_s: CPU time of the capturing process, reading of the kernel's counters included.
     """
 

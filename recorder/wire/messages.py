@@ -35,11 +35,9 @@ class Copy(NamedTuple):
     """One sample, or some fragments of it, sent to one destination.
 
     Attributes:
-        sequence: of the sample.
         fragment: number of the first fragment, WHOLE for a whole sample.
         fragments: how many, 1 for a whole sample.
         destination: a number for address and port; MULTICAST for all groups.
-        time_ns: when it was captured.
         sample_bytes: serialized length of the sample.
     """
 
@@ -56,12 +54,10 @@ class SentSample:
     """State of one sample.
 
     Attributes:
-        first_ns, last_ns: of its first and last copy.
-        sample_bytes: serialized length.
         stamp: ours, None until a copy shows one.
         first_copies: (fragment, destination) -> time of its first copy.
         repeats: fragment -> how often it was sent again.
-        resent_after_ns: from the first copy of the fragment that was repeated first to its repetition; None if none was.
+        resent_after_ns: from the first copy of the fragment that was repeated first to its repetition.
         heartbeats_before: of its writer, up to its first copy.
         waited_heartbeats: of its writer, from its first copy to its first repetition.
     """
@@ -77,12 +73,7 @@ class SentSample:
     waited_heartbeats: int = 0
 
     def add(self, copy: Copy, heartbeats: int = 0) -> bool:
-        """Add a copy; return whether any of it was sent to this destination before.
-
-        Args:
-            copy: of this sample.
-            heartbeats: that its writer has sent so far.
-        """
+        """Add a copy; return whether any of it was sent to this destination before. `heartbeats` are its writer's so far."""
         self.last_ns = copy.time_ns
         again = False
         for fragment in range(copy.fragment, copy.fragment + copy.fragments):

@@ -59,11 +59,7 @@ class _Before:
 
 
 class Capture:
-    """Rings on all interfaces, and the counts of their packets.
-
-    Args:
-        options: what to capture.
-    """
+    """Rings on all interfaces, and the counts of their packets."""
 
     def __init__(self, options: WireOptions) -> None:
         self._options = options

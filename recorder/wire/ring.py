@@ -45,13 +45,7 @@ _PACKET_TYPE_BYTE = 48 + 10
 
 @dataclass(frozen=True, slots=True)
 class RingStatistics:
-    """What the kernel counted since the previous call.
-
-    Attributes:
-        packets: that passed the filter, dropped ones included.
-        drops: that found no room in the ring.
-        freezes: how often the ring was full.
-    """
+    """Since the previous call: packets that passed the filter, those that found no room, and how often the ring was full."""
 
     packets: int = 0
     drops: int = 0
@@ -59,16 +53,9 @@ class RingStatistics:
 
 
 class PacketRing:
-    """A socket with its ring on one interface.
+    """A socket with its ring on one interface; the kernel delivers a block when it is full, or after `block_timeout_ms`.
 
     On `lo`, which frames pass twice, only the incoming pass is captured; on other interfaces both directions are.
-
-    Args:
-        interface: its name.
-        program: the filter (`wire_program`).
-        ring_bytes: of kernel memory.
-        block_bytes: the unit in which the kernel delivers frames; a multiple of the page size.
-        block_timeout_ms: after which a block that is not full is delivered.
 
     Raises:
         OptionError: no CAP_NET_RAW, no such interface, or one without Ethernet frames.

@@ -39,8 +39,6 @@ class Sender(NamedTuple):
     """Where a packet comes from and goes to.
 
     Attributes:
-        interface: where it was captured.
-        direction: which way.
         prefix: GUID prefix of the participant; empty for what is not RTPS.
         destination: a number for address and port, MULTICAST for a group.
     """
@@ -125,14 +123,7 @@ class WireTally:
         return selected
 
     def add(self, batch: FrameBatch, interface: str, *, is_loopback: bool, wall_to_monotonic_ns: int) -> None:
-        """Count the frames of a batch.
-
-        Args:
-            batch: one or more frames of one interface in the order of their capture.
-            interface: its name.
-            is_loopback: whether its frames go both ways at once.
-            wall_to_monotonic_ns: added to the frames' wall clock to get CLOCK_MONOTONIC.
-        """
+        """Count the frames of a batch of one interface, in the order of their capture."""
         memory = batch.memory.data
         for frame in read_frames(batch, wall_to_monotonic_ns):
             if frame.packet_type != _PACKET_OTHERHOST:

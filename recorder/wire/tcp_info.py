@@ -52,8 +52,6 @@ class TcpConnection:
 
     Attributes:
         local_port, remote_port: of the connection; addresses are left out, they may identify a device.
-        retransmitted_segments: `tcpi_total_retrans`.
-        bytes_retransmitted: `tcpi_bytes_retrans`.
         bytes_sent: payload, repetitions included (`tcpi_bytes_sent`).
         segments_out, segments_in: acknowledgements included.
         segment_bytes: the largest that it sends (`tcpi_snd_mss`).
@@ -102,9 +100,6 @@ class ClosedConnections:
     """Listener for connections that end in this network namespace, each with its last `TCP_INFO`.
 
     A connection that is read once a second has sent more when it ends.
-
-    Args:
-        ports: of the connections to listen for.
 
     Raises:
         OptionError: the kernel was built without sock_diag.

@@ -41,16 +41,6 @@ def write_metadata(
     """Write `metadata.yaml` next to the one MCAP file of a bag.
 
     It has no QoS profile: nothing was received over these topics, so a player uses its default.
-
-    Args:
-        trace: the closed MCAP file.
-        topics: its topics.
-        time_range_ns: its earliest and latest log time.
-        mode: the most rights that the file has.
-        fsync: whether it is on the disk, not only in the page cache, on return.
-
-    Raises:
-        OSError: the file cannot be written.
     """
     start_ns, end_ns = time_range_ns
     count = sum(topic.messages for topic in topics)

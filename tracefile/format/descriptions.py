@@ -22,15 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """Quality of service of a run's data topics.
-
-    Attributes:
-        reliability: `reliable` or `best_effort`.
-        durability: `volatile` or `transient_local`.
-        history: `keep_last` or `keep_all`.
-        depth: number of messages in the history, for `keep_last`.
-        extra: further fields of the JSON object (`deadline_ns`, `lifespan_ns`).
-    """
+    """Quality of service of a run's data topics; `extra` has further fields of the JSON object (`deadline_ns`, `lifespan_ns`)."""
 
     reliability: str = "reliable"
     durability: str = "volatile"
@@ -60,7 +52,6 @@ class Session:
         backend: the API that carried the messages.
         vendor: the DDS implementation, or `none`.
         rmw: the ROS middleware; None outside of ROS 2.
-        domain_id: the DDS domain.
         relay_id: the relay's random number; None for a ping.
         connectivity: the link between the devices, as the user named it.
         wall_anchor_ns: ns since 1970 at the instant `monotonic_anchor_ns` of CLOCK_MONOTONIC.

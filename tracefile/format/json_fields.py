@@ -76,11 +76,6 @@ class DescriptionFields:
     def parse(cls, text: str, path: Path | str, what: str) -> DescriptionFields:
         """Parse a description and check that its format version is `FORMAT_VERSION`.
 
-        Args:
-            text: the JSON.
-            path: the trace, for errors.
-            what: the name of the description, for errors.
-
         Raises:
             TraceFormatError: `text` is not a JSON object, or of another version.
         """
@@ -101,7 +96,7 @@ class DescriptionFields:
         return fields
 
     def nested(self, name: str) -> DescriptionFields:
-        """Take a field that is an object with fields of its own."""
+        """Take an object with fields of its own."""
         return DescriptionFields(self.mapping(name), self._path, f"{self._what}.{name}")
 
     def text(self, name: str) -> str:
@@ -109,11 +104,11 @@ class DescriptionFields:
         return self._take(name, str, "a string")
 
     def integer(self, name: str, limit: Limit = STORED_INTEGER) -> int:
-        """Take an integer that `limit` allows."""
+        """Take an integer within `limit`."""
         return self._limited(name, self._take(name, int, "an integer"), limit)
 
     def number(self, name: str, limit: Limit) -> float:
-        """Take an integer or a float that `limit` allows."""
+        """Take a number within `limit`."""
         value = self._pop(name)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._wrong(name, value, "a number")
@@ -135,7 +130,7 @@ class DescriptionFields:
         return value
 
     def optional(self, name: str, kind: type[T], limit: Limit | None = None) -> T | None:
-        """Take a value of type `kind` that `limit` allows, or None where the field is null."""
+        """Take a value of type `kind` within `limit`, or null."""
         if name in self._left and self._left[name] is None:
             del self._left[name]
             return None

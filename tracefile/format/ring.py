@@ -114,12 +114,6 @@ def events_by_stage(slots: Slots) -> list[tuple[Stage, NDArray[np.void]]]:
 class Ring:
     """Ring that this process writes.
 
-    Args:
-        path: the file, which must not exist.
-        slot_count: the number of slots.
-        session: the recording process, described in the header.
-        mode: the most rights that the file has.
-
     Attributes:
         memory: the mapped file, to pack into (0.1 us faster than a memoryview of it).
         slots_at: offset of the first slot.
@@ -200,9 +194,8 @@ class RingContents:
 
     Attributes:
         session: the recording process, as described at its start.
-        slots: the events whose tickets are not in the trace, ordered by ticket; array of `SLOT_DTYPE`.
-        missing_events: number of tickets between the trace's last event and the ring's last that are in neither; a power
-            failure may lose pages of either file, a killed process none.
+        slots: array of `SLOT_DTYPE` by ticket.
+        missing_events: tickets in neither file before the ring's last; only a power failure loses any.
         dropped_events: number of events that found no free slot.
         recording: whether the recording process is still alive.
     """
@@ -218,9 +211,9 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
     """Read the events that a ring has and its trace has not.
 
     Args:
-        path: the ring file, `ring_path(trace)`.
-        events_in_trace: number of messages on the four event topics in the complete chunks of the trace: the sum over the
-            topics of the highest MCAP sequence plus one, which a damaged chunk in the middle does not change.
+        path: `ring_path(trace)`.
+        events_in_trace: the sum over the event topics of the highest MCAP sequence plus one, in the complete chunks of the
+            trace; a damaged chunk in the middle does not change it.
 
     Returns:
         None if the recorder was killed before the ring was complete; it then has no event.
@@ -249,13 +242,7 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
 def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> RingContents | None:
     """Read what is whole of a ring that `read_ring` refuses: one that was cut off, or whose description is damaged.
 
-    Args:
-        path: the ring file.
-        events_in_trace: as for `read_ring`.
-        session: the session of the trace, for a ring that has none; None without a trace.
-
-    Returns:
-        None if the offset of its slots or its session is unknown.
+    `session` is the trace's, for a ring that has none. Return None if that or the offset of the slots is unknown.
 
     Raises:
         OSError: the file cannot be read.

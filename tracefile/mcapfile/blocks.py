@@ -67,10 +67,7 @@ class Block:
         scan: the offsets of the records in `data`.
         starts: (position in `data`, offset in the file) of the first byte of each chunk, or of the stretch.
         chunked: whether the records were in chunks, whose unpacked bytes have no offsets in the file.
-        events: the events of each channel, copied out of `data`.
-        notes: one line for each chunk that was left out.
         memory: the memory of `data`; None if `data` has its own.
-        chunks: number of its chunks, damaged ones included.
     """
 
     data: Buffer
@@ -98,7 +95,6 @@ class BlockJobs:
     """The blocks of a file in order, as jobs that make them.
 
     Attributes:
-        file: the file.
         summary: its summary; without one nothing after a damaged record is read.
         notes: one line for each damage between the blocks; complete after the last block.
         truncated: the reason why the file ends early, or None; known after the last block.

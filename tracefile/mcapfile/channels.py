@@ -30,7 +30,6 @@ class DeclaredChannel:
     """A channel as its file declares it.
 
     Attributes:
-        topic: its topic.
         stage: the stage of its events; None on every other topic.
         fault: the reason why its messages cannot be events although its topic is a stage's, or None.
     """
@@ -57,12 +56,7 @@ class ChannelTable:
         return self._channels.items()
 
     def declare(self, opcode: int, content: Buffer, offset: int) -> None:
-        """Add a Schema or Channel record.
-
-        Args:
-            opcode: which of the two it is.
-            content: the record's content.
-            offset: offset in the file, for errors.
+        """Add a Schema or Channel record; `offset` is its offset in the file, for errors.
 
         Raises:
             TraceFormatError: the record is damaged, or gives a declared channel id another topic.

@@ -40,10 +40,8 @@ class PackedChunk:
     Attributes:
         offset: offset of the chunk record in the file.
         data_offset: offset of its packed records in the file.
-        packed_bytes: length of the packed records.
         unpacked_bytes: claimed length of the unpacked records.
         crc: CRC-32 of the unpacked records; 0 if the writer made none.
-        compression: `zstd`, `lz4`, or empty.
     """
 
     offset: int
@@ -76,15 +74,7 @@ class PackedChunk:
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
     def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
-        """Unpack the chunk's records; threads may unpack chunks of one file at once, each into its own memory.
-
-        Args:
-            file: the file of the chunk.
-            memory: the memory to unpack into, by default new memory.
-            at: position in `memory.records` of the first unpacked byte.
-
-        Returns:
-            The records, in `memory`; they are lost when `memory` is used again.
+        """Unpack the chunk's records to position `at` of `memory.records`; threads may do so at once, each into its own memory.
 
         Raises:
             DamagedChunkError: the records cannot be unpacked, or are not those that were written.

@@ -44,13 +44,7 @@ class TornRecordError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RecordHeader:
-    """Opcode and offset of a record that is completely in its file.
-
-    Attributes:
-        opcode: the kind of record, known to MCAP or not.
-        offset: offset of the record's first byte in the file.
-        length: bytes of its content.
-    """
+    """Opcode and offset of a record that is completely in its file."""
 
     opcode: int
     offset: int
@@ -70,12 +64,8 @@ class RecordHeader:
 class RecordFile(AbstractContextManager["RecordFile"]):
     """A MCAP file, opened for reading at any offset.
 
-    Args:
-        path: the file.
-        shown_as: its name in errors, if `path` is an unpacked copy.
-
     Attributes:
-        path: the file's name in errors.
+        path: the file's name in errors (`shown_as`, if the file is an unpacked copy).
         size: bytes when it was opened; what a recorder adds later is not read.
 
     Raises:
@@ -118,11 +108,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         return bytes(data)
 
     def read_into(self, target: memoryview, offset: int) -> None:
-        """Fill `target` with the bytes from `offset` on.
-
-        Raises:
-            TraceFormatError: as for `read`.
-        """
+        """Fill `target` with the bytes from `offset` on."""
         try:
             done = read_into(self._descriptor, target, offset)
         except OSError as err:
@@ -131,11 +117,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
             raise TraceFormatError(self.path, "became shorter while it was read", offset + done)
 
     def peek(self, offset: int, size: int) -> bytes:
-        """Return `size` bytes from `offset` on, and read ahead; only for the one thread that walks headers.
-
-        Raises:
-            TraceFormatError: as for `read`.
-        """
+        """Return `size` bytes from `offset` on, and read ahead; only for the one thread that walks headers."""
         at = offset - self._ahead_at
         if at < 0 or at + size > len(self._ahead):
             self._ahead = self.read(offset, max(size, min(_AHEAD_BYTES, self.size - offset)))

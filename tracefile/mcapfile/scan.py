@@ -46,7 +46,6 @@ class ChannelEvents(NamedTuple):
     """Events of one channel, copied out of the scanned buffer.
 
     Attributes:
-        channel_id: the id of the channel.
         last_number: the number in the channel (MCAP's `sequence`) of the last event.
         events: the events in file order, an array of `EVENT_DTYPE`.
     """
@@ -117,14 +116,9 @@ def scan_records(
     *,
     only: bool = False,
 ) -> Scan:
-    """Scan the records in `data[start:stop]`; end before a record that is cut off, or has opcode 0, which MCAP forbids.
+    """Scan the records in `data[start:stop]`; list the other records of `opcodes` besides the events.
 
-    Args:
-        data: the buffer.
-        start: offset of the first byte of a record.
-        stop: end of the last record.
-        opcodes: opcodes of the records to list besides the events.
-        only: whether the scan also ends before a record of any other kind.
+    The scan ends before a record that is cut off, or has opcode 0, which MCAP forbids; with `only` also before any other kind.
     """
     scan = Scan()
     at = start

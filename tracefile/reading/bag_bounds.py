@@ -37,11 +37,7 @@ class _Budget:
         self._left_bytes = most_unpacked_bytes(sum(path.stat().st_size for path in files))
 
     def take(self, size_bytes: int, weight: int = 1) -> None:
-        """Count unpacked bytes, each for `weight`.
-
-        Raises:
-            ValueError: the bag unpacks to too much.
-        """
+        """Count unpacked bytes, each for `weight`."""
         self._left_bytes -= weight * size_bytes
         if self._left_bytes < 0:
             raise ValueError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
@@ -95,9 +91,6 @@ def bounded_unpacking(bag: Path) -> Iterator[None]:
     """Limit what rosbags unpacks of a bag: a piece to 64 MiB, all of them as for a trace (`most_unpacked_bytes`).
 
     One bag at a time: the tables are rosbags' own.
-
-    Raises:
-        ImportError: rosbags is not installed.
     """
     from lz4.frame import (  # type: ignore[import-untyped]  # noqa: PLC0415 - a dependency of rosbags, and only bags need it
         LZ4FrameDecompressor,

@@ -41,12 +41,7 @@ _SMALL_FILE_BYTES = (
 
 
 class McapSource:
-    """MCAP file as a `Source`.
-
-    Args:
-        path: the file.
-        pool: the threads that unpack and check chunks.
-        shown_as: its name in errors, if `path` is an unpacked copy.
+    """MCAP file as a `Source`; `pool` unpacks and checks chunks, `shown_as` is its name in errors if it is an unpacked copy.
 
     Raises:
         TraceFormatError: `path` is not a MCAP file, or cannot be read.

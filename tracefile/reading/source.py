@@ -30,10 +30,7 @@ class Text:
     """Message that is not an event: a description or a host sample, still serialized.
 
     Attributes:
-        topic: its topic.
         log_time_ns: wall clock, ns since 1970.
-        data: the serialized message.
-        path: the file of the message.
         offset: offset in the file of the message or of its chunk; None in a database.
     """
 

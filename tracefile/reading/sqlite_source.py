@@ -55,10 +55,6 @@ _MESSAGES = (
 class SqliteSource:
     """`.db3` file as a `Source`.
 
-    Args:
-        path: the database.
-        shown_as: its name in errors, if `path` is an unpacked copy.
-
     Raises:
         TraceFormatError: `path` is not a database of rosbag2, or cannot be read.
     """

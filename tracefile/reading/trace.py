@@ -182,12 +182,7 @@ def _string(text: Text) -> str:
 
 @dataclass(frozen=True, slots=True)
 class RingBeside:
-    """Ring next to one file of a trace.
-
-    Attributes:
-        contents: the whole content of the ring; None if it cannot be read.
-        fault: the reason why it cannot be read, or None.
-    """
+    """Ring next to one file of a trace; its content is None if it cannot be read because of `fault`."""
 
     contents: RingContents | None
     fault: str | None = None
@@ -229,17 +224,7 @@ def ring_beside(file: Path) -> RingBeside | None:
 
 @dataclass(slots=True)
 class TraceBuilder:
-    """Everything in a trace except its events, collected batch by batch.
-
-    Attributes:
-        path: the trace.
-        texts: its descriptions and host samples.
-        topics: its topics, ours or not.
-        unreadable: number of messages on event topics that are not events.
-        ring_events: number of events that only a ring has.
-        notes: one line for each fact that a reader of the numbers should know.
-        truncated: one reason for each of its files that ends early.
-    """
+    """Everything in a trace except its events, collected batch by batch."""
 
     path: Path
     texts: TextCollector = field(default_factory=TextCollector)
@@ -294,11 +279,7 @@ class TraceBuilder:
         return [*self.notes[:_MOST_NOTES], f"and {rest}"]
 
     def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
-        """Return the trace with these events.
-
-        Raises:
-            TraceFormatError: as for `check`.
-        """
+        """Return the trace with these events."""
         self.check()
         for topic, count in self.texts.unreadable.items():
             self.notes.append(f"{counted(count, *_NO_JSON_OBJECT[topic])}; not used")

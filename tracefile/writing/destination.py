@@ -60,10 +60,7 @@ class ClosedTrace:
     """Result of a recording.
 
     Attributes:
-        path: the file or rosbag2 folder.
-        events: number of events in the file.
         dropped_events: number of events that could not be stored.
-        bytes: length of the MCAP file.
         error: the reason why writing failed; None if everything is in a closed file.
         ring_events: number of events that stayed in the ring because of `error`; readers use them, `recover` joins both.
     """
@@ -129,10 +126,6 @@ def _make_folder(folder: Path, destination: TraceDestination) -> None:
 
 
 def keep_names(destination: TraceDestination) -> None:
-    """With `fsync`, flush the names of trace and ring to the disk: content of a file without a name is lost.
-
-    Raises:
-        OSError: the folder cannot be flushed.
-    """
+    """With `fsync`, flush the names of trace and ring to the disk: content of a file without a name is lost."""
     if destination.fsync:
         flush_to_disk(destination.trace_path.parent)

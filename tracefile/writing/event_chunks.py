@@ -118,12 +118,7 @@ def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
 
 
 class EventChunkBuilder:
-    """Builder of chunks of events in one reused buffer, because fresh memory is slow at its first touch.
-
-    Args:
-        wall_offset_ns: wall clock minus monotonic clock, by the session's anchor.
-        max_events: largest number of events of a chunk.
-    """
+    """Builder of chunks in one reused buffer, because fresh memory is slow at its first touch."""
 
     def __init__(self, wall_offset_ns: int, max_events: int) -> None:
         self._wall_offset_ns = wall_offset_ns
@@ -139,7 +134,7 @@ class EventChunkBuilder:
         written: Mapping[int, int],
         not_before_ns: int,
     ) -> Chunk:
-        """Build the chunk of `slots` in their order.
+        """Build the chunk of `slots` in their order; its content is lost at the next call.
 
         Threads may stamp in one order and get their slots in another, a few microseconds apart. The file has the order of the
         slots; a log time that would run backwards repeats the previous one (the event's `monotonic_ns` is untouched).
@@ -147,12 +142,9 @@ class EventChunkBuilder:
         Args:
             slots: one to `max_events` events.
             by_channel: their positions, from `positions_by_channel`.
-            declarations: schema and channel records at the start of the chunk, at most `MESSAGES_AT` bytes.
+            declarations: schema and channel records, at most `MESSAGES_AT` bytes.
             written: channel id -> number of messages that the file already has.
             not_before_ns: log time of the file's last message.
-
-        Returns:
-            The chunk, whose content is in the buffer and lost at the next call.
         """
         count = len(slots)
         messages = self._messages[:count]

@@ -39,12 +39,7 @@ class EventPacker:
     """The ring's side of a `TraceSink`: `record` and its like never raise and never wait for the disk.
 
     The lock makes ticket, slot and mark one step, so that the ring has no holes; its thread runs or waits for the GIL, so
-    waiting for the lock is waiting for the GIL, as every Python call does.
-
-    Args:
-        files: the files of the trace.
-        clock_ns: the monotonic clock of the events' time stamps.
-        wake: receives True when a quarter of the ring is used.
+    waiting for the lock is waiting for the GIL, as every Python call does. `wake` gets True when a quarter of the ring is used.
     """
 
     def __init__(self, files: TraceFiles, clock_ns: Callable[[], int], wake: queue.SimpleQueue[bool]) -> None:

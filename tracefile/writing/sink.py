@@ -38,12 +38,7 @@ BUSY_SWITCH_INTERVAL_S = 1e-4
 
 
 class TraceSink(EventPacker):
-    """Trace while it is recorded.
-
-    Args:
-        destination: the file or folder, and how it is written.
-        session: the recording process, in state `open`; its description is in the file on return.
-        clock_ns: the monotonic clock of the events' time stamps.
+    """Trace while it is recorded; the description of `session`, in state `open`, is in the file on return.
 
     Raises:
         OutputExistsError: the destination exists, without `force`.

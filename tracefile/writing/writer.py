@@ -67,13 +67,9 @@ _COMPRESSION = b"\x04\x00\x00\x00zstd"
 
 
 class TraceWriter:
-    """Writer of one trace; every method leaves a readable file, even if it fails, and so does the end of its context.
+    """Writer of one trace at a new path; every method leaves a readable file, even if it fails, as does the end of its context.
 
-    Args:
-        path: the `.mcap` file, which must not exist.
-        session: the session whose clock anchor turns monotonic times into log times.
-        fsync: whether each chunk is on the disk, not only in the page cache, on return.
-        mode: the most rights that the file has.
+    The session's clock anchor turns monotonic times into log times. With `fsync` each chunk is on the disk on return.
 
     Raises:
         OutputError: the file cannot be created; later, by each method: it cannot be written.
@@ -147,13 +143,7 @@ class TraceWriter:
             self._write_chunk(built)
 
     def write_text(self, topic: str, text: str, time_ns: int) -> None:
-        """Append one `std_msgs/msg/String` in a chunk of its own, so that no later damage loses it.
-
-        Args:
-            topic: a topic without events.
-            text: the text of the message.
-            time_ns: its log time, raised to the log time of the file's last message.
-        """
+        """Append one `std_msgs/msg/String` in a chunk of its own, so that no later damage loses it; log times never decrease."""
         channel = self._channel(topic, STRING_SCHEMA)
         log_time = max(time_ns, self._last_ns)
         message = Message(
@@ -293,11 +283,6 @@ class TraceWriter:
 
 class TraceFiles:
     """A new trace file with its session's description, and its empty ring.
-
-    Args:
-        destination: the file or folder, and how it is written.
-        session: the recording process, in state `open`.
-        time_ns: log time of its description, ns since 1970.
 
     Attributes:
         writer: the file.

@@ -69,9 +69,7 @@ _KINDS = {
 def class_of(kind: int, writer: int) -> WireClass | None:
     """Return the class of a submessage that is sent for the first time; None for one that carries nothing by itself.
 
-    Args:
-        kind: of the submessage.
-        writer: entity id that it names; acknowledgements of discovery count as discovery.
+    Acknowledgements of discovery, by the entity id of the writer, count as discovery.
     """
     if kind in rtps.CONTEXT_KINDS:
         return None
@@ -92,14 +90,7 @@ class TcpFlows:
         self._next: dict[Hashable, int] = {}
 
     def note(self, flow: Hashable, sequence: int, payload_bytes: int, flags: int) -> tuple[WireClass, int]:
-        """Note a segment; return its class, and how many bytes of its payload were sent before.
-
-        Args:
-            flow: addresses and ports, in the direction of the segment.
-            sequence: number of its first payload byte, modulo 2**32.
-            payload_bytes: of TCP; 0 for an acknowledgement.
-            flags: of the TCP header.
-        """
+        """Note a segment; return its class, and how many bytes of its payload were sent before."""
         if flags & (_SYN | _RST):
             self._next.pop(flow, None)  # the ports of an earlier connection, used again
             return WireClass.TCP_CONTROL, 0

@@ -21,10 +21,8 @@ class Piece(NamedTuple):
 
     Attributes:
         offset: of its first byte in the datagram.
-        memory: bytes that contain it.
         begin, end: index of its first byte, and the end of what was captured.
         wire_end: end of the fragment, captured or not.
-        is_last: whether no other follows.
     """
 
     offset: int
@@ -40,8 +38,6 @@ class _Datagram(Generic[Owner]):
     """A datagram whose fragments are still coming.
 
     Attributes:
-        owner: value of the first fragment's caller.
-        length: in bytes, UDP header included.
         next_at: offset of the next submessage header, -1 if it is lost.
         carried: bytes of that header in the fragments so far.
     """
@@ -66,15 +62,7 @@ class FragmentTable(Generic[Owner]):
     def begin(
         self, key: Hashable, owner: Owner, datagram_bytes: int, next_at: int, carried: bytes = b""
     ) -> None:
-        """Note a first fragment.
-
-        Args:
-            key: of the datagram.
-            owner: what later fragments are counted with.
-            datagram_bytes: length with the UDP header.
-            next_at: offset in the datagram of the first submessage header that was not read.
-            carried: its bytes within the first fragment.
-        """
+        """Note a first fragment: the owner of later ones, and where the first unread submessage header begins."""
         self._datagrams.pop(key, None)  # a reused identification becomes the newest
         if len(self._datagrams) >= REMEMBERED_DATAGRAMS:
             self._datagrams.pop(next(iter(self._datagrams)))

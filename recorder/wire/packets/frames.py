@@ -25,9 +25,7 @@ class FrameBatch:
     """Frames in the ring's memory, in the order of their capture; one row each, valid until the ring's `release`.
 
     Attributes:
-        memory: the ring's bytes.
         position: index of the frame's first byte in `memory`.
-        captured_bytes: how much of the frame was captured.
         wire_bytes: the frame's length, with its Ethernet header.
         wall_ns: CLOCK_REALTIME at the capture, ns since 1970.
         packet_type: PACKET_HOST (0), PACKET_OUTGOING (4) and so on.
@@ -53,7 +51,6 @@ class Headers:
         source, destination: IPv4 addresses as numbers.
         ip_id: the identification that the fragments of a datagram share.
         fragment_offset: bytes of the datagram before this frame's.
-        more_fragments: whether others of the datagram follow.
         transport: index in the batch's memory of the first byte after the IP header.
         transport_end: end index of the frame's IP packet, captured or not.
         seen_end: end index of what was captured, `transport_end` at most.
@@ -141,12 +138,7 @@ class Frame(NamedTuple):
 
 
 def read_frames(batch: FrameBatch, wall_to_monotonic_ns: int) -> Iterator[Frame]:
-    """Return the frames of a batch one by one, as plain numbers.
-
-    Args:
-        batch: frames in the order of their capture.
-        wall_to_monotonic_ns: added to their wall clock to get CLOCK_MONOTONIC.
-    """
+    """Return the frames of a batch one by one, as plain numbers, with CLOCK_MONOTONIC times."""
     headers = read_headers(batch)
     columns = [getattr(headers, f.name) for f in fields(Headers)]
     columns += [batch.wire_bytes, batch.wall_ns + wall_to_monotonic_ns, batch.packet_type]

@@ -82,11 +82,7 @@ class _Step(NamedTuple):
 
 
 def attach_filter(target: socket.socket, program: bytes) -> None:
-    """Attach a classic BPF program to a socket.
-
-    Raises:
-        OSError: the kernel refuses the program.
-    """
+    """Attach a classic BPF program to a socket."""
     buffer = ctypes.create_string_buffer(program, len(program))
     count = len(program) // 8
     # struct sock_fprog: the native alignment puts the pointer where the kernel looks for it.
@@ -99,10 +95,6 @@ def wire_program(udp_ports: Sequence[PortRange], tcp_ports: Sequence[PortRange])
     """Return the program that captures RTPS on any port, other UDP and TCP on the given ones, and UDP's later IP fragments.
 
     RTPS is recognized by its first four bytes: Cyclone DDS takes unicast ports from the ephemeral range.
-
-    Args:
-        udp_ports: source or destination ports of UDP that is not RTPS.
-        tcp_ports: source or destination ports of TCP.
     """
     steps = [
         # First: the kernel's checker takes it for unset after any `ret` of a path that did not set it.

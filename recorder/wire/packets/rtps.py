@@ -28,13 +28,9 @@ class Submessage(NamedTuple):
     """One submessage.
 
     Attributes:
-        kind: the number of 9.4.5.1.1.
-        wire_bytes: with its header.
         writer: entity id of the writer that it comes from or goes to, 0 if it names none.
         sequence: number of the sample; of an ACKNACK the first number not received.
         fragment: number of its first fragment, from 1; 0 for a sample that is not fragmented.
-        fragments: fragments in it.
-        sample_bytes: length of the serialized sample.
         asks: whether it requests something again (ACKNACK, NACK_FRAG).
         payload_at: index of the serialized sample's first byte, None if it does not begin in this submessage.
     """
@@ -136,14 +132,7 @@ LONGEST_FIELDS_BYTES = max(needed for _, needed in _READERS.values())
 
 
 def walk_submessages(memory: memoryview, at: int, seen_end: int, end: int) -> Walk:
-    """Read the submessages from index `at` on.
-
-    Args:
-        memory: bytes that contain the packet, or a piece of it.
-        at: index of the first submessage's header.
-        seen_end: end index of what may be read.
-        end: end index of the packet, whether it may be read or not.
-    """
+    """Read the submessages from index `at` on, up to `seen_end`; `end` is the end of the packet, which may be later."""
     submessages: list[Submessage] = []
     memory = memory[:seen_end]  # the next bytes of a ring belong to another packet
     while at + _SUBMESSAGE_BYTES <= seen_end:

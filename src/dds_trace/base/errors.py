@@ -18,13 +18,7 @@ class TraceError(Exception):
 
 
 class TraceFormatError(TraceError):
-    """Bytes on disk that do not follow `docs/trace-format.md`.
-
-    Args:
-        path: the file.
-        what: the fault, and what to do next if known.
-        offset: byte offset of the fault in the file, if it has one.
-    """
+    """Bytes on disk that do not follow `docs/trace-format.md`; `offset` is in the file `path`, if the fault has one."""
 
     exit_code = 3
 

@@ -22,14 +22,8 @@ if TYPE_CHECKING:
 def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
     """Yield the path of a draft that replaces `path` once the block ends without an error; after an error it is removed.
 
-    A reader sees the old file or the new one, never a part. A symbolic link is replaced itself; its target is not touched.
-
-    Args:
-        path: the file to write; its folder exists.
-        fsync: whether the new file and its folder are on the disk, not only in the page cache, on return.
-
-    Yields:
-        A path that does not exist yet, ending in `.part`, so that no draft is taken for a trace or a table.
+    A reader sees the old file or the new one, never a part. A symbolic link is replaced itself. The draft ends in `.part`, so
+    that it is not taken for a trace or a table; with `fsync` file and folder are on the disk on return.
 
     Raises:
         OSError: the draft cannot be flushed to the disk, or cannot replace `path`.
@@ -53,7 +47,7 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
     """Open a regular file for reading; a pipe would wait for a writer, and a device may never end.
 
     Raises:
-        OSError: as `open`; the file is not a regular file, or is a symbolic link and `follow_links` is False.
+        OSError: as `open`; or it is not a regular file, or a symbolic link without `follow_links`.
     """
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | (0 if follow_links else os.O_NOFOLLOW)
     descriptor = os.open(path, flags)
@@ -64,11 +58,7 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
 
 
 def read_into(descriptor: int, target: memoryview, offset: int) -> int:
-    """Fill `target` with the bytes of a file from `offset` on; return how many there were.
-
-    Raises:
-        OSError: as `os.preadv`.
-    """
+    """Fill `target` with the bytes of a file from `offset` on; return how many there were."""
     done = 0
     while done < len(target):  # the kernel returns at most 2 GiB at once
         count = os.preadv(descriptor, [target[done:]], offset + done)
@@ -91,11 +81,7 @@ OWNER_AND_GROUP = 0o640
 
 
 def create_file(path: Path, mode: int = OWNER_AND_GROUP) -> BinaryIO:
-    """Create a file and open it for writing; it never has more rights than `mode`.
-
-    Raises:
-        OSError: as `open`; something has that name already, a dangling link too.
-    """
+    """Create a file that must not exist (nor a dangling link) and open it for writing, with at most the rights of `mode`."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     return os.fdopen(descriptor, "wb")
 
@@ -106,11 +92,7 @@ def mode_within(rights: int) -> int:
 
 
 def flush_to_disk(path: Path) -> None:
-    """Flush a file, or the names in a folder, from the page cache to the disk.
-
-    Raises:
-        OSError: it cannot be opened or flushed.
-    """
+    """Flush a file, or the names in a folder, from the page cache to the disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)

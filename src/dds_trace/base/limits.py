@@ -103,12 +103,9 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class FilePath:
-    """Paths that Linux and every library of an analysis can name.
+    """Paths that Linux and every library of an analysis can name; `what` is the noun for the error.
 
-    Attributes:
-        what: the noun of the value, for the error.
-        is_folder: whether `.`, `..` and `/` are allowed, as they are for an existing folder.
-        is_input: whether bytes that are not UTF-8 are allowed, as in names that others gave.
+    A folder may also be `.`, `..` or `/`; an input may have bytes that are not UTF-8, in names that others gave.
     """
 
     what: str

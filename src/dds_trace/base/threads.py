@@ -31,14 +31,10 @@ class PendingResult(Protocol[T_co]):
 def in_turn(
     jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_jobs: int, most_size: int
 ) -> Iterator[T]:
-    """Yield the results of `jobs` in order; a job that fails raises its exception here, perhaps before its turn.
+    """Yield the results of (size, function that starts a job) pairs in order; a failing job raises here, perhaps before its turn.
 
-    Jobs that have not started when this ends early, by an exception or because it is closed, never start.
-
-    Args:
-        jobs: (size, function that starts it) pairs.
-        most_jobs: most jobs that are started, or done, before their results are requested.
-        most_size: most that their sizes may sum to; a larger job runs by itself.
+    At most `most_jobs` jobs, with sizes of at most `most_size` in total, are started before their results are requested; a
+    larger job runs by itself. Jobs that have not started when this is closed or fails never start.
     """
     started: deque[tuple[int, PendingResult[T]]] = deque()
     try:
@@ -175,10 +171,6 @@ class FastLock:
 
 
 def run_in_background() -> None:
-    """Put the calling thread back under the ordinary scheduler.
-
-    A thread inherits SCHED_FIFO from the one that starts it (`dds-record --realtime`). Never raises: without the right to
-    change the scheduler, or outside of Linux, there is no real-time priority to inherit.
-    """
+    """Put the calling thread back under the ordinary scheduler, if it may; it inherits SCHED_FIFO of `dds-record --realtime`."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

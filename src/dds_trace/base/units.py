@@ -36,14 +36,7 @@ _QUANTITY = re.compile(r"\s*(\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})\s*([a-zµ%]*)\s
 
 
 def counted(count: float, one: str, many: str = "", *, text: str = "") -> str:
-    """Return a count with its noun: `1 message`, `2 messages`, `1,000 replies`.
-
-    Args:
-        count: selects the singular or the plural.
-        one: the noun for a count of 1, with any words after it that depend on the number.
-        many: the noun for any other count; by default `one` with an `s`.
-        text: the count as printed, e.g. with thousands separated; by default its digits.
-    """
+    """Return a count with its noun: `1 message`, `2 messages`; `many` is the plural if it is not `one` + s, `text` the printed count."""
     noun = one if count == 1 else many or f"{one}s"
     return f"{text or count} {noun}"
 
@@ -55,12 +48,7 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 
 def format_quantity(value: float | None, units: Mapping[str, float]) -> str:
-    """Write a value to three digits, in the unit that leaves one to three of them before the point: `1.25 ms`.
-
-    Args:
-        value: in the unit whose factor is 1; None, infinity and NaN are written as `MISSING`.
-        units: unit -> its factor, from the largest to the smallest.
-    """
+    """Write a value (factor 1) to three digits, in the largest unit (name -> factor, descending) that it fills: `1.25 ms`; `MISSING` if not finite."""
     if value is None or not math.isfinite(value):
         return MISSING
     # 999.96 would be written as 1000: the larger unit takes it.

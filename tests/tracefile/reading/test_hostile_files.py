@@ -166,7 +166,7 @@ def test_work_on_a_database_is_bounded(database, monkeypatch, name, value):
     path = database(TOPICS, MESSAGES, f"INSERT INTO topics VALUES {EVENT_TOPIC}", rows(1000))
     assert read_trace(path).event_count == 1000
     monkeypatch.setattr(sqlite_source, name, value)
-    monkeypatch.setattr(sqlite_source, "_STEPS_A_LOOK", 100)
+    monkeypatch.setattr(sqlite_source, "_STEPS_A_CHECK", 100)
     try:
         trace = read_trace(path)
     except TraceFormatError as err:

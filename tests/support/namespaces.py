@@ -4,12 +4,40 @@ from __future__ import annotations
 
 import os
 import shutil
+from contextlib import contextmanager
 from functools import cache
+from itertools import count
+from typing import TYPE_CHECKING
 
 import pytest
 
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.recorder.sweep.station.emulation import ip
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_numbers = count()
+
+
+@contextmanager
+def network_with(interface: str, *commands: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """A network namespace with an interface that has the address 198.51.100.1; yields the way into it."""
+    name = f"ddstrace-{interface}-{os.getpid()}-{next(_numbers)}"
+    ip("netns", "add", name)
+    try:
+        for command in (
+            ("link", "set", "lo", "up"),
+            ("link", "add", interface, "type", "veth", "peer", "name", "peer0"),
+            ("addr", "add", "198.51.100.1/24", "dev", interface),
+            ("link", "set", interface, "up"),
+            ("link", "set", "peer0", "up"),
+            *commands,
+        ):
+            ip("-n", name, *command)
+        yield ("ip", "netns", "exec", name)
+    finally:
+        ip("netns", "delete", name)
 
 
 def needs_namespaces(program: str, package: str) -> pytest.MarkDecorator:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import product
 
 import pytest
 from applied_pair import needs_large_buffers, run_pair
-from namespaces import needs_namespaces
-
-from dds_trace.recorder.sweep.station.emulation import ip
+from namespaces import needs_namespaces, network_with
 
 pytestmark = pytest.mark.middleware
 
@@ -72,22 +69,9 @@ HONEST = [
 
 @pytest.fixture(scope="module")
 def subnet():
-    """A network namespace with an interface for multicast; the way into it."""
-    name = f"ddstrace-honest-{os.getpid()}"
-    ip("netns", "add", name)
-    try:
-        for command in (
-            ("link", "set", "lo", "up"),
-            ("link", "add", "link0", "type", "veth", "peer", "name", "link1"),
-            ("addr", "add", "198.51.100.1/24", "dev", "link0"),
-            ("link", "set", "link0", "up"),
-            ("link", "set", "link1", "up"),
-            ("route", "add", "224.0.0.0/4", "dev", "link0"),
-        ):
-            ip("-n", name, *command)
-        yield ("ip", "netns", "exec", name)
-    finally:
-        ip("netns", "delete", name)
+    """The way into a network namespace with an interface for multicast."""
+    with network_with("link0", ("route", "add", "224.0.0.0/4", "dev", "link0")) as inside:
+        yield inside
 
 
 @pytest.fixture

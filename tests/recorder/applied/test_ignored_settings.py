@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from importlib.util import find_spec
-from itertools import count
 from pathlib import Path
 
 import pytest
 from applied_pair import needs_large_buffers, run_pair
-from namespaces import needs_namespaces
+from namespaces import needs_namespaces, network_with
 from shared_memory import OWN_SHM, needs_root
 
 from dds_trace.recorder.backends.ros2.fastdds_profile import (
@@ -19,14 +17,12 @@ from dds_trace.recorder.backends.ros2.fastdds_profile import (
     written_profile,
 )
 from dds_trace.recorder.choices import Transport
-from dds_trace.recorder.sweep.station.emulation import ip
 
 pytestmark = pytest.mark.middleware
 
 needs_ros2 = pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")
 needs_cyclonedds = pytest.mark.skipif(find_spec("cyclonedds") is None, reason="cyclonedds is not installed")
 needs_zenoh = pytest.mark.skipif(find_spec("zenoh") is None, reason="zenoh is not installed")
-_numbers = count()
 
 
 def localhost(value):
@@ -74,21 +70,9 @@ def test_3_a_profile_that_keeps_the_builtin_transports(domain_id):
 
 @pytest.fixture
 def unused_interface():
-    """A network namespace with an interface of its own that has an address; its name and the way into it."""
-    name = f"ddstrace-applied-{os.getpid()}-{next(_numbers)}"
-    ip("netns", "add", name)
-    try:
-        for command in (
-            ("link", "set", "lo", "up"),
-            ("link", "add", "unused0", "type", "veth", "peer", "name", "unused1"),
-            ("addr", "add", "198.51.100.1/24", "dev", "unused0"),
-            ("link", "set", "unused0", "up"),
-            ("link", "set", "unused1", "up"),
-        ):
-            ip("-n", name, *command)
-        yield "unused0", ("ip", "netns", "exec", name)
-    finally:
-        ip("netns", "delete", name)
+    """Name of an interface that has an address, in a network namespace, and the way into that."""
+    with network_with("unused0") as inside:
+        yield "unused0", inside
 
 
 @needs_cyclonedds

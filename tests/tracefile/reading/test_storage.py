@@ -1,10 +1,14 @@
-"""The traces in a folder, found by the names of their files."""
+"""The traces in a folder by the names of their files, and damaged databases that fuzzing has found."""
 
 from __future__ import annotations
 
+import base64
+import zlib
+
 import pytest
 
-from dds_trace.base.errors import MissingEventsError
+from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.reading.storage import find_traces
 
 
@@ -48,3 +52,42 @@ def test_a_trace_is_found_in_itself(tmp_path):
 def test_no_folder_is_an_error(tmp_path):
     with pytest.raises(MissingEventsError, match="nowhere"):
         find_traces(tmp_path / "nowhere")
+
+
+DATABASES = {
+    # SQLite meets an absurd size in the schema and Python's sqlite3 says MemoryError.
+    "memory": (
+        "c-rmN&5qJg6bJBg`bmNEX)>7w@$M8e5yyD}fi#ne_=Rj{MGCE?nJEz3Ow=7u;UgHIK_9_KF)rP>&|41G%T3G;i7rMxq4(c5?"
+        "eF&X()RhYL6nB<#bOovDLVlT5a9u10HE{5f}f@F#Spd;)TP7SDZ1Iocn9zeZ?0`!X!b#?h3j_ePcFkaOcH+<Cg1*K<(=sLq1"
+        "PRGY}D-yJeKcex1)faJsx?d-jF>Vo;~Ug&)Gxo{D`HCWi%Z}0bh&w(WxIVk67TRKI;vh^x8AD4-OCWk!%i5sMU5lqJ6*aX70"
+        "x!@8Z>xw@J8){LARIpGJ%MnEp=fY~m3=0{{K5YhL%!gj=W0P7oyHbmdROPH_BVeH<sVq{ExeDBJX|!g)FkR_5lx|B{_<;a6J"
+        "uhim)7wEzB*nw9KZVY{2r-UR%BFYyFE!#fE0W?p^U0teTImED>AYhp>Ms=h^tDI%tnO2j0@5D`O4C1Mbwi-<0z6443KL`0KP"
+        "RXvR(&U$AwxW`v}V<0yQyT-mn^WOq|k5_mPKEYd<@XhT=D>PD9?7@{%dAnRf$|6#hQi+raDTzo)N+nVvq$naqDV0c(5JyBDD"
+        "V2yrNI^sjQYw)GA-0Ivu-_ZZ-8{z=n*ZbN{QuVK-=NEEikI1xQi(JPX^2QeN+r@Dq%I<LDV0c_keZ0pq*Nj`LaHKCl~RdR38"
+        "{!kMM_nD2RK^ZNd"
+    ),
+    # A damaged page gives a topic without a number.
+    "null id": (
+        "c-rmN%Wl&^6b9gPe2sIzAXQyN%npJoqQVQ1L{?Qb+)OrEMQ&^&i#mzoQ3dSs6g&dr8Q>9k6vUDZ8^$>pCc|Q=#HON0$^0J6{"
+        ">ILcofpr?36I&!)g}!&dk6*~!Xw52z!YBxewQJ>mNZAumkIahSj$hwdw}o6aBb_A;U09mxb5-q{31@{EDINLR-`!!{K3R$lf"
+        "iK8vtlp1n?&sN$;3bL1NJO9eLM)J?987YF}_+S^H~y!twbEn!*qSbqL7DdIDR_pEzmtUJS-O59h}i<>@7t5{#fR0!2Dn;mRW"
+        "{rES7k)7GoA~lJFvV8}ekeoKeSnd2bLugZSLkHLnL~!<~~(KZ>#$--PqH&yRm?&(ds>^~KPi<Wv7LUh;Xgv3JkrxBPSmzthG"
+        "|{Rd^&^VhkXKmRV=2K<Dt@fg0s2Z+S9sFCY{hg-|Z-}c1|-%(OmBZm-MMr<Xuh)swkBbJg{#3IC$5mQMmViID=h@qsehK4}A"
+        "?cUws75-Rv1`4CJZ(Oyg|6Rb3cq#h-1>VECnEt%eI^AhaUZJL>_UEb*Qk9Xal3JunNJT~}N@|e`A!QjUE2%}wgm^OIDXB#~L"
+        "P|1HQc{bQ2ytb^Rq}88?}(P~_5YvN=oVdON50ICl3JugNLxnQN@|fdAuSncDXB$TgfwNOsiYQZ64H>7hLT#OK}cOj>PqVB2S"
+        "I>=tp"
+    ),
+}
+
+
+@pytest.mark.parametrize("packed", DATABASES.values(), ids=list(DATABASES))
+def test_a_damaged_database_is_a_trace_or_an_error_that_names_it(tmp_path, packed):
+    (tmp_path / "metadata.yaml").write_text("")
+    path = tmp_path / "bag_0.db3"
+    path.write_bytes(zlib.decompress(base64.b85decode(packed)))
+    try:
+        trace = read_trace(tmp_path)
+    except TraceFormatError as err:
+        assert str(tmp_path) in str(err)  # noqa: PT017 - one or the other is right
+    else:
+        assert trace.event_count <= 20

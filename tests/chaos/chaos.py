@@ -3,13 +3,10 @@
     just chaos 30                                    # minutes
     python tests/chaos/chaos.py --seed 17 --rounds 1 # one round again, as a failing one prints it
 
-A round is a small plan and what goes wrong while `dds-sweep` records it, all drawn from its seed (`chaos_draw.py`):
-processes killed or stopped, Ctrl-C, a full or slow disk, a link that is down. The same command is called until every
-cell is there. After each call (`chaos_checks.py`): the exit code told the truth, whole cells stayed, no process, shared
-memory, namespace or file is left; at the end every cell is there once with every event that was stamped for it.
-
-A round has its own mounts, `/dev/shm`, network and processes, so it touches nothing of the machine, and what it leaves
-is exact. It needs root, as namespaces do.
+A round is a small plan and its faults, drawn from a seed (`chaos_draw.py`): processes killed or stopped, Ctrl-C, a full or
+slow disk, a link that is down. `dds-sweep` is called until every cell is complete. After each call (`chaos_checks.py`) the
+exit code is true, complete cells stayed, no process, shared memory, namespace or file is left; at the end every cell has
+every event that was stamped for it, once. A round has its own mounts, `/dev/shm`, network and processes; it needs root.
 """
 
 from __future__ import annotations
@@ -37,16 +34,10 @@ LONGEST_ROUND_S = 1500.0
 
 
 def play_round(seed: int, folder: Path, only: Sequence[str] = ()) -> dict[str, object]:
-    """Play the round of a seed in `folder`, in namespaces of its own, and return its line.
-
-    Args:
-        seed: what draws the round.
-        folder: an empty folder.
-        only: BACKEND:BRIDGE that it may have; without any, all that run here.
-    """
+    """Play the round of a seed in an empty folder, over these BACKEND:BRIDGE or all that run here; return its line."""
     words = [*OWN_WORLD, sys.executable, Path(__file__).with_name("chaos_round.py"), str(seed), folder, *only]
     with (folder / "round.log").open("wb") as log:
-        # A session of its own: Ctrl-C is for this process, and the kernel ends the round's with it.
+        # Ctrl-C is for this process; the kernel ends the round with it.
         process = subprocess.Popen(
             words,
             stdout=log,
@@ -106,7 +97,7 @@ def main() -> None:
         for reason in line["wrong"]:  # type: ignore[attr-defined]
             print(f"       {reason}", flush=True)
         again = [sys.executable, __file__, "--seed", str(seed), "--rounds", "1"]
-        again += [word for each in arguments.only for word in ("--only", each)]
+        again += [word for pair in arguments.only for word in ("--only", pair)]
         print(f"       kept in {folder}; again: {shlex.join(again)}", flush=True)
     print(f"{played} rounds from seed {arguments.seed} on, {failed} failed")
     if not failed:

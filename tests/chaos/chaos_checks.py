@@ -1,4 +1,4 @@
-"""What has to be true after each call of a sweep and at a round's end; every function returns what is not."""
+"""Checks after each call of a sweep and at a round's end; every function yields what is wrong."""
 
 from __future__ import annotations
 
@@ -26,20 +26,12 @@ OWN_FILES = {"state.json", ".lock", ".parts"}
 DONE = ("complete", "recorded")
 
 KEPT_MEMORY = ("*.zenoh", "lttng-ust-wait-*")
-"""Shared memory that libraries leave at a clean end, too: eclipse-zenoh 1.10 (a session that is opened and closed leaves
-12 KB, one that sent more; the next process removes it), and LTTng, which rclpy brings (one empty page for the user)."""
+"""Shared memory that libraries leave at a clean end, too: eclipse-zenoh 1.10 (the next process removes it), and LTTng of rclpy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """One call of `dds-sweep` that has ended.
-
-    Attributes:
-        code: exit code, negative for a signal.
-        output: what it printed.
-        faults: what went wrong while it ran.
-        struck: words of the processes that were killed while it ran.
-    """
+    """One call of `dds-sweep`: its exit code and output, the faults meanwhile, and the killed command lines."""
 
     code: int
     output: str
@@ -47,19 +39,17 @@ class Call:
     struck: tuple[str, ...] = ()
 
     def had(self, kind: str, target: str = "") -> bool:
-        """Return whether such a fault happened."""
         return any(fault.kind == kind and target in ("", fault.target) for fault in self.faults)
 
 
 def cells_of(folder: Path) -> dict[str, dict[str, object]]:
-    """Return the cells of a sweep's state file; none if it has not begun."""
     path = folder / "state.json"
     cells: dict[str, dict[str, object]] = json.loads(path.read_text())["cells"] if path.exists() else {}
     return cells
 
 
 def untrue_exit(call: Call, folder: Path, cells: int) -> Iterator[str]:
-    """Yield what the exit code and the last lines of a call say that is not so."""
+    """Yield how exit code and output contradict the state."""
     states = cells_of(folder)
     complete = sum(cell["status"] == "complete" for cell in states.values())
     missing = [name for name, cell in states.items() if cell["status"] != "complete"]
@@ -78,12 +68,7 @@ def untrue_exit(call: Call, folder: Path, cells: int) -> Iterator[str]:
 
 
 def forgotten_cells(before: Mapping[str, object], folder: Path) -> Iterator[str]:
-    """Yield the cells whose recording was whole before a call and is another, or none, after it.
-
-    Args:
-        before: name of each cell that was whole -> its run.
-        folder: folder of the sweep.
-    """
+    """Yield the cells whose recording (`before`: name -> run) was complete before a call and is not the same after it."""
     now = cells_of(folder)
     for name, run_id in before.items():
         cell = now.get(name, {})
@@ -92,21 +77,16 @@ def forgotten_cells(before: Mapping[str, object], folder: Path) -> Iterator[str]
 
 
 def whole_cells(folder: Path) -> dict[str, object]:
-    """Return name -> run of every cell whose recording is whole."""
+    """Return name -> run of every cell whose recording is complete."""
     return {name: cell["run_id"] for name, cell in cells_of(folder).items() if cell["status"] in DONE}
 
 
 def left_namespaces() -> Iterator[str]:
-    """Yield the network namespaces that are left."""
     yield from (f"network namespace {line}" for line in ip("netns", "list").splitlines())
 
 
 def left_memory(killed: bool) -> Iterator[str]:
-    """Yield the shared-memory files that are left.
-
-    Args:
-        killed: whether a process was killed, whose middleware then could not remove its own.
-    """
+    """Yield the shared-memory files that are left; a killed process cannot remove its own."""
     excused = {
         path for pattern in (*KEPT_MEMORY, *(PATTERNS if killed else ())) for path in SHM.glob(pattern)
     }
@@ -114,20 +94,19 @@ def left_memory(killed: bool) -> Iterator[str]:
 
 
 def left_files(*folders: Path) -> Iterator[str]:
-    """Yield the files that are left in folders which are to be empty."""
     for folder in folders:
         yield from (f"file {path}" for path in sorted(folder.rglob("*")) if not path.is_dir())
 
 
 def untrue_folder(folder: Path, cells: int) -> Iterator[str]:
-    """Yield what is wrong with the folder of a sweep that has ended with every cell: names, traces and their events."""
+    """Yield what is wrong with the folder of a complete sweep: names, traces and their events."""
     names = set(cells_of(folder))
     if len(names) != cells:
         yield f"{len(names)} cells and not {cells}"
     expected = {f"{name}.{role}.mcap" for name in names for role in ("ping", "relay")} | OWN_FILES
-    found = {path.name for path in folder.iterdir()}
-    if found != expected:
-        yield f"missing {sorted(expected - found)}, left over {sorted(found - expected)}"
+    names_there = {path.name for path in folder.iterdir()}
+    if names_there != expected:
+        yield f"missing {sorted(expected - names_there)}, left over {sorted(names_there - expected)}"
         return
     yield from left_files(folder / ".parts")
     runs = set()
@@ -173,6 +152,5 @@ def untrue_cell(name: str, ping: Trace, relay: Trace) -> Iterator[str]:
 
 
 def _numbers(trace: Trace, stage: Stage) -> set[tuple[int, int]]:
-    """Return run and sequence of the events of a stage."""
     columns = trace.events[stage]
     return set(zip(columns.run_id.tolist(), columns.sequence.tolist(), strict=True))

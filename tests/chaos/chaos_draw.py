@@ -49,9 +49,9 @@ class Fault:
 
     Attributes:
         kind: key of `chaos_faults.FAULTS`.
-        target: of `kill` and `stop` the process, one of `TARGETS`; else empty.
-        at_s: seconds after the first ping of the call has been seen.
-        for_s: seconds that it lasts; 0 of one that has no end.
+        target: process of `kill` and `stop`, one of `TARGETS`.
+        at_s: seconds after the first ping of the call.
+        for_s: seconds that it lasts; 0 if it has no end.
     """
 
     kind: str
@@ -66,16 +66,9 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """A plan, and the faults of each call of `dds-sweep` before it is left in peace.
+    """A plan with its backend and bridge (`combination`), network and number of cells, and the faults of each disturbed call.
 
-    Attributes:
-        seed: what drew it.
-        combination: backend and bridge.
-        network: key of `NETWORKS`.
-        cells: number of cells.
-        plan: text of the plan.
-        calls: faults of each disturbed call.
-        slow_ms: delay of a write while the disk is slow.
+    While the disk is slow, a write takes `slow_ms`.
     """
 
     seed: int
@@ -100,7 +93,7 @@ def installed_combinations() -> list[tuple[str, str]]:
 def draw_round(seed: int, combinations: list[tuple[str, str]]) -> Round:
     """Return the round of a seed; equal seeds and combinations give equal rounds."""
     draw = random.Random(f"chaos {seed}")
-    # In turns, so that a short time reaches all of them; all else is drawn.
+    # One after the other, so that a short time reaches all of them.
     combination = combinations[seed % len(combinations)]
     network = draw.choice(list(NETWORKS))
     loads = draw.sample(LOADS, draw.randint(2, 4))

@@ -1,7 +1,8 @@
-"""What goes wrong in a round: one class a kind, with the same two doors, `begin` and `end`."""
+"""What goes wrong in a round, one class a kind, and the processes that it may strike."""
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
@@ -9,9 +10,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
-
-from chaos_processes import find_target
+from typing import TYPE_CHECKING
 
 from dds_trace.recorder.sweep.station.emulation import INTERFACE, ip
 
@@ -21,9 +20,10 @@ if TYPE_CHECKING:
     from chaos_draw import Fault
 
 FIND_S = 3.0
-"""A fault waits so long for a process that it can strike; some live for a moment of each cell alone."""
+"""Longest wait of a fault for its process: some live only for a moment of each cell."""
 
 MULTICAST = "224.0.0.0/4"
+GUARD = "guard.py"
 
 
 @dataclass
@@ -32,10 +32,10 @@ class World:
 
     Attributes:
         disk: the file system of the sweep's folder.
-        slow: file that makes it slow while it is there.
+        slow: file whose existence makes it slow.
         draw: source of what is left to chance.
-        sweep: number of the process of `dds-sweep`.
-        killed: words of the processes that were killed in the round.
+        sweep: process id of `dds-sweep`.
+        killed: command lines of the processes that were killed in the round.
     """
 
     disk: Path
@@ -45,131 +45,153 @@ class World:
     killed: list[str] = field(default_factory=list)
 
 
-class Happening(Protocol):
+@dataclass(frozen=True, slots=True)
+class Process:
+    """One running process in the round's namespace."""
+
+    pid: int
+    parent: int
+    command: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.pid} {' '.join(self.command)[:160]}"
+
+
+def running_processes() -> dict[int, Process]:
+    """Return every process of the namespace by id, except the first, which is this one."""
+    processes = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it ended meanwhile
+            # The name in parentheses may contain anything, so the fields are counted from its end.
+            state, parent = (folder / "stat").read_text(errors="replace").rpartition(") ")[2].split()[:2]
+            words = (folder / "cmdline").read_text(errors="replace").rstrip("\0").split("\0")
+            if state not in "ZX" and folder.name != "1":
+                processes[int(folder.name)] = Process(int(folder.name), int(parent), tuple(words))
+    return processes
+
+
+def find_target(target: str, sweep: int) -> list[Process]:
+    """Return the processes that a fault with this target (`chaos_draw.TARGETS`) may strike."""
+    processes = running_processes()
+
+    def is_target(process: Process) -> bool:
+        words = process.command
+        if target == "sweep":
+            return process.pid == sweep
+        if target in ("ping", "relay"):
+            is_recorder = any(Path(word).name == "dds-record" for word in words[:3])
+            return is_recorder and ("--role", target) in itertools.pairwise(words)
+        if target == "bridge":
+            parent = processes.get(process.parent)
+            return parent is not None and any(word.endswith(GUARD) for word in parent.command)
+        return process.pid != sweep
+
+    return [process for process in processes.values() if is_target(process)]
+
+
+class Happening:
     """A fault that happens."""
 
     def __init__(self, fault: Fault, world: World) -> None:
-        """Prepare it."""
+        self.target = fault.target
+        self.world = world
 
     def begin(self) -> bool:
         """Let it happen; return False if there is nothing that it can strike yet."""
+        raise NotImplementedError
 
     def end(self) -> None:
-        """Undo it, if that can be; called once, also of one that has not begun."""
+        """Undo it, if that can be; called once, also if it has not begun."""
 
 
-class _Strike:
-    """Sends signals to one process."""
+class Kill(Happening):
+    """A signal to one process."""
 
     first = signal.SIGKILL
-    last: signal.Signals | None = None
-
-    def __init__(self, fault: Fault, world: World) -> None:
-        self._target = fault.target
-        self._world = world
-        self._pid = 0
+    struck: Process | None = None
 
     def begin(self) -> bool:
-        """Send the first signal to one of the processes."""
-        found = find_target(self._target, self._world.sweep)
-        if not found:
+        targets = find_target(self.target, self.world.sweep)
+        if not targets:
             return False
-        struck = self._world.draw.choice(sorted(found, key=lambda process: process.pid))
-        self._pid = struck.pid
-        with suppress(ProcessLookupError):
-            os.kill(struck.pid, self.first)
-            if self.first is signal.SIGKILL:
-                self._world.killed.append(str(struck))
+        self.struck = self.world.draw.choice(sorted(targets, key=lambda process: process.pid))
+        self._send(self.first)
+        if self.first is signal.SIGKILL:
+            self.world.killed.append(str(self.struck))
         return True
 
-    def end(self) -> None:
-        """Send the last signal to the same process."""
-        if self._pid and self.last is not None:
+    def _send(self, number: signal.Signals) -> None:
+        if self.struck is not None:
             with suppress(ProcessLookupError):
-                os.kill(self._pid, self.last)
+                os.kill(self.struck.pid, number)
 
 
-class Kill(_Strike):
-    """SIGKILL."""
-
-
-class Stop(_Strike):
+class Stop(Kill):
     """SIGSTOP, and SIGCONT after a while."""
 
-    first, last = signal.SIGSTOP, signal.SIGCONT
+    first = signal.SIGSTOP
+
+    def end(self) -> None:
+        self._send(signal.SIGCONT)
 
 
-class Interrupt(_Strike):
+class Interrupt(Kill):
     """Ctrl-C for the sweep."""
 
     first = signal.SIGINT
 
     def __init__(self, fault: Fault, world: World) -> None:
         super().__init__(fault, world)
-        self._target = "sweep"
+        self.target = "sweep"
 
 
-class FullDisk:
+class FullDisk(Happening):
     """A file that takes all room of the disk, for a while."""
 
-    def __init__(self, fault: Fault, world: World) -> None:  # noqa: ARG002 - the kind's signature
-        self._ballast = world.disk / "ballast"
-
     def begin(self) -> bool:
-        """Fill the disk."""
-        with self._ballast.open("wb", buffering=0) as file, suppress(OSError):
+        with (self.world.disk / "ballast").open("wb", buffering=0) as file, suppress(OSError):
             while True:
                 file.write(bytes(1 << 12))
         return True
 
     def end(self) -> None:
-        """Make room again."""
-        self._ballast.unlink(missing_ok=True)
+        (self.world.disk / "ballast").unlink(missing_ok=True)
 
 
-class Outage:
+class Outage(Happening):
     """The link between ping and relay is down for a while: of the sweep's namespaces, else loopback."""
 
-    def __init__(self, fault: Fault, world: World) -> None:  # noqa: ARG002 - the kind's signature
-        self._world = world
-        self._down: list[tuple[str, ...]] = []
+    down: tuple[str, ...] = ()
 
     def begin(self) -> bool:
-        """Set the interface down."""
-        namespaces = ip("netns", "list").split("\n")[:-1]
-        names = [line.split()[0] for line in namespaces]
-        where = ("-n", self._world.draw.choice(names)) if names else ()
+        names = [line.split()[0] for line in ip("netns", "list").splitlines()]
+        where = ("-n", self.world.draw.choice(names)) if names else ()
         interface = INTERFACE if names else "lo"
         try:
             ip(*where, "link", "set", interface, "down")
         except Exception:  # noqa: BLE001 - the sweep has just removed it
             return False
-        self._down.append((*where, interface))
+        self.down = (*where, interface)
         return True
 
     def end(self) -> None:
-        """Set it up again, with the route that the kernel takes away with an interface."""
-        for *where, interface in self._down:
+        if self.down:
+            *where, interface = self.down
             with suppress(Exception):  # the sweep has removed it
                 ip(*where, "link", "set", interface, "up")
-                if where:
+                if where:  # the kernel removed the route with the interface
                     ip(*where, "route", "add", MULTICAST, "dev", interface)
 
 
-class SlowDisk:
+class SlowDisk(Happening):
     """Every write to the disk takes a while, for a while."""
 
-    def __init__(self, fault: Fault, world: World) -> None:  # noqa: ARG002 - the kind's signature
-        self._slow = world.slow
-
     def begin(self) -> bool:
-        """Make the disk slow."""
-        self._slow.touch()
+        self.world.slow.touch()
         return True
 
     def end(self) -> None:
-        """Make it quick again."""
-        self._slow.unlink(missing_ok=True)
+        self.world.slow.unlink(missing_ok=True)
 
 
 FAULTS: dict[str, type[Happening]] = {
@@ -183,7 +205,7 @@ FAULTS: dict[str, type[Happening]] = {
 
 
 class Timetable:
-    """The faults of one call: each begins and ends when `advance` is called at or behind its moments."""
+    """The faults of one call; `advance` begins and ends those that are due."""
 
     def __init__(self, faults: tuple[Fault, ...], world: World) -> None:
         self._waiting = [(fault, FAULTS[fault.kind](fault, world)) for fault in faults]
@@ -196,12 +218,11 @@ class Timetable:
         self._began = min(self._began, time.monotonic())
 
     def advance(self) -> None:
-        """Begin and end what is due."""
         now = time.monotonic() - self._began
-        for end_s, happening in [each for each in self._lasting if each[0] <= now]:
+        for end_s, happening in [lasting for lasting in self._lasting if lasting[0] <= now]:
             happening.end()
             self._lasting.remove((end_s, happening))
-        for fault, happening in [each for each in self._waiting if each[0].at_s <= now]:
+        for fault, happening in [waiting for waiting in self._waiting if waiting[0].at_s <= now]:
             if happening.begin():
                 self.happened.append(fault)
                 self._lasting.append((now + fault.for_s, happening))
@@ -210,7 +231,7 @@ class Timetable:
             self._waiting.remove((fault, happening))
 
     def end(self) -> None:
-        """End all that lasts."""
+        """End every fault that lasts."""
         for _, happening in self._lasting:
             happening.end()
         self._lasting.clear()

@@ -2,8 +2,8 @@
 
     unshare --mount --net --pid --fork --mount-proc --kill-child python chaos_round.py SEED FOLDER [BACKEND:BRIDGE ...]
 
-It is the first process there, so every other that still runs at the end was left behind, and the kernel ends all when it
-ends. What a seed cannot repeat is the scheduling of the machine: the faults come at the same moments of the same plan.
+As the first process there it sees every process that is left at the end, and the kernel ends all with it. A seed repeats
+the moments of the faults in the same plan, not the scheduling of the machine.
 """
 
 from __future__ import annotations
@@ -30,16 +30,15 @@ from chaos_checks import (
     whole_cells,
 )
 from chaos_draw import Fault, Round, draw_round, installed_combinations
-from chaos_faults import Timetable, World, compile_slow_disk
-from chaos_processes import find_target, running_processes
+from chaos_faults import Timetable, World, compile_slow_disk, find_target, running_processes
 
 DISK_BYTES = 40 << 20
 CALM_CALLS = 3
-"""Calls without a fault in which every cell has to be there at last; a busy machine may fail one."""
+"""Calls without a fault after which every cell must be complete; a busy machine may fail one."""
 
 LONGEST_CALL_S = 300.0
 ENDED_S, KILLED_S = 5.0, 90.0
-"""Time for the processes of a sweep that has ended, and of one that was killed, to be gone; the latter close their traces."""
+"""Time for the processes of a sweep that has ended, or was killed, to end; the latter close their traces."""
 
 POLL_S = 0.02
 
@@ -62,7 +61,7 @@ class ChaosRound:
         self.wrong: list[str] = []
 
     def run(self) -> None:
-        """Disturb the sweep, then let it end; `wrong` is what was not as it has to be."""
+        """Disturb the sweep, then let it end; collect faults of ours in `wrong`."""
         self._make_world()
         for faults in self._drawn.calls:
             if self._call(faults) == 0:  # nothing is left that could be disturbed
@@ -74,11 +73,7 @@ class ChaosRound:
             self.wrong.append(f"not every cell is complete after {CALM_CALLS} calls without a fault")
         if not self.wrong:
             self.wrong += untrue_folder(self._runs, self._drawn.cells)
-            self.wrong += [
-                *left_namespaces(),
-                *left_memory(bool(self._world.killed)),
-                *left_files(self._temporary, self._home),
-            ]
+            self.wrong += self._left(self._temporary, self._home)
         if self.wrong:
             shutil.copytree(self._disk, self._folder / "left", symlinks=True)
 
@@ -95,9 +90,7 @@ class ChaosRound:
                 words, check=True, env={**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"}
             )
         self._environment = {
-            **{
-                name: value for name, value in os.environ.items() if name != "PYTHONPATH"
-            },  # of our own modules
+            **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
             "HOME": str(self._home),
             "TMPDIR": str(self._temporary),
             "XDG_DATA_HOME": os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share"),
@@ -124,13 +117,8 @@ class ChaosRound:
         log = self._folder / f"call{number}.log"
         command = [Path(sys.executable).with_name("dds-sweep"), self._plan, "--out", self._disk / "runs"]
         with log.open("wb") as output:
-            sweep = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=self._environment,
-            )
+            streams = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
+            sweep = subprocess.Popen(command, env=self._environment, **streams)
             self._world.sweep = sweep.pid
             deadline = time.monotonic() + LONGEST_CALL_S
             while sweep.poll() is None and time.monotonic() < deadline:
@@ -151,14 +139,13 @@ class ChaosRound:
         self.codes.append(code)
         self.faults += happened
         wrong = [*untrue_exit(call, self._runs, self._drawn.cells), *forgotten_cells(before, self._runs)]
-        if code >= 0:  # one that was killed leaves what the next one removes
-            wrong += [
-                *left_namespaces(),
-                *left_files(self._temporary),
-                *left_memory(bool(self._world.killed)),
-            ]
-        self.wrong += [f"call {number}: {each}" for each in wrong]
+        if code >= 0:  # the next sweep cleans up after a killed one
+            wrong += self._left(self._temporary)
+        self.wrong += [f"call {number}: {fault}" for fault in wrong]
         return code
+
+    def _left(self, *folders: Path) -> list[str]:
+        return [*left_namespaces(), *left_memory(bool(self._world.killed)), *left_files(*folders)]
 
     def _wait_for_the_end(self, number: int, patience_s: float) -> None:
         """Wait until every process of the sweep is gone."""
@@ -175,8 +162,8 @@ def main() -> None:
     """Run one round; print its line as JSON."""
     seed, folder, only = int(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:]
     combinations = installed_combinations()
-    drawn = draw_round(seed, [each for each in combinations if not only or ":".join(each) in only])
-    # Who starts us in the background may have Ctrl-C ignored, and our children would inherit that.
+    drawn = draw_round(seed, [pair for pair in combinations if not only or ":".join(pair) in only])
+    # A parent may ignore Ctrl-C, which our children would inherit.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     played = ChaosRound(drawn, folder)
     began = time.monotonic()

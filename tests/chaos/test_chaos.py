@@ -25,13 +25,13 @@ SEEDS = range(200)
 
 def test_every_seed_draws_a_plan_and_faults_that_there_are(tmp_path):
     drawn = [draw_round(seed, list(COMBINATIONS)) for seed in SEEDS]
-    for each in drawn[:20]:
-        (tmp_path / "plan.toml").write_text(each.plan)
+    for one in drawn[:20]:
+        (tmp_path / "plan.toml").write_text(one.plan)
         plan = read_plan(tmp_path / "plan.toml")
-        assert sum(len(group.cells) for group in schedule(plan)) == each.cells
-    assert {each.combination for each in drawn} == set(COMBINATIONS)
-    assert {each.network for each in drawn} == set(NETWORKS)
-    faults = [fault for each in drawn for call in each.calls for fault in call]
+        assert sum(len(group.cells) for group in schedule(plan)) == one.cells
+    assert {one.combination for one in drawn} == set(COMBINATIONS)
+    assert {one.network for one in drawn} == set(NETWORKS)
+    faults = [fault for one in drawn for call in one.calls for fault in call]
     assert {fault.kind for fault in faults} == set(FAULTS)
     assert drawn == [draw_round(seed, list(COMBINATIONS)) for seed in SEEDS]
 

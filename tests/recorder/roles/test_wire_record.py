@@ -88,9 +88,8 @@ def test_a_relay_writes_counts_that_name_their_runs_and_goes_on(sink):
 
 def test_a_relay_without_new_messages_writes_nothing(sink):
     record = WireRecord(Capture(7), print)
-    record.write_relay(0, SESSION_ID, sink)
-    record.write_relay(5, SESSION_ID, sink)
-    record.write_relay(5, SESSION_ID, sink)
+    for relayed in (0, 5, 5):
+        record.write_relay(relayed, SESSION_ID, sink)
     assert len(sink.texts) == 2
 
 

@@ -18,12 +18,12 @@ def plan(text=ONE_CELL):
     return parse_plan(text, "p", "p.toml")
 
 
-def turns_of(base, new):
-    return [(turn.side, turn.group.cells[0].name, turn.group.number) for turn in interleave(base, new)]
+def runs_of(base, new):
+    return [(run.side, run.group.cells[0].name, run.group.number) for run in interleave(base, new)]
 
 
-def test_sides_take_turns_and_the_one_that_begins_alternates():
-    assert turns_of(plan(), plan(OTHER)) == [
+def test_sides_are_interleaved_and_the_first_one_alternates():
+    assert runs_of(plan(), plan(OTHER)) == [
         ("base", FIRST, 1),
         ("new", f"{FIRST}_best_effort", 2),
         ("new", f"{FIRST}_best_effort_r2", 3),
@@ -37,14 +37,13 @@ def test_sides_take_turns_and_the_one_that_begins_alternates():
 
 def test_linear_drift_over_two_alternating_passes_is_the_same_for_both_sides_of_a_cell():
     text = PLAN.replace("[axes]", 'repeats = 2\norder = "alternating"\n[axes]')
-    places = {}
-    for place, turn in enumerate(interleave(plan(text), plan(text))):
-        places.setdefault((turn.side, turn.group.cells[0].rate), []).append(place)
-    assert {sum(of_cell) for of_cell in places.values()} == {7}  # 0 .. 7 in pairs
-    assert len(places) == 4
+    indices = {}
+    for index, run in enumerate(interleave(plan(text), plan(text))):
+        indices.setdefault((run.side, run.group.cells[0].rate), []).append(index)
+    assert [sum(pair) for pair in indices.values()] == [7] * 4  # 0 .. 7 in pairs
 
 
-def test_sides_of_unlike_length_are_refused():
+def test_sides_of_different_length_are_refused():
     with pytest.raises(OptionError, match="the base has 1 cell and the new side 2"):
         interleave(plan(), plan(PLAN))
 
@@ -56,7 +55,7 @@ def test_time_of_both_sides_has_a_start_of_the_relay_for_each_run():
     )
 
 
-def test_two_folders_are_recorded_in_turns_and_again_only_what_is_missing(desk):
+def test_two_folders_are_recorded_interleaved_and_again_only_what_is_missing(desk):
     base, new = (plan(text.replace("repeats = 4", "repeats = 2")) for text in (ONE_CELL, OTHER))
     folder = desk.folder / "runs/ab"
     heard = Heard()
@@ -82,10 +81,8 @@ def test_two_folders_are_recorded_in_turns_and_again_only_what_is_missing(desk):
 
 def test_failure_of_one_side_is_that_sides_and_the_other_goes_on(desk):
     desk.script(**{SECOND: ["unavailable"]})
-    base, new = (
-        plan(ONE_CELL.replace("repeats = 4", "repeats = 1")),
-        plan(ONE_CELL.replace("repeats = 4", "repeats = 1").replace("100", "200")),
-    )
+    once = ONE_CELL.replace("repeats = 4", "repeats = 1")
+    base, new = plan(once), plan(once.replace("100", "200"))
     outcome = run_against(base, new, desk.folder / "runs/ab", Heard(), commands=(COMMAND, COMMAND))
     assert outcome.base.missing == {}
     assert list(outcome.new.missing) == [SECOND]

@@ -47,36 +47,30 @@ def test_limit_is_found_within_the_resolution(limit_hz):
     assert sum(trials.values()) <= 14  # 7 halvings of a factor of 1000 to 1.1, and the repeats at the knee
 
 
-def test_middleware_that_holds_everything():
-    (answer, rate_hz, failing_hz, _), trials = search(lambda *_: True)
-    assert (answer, rate_hz, failing_hz) == (RateAnswer.AT_LEAST, 1000, None)
-    assert trials[1000] == 2  # two of three decide
+@pytest.mark.parametrize(
+    ("sustains", "knee"),
+    [
+        (True, (RateAnswer.AT_LEAST, 1000, None, "")),
+        (False, (RateAnswer.BELOW, 1, 1, "1 is too much")),
+    ],
+)
+def test_middleware_that_sustains_everything_or_nothing(sustains, knee):
+    found, trials = search(lambda *_: sustains)
+    assert found == knee
+    assert trials[found.rate_hz] == 2  # two of three decide
 
 
-def test_middleware_that_holds_nothing():
-    (answer, rate_hz, failing_hz, reason), trials = search(lambda *_: False)
-    assert (answer, rate_hz, failing_hz) == (RateAnswer.BELOW, 1, 1)
-    assert reason == "1 is too much"
-    assert trials[1] == 2
-
-
-def test_one_bad_run_at_the_knee_is_outvoted():
-    """The first run at any rate up to 100 fails once, when it is repeated it holds."""
-
-    def holds(rate_hz, number):
-        return rate_hz <= 100 and (number > 1 or rate_hz < 90)
-
+@pytest.mark.parametrize(
+    ("holds", "low", "high"),
+    [
+        pytest.param(lambda rate, n: rate <= 100 and (n > 1 or rate < 90), 82, 100, id="one bad run"),
+        pytest.param(lambda rate, n: rate <= 50 or (n == 1 and rate <= 120), 45, 50, id="one lucky run"),
+    ],
+)
+def test_one_run_at_the_knee_is_outvoted(holds, low, high):
     (answer, rate_hz, _, _), _ = search(holds)
     assert answer is RateAnswer.FOUND
-    assert 82 <= rate_hz <= 100
-
-
-def test_one_lucky_run_is_outvoted_and_the_answer_moves_down():
-    (answer, rate_hz, _, _), _ = search(
-        lambda rate_hz, number: rate_hz <= 50 or (number == 1 and rate_hz <= 120)
-    )
-    assert answer is RateAnswer.FOUND
-    assert 45 <= rate_hz <= 50
+    assert low <= rate_hz <= high
 
 
 def result(**changes):
@@ -115,13 +109,8 @@ def test_conditions_of_a_rate_that_holds(changes, why):
 
 
 def test_runs_are_long_enough_for_the_percentile():
-    assert [messages_needed(Search(percentile=p)) for p in (50.0, 90.0, 95.0, 99.0, 99.9)] == [
-        2,
-        10,
-        20,
-        100,
-        1000,
-    ]
+    needed = {50.0: 2, 90.0: 10, 95.0: 20, 99.0: 100, 99.9: 1000}
+    assert {p: messages_needed(Search(percentile=p)) for p in needed} == needed
     plan = search_plan(
         parse_plan("[run]\nmessages = 7\n[axes]\nrate = [1, 10]\n[search]\nseconds = 5\n", "p", "p")
     )

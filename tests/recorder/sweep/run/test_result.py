@@ -62,11 +62,8 @@ def test_run_without_any_reply(tmp_path):
     assert str(result).startswith("no reply, 0/1 message,")
 
 
-def test_run_that_was_not_finished_is_no_result(tmp_path):
+def test_a_run_that_was_not_finished_and_a_relays_trace_are_no_result(tmp_path):
     with pytest.raises(TraceFormatError, match="not finished"):
         read_result(write(tmp_path / "a.mcap", state="started"))
-
-
-def test_trace_of_a_relay_is_no_result(tmp_path):
     with pytest.raises(TraceFormatError, match="has 0 runs"):
-        read_result(write_trace(tmp_path / "a.mcap", ping_session()))
+        read_result(write_trace(tmp_path / "b.mcap", ping_session()))

@@ -120,12 +120,6 @@ def test_cell_that_goes_on_failing_is_marked_with_the_reason_and_tried_when_call
     assert desk.started == {FIRST: 1, SECOND: 3, "relay": 3}
 
 
-def test_cell_that_cannot_run_here_is_not_tried_again(desk):
-    desk.script(**{FIRST: ["unavailable"]})
-    assert desk.sweep().missing == {FIRST: "the middleware of this cell is not installed"}
-    assert desk.started[FIRST] == 1
-
-
 def test_relay_that_cannot_run_here_fails_its_cells_at_once(desk):
     desk.script(relay=["unavailable"], **{FIRST: ["slow"]})
     outcome = desk.sweep()
@@ -136,17 +130,22 @@ def test_relay_that_cannot_run_here_fails_its_cells_at_once(desk):
     assert desk.traces == []
 
 
-def test_relay_that_dies_is_started_again(desk):
-    desk.script(relay=["die"], **{FIRST: ["slow"]})
-    assert desk.sweep().missing == {}
-    assert desk.started == {FIRST: 2, SECOND: 1, "relay": 2}
-
-
-def test_after_a_loss_or_a_failure_the_next_cell_has_a_relay_of_its_own(desk):
-    desk.script(**{FIRST: ["loses"]})
-    assert desk.sweep().missing == {}
-    assert desk.started == {FIRST: 1, SECOND: 1, "relay": 2}
-    assert desk.traces == files_of(FIRST, SECOND)
+@pytest.mark.parametrize(
+    ("relay", "first", "starts", "relays", "reason"),
+    [
+        (["die"], ["slow"], 2, 2, ""),
+        ([], ["loses"], 1, 2, ""),  # the next cell has a relay of its own
+        ([], ["silent"], 1, 2, ""),  # silence of a relay that still runs is the cell's loss
+        ([], ["unavailable"], 1, 1, "the middleware of this cell is not installed"),  # not tried again
+        ([], ["bridge dies"] * 2, 2, 3, "the bridge builtin was killed by signal 9 (SIGKILL)"),
+    ],
+    ids=["a relay that dies", "a loss", "silence", "what cannot run here", "a bridge that dies each time"],
+)
+def test_trouble_of_one_cell(desk, relay, first, starts, relays, reason):
+    desk.script(relay=relay, **{FIRST: first})
+    assert desk.sweep().missing == ({FIRST: reason} if reason else {})
+    assert desk.started == {FIRST: starts, SECOND: 1, "relay": relays}
+    assert desk.traces == (files_of(SECOND) if reason else files_of(FIRST, SECOND))
 
 
 def test_cells_whose_relay_part_is_lost_are_not_complete(desk):
@@ -273,21 +272,8 @@ def test_messages_that_went_past_the_link_are_no_measurement_of_it(desk, link):
     assert desk.traces == []
 
 
-def test_silence_of_a_relay_that_still_runs_is_the_cells_loss(desk):
-    desk.script(**{FIRST: ["silent"]})
-    assert desk.sweep().missing == {}
-    assert desk.started[FIRST] == 1
-
-
 def test_ping_that_is_killed_says_so_and_is_tried_again(desk):
     desk.script(**{FIRST: ["killed"]})
     assert desk.sweep().missing == {}
     assert (FIRST, "failed: killed by signal 9 (SIGKILL)", False) in desk.heard.ended_cells
     assert desk.started[FIRST] == 2
-
-
-def test_bridge_that_dies_each_time_makes_a_failed_cell(desk):
-    desk.script(**{FIRST: ["bridge dies", "bridge dies"]})
-    assert desk.sweep().missing == {FIRST: "the bridge builtin was killed by signal 9 (SIGKILL)"}
-    assert desk.started[FIRST] == 2
-    assert desk.traces == files_of(SECOND)

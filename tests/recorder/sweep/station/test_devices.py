@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import sys
 
 import loopback_sshd
 import pytest
@@ -15,7 +14,6 @@ from dds_trace.base.version import __version__
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings
 from dds_trace.recorder.sweep.station import programs, ssh
 from dds_trace.recorder.sweep.station.devices import LocalDevice, PrintedDevice
-from dds_trace.recorder.sweep.station.programs import Program
 from dds_trace.recorder.sweep.station.ssh import SshDevice
 
 PATIENCE_S = 60.0
@@ -77,6 +75,7 @@ def remote(server, tmp_path):
 
 
 def there(tmp_path):
+    """The sweep's folder on the device."""
     return tmp_path / "home/.cache/dds-trace/my sweep"
 
 
@@ -115,16 +114,16 @@ def test_fetched_trace_has_the_rights_that_it_has_on_its_device_and_none_for_oth
     assert stat.S_IMODE(fetched.stat().st_mode) == here
 
 
-def test_half_of_a_bridge_runs_beside_the_relay_of_the_other_device(remote, tmp_path):
+def test_half_of_a_bridge_runs_next_to_the_relay_of_the_other_device(remote, tmp_path):
     device = remote()
     device.prepare()
     relay = device.start([], "1-1.mcap")
     half = device.start_half(["zenoh-bridge-dds", "--half", "relay"], "1-1.mcap")
-    told = tmp_path / "home/half"
-    wait_until(lambda: told.exists() and told.read_text() == "zenoh-bridge-dds --half relay\n", PATIENCE_S)
+    said = tmp_path / "home/half"
+    wait_until(lambda: said.exists() and said.read_text() == "zenoh-bridge-dds --half relay\n", PATIENCE_S)
     half.stop()
     relay.stop()
-    assert told.read_text() == "half closed\n"
+    assert said.read_text() == "half closed\n"
     device.discard("1-1.mcap")
     assert list(there(tmp_path).iterdir()) == []
     assert list((tmp_path / "parts").iterdir()) == []
@@ -240,9 +239,11 @@ def test_relay_that_fails_on_the_other_device_gives_its_reason(remote):
     assert device.collect("1-1.mcap") is None
 
 
-def test_other_version_on_the_other_device_is_refused(remote):
-    with pytest.raises(OptionError, match=r"has dds-trace 0\.0\.9, this machine"):
-        remote(version="0.0.9").prepare()
+@pytest.mark.parametrize("method", ["prepare", "check"])
+def test_other_version_on_the_other_device_is_refused(remote, method):
+    words = r"has dds-trace 0\.0\.9, this machine .*; install the same version on both"
+    with pytest.raises(OptionError, match=words):
+        getattr(remote(version="0.0.9"), method)()
 
 
 def test_device_that_does_not_answer_is_named(remote):
@@ -285,36 +286,6 @@ def test_printed_relay_is_a_command_line_for_a_person():
     assert device.keeps_traces
 
 
-def program(tmp_path, script, **options):
-    return Program([sys.executable, "-c", script], tmp_path / "log", **options)
-
-
-def test_last_words_are_the_reason_of_our_programs_over_several_lines(tmp_path):
-    running = program(tmp_path, "print('starting'); print('dds-record: no echo\\n  saw: nobody\\n')")
-    assert running.wait(PATIENCE_S) == 0
-    assert running.last_words() == "no echo; saw: nobody"
-
-
-def test_last_words_of_a_crash_are_its_last_line(tmp_path):
-    running = program(tmp_path, "raise ValueError('x')")
-    assert running.wait(PATIENCE_S) == 1
-    assert running.last_words() == "ValueError: x"
-
-
-def test_program_that_ignores_sigterm_is_killed(tmp_path):
-    running = program(
-        tmp_path,
-        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)",
-    )
-    wait_until(running.log.read_text, PATIENCE_S)
-    assert running.stop(patience_s=0.1) == -9
-
-
-def test_missing_program_is_a_clear_error(tmp_path):
-    with pytest.raises(BackendUnavailableError, match="dds-nothing is not installed"):
-        Program(["dds-nothing"], tmp_path / "log")
-
-
 CHECKED = """#!/bin/sh
 echo "$@" >"$HOME/asked"
 [ "$(for last; do :; done; echo "$last")" = --check ] || exit 1
@@ -333,12 +304,6 @@ def test_a_rehearsal_over_ssh_starts_the_relay_there_and_leaves_nothing(remote, 
     assert list((tmp_path / "parts").iterdir()) == []
 
 
-def test_what_a_rehearsal_over_ssh_finds_is_the_devices_own_reason(remote):
-    device = remote(record=CHECKED)
-    reason = device.rehearse(["--role", "relay", "--tuned"])
+def test_a_rehearsal_over_ssh_gives_the_devices_own_reason(remote):
+    reason = remote(record=CHECKED).rehearse(["--role", "relay", "--tuned"])
     assert "dds-record: --tuned is not for this backend" in reason
-
-
-def test_a_rehearsal_finds_another_version_and_a_device_that_cannot_be_reached(remote):
-    with pytest.raises(OptionError, match="install the same version on both"):
-        remote(version="0.0.0").check()

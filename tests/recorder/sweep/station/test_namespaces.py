@@ -40,20 +40,9 @@ def echo(pair):
 
 def ask(pair, size_bytes, count, timeout_s=20):
     """Round-trip times in ms of the datagrams that came back."""
+    words = [UDP_ECHO, "ask", pair.relay.address, size_bytes, count, timeout_s]
     done = subprocess.run(
-        [
-            *pair.ping.prefix,
-            sys.executable,
-            str(UDP_ECHO),
-            "ask",
-            pair.relay.address,
-            str(size_bytes),
-            str(count),
-            str(timeout_s),
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
+        [*pair.ping.prefix, sys.executable, *map(str, words)], capture_output=True, text=True, check=True
     )
     return [float(line) for line in done.stdout.split() if line != "lost"]
 
@@ -125,13 +114,8 @@ def test_shared_memory_does_not_reach_from_one_side_to_the_other(tmp_path):
     look = "import os, sys; print(*os.listdir('/dev/shm')); open('/dev/shm/ddstrace-test', 'w')"
     with NamespacePair(None) as pair:
         for side in (pair.ping, pair.relay):
-            done = subprocess.run(
-                [*side.prefix, sys.executable, "-c", look],
-                capture_output=True,
-                text=True,
-                check=True,
-                cwd=tmp_path,
-            )
+            command = [*side.prefix, sys.executable, "-c", look]
+            done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
             assert done.stdout.split() == []
     assert not Path("/dev/shm/ddstrace-test").exists()
 

@@ -5,8 +5,9 @@ import subprocess
 import sys
 
 import pytest
+from waiting import wait_until
 
-from dds_trace.base.errors import OptionError
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.recorder.sweep.station.programs import Program, environment_program
 
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
@@ -52,9 +53,22 @@ def test_folder_without_the_command_is_refused(tmp_path):
         ("echo first line; kill -6 $$", "killed by signal 6 (SIGABRT): first line"),
         ("echo 'dds-record: no echo'; exit 8", "no echo"),
         ("exit 3", "it said nothing"),
+        ("echo starting; echo 'dds-record: no echo'; echo '  saw: nobody'; echo", "no echo; saw: nobody"),
+        (f"{sys.executable} -c \"raise ValueError('x')\"", "ValueError: x"),
     ],
 )
 def test_end_of_a_program_in_words(tmp_path, script, words):
     program = Program(["sh", "-c", script], tmp_path / "log")
     assert program.wait(60) is not None
     assert program.failure == program.last_words() == words
+
+
+def test_program_that_ignores_sigterm_is_killed(tmp_path):
+    program = Program(["sh", "-c", "trap '' TERM; echo deaf; while :; do sleep 0.1; done"], tmp_path / "log")
+    wait_until(program.log.read_text)
+    assert program.stop(patience_s=0.1) == -9
+
+
+def test_missing_program_is_a_clear_error(tmp_path):
+    with pytest.raises(BackendUnavailableError, match="dds-nothing is not installed"):
+        Program(["dds-nothing"], tmp_path / "log")

@@ -1,4 +1,4 @@
-"""The ledger of a run: first replies make the round trip, second ones of a relay count as one."""
+"""The replies of a run: the first one makes the round trip, further ones of a relay count as one; a lasting silence."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dds_trace.recorder.roles.progress import Replies, Silence
 
 def sent(*publish_ns):
     replies = Replies(len(publish_ns))
-    for sequence, each_ns in enumerate(publish_ns):
-        replies.publish_ns[sequence] = each_ns
+    for sequence, t1_ns in enumerate(publish_ns):
+        replies.publish_ns[sequence] = t1_ns
     return replies
 
 

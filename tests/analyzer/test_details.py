@@ -13,10 +13,10 @@ from trace_files import (
     event,
     ping_events,
     ping_session,
-    relay_events,
     relay_session,
     run,
     write_pair,
+    write_runs,
     write_trace,
 )
 
@@ -109,21 +109,16 @@ def test_an_outage_is_three_lost_messages_in_a_row(tmp_path, lost, outages):
     assert details.outages.columns == list(OUTAGE_SCHEMA)
 
 
-def write_runs(folder, clocks, **sessions):
+def with_clocks(*clocks):
     """Runs 1, 2 ... one after the other, each with the relay's clock so far ahead."""
-    runs, ping, relay = [], {stage: [] for stage in Stage}, {stage: [] for stage in Stage}
-    for number, ahead in enumerate(clocks):
-        messages = drawn(ahead=ahead, first=300 * number)
-        runs.append(run(run_id=number + 1, planned_messages=200, published=200))
-        for events, made in ((ping, ping_events), (relay, relay_events)):
-            for stage, of_stage in made(messages, run_id=number + 1).items():
-                events[stage] += of_stage
-    write_trace(folder / "ping.mcap", sessions.get("ping", ping_session()), runs, ping)
-    write_trace(folder / "relay.mcap", sessions.get("relay", relay_session()), (), relay)
+    return [
+        (run(run_id=number + 1, planned_messages=200, published=200), drawn(ahead=ahead, first=300 * number))
+        for number, ahead in enumerate(clocks)
+    ]
 
 
 def test_the_clock_of_two_devices_is_fitted_over_all_their_runs(tmp_path):
-    write_runs(tmp_path, [AHEAD, AHEAD])
+    write_runs(tmp_path, with_clocks(AHEAD, AHEAD))
     details = analyze(tmp_path).details
     (fit,) = details.clock_fits.iter_rows(named=True)
     assert (fit["ping_device"], fit["relay_device"], fit["same_clock"]) == ("alpha", "beta", False)
@@ -133,7 +128,7 @@ def test_the_clock_of_two_devices_is_fitted_over_all_their_runs(tmp_path):
 
 
 def test_a_step_between_two_runs_is_found(tmp_path):
-    write_runs(tmp_path, [AHEAD, AHEAD + 1000 * MS])
+    write_runs(tmp_path, with_clocks(AHEAD, AHEAD + 1000 * MS))
     details = analyze(tmp_path).details
     before, after = details.clock_fits.iter_rows(named=True)
     assert (before["segment"], after["segment"]) == (0, 1)

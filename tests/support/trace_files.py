@@ -164,6 +164,33 @@ def write_pair(
     )
 
 
+def merged_events(parts: Iterable[Mapping[Stage, Sequence[Event]]]) -> dict[Stage, list[Event]]:
+    """The events of all parts in one trace."""
+    merged: dict[Stage, list[Event]] = {}
+    for part in parts:
+        for stage, events in part.items():
+            merged.setdefault(stage, []).extend(events)
+    return merged
+
+
+def write_runs(
+    folder: Path,
+    recorded: Sequence[tuple[Run, Sequence[Message]]],
+    *,
+    ping: Session | None = None,
+    relay: Session | None = None,
+) -> None:
+    """Write `ping.mcap` and `relay.mcap` of several runs, each with its messages."""
+    fields = [{"run_id": run.run_id, "payload_bytes": run.payload_bytes} for run, _ in recorded]
+    runs, messages = [run for run, _ in recorded], [messages for _, messages in recorded]
+    sent, relayed = (
+        merged_events(make(one, **of_run) for one, of_run in zip(messages, fields, strict=True))
+        for make in (ping_events, relay_events)
+    )
+    write_trace(folder / "ping.mcap", ping or ping_session(), runs, sent)
+    write_trace(folder / "relay.mcap", relay or relay_session(), (), relayed)
+
+
 def write_trace(
     path: Path,
     session: Session | Sequence[Session] = (),

@@ -11,12 +11,14 @@ from trace_files import (
     WALL_ANCHOR_NS,
     Message,
     event,
+    merged_events,
     ping_events,
     ping_session,
     relay_events,
     relay_session,
     run,
     write_pair,
+    write_runs,
     write_trace,
 )
 
@@ -72,17 +74,20 @@ def test_a_suspended_ping_shows_as_a_relay_clock_that_gets_ahead(tmp_path):
 
 
 def test_a_restarted_relay_is_not_a_suspend(tmp_path):
-    first, second = drawn(count=100), drawn(count=100, first=100, ahead=-20_000 * MS)
-    ping = ping_events(first)
-    for stage, events in ping_events(second, relay_id=2).items():
-        ping[stage] += events
-    write_trace(tmp_path / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
-    write_trace(tmp_path / "one.mcap", relay_session(), (), relay_events(first))
-    anew = relay_session(session_id=9, relay_id=2)
-    write_trace(tmp_path / "two.mcap", anew, (), relay_events(second, relay_id=2))
+    write_restarted_relay(tmp_path, drawn(count=100), drawn(count=100, first=100, ahead=-20_000 * MS))
     found = findings(tmp_path)
     assert "clock_step" in found
     assert "suspend" not in found
+    assert "2 relays on beta took part (00000002; 0000beef)" in found["relay_restarted"].what
+
+
+def write_restarted_relay(folder, first, second):
+    """One run whose relay is another one for the second messages."""
+    ping = merged_events([ping_events(first), ping_events(second, relay_id=2)])
+    write_trace(folder / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
+    write_trace(folder / "one.mcap", relay_session(), (), relay_events(first))
+    restarted = relay_session(session_id=9, relay_id=2)
+    write_trace(folder / "two.mcap", restarted, (), relay_events(second, relay_id=2))
 
 
 def test_a_slew_is_one_finding_and_not_a_step_for_each_second(tmp_path):
@@ -194,19 +199,16 @@ def test_cpu_saturation_in_more_than_a_tenth_of_the_samples(tmp_path, busy, proc
 
 def write_sizes(folder, ways, repeats=3, spread=0.0, **sessions):
     """Some runs for each size, with this way there and back; the runs of a size differ by `spread` of it."""
-    runs, ping, relay = [], {stage: [] for stage in Stage}, {stage: [] for stage in Stage}
+    recorded = []
     cells = [(size, way, n) for size, way in ways.items() for n in range(repeats)]
     for number, (size, way, repeat) in enumerate(cells, 1):
-        runs.append(run(run_id=number, payload_bytes=size, planned_messages=200, published=200))
         messages = [
             Message(m.sequence, *(t + number * 300 * PERIOD for t in (m.t0, m.t1, m.t3, m.t4, m.t2)))
             for m in drawn(way=round(way * (1 + spread * (repeat - (repeats - 1) / 2))))
         ]
-        for events, made in ((ping, ping_events), (relay, relay_events)):
-            for stage, of_stage in made(messages, run_id=number, payload_bytes=size).items():
-                events[stage] += of_stage
-    write_trace(folder / "ping.mcap", sessions.get("ping") or ping_session(), runs, ping)
-    write_trace(folder / "relay.mcap", sessions.get("relay") or relay_session(), (), relay)
+        fields = {"payload_bytes": size, "planned_messages": 200, "published": 200}
+        recorded.append((run(run_id=number, **fields), messages))
+    write_runs(folder, recorded, **sessions)
 
 
 OF_SIZES = {"latency_falls_with_size", "latency_jumps_with_size"}
@@ -352,15 +354,8 @@ def test_a_run_without_an_error_of_its_own_is_no_finding(tmp_path, extra):
 
 
 def test_restarted_relay(tmp_path):
-    first, second = drawn(count=100), drawn(count=100, first=100)
-    ping = ping_events(first)
-    for stage, events in ping_events(second, relay_id=2).items():
-        ping[stage] += events
-    write_trace(tmp_path / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
-    write_trace(tmp_path / "one.mcap", relay_session(), (), relay_events(first))
-    anew = relay_session(session_id=9, relay_id=2)
-    write_trace(tmp_path / "two.mcap", anew, (), relay_events(second, relay_id=2))
-    assert "2 relays on beta took part (00000002; 0000beef)" in findings(tmp_path)["relay_restarted"].what
+    write_restarted_relay(tmp_path, drawn(count=100), drawn(count=100, first=100))
+    assert "relay_restarted" in findings(tmp_path)
 
 
 def test_three_relays_on_purpose_are_no_restart(tmp_path):
@@ -388,18 +383,17 @@ def test_three_relays_on_purpose_are_no_restart(tmp_path):
 )
 def test_a_relays_reboot_between_two_runs_is_no_step(tmp_path, boot_ids, codes):
     # The relay's clock counts from its boot: 100 s of difference between the runs, in an order that a boot alone explains.
-    ping, runs = {Stage.T1: [], Stage.T2: []}, []
+    parts, runs = [], []
     for number, (boot_id, ahead) in enumerate(zip(boot_ids, (0, -100_000 * MS), strict=True), 1):
         first = (number - 1) * 300
         moved = [replace(m, sequence=m.sequence - first) for m in drawn(ahead=ahead, first=first)]
-        for stage, events in ping_events(moved, run_id=number, relay_id=number).items():
-            ping[stage] += events
+        parts.append(ping_events(moved, run_id=number, relay_id=number))
         runs.append(run(run_id=number, planned_messages=200, published=200))
         extra = {} if boot_id is None else {"boot_id": boot_id}
         relay = relay_session(session_id=number, relay_id=number, extra=extra)
         events = relay_events(moved, run_id=number, relay_id=number)
         write_trace(tmp_path / f"relay{number}.mcap", relay, (), events)
-    write_trace(tmp_path / "ping.mcap", ping_session(extra={"boot_id": "other"}), runs, ping)
+    write_trace(tmp_path / "ping.mcap", ping_session(extra={"boot_id": "other"}), runs, merged_events(parts))
     found = {f.code for f in analyze(tmp_path).findings}
     assert {code for code in found if code.startswith(("clock", "suspend", "slew"))} == codes
 

@@ -6,19 +6,10 @@ import re
 
 import numpy as np
 import pytest
-from trace_files import (
-    Message,
-    ping_events,
-    ping_session,
-    relay_events,
-    relay_session,
-    run,
-    write_trace,
-)
+from trace_files import Message, run, write_runs
 
 from dds_trace.analyzer.groups.shapes import shape_of
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 PERIOD = 10 * MS
@@ -27,8 +18,7 @@ CODES = {"short_warm_up", "latency_rises", "two_modes"}
 
 def found(folder, *series_ms, warmup=0):
     """Findings of runs with these latencies, one run of 100 Hz after the other."""
-    runs, ping, relay = [], {stage: [] for stage in Stage}, {stage: [] for stage in Stage}
-    start = 0
+    recorded, start = [], 0
     for number, latencies_ms in enumerate(series_ms, 1):
         messages = [
             Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way)
@@ -37,20 +27,9 @@ def found(folder, *series_ms, warmup=0):
         ]
         start += (len(messages) + 200) * PERIOD
         count = len(messages) - warmup
-        runs.append(
-            run(
-                run_id=number,
-                rate_hz=100.0,
-                planned_messages=count,
-                published=len(messages),
-                warmup_messages=warmup,
-            )
-        )
-        for held, made in ((ping, ping_events), (relay, relay_events)):
-            for stage, events in made(messages, run_id=number).items():
-                held[stage] += events
-    write_trace(folder / "ping.mcap", ping_session(), runs, ping)
-    write_trace(folder / "relay.mcap", relay_session(), (), relay)
+        fields = {"planned_messages": count, "published": len(messages), "warmup_messages": warmup}
+        recorded.append((run(run_id=number, rate_hz=100.0, **fields), messages))
+    write_runs(folder, recorded)
     return {finding.code: finding for finding in analyze(folder).findings if finding.code in CODES}
 
 

@@ -22,11 +22,7 @@ BACKEND_MODULES = {
 
 
 def load_backend(name: str) -> Backend:
-    """Return the backend called `name`; its middleware is imported when the first node is opened.
-
-    Raises:
-        OptionError: there is no such backend.
-    """
+    """Return the backend called `name`, without importing its middleware; raise an `OptionError` if there is none."""
     if name not in BACKEND_MODULES:
         raise OptionError(f"there is no backend {name!r}; choose one of {', '.join(BACKEND_MODULES)}")
     backend: Backend = import_module(BACKEND_MODULES[name]).BACKEND
@@ -34,15 +30,15 @@ def load_backend(name: str) -> Backend:
 
 
 def load_backends() -> tuple[Backend, ...]:
-    """Return all backends; no middleware is imported."""
+    """Return all backends."""
     return tuple(map(load_backend, BACKEND_MODULES))
 
 
 def open_node(name: str, options: NodeOptions) -> Node:
-    """Open a node on the backend called `name`; errors as for `load_backend` and `Backend.open_node`."""
+    """Open a node on the backend called `name`; see `Backend.open_node`."""
     return load_backend(name).open_node(options)
 
 
 def installed_middlewares() -> list[tuple[str, str | None]]:
-    """Return (backend, rmw) of every middleware on this machine; rmw None is the environment's own choice."""
+    """Return (backend, rmw) of every middleware on this machine; rmw None means the environment's."""
     return [(backend.name, rmw) for backend in load_backends() for rmw in backend.find_installed()]

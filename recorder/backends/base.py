@@ -1,4 +1,4 @@
-"""The record of a middleware: `Backend`, one in each file of `recorder/backends/`. Nothing here imports a middleware."""
+"""The record of a middleware: `Backend`, one in each file of `recorder/backends/`."""
 
 from __future__ import annotations
 
@@ -43,21 +43,16 @@ class Backend:
     """One API that carries messages; each module in `BACKEND_MODULES` has one, named `BACKEND`.
 
     Attributes:
-        name: name in `--backend` and in a session.
         label: name for people.
         make_node: opens a node, not started; an `ImportError` means that the package is missing or broken.
-        find_installed: returns the ROS middlewares of this machine, without loading them; `[None]` where there is no
-            choice, empty where the backend cannot run.
+        find_installed: returns the ROS middlewares of this machine, `[None]` for a backend without, empty if it cannot run.
         install: how to install the middleware, for the end of a message.
-        meeting_needs: what ping and relay need to meet, for the end of a sentence; with `{port}` for the relay's port and
-            `{dds_backends}` for the backends that speak DDS.
+        meeting_needs: what ping and relay need to meet, with `{port}` of the relay and `{dds_backends}` that speak DDS.
         speaks_dds: whether its nodes meet nodes of other backends that speak DDS.
         relay_port: number of the relay's port among the 250 of the domain: 2 to 9, which DDS does not use.
-        make_pair: opens a node that subscribes and one that publishes, for a backend whose nodes do not receive their own
-            messages.
+        make_pair: opens a node that subscribes and one that publishes, where nodes do not receive their own messages.
         has_ros: whether the ROS middleware and the executor can be chosen.
         has_congestion_control: whether TCP's congestion control can be chosen.
-        transports: transports that can be chosen.
         environment: variables and files that configure the middleware.
         check_settings: raises an `OptionError` for further options that have no effect.
     """
@@ -140,7 +135,7 @@ class Backend:
         """Return host and port of each relay that a ping connects to.
 
         Raises:
-            OptionError: an address is wrong, or there is none and the relay need not be on this device.
+            OptionError: an address is wrong or missing.
         """
         port = self.port_of(options.domain_id)
         if options.discovery is Discovery.LOCALHOST and not options.peers:

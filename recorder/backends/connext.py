@@ -113,11 +113,10 @@ class ConnextNode(ThreadedNode):
         return NodeSubscription(partial(self._withdraw, reader, condition))
 
     def _topic(self, topic: str, type_name: str) -> tuple[Any, Any]:
-        """Return the topic and its type; samples stay serialized."""
         dds = _connext()
         check_type("connext", type_name)
         dynamic_type = _dynamic_type(dds, type_name)
-        name = "::".join((*dds_name(type_name)[:2], "dds_", dds_name(type_name)[2]))
+        name = dds_name(type_name)
         topic_object = dds.DynamicData.Topic.find(self._participant, dds_topic(topic))
         if topic_object is None:
             if not self._participant.is_type_registered(name):
@@ -199,7 +198,6 @@ class _ConnextPublisher:
         self.writer.write(self.sample)
 
     def wait_until_acknowledged(self) -> None:
-        """Wait until the last messages have arrived, at most `LAST_ACKNOWLEDGEMENT_S`."""
         with suppress(Exception):  # it is closed
             self.writer.wait_for_acknowledgments(
                 _connext().Duration.from_milliseconds(round(LAST_ACKNOWLEDGEMENT_S * 1000))
@@ -215,7 +213,7 @@ def _connext() -> Any:
 
 
 def _take_all(reader: Any, receive: Receive[RawMessage]) -> None:
-    """Deliver the messages of a reader, one by one: a time stamp must not wait for the copy of the next message."""
+    """Deliver the messages of a reader, one by one: a time stamp must not wait for the next copy."""
     while True:
         with reader.select().max_samples(1).take_loaned() as samples:
             if not len(samples):
@@ -234,8 +232,7 @@ def _nanoseconds(time: Any) -> int:
 
 
 def _dynamic_type(dds: Any, type_name: str) -> Any:
-    package, kind, name = dds_name(type_name)
-    struct = dds.StructType(f"{package}::{kind}::dds_::{name}")
+    struct = dds.StructType(dds_name(type_name))
     for member, text in DDS_TYPES[type_name].items():
         struct.add_member(dds.Member(member, _member_type(dds, text)))
     return struct
@@ -250,7 +247,6 @@ def _member_type(dds: Any, text: str) -> Any:
 
 
 def _fill(policies: Any, qos: Qos) -> Any:
-    """Set the policies of a writer or reader to `qos` and return them."""
     dds = _connext()
     values = {
         Reliability.RELIABLE: dds.Reliability.reliable,
@@ -279,7 +275,7 @@ def _fill(policies: Any, qos: Qos) -> Any:
 
 
 def _qos(endpoint: Any) -> Qos:
-    """Return the quality of service of a discovered endpoint, empty in policies that it does not report."""
+    """Return the policies that a discovered endpoint reports; others are empty."""
     durations_ns = {"deadline": _nanoseconds(endpoint.deadline.period)}
     if hasattr(endpoint, "lifespan"):  # only a writer reports it
         durations_ns["lifespan"] = _nanoseconds(endpoint.lifespan.duration)

@@ -1,7 +1,6 @@
 """`cyclonedds`: native Cyclone DDS through its Python package, with the topics and types of ROS 2.
 
-It talks to ROS 2 nodes of any DDS vendor. Messages pass in serialized form: the package's own serializer takes 32 ms for
-a megabyte. Only this file imports cyclonedds.
+Messages pass in serialized form: the package's own serializer takes 32 ms for a megabyte. Only this file imports cyclonedds.
 """
 
 # ruff: noqa: PLC0415 - loaded when a node is opened, so that other backends run without it
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 FOREVER_NS = (1 << 63) - 1
 MAX_ENDPOINTS = 10_000
 MAX_TRIGGERS = 256
-"""Readers that one wait of the waitset reports; others trigger the next wait."""
+"""Most readers that one wait reports; others trigger the next one."""
 TYPE_CONSISTENCY = 24
 """DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of Cyclone DDS's `dds_public_qosdefs.h`."""
 
@@ -114,7 +113,7 @@ class CycloneNode(ThreadedNode):
         condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
         self._waitset.attach(condition)
         self._readers = {**self._readers, reader._ref: (condition, receive)}  # noqa: SLF001 - see `_take`
-        _, trigger = self._waitset.attached[-1]  # a C integer, whose address the waitset reports
+        _, trigger = self._waitset.attached[-1]
         self._triggers = {**self._triggers, addressof(trigger): (reader._ref, receive)}  # noqa: SLF001
         return NodeSubscription(partial(self._withdraw, reader))
 
@@ -170,10 +169,7 @@ class CycloneNode(ThreadedNode):
         )
 
     def _unassignable(self, topic: str) -> set[str]:
-        """Return a line for each side of a topic whose type Cyclone DDS cannot assign.
-
-        It reports such an endpoint as one of incompatible quality of service, in the policy of type consistency.
-        """
+        """Return a line for each side of a topic whose type differs: a QoS mismatch in the policy of type consistency."""
         from cyclonedds.core import DDSException
 
         statuses = [
@@ -222,7 +218,6 @@ class _CyclonePublisher:
             )
 
     def wait_until_acknowledged(self) -> None:
-        """Wait until the last messages have arrived, at most `LAST_ACKNOWLEDGEMENT_S`."""
         with suppress(Exception):  # it is closed
             self.writer.wait_for_acks(round(LAST_ACKNOWLEDGEMENT_S * SECOND_NS))
 
@@ -251,7 +246,7 @@ class _BuiltinReaders:
         return [sample for sample in samples if sample.sample_info.valid_data]
 
     def participants(self) -> dict[Any, str]:
-        """Return key -> name of each participant; the name is empty if it has none."""
+        """Return key -> name (or an empty text) of each participant."""
         from cyclonedds.qos import Policy
 
         return {
@@ -272,7 +267,7 @@ class _BuiltinReaders:
 
 
 def _configured_domain(domain_id: int, settings: str) -> Any:
-    """Open the domain with our settings; return None if another node of this process has done so."""
+    """Open the domain with our settings; None if another node of this process has done so."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 
@@ -285,12 +280,11 @@ def _configured_domain(domain_id: int, settings: str) -> Any:
 
 
 def _c_layer() -> Any:
-    """Return the compiled part of the package, which takes and returns bytes."""
     return import_module("cyclonedds._clayer")
 
 
 def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
-    """Return a function that takes a reader's next message, if there is one: its bytes and DDS sample information."""
+    """Return a function that takes a reader's next message, if any: its bytes and sample information."""
     from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
 
     ddspy_take = _c_layer().ddspy_take
@@ -315,13 +309,13 @@ def _message_type(type_name: str) -> Any:
     from cyclonedds.idl import make_idl_struct
 
     check_type("cyclonedds", type_name)
-    package, kind, name = dds_name(type_name)
+    name = dds_name(type_name).replace("::", ".")
     members = {member: _member_type(text) for member, text in DDS_TYPES[type_name].items()}
-    return make_idl_struct(name, f"{package}.{kind}.dds_.{name}", members)
+    return make_idl_struct(name.rpartition(".")[2], name, members)
 
 
 def _member_type(text: str) -> Any:
-    idl: Any = import_module("cyclonedds.idl.types")  # its annotations hide that the types take parameters
+    idl: Any = import_module("cyclonedds.idl.types")
     name, length = split_type(text)
     plain = {"string": str, "bool": bool}
     element = _message_type(name) if name in DDS_TYPES else plain.get(name) or getattr(idl, name)
@@ -355,7 +349,7 @@ def _cyclone_qos(qos: Qos) -> Any:
 
 
 def _qos(policies: Any) -> Qos:
-    """Return the quality of service of a discovered endpoint, empty in policies that it does not report."""
+    """Return the policies that a discovered endpoint reports; others are empty."""
     from cyclonedds.qos import Policy
 
     reliability, durability = (
@@ -373,11 +367,10 @@ def _qos(policies: Any) -> Qos:
 
 
 def _delete(entity: Any) -> None:
-    entity.__del__()  # dds_delete, by its only name in the package
+    entity.__del__()
 
 
 def _library_version() -> dict[str, str]:
-    """Return the version of the library that is loaded, from its file name."""
     with suppress(OSError):
         if version := re.search(r"libddsc\S*\.so\.([\d.]+)", Path("/proc/self/maps").read_text()):
             return {"libddsc": version[1]}

@@ -51,33 +51,26 @@ DDS_TYPES: dict[str, dict[str, str]] = {
         "is_dense": "bool",
     },
 }
-"""Type -> member -> type, in the order of the .msg files; `[]` is a sequence, `[9]` an array.
-
-A type follows those that it is made of, and the types of a package are together, as an XML file needs them.
-"""
+"""Type -> member -> type; `[]` is a sequence, `[9]` an array. A type follows its parts, packages are together, as in XML."""
 
 
 def split_type(text: str) -> tuple[str, int | None]:
-    """Return element type and length of an array; the length is 0 for a sequence, None for a single value."""
+    """Return element type and length: 0 for a sequence, None for a single value."""
     element, bracket, length = text.removesuffix("]").partition("[")
     return element, int(length or 0) if bracket else None
 
 
 def check_type(backend: str, type_name: str) -> None:
-    """Refuse a type that is not in `DDS_TYPES`.
-
-    Raises:
-        OptionError: naming those that are.
-    """
+    """Raise an `OptionError` for a type that is not in `DDS_TYPES`."""
     if type_name not in DDS_TYPES:
         names = ", ".join(name for name in DDS_TYPES if name.startswith(("sensor_msgs", "std_msgs")))
         raise OptionError(f"the backend {backend} does not know the type {type_name}; it knows {names}")
 
 
-def dds_name(type_name: str) -> tuple[str, str, str]:
-    """Return package, kind and name of the type in DDS: `sensor_msgs`, `msg`, `Image_`."""
+def dds_name(type_name: str) -> str:
+    """Return `sensor_msgs::msg::dds_::Image_` for `sensor_msgs/msg/Image`."""
     package, kind, name = type_name.split("/")
-    return package, kind, f"{name}_"
+    return f"{package}::{kind}::dds_::{name}_"
 
 
 def ros_name(dds_type: str) -> str:

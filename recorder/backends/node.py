@@ -119,11 +119,9 @@ class Middleware:
     """The software that carries the messages, as it reports itself.
 
     Attributes:
-        backend: key of `BACKEND_MODULES`.
         vendor: `fastdds`, `cyclonedds`, `connext`, `zenoh`, `socket`, or what the backend reports.
         rmw: identifier of the running ROS middleware, None outside ROS.
         versions: name of a library -> its version.
-        settings: settings in effect.
         vendor_label: name of the vendor for people, empty for the backend's label.
     """
 
@@ -137,13 +135,7 @@ class Middleware:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One publisher or subscription that a node sees on a topic, its own included.
-
-    Attributes:
-        node_name: name of its node, empty if unknown.
-        type_name: message type, such as `sensor_msgs/msg/Image`.
-        qos: None if the middleware does not report it.
-    """
+    """One publisher or subscription on a topic; its node's name may be empty and its QoS None, if unknown."""
 
     node_name: str
     type_name: str
@@ -222,7 +214,7 @@ class Node(ABC):
         Args:
             topic: ROS name without the first slash.
             type_name: message type, such as `sensor_msgs/msg/Image`.
-            qos: quality of service, by default the node's.
+            qos: by default the node's.
 
         Raises:
             OptionError: the backend has no such quality of service or does not know the type.
@@ -332,11 +324,7 @@ class ObjectNode(Protocol):
 
 
 def message_objects_of(node: Node) -> ObjectNode:
-    """Return `node` as one that has message objects.
-
-    Raises:
-        OptionError: its backend only carries serialized messages.
-    """
+    """Return `node` as one that has message objects; raise an `OptionError` if it has none."""
     if not isinstance(node, ObjectNode):
         raise OptionError(
             f"--serialization typed: the backend {node.middleware.backend} only carries serialized messages"

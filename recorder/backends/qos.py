@@ -1,4 +1,4 @@
-"""Quality of service: durations, pairs of a publisher and a subscription that can never match, and a depth that is too small."""
+"""Quality of service: durations, endpoints that can never match, and a depth that is too small."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ RANKS: Mapping[str, Sequence[str]] = {
     "reliability": (Reliability.BEST_EFFORT, Reliability.RELIABLE),
     "durability": (Durability.VOLATILE, Durability.TRANSIENT_LOCAL, "transient", "persistent"),
 }
-"""Policy -> its values from weak to strong: a publisher offers at least what a subscription requests (DDS 1.4, 2.2.3)."""
+"""Policy -> its values from weak to strong; the offered one must not be weaker (DDS 1.4, 2.2.3)."""
 
 DURATION_POLICIES = ("deadline", "lifespan")
 """Policies that are durations; `Qos.extra` has them as `deadline_ns` and `lifespan_ns`."""
 
 STALL_S = 0.1
-"""How long a side of a busy machine may stall: the default `max_blocking_time` of a reliable writer (DDS 1.4, 2.2.3.14)."""
+"""How long a side of a busy machine may stall: the default `max_blocking_time` (DDS 1.4, 2.2.3.14)."""
 
 
 def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
-    """Return a warning about a history that keeps less than `STALL_S` of messages, None if it is long enough."""
+    """Return a warning about a history that keeps less than `STALL_S` of messages."""
     needed = math.ceil(rate_hz * STALL_S)
     if history != History.KEEP_LAST or depth >= needed:
         return None
@@ -57,11 +57,7 @@ def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
 
 
 def refuse_durations(backend: str, qos: Qos) -> None:
-    """Refuse a deadline and a lifespan, which only DDS has.
-
-    Raises:
-        OptionError: `qos` has one.
-    """
+    """Raise an `OptionError` for a deadline and a lifespan, which only DDS has."""
     for policy in requested_durations(qos):
         raise OptionError(f"--{policy}: the backend {backend} has no such quality of service; leave it out")
 
@@ -83,7 +79,7 @@ def mismatches(offered: Qos, requested: Qos) -> list[str]:
 def incompatible_pairs(
     topic: str, publishers: Iterable[Endpoint], subscriptions: Sequence[Endpoint], own_name: str
 ) -> Iterator[str]:
-    """Yield a line for each pair on `topic` that can never match and includes the node `own_name`."""
+    """Yield a line for each pair that can never match and includes the node `own_name`."""
     for publisher in publishers:
         for subscription in subscriptions:
             names = publisher.node_name, subscription.node_name

@@ -129,7 +129,6 @@ class ZenohNode(Node):
         return "/".join((KEY_PREFIX, str(self.options.domain_id), *parts))
 
     def _announce(self, kind: str, topic: str, type_name: str) -> Any:
-        """Return the token by which others see an endpoint."""
         key = self._key("endpoint", kind, topic, self.options.name, type_name.replace("/", "."))
         return self._session.liveliness().declare_token(key)
 
@@ -163,8 +162,6 @@ class ZenohNode(Node):
 
 @dataclass(frozen=True, slots=True)
 class _ZenohPublisher:
-    """A publisher of serialized messages; zenoh copies them."""
-
     publisher: Any
     publish: Callable[[RawMessage], None]
     token: Any
@@ -197,11 +194,7 @@ class _ZenohSubscription:
 
 
 def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
-    """Return zenoh's configuration for one role.
-
-    Raises:
-        OptionError: the ping does not know where the relay is.
-    """
+    """Return zenoh's configuration for one role; raise an `OptionError` if the ping has no relay."""
     multicast = MULTICAST in options.peers
     shared_memory = _SHARED_MEMORY[options.transport]
     listen, connect = [], []

@@ -63,19 +63,9 @@ class BridgedTopic:
         """Name of the `_relay` twin."""
         return f"{self.name}_relay"
 
-    @property
-    def dds_type_name(self) -> str:
-        """Name of the type in DDS: `sensor_msgs::msg::dds_::Image_`."""
-        package, kind, name = self.type_name.split("/")
-        return f"{package}::{kind}::dds_::{name}_"
-
 
 def bridged_topic(text: str) -> BridgedTopic:
-    """Parse `NAME:TYPE`, as in `data_sensor_msgs_PointCloud2:sensor_msgs/msg/PointCloud2`.
-
-    Raises:
-        OptionError: the text has another form.
-    """
+    """Parse `NAME:TYPE`; raise an `OptionError` for another form."""
     match = re.fullmatch(r"/?([A-Za-z]\w*(?:/\w+)*):([a-z]\w*/msg/[A-Z]\w*)", text, re.ASCII)
     if match is None:
         raise OptionError(
@@ -99,14 +89,12 @@ class BridgeSide:
 
 @dataclass(frozen=True, slots=True)
 class BridgeOptions:
-    """All values that the configuration of a bridge depends on.
+    """Options of a bridge.
 
     Attributes:
         topics: the only topics that cross.
-        qos: quality of service of every topic in both domains.
         transport: transport of our own bridges' nodes (see `NodeOptions`).
         tuned: whether our own nodes, and the Cyclone DDS in zenoh's bridges, get the settings for large messages.
-        half: part of the bridge that runs here.
         listen: `HOST:PORT` at which this half waits for the other.
         peers: `HOST:PORT` of each other half that this one connects to.
 
@@ -160,21 +148,13 @@ class BridgeOptions:
         }
         return tuple(sides.values()) if self.half is Half.BOTH else (sides[self.half],)
 
-    def topic_of(self, name: str) -> BridgedTopic:
-        """Return the topic with this name, or whose twin has it."""
-        return next(topic for topic in self.topics if name in (topic.name, topic.reply_name))
-
     def type_of(self, name: str) -> str:
         """Return the message type of a topic or twin."""
-        return self.topic_of(name).type_name
+        return next(topic.type_name for topic in self.topics if name in (topic.name, topic.reply_name))
 
 
 def split_address(address: str) -> tuple[str, int]:
-    """Return host and port of `HOST:PORT` (`[::1]:7447` for IPv6).
-
-    Raises:
-        OptionError: the text has another form, or the port is not 1 to 65535.
-    """
+    """Return host and port of `HOST:PORT` (`[::1]:7447` for IPv6); raise an `OptionError` for another form."""
     host, _, port = address.rpartition(":")
     if limits.ADDRESS.fault(address) is not None or limits.PORT.fault(int(port)) is not None:
         raise OptionError(f"{limits.shown(address)} is not an address; write {limits.ADDRESS.what}")
@@ -189,12 +169,11 @@ class Bridge:
         name: name in `--bridge` and in a run.
         install: how to install the program, in one line.
         suffix: suffix of the configuration file.
-        configuration: returns the text of the configuration file.
         find: returns the program's path, None if it is not installed.
         version: returns the version that the program reports, empty if it reports none.
         arguments: returns the arguments between the program and the path of its configuration.
         environment: returns the variables to add.
-        up_pattern: regular expression of the log line that says the bridge is up, None if there is no such line.
+        up_pattern: regular expression of the log line that says the bridge is up.
         needs_ros_nodes: whether it finds nodes by `ros_discovery_info`, which only ROS 2 publishes.
     """
 
@@ -212,11 +191,7 @@ class Bridge:
 
 
 def load_bridge(name: str) -> Bridge:
-    """Return the bridge called `name`.
-
-    Raises:
-        OptionError: there is no such bridge.
-    """
+    """Return the bridge called `name`; raise an `OptionError` if there is none."""
     if name not in BRIDGE_MODULES:
         raise OptionError(f"there is no bridge {name!r}; choose one of {', '.join(BRIDGE_MODULES)}")
     bridge: Bridge = import_module(BRIDGE_MODULES[name]).BRIDGE
@@ -224,10 +199,7 @@ def load_bridge(name: str) -> Bridge:
 
 
 def split_halves(bridge: Bridge, options: BridgeOptions, link: str = LOCAL_LINK) -> tuple[BridgeOptions, ...]:
-    """Return the options of each process to start here.
-
-    There are two if both halves run on this machine and meet at `link`. With `listen` or `peers` there is one, by default
-    the ping's half.
+    """Return the options of each process to start here: two if both halves run on this machine and meet at `link`.
 
     Raises:
         OptionError: the bridge has no halves, or the half could never meet the other.

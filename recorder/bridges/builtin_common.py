@@ -49,11 +49,7 @@ def options_to_json(options: BridgeOptions) -> str:
 
 
 def options_from_json(path: Path) -> BridgeOptions:
-    """Return the options that `options_to_json` wrote to `path`.
-
-    Raises:
-        TraceFormatError: the file contains something else.
-    """
+    """Return the options that `options_to_json` wrote to `path`; raise a `TraceFormatError` for other content."""
     try:
         values = json.loads(path.read_text())
         qos = values["qos"]
@@ -93,7 +89,7 @@ def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
 
 
 class Forwarder:
-    """The routes of a bridge, each with a count of its own, as routes may run on different threads."""
+    """The routes of a bridge; each has its own count, as they may run on different threads."""
 
     def __init__(self) -> None:
         self._counts: list[list[int]] = []
@@ -112,7 +108,7 @@ class Forwarder:
 
     @property
     def messages(self) -> int:
-        """Number of messages forwarded so far."""
+        """Number of forwarded messages."""
         return sum(count[0] for count in self._counts)
 
 
@@ -134,7 +130,7 @@ def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
 
 
 def run(main: Callable[[Path], None]) -> None:
-    """Call `main` with the configuration file named on the command line; print a `TraceError` as one line."""
+    """Call `main` with the configuration file of the command line; print a `TraceError` as one line."""
     try:
         main(Path(sys.argv[1]))
     except TraceError as error:

@@ -1,6 +1,5 @@
 """`builtin-zenoh`: our own bridge over zenoh, one half on each device.
 
-Each half is a ROS 2 node in its domain and a zenoh peer; the peers meet over TCP at a given address.
 `python -m dds_trace.recorder.bridges.builtin_zenoh CONFIGURATION` serves one half until SIGINT or SIGTERM.
 """
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 
+from ..backends.dds_types import dds_name
 from ..backends.qos import requested_durations
 from ..choices import Discovery, Durability, Reliability
 from .base import Bridge, Half, Halves, split_address
@@ -23,11 +24,8 @@ CONFIGURATION_VERSION = "v5.0"
 """Configuration format of DDS Router 3; version 2, which read v4.0, has reached its end of life."""
 
 
-def configuration(options: BridgeOptions) -> str:
-    """Return YAML: the allowed topics with their quality of service, a participant for each domain, and the link."""
-    names = [
-        {"name": f"rt/{name}", "type": options.topic_of(name).dds_type_name} for name in options.topic_names
-    ]
+def _configuration(options: BridgeOptions) -> str:
+    names = [{"name": f"rt/{name}", "type": dds_name(options.type_of(name))} for name in options.topic_names]
     qos = _qos(options.qos)
     participants = [_local_participant(side.domain_id, options) for side in options.sides()]
     if options.half is not Half.BOTH:
@@ -46,7 +44,7 @@ BRIDGE = Bridge(
     name=PROGRAM,
     install="build it with colcon or take the docker image (https://eprosima-dds-router.readthedocs.io), and put it on the PATH",
     suffix=".yaml",
-    configuration=configuration,
+    configuration=_configuration,
     find=lambda: program_on_path(PROGRAM),
     version=lambda program: reported_version(program, "--version"),
     arguments=lambda _: ("--config-path",),

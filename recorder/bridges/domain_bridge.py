@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 PACKAGE = "domain_bridge"
 
 
-def configuration(options: BridgeOptions) -> str:
-    """Return YAML: each topic with its type, its direction and the quality of service of its two ends."""
+def _configuration(options: BridgeOptions) -> str:
     ping, relay = options.sides()
     qos = {
         "reliability": options.qos.reliability,
@@ -43,7 +42,7 @@ BRIDGE = Bridge(
     name=PACKAGE,
     install="apt install ros-$ROS_DISTRO-domain-bridge, then source /opt/ros/$ROS_DISTRO/setup.bash",
     suffix=".yaml",
-    configuration=configuration,
+    configuration=_configuration,
     find=lambda: find_program(PACKAGE, PACKAGE),
     version=lambda _: package_version(PACKAGE) or "",
     environment=discovery_environment,

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 PROGRAM = "integration-service"
 
 
-def configuration(options: BridgeOptions) -> str:
-    """Return YAML: a ROS 2 system for each domain, a route each way, each topic on its route."""
+def _configuration(options: BridgeOptions) -> str:
     ping, relay = options.sides()
     systems = {side.domain_id: f"domain_{side.domain_id}" for side in (ping, relay)}
     topics = {
@@ -55,7 +54,7 @@ BRIDGE = Bridge(
         "(https://integration-service.docs.eprosima.com), then source its install/setup.bash"
     ),
     suffix=".yaml",
-    configuration=configuration,
+    configuration=_configuration,
     find=lambda: program_on_path(PROGRAM),
     version=lambda _: "",  # it reports none
     environment=discovery_environment,

@@ -21,12 +21,7 @@ if TYPE_CHECKING:
 def open_requested_bridge(
     options: RecordOptions, ping: PingOptions, data_type: DataType, stack: ExitStack
 ) -> RunningBridge | None:
-    """Open the bridge that the ping's options name, until `stack` ends; return None if there is none to start.
-
-    Raises:
-        OptionError: there is no such bridge, or it does not support the options or the backend.
-        TraceError: it cannot run; see `open_bridge`.
-    """
+    """Open the bridge that the ping's options name, until `stack` ends; errors as for `open_bridge`."""
     bridge_options = check_requested_bridge(options, ping, data_type)
     if bridge_options is None:
         return None

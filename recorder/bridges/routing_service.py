@@ -33,8 +33,7 @@ RTI_NAMES = {"uint8": "byte", "bool": "boolean"}
 """Plain type of ROS -> its name in RTI's XML, where they differ."""
 
 
-def configuration(options: BridgeOptions) -> str:
-    """Return XML: the types, and a domain route with a session each way and a topic route for each topic."""
+def _configuration(options: BridgeOptions) -> str:
     ping, relay = options.sides()
     document = element(
         "dds",
@@ -54,8 +53,7 @@ def configuration(options: BridgeOptions) -> str:
     return xml_text(document)
 
 
-def find() -> Path | None:
-    """Return the program below NDDSHOME, else on the PATH."""
+def _find() -> Path | None:
     home = os.environ.get("NDDSHOME")
     return (program_on_path(PROGRAM, Path(home) / "bin") if home else None) or program_on_path(PROGRAM)
 
@@ -67,8 +65,8 @@ BRIDGE = Bridge(
         "set NDDSHOME and RTI_LICENSE_FILE"
     ),
     suffix=".xml",
-    configuration=configuration,
-    find=find,
+    configuration=_configuration,
+    find=_find,
     version=lambda program: reported_version(program, "-version"),
     arguments=lambda _: ("-cfgName", CONFIGURATION_NAME, "-cfgFile"),
     up_pattern="RTI Routing Service .*executing",
@@ -76,7 +74,7 @@ BRIDGE = Bridge(
 
 
 def _participant(side: BridgeSide, options: BridgeOptions) -> Element:
-    names = sorted({topic.dds_type_name for topic in options.topics})
+    names = sorted({dds_name(topic.type_name) for topic in options.topics})
     # UDP over the loopback interface, and a search for participants there only.
     local = (
         element(
@@ -100,7 +98,7 @@ def _session(name: str, here: BridgeSide, there: BridgeSide, options: BridgeOpti
 
 
 def _topic_route(name: str, here: BridgeSide, there: BridgeSide, options: BridgeOptions) -> Element:
-    type_name = options.topic_of(name).dds_type_name
+    type_name = dds_name(options.type_of(name))
     stream = (
         element("registered_type_name", type_name),
         element("topic_name", f"rt/{name}"),
@@ -183,15 +181,14 @@ def _package(package: str, names: list[str]) -> Element:
 
 def _struct(name: str) -> Element:
     members = (_member(member, text) for member, text in DDS_TYPES[name].items())
-    return element("struct", *members, name=dds_name(name)[2])
+    return element("struct", *members, name=dds_name(name).rpartition("::")[2])
 
 
 def _member(name: str, text: str) -> Element:
     kind, length = split_type(text)
     attributes = {"name": name, "type": RTI_NAMES.get(kind, kind)}
     if kind in DDS_TYPES:
-        package, _, plain = dds_name(kind)
-        attributes |= {"type": "nonBasic", "nonBasicTypeName": f"{package}::msg::dds_::{plain}"}
+        attributes |= {"type": "nonBasic", "nonBasicTypeName": dds_name(kind)}
     if kind == "string":
         attributes["stringMaxLength"] = "-1"
     if length is not None:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 PROGRAM, PLUGIN = "zenoh-bridge-dds", "dds"
 
 
-def configuration(options: BridgeOptions) -> str:
-    """Return JSON: the domain, the allowed topics, and the addresses at which the halves meet."""
+def _configuration(options: BridgeOptions) -> str:
     (side,) = options.sides()
     names = sorted((*side.takes, *side.puts))
     dds = {
@@ -39,7 +38,7 @@ BRIDGE = Bridge(
         "https://download.eclipse.org/zenoh/zenoh-plugin-dds/latest/"
     ),
     suffix=".json5",
-    configuration=configuration,
+    configuration=_configuration,
     find=lambda: program_on_path(PROGRAM) or router_with(PLUGIN),
     version=lambda program: reported_version(program, "--version"),
     arguments=lambda program: plugin_arguments(program, PLUGIN),

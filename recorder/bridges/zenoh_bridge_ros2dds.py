@@ -1,7 +1,6 @@
 """`zenoh-bridge-ros2dds`: Eclipse zenoh's bridge for ROS 2, successor of `zenoh-bridge-dds`; one half for each domain.
 
-It knows ROS names and directions, so the configuration lists for each half the topics that leave and those that come in.
-It comes as a program, and as a plugin of zenoh's router (`zenohd`).
+It knows the direction of ROS topics. It comes as a program, and as a plugin of zenoh's router (`zenohd`).
 """
 
 from __future__ import annotations
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
 PROGRAM, PLUGIN, PACKAGE = "zenoh-bridge-ros2dds", "ros2dds", "zenoh_bridge_ros2dds"
 
 
-def configuration(options: BridgeOptions) -> str:
-    """Return JSON: the domain, the topics of each direction, and the addresses at which the halves meet."""
+def _configuration(options: BridgeOptions) -> str:
     (side,) = options.sides()
     ros2dds = {
         "nodename": f"dds_trace_bridge_{side.domain_id}",
@@ -38,8 +36,8 @@ def configuration(options: BridgeOptions) -> str:
     return plugin_configuration(PLUGIN, ros2dds, options)
 
 
-def is_before_iron() -> bool:
-    """Return whether the bridge takes ROS 2 for one without discovery ranges and names the loopback interface itself."""
+def _is_before_iron() -> bool:
+    """Return whether the bridge names the loopback interface, as ROS 2 has no discovery ranges."""
     return "" < os.environ.get("ROS_DISTRO", "") < "iron"
 
 
@@ -47,11 +45,11 @@ BRIDGE = Bridge(
     name=PROGRAM,
     install="build it with `just install-zenoh-bridge` (needs cargo), or get it from https://download.eclipse.org/zenoh/zenoh-plugin-ros2dds/latest/ and put it on the PATH",
     suffix=".json5",
-    configuration=configuration,
+    configuration=_configuration,
     find=lambda: program_on_path(PROGRAM) or find_program(PACKAGE, PACKAGE) or router_with(PLUGIN),
     version=lambda program: reported_version(program, "--version"),
     arguments=lambda program: plugin_arguments(program, PLUGIN),
-    environment=lambda options: zenoh_environment(options, names_loopback=is_before_iron()),
+    environment=lambda options: zenoh_environment(options, names_loopback=_is_before_iron()),
     halves=Halves.ALWAYS,
     needs_ros_nodes=True,
 )

@@ -36,11 +36,7 @@ def data_types() -> dict[str, DataType]:
 
 
 def find_data_type(name: str) -> DataType:
-    """Return the data type `name`.
-
-    Raises:
-        OptionError: there is none.
-    """
+    """Return the data type `name`; raise an `OptionError` if there is none."""
     types = data_types()
     if name not in types:
         *usages, last = (payload.usage for payload in PAYLOADS.values() if isinstance(payload, Source))
@@ -67,7 +63,7 @@ def open_payload(
         seed: seed of random content.
         open_node: opens a second node, for a live source.
         wait_s: longest wait for a live source.
-        stop: event that ends the work.
+        stop: ends the work.
 
     Raises:
         StoppedError: `stop` was set.

@@ -87,18 +87,6 @@ def sized_by_length(_message: RawMessage) -> int:
     return 0
 
 
-class Maker(Protocol):
-    """Function that makes up a payload."""
-
-    def __call__(self, size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
-        """Make up a payload of `size_bytes`, None for the type's default, until `stop` is set.
-
-        Raises:
-            OptionError: there is no payload of that size.
-            StoppedError: `stop` was set.
-        """
-
-
 @dataclass(frozen=True, slots=True)
 class DataType:
     """One kind of data.
@@ -108,6 +96,8 @@ class DataType:
         topic: topic of the way out.
         objects: None for a type that is only sent in serialized form.
         object_stamp: place of the stamp in a message object, also of another program.
+        make: makes up a payload of a size (None: the default) and a seed; raises an `OptionError` for a wrong size and a
+            `StoppedError` once the event is set.
     """
 
     name: str
@@ -116,7 +106,7 @@ class DataType:
     raw: Form[bytearray, RawMessage]
     objects: Form[RosMessage, RosMessage] | None
     object_stamp: HeaderStampPlace | StringStampPlace
-    make: Maker
+    make: Callable[[int | None, int, threading.Event | None], Payload]
 
     @property
     def relay_topic(self) -> str:
@@ -124,11 +114,7 @@ class DataType:
         return self.topic + RELAY_SUFFIX
 
     def object_form(self) -> Form[RosMessage, RosMessage]:
-        """Return the form of its message objects.
-
-        Raises:
-            OptionError: the type is only sent in serialized form.
-        """
+        """Return the form of its message objects; raise an `OptionError` if it has none."""
         if self.objects is None:
             raise OptionError(f"--serialization typed: {self.type_name} is only sent as raw bytes")
         return self.objects

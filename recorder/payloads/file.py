@@ -24,12 +24,7 @@ _PIECE_BYTES = 1 << 20
 
 
 def load_payload(where: str, stop: threading.Event | None = None) -> Payload:
-    """Return one image for each file at `where`, by name, without hidden files.
-
-    Raises:
-        OptionError: there is no regular file, one is empty, or they do not fit into memory.
-        StoppedError: `stop` was set.
-    """
+    """Return one image for each file at `where`, by name, without hidden files."""
     path = Path(where)
     try:
         files = _files(path)
@@ -63,11 +58,6 @@ def _message(file: Path, stop: threading.Event | None) -> Message:
 
 
 def _pieces(stream: BinaryIO, size: int, stop: threading.Event | None) -> Iterator[bytes]:
-    """Yield the first `size` bytes of a file.
-
-    Raises:
-        OSError: it has become shorter.
-    """
     while size:
         check_stop(stop)
         piece = stream.read(min(_PIECE_BYTES, size))
@@ -78,7 +68,7 @@ def _pieces(stream: BinaryIO, size: int, stop: threading.Event | None) -> Iterat
 
 
 def check_path(where: str) -> None:
-    """Refuse a text that is not a path; an empty one would mean all files of the current folder."""
+    """Refuse a text that is not a path; an empty one would mean the current folder."""
     if not where or "\0" in where:
         raise OptionError(f"--data file:{where}: write file:PATH, a file or a folder of files")
 

@@ -24,11 +24,7 @@ _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 
 
 def header_data_type(type_name: str) -> DataType:
-    """Return the data type of a message type, with the topic `data_PACKAGE_TYPE`.
-
-    Raises:
-        OptionError: it is not a message type.
-    """
+    """Return the data type of a message type, with the topic `data_PACKAGE_TYPE`."""
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
         raise OptionError(f"{type_name!r} is not a message type; write it as sensor_msgs/msg/PointCloud2")
@@ -59,11 +55,7 @@ def _refuse_to_make(
 def recognize_data_type(
     type_name: str, first_field_type: str, where: str, own_types: Mapping[str, DataType]
 ) -> DataType:
-    """Return the data type of messages of another program, which come from `where`.
-
-    Raises:
-        OptionError: the type does not start with a header, so that there is no room for the stamp.
-    """
+    """Return the data type of messages of another program; without a header it is an `OptionError` at `where`."""
     if type_name in own_types:
         return own_types[type_name]
     if first_field_type.replace("/msg/", "/") != "std_msgs/Header":

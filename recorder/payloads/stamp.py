@@ -80,12 +80,7 @@ class StampPlace(Protocol[SentT, ReceivedT_contra]):
 
 
 class RawStampPlace:
-    """The stamp in serialized CDR, at a constant offset.
-
-    Args:
-        text_offset: offset of the 46 characters in the buffer.
-        time_offset: offset of `header.stamp`, None where there is no header.
-    """
+    """The stamp in serialized CDR, at constant offsets of its 46 characters and of `header.stamp`, if any."""
 
     __slots__ = ("_end", "_last", "_nanoseconds", "_relay", "_start", "_time", "begin_at")
 
@@ -132,10 +127,7 @@ class RawStampPlace:
         return stamp
 
     def begin_of(self, message: RawMessage, run_id: int, sequence: int, end: int) -> bytes:
-        """Return the bytes from `begin_at` to `end` of a message like `message`, with another stamp.
-
-        They include the stamp and the length of its string.
-        """
+        """Return the bytes from `begin_at` to `end` of a message like `message`, with another stamp."""
         return bytes(
             message[self.begin_at : self._start] + stamp_text(run_id, sequence) + message[self._end : end]
         )

@@ -40,9 +40,7 @@ def check_name(name: str) -> None:
 
 @contextmanager
 def open_payload(name: str, context: PayloadContext) -> Iterator[Payload]:
-    """Open the live payload of the topic `name`, with or without its first slash, while the block runs.
-
-    It has a node of its own: the node that stamps T2 must not be busy with a camera's messages.
+    """Open the live payload of the topic `name`, on a node of its own: the one that stamps T2 must not be busy.
 
     Raises:
         OptionError: nothing is published on the topic, it is ours, or its type cannot carry the stamp.
@@ -111,11 +109,7 @@ class LiveFeed:
         return None
 
     def payload(self, deadline_s: float, stop: threading.Event, source: str) -> Payload:
-        """Wait for the topic's rate; return the payload, whose one message is for probes.
-
-        Raises:
-            OptionError: fewer than two messages arrived in time, or their type cannot carry the stamp.
-        """
+        """Wait for the topic's rate; return the payload, whose one message is for probes."""
         first_s: float | None = None
         while not stop.is_set() and time.monotonic() < deadline_s and self._error is None:
             arrivals = len(self._sent_ns)

@@ -99,7 +99,7 @@ def measure_floor(
         receiver.start()
         if sender is not receiver:
             sender.start()
-        message = STRING.make(0, 0).messages[0].data
+        message = STRING.make(0, 0, None).messages[0].data
         end_s = time.monotonic() + patience_s
         while len(times_ns) < messages:
             arrived.clear()

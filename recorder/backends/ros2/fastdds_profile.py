@@ -113,11 +113,7 @@ _LAYOUTS = {
 
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
-    """Return a profile that keeps UDP, SHM or LARGE_DATA on this machine, with buffers of UDP sockets of that size.
-
-    Raises:
-        OptionError: the transport needs no profile, or has no buffers to set.
-    """
+    """Return a profile that keeps UDP, SHM or LARGE_DATA on this machine; other transports are an `OptionError`."""
     if transport not in _LAYOUTS:
         raise OptionError(f"--transport {transport.value}: ROS 2's own LOCALHOST range does that")
     if buffer_bytes is not None and transport is not Transport.UDP:
@@ -143,25 +139,17 @@ def _descriptor(name: str, buffers: str) -> str:
 
 
 def requested_profile(transport: Transport, *, tuned: bool) -> str | None:
-    """Return the profile for `--transport` and `--tuned` under localhost discovery, None if there is nothing to set.
-
-    Raises:
-        OptionError: the transport cannot be tuned.
-    """
+    """Return the profile for `--transport` and `--tuned` under localhost discovery, None if there is nothing to set."""
     if transport is Transport.DEFAULT and not tuned:
         return None
-    # The tuned default is UDP: tuning enlarges the buffers of sockets.
+    # Tuning enlarges the buffers of UDP sockets.
     chosen = Transport.UDP if transport is Transport.DEFAULT else transport
     # As `sockets_size=4MB` of FASTDDS_BUILTIN_TRANSPORTS, whose MB is 1,000,000 bytes.
     return localhost_profile(chosen, BUFFER_BYTES if tuned else None)
 
 
 def profile_environment(path: Path, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Return the variables that make Fast DDS load the profile at `path` and nothing else.
-
-    Raises:
-        OptionError: the user has a profile file already.
-    """
+    """Return the variables that make Fast DDS load the profile at `path`; a profile of the user's is an `OptionError`."""
     for name in PROFILE_VARIABLES:
         if environment.get(name):
             raise OptionError(
@@ -175,7 +163,7 @@ def profile_environment(path: Path, environment: Mapping[str, str] = os.environ)
 
 @contextmanager
 def written_profile(text: str) -> Iterator[Path]:
-    """Write the profile to a temporary file."""
+    """Yield the path of a temporary file."""
     with tempfile.NamedTemporaryFile("w", prefix="dds-trace-fastdds-", suffix=".xml") as file:
         file.write(text)
         file.flush()
@@ -184,11 +172,7 @@ def written_profile(text: str) -> Iterator[Path]:
 
 @contextmanager
 def loaded_profile(text: str) -> Iterator[Path]:
-    """Make the first participant of this process load the profile; no child process inherits it.
-
-    Raises:
-        OptionError: the user has a profile file already.
-    """
+    """Make the first participant of this process load the profile; no child process inherits it."""
     with written_profile(text) as path:
         variables = profile_environment(path)
         previous = {name: os.environ.get(name) for name in variables}

@@ -1,4 +1,4 @@
-"""The ROS 2 of this machine, without importing it: what is installed, what its vendor supports, its environment."""
+"""The ROS 2 of this machine, without importing it."""
 
 from __future__ import annotations
 
@@ -48,17 +48,13 @@ def find_rmws() -> Sequence[str | None]:
 
 
 def check_installed() -> None:
-    """Refuse to continue without rclpy, or with a ROS middleware that it does not run on.
-
-    Raises:
-        BackendUnavailableError: naming what is missing.
-    """
+    """Raise a `BackendUnavailableError` without rclpy, or with a ROS middleware that it does not run on."""
     if not has_package("rclpy"):
         raise BackendUnavailableError(f"ROS 2's Python client rclpy is not installed; {INSTALL}")
     rmw = os.environ.get("RMW_IMPLEMENTATION")
     if not rmw or "rclpy" in sys.modules:
         return
-    # Imported with a middleware that it was not built for, rclpy ends the process; so another process tries first.
+    # With a middleware that it was not built for, rclpy ends the process that imports it.
     script = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
     done = subprocess.run(
         [sys.executable, "-c", script],
@@ -88,11 +84,7 @@ def set_discovery_range(discovery: Discovery) -> None:
 
 
 def set_transport(options: NodeOptions, rmw: str) -> None:
-    """Set the environment variable of Fast DDS's transports beyond this machine.
-
-    Raises:
-        OptionError: the middleware is not Fast DDS, or the transport cannot be tuned.
-    """
+    """Set the environment variable of Fast DDS's transports beyond this machine; errors as for `check_vendor`."""
     requested = (options.transport.value, options.tuned)
     builtin = VENDORS["fastdds"].builtin_transports
     if requested not in builtin:
@@ -103,17 +95,13 @@ def set_transport(options: NodeOptions, rmw: str) -> None:
 
 
 def check_settings(options: NodeOptions) -> None:
-    """Refuse settings that the vendor of the requested ROS middleware does not have; errors as for `check_vendor`."""
+    """Check the settings for the requested ROS middleware, if any."""
     if options.rmw is not None:
         check_vendor(options, options.rmw)
 
 
 def check_vendor(options: NodeOptions, rmw: str) -> None:
-    """Refuse settings that the vendor of a ROS middleware does not have.
-
-    Raises:
-        OptionError: naming the setting and the middleware.
-    """
+    """Raise an `OptionError` for a setting that the vendor of a ROS middleware does not have."""
     middleware = ros_middleware(rmw)
     if middleware.vendor != "fastdds":
         if options.transport is not Transport.DEFAULT:
@@ -130,7 +118,7 @@ def check_vendor(options: NodeOptions, rmw: str) -> None:
 
 
 def package_version(package: str) -> str | None:
-    """Return the version of a ROS package from its wheel, `package.xml`, CMake file (in minimal images) or dpkg, else None."""
+    """Return the version of a ROS package from its wheel, `package.xml`, CMake file or dpkg."""
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(f"ros-{package.replace('_', '-')}")
     for prefix in _prefixes():
@@ -148,13 +136,11 @@ _VERSION_FILES = (
         re.compile(r'set\(\s*PACKAGE_VERSION\s+"([^"]+)"', re.IGNORECASE),
     ),
 )
-"""File below a prefix of the installation, and the version in it."""
 
 DPKG_STATUS = Path("/var/lib/dpkg/status")
 
 
 def _debian_version(package: str) -> str | None:
-    """Return the version of the Debian package `ros-DISTRO-PACKAGE`, without its revision."""
     distro = os.environ.get("ROS_DISTRO", "")
     name = f"ros-{distro}-{package.replace('_', '-')}"
     with suppress(OSError):

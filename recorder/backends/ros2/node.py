@@ -31,13 +31,7 @@ if TYPE_CHECKING:
 
 
 class Ros2Node(ThreadedNode):
-    """One rclpy node with its context, executor and thread, also an `ObjectNode`.
-
-    Args:
-        options: options of the node.
-        settings: further settings in effect, for `Middleware.settings`.
-        on_closed: called after the node has left.
-    """
+    """One rclpy node with its context, executor and thread, also an `ObjectNode`."""
 
     def __init__(
         self,
@@ -188,7 +182,6 @@ class _ObjectPublisher:
         self._publisher.publish(message)
 
     def wait_until_acknowledged(self) -> None:
-        """Wait until the last messages have arrived, at most `LAST_ACKNOWLEDGEMENT_S`."""
         duration = _rclpy().duration.Duration(seconds=LAST_ACKNOWLEDGEMENT_S)
         with suppress(Exception):  # it is closed, or an older rclpy cannot wait
             self._publisher.wait_for_all_acked(duration)
@@ -220,13 +213,9 @@ class _Ros2Subscription:
     subscription: Any
     on_message: Callable[..., None]
     last_left: Any = None
-    """Time stamps of the last message of `take_left`."""
 
     def take_left(self) -> None:
-        """Deliver messages that are readable without a notification.
-
-        Fast DDS may return one message again and again, if the rest of a large message never arrives; it counts once.
-        """
+        """Deliver messages without a notification; Fast DDS may return one for ever, which counts once."""
         subscription = self.subscription
         handle = subscription.handle
         with suppress(_rclpy().exceptions.InvalidHandle), handle:  # the subscription was closed
@@ -288,10 +277,7 @@ def _make_executor(kind: ExecutorKind, context: Any) -> tuple[Any, str]:
 
 
 def _with_info(receive: Receive[Any], *, stamps_reception: bool) -> Callable[..., None]:
-    """Return `receive` as rclpy calls it, with the middleware's two time stamps where rclpy reports them.
-
-    Without `stamps_reception` the second one is not the time of the reception, and `receive` gets 0 for it.
-    """
+    """Return `receive` as rclpy calls it; without `stamps_reception` its second time stamp is 0."""
     if not hasattr(_rclpy().subscription.Subscription, "CallbackType"):
         return receive  # Humble
 
@@ -359,10 +345,7 @@ def _endpoint(info: Any) -> Endpoint:
 
 
 def _other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Iterator[str]:
-    """Yield a line for each endpoint whose type has the name of ours but another definition, by the hashes of ROS 2 Iron.
-
-    Fast DDS carries such messages, and they are misread.
-    """
+    """Yield a line for each endpoint whose type has another definition than ours: Fast DDS would misread its messages."""
     hashes = [(info, str(getattr(info, "topic_type_hash", ""))) for info in infos]
     hashes = [(info, text) for info, text in hashes if text.startswith("RIHS")]  # other vendors have none
     own = {info.topic_type: text for info, text in hashes if info.node_name == own_name}

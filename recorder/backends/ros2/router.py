@@ -86,7 +86,6 @@ def open_router(rmw: str, discovery: Discovery, patience_s: float = PATIENCE_S) 
 
 
 def _address(port: int) -> tuple[str, int]:
-    """Return where nodes look for the router: where ZENOH_CONFIG_OVERRIDE says, else on this device."""
     match = _ENDPOINT.search(os.environ.get("ZENOH_CONFIG_OVERRIDE", ""))
     return (match["host"].strip("[]"), int(match["port"])) if match else ("localhost", port)
 
@@ -100,7 +99,7 @@ def _listens(host: str, port: int) -> bool:
 def _comes_up(
     host: str, port: int, patience_s: float, process: subprocess.Popen[bytes] | None = None
 ) -> bool:
-    """Wait until a router listens, but not after the end of its process; return whether it does."""
+    """Wait until a router listens or its process ends; return whether it listens."""
     end_s = time.monotonic() + patience_s
     while not _listens(host, port):
         if time.monotonic() > end_s or (process is not None and process.poll() is not None):
@@ -110,7 +109,6 @@ def _comes_up(
 
 
 def _start(program: Path, port: int) -> subprocess.Popen[bytes]:
-    """Start a router that only listens on this machine, and ends with us."""
     overrides = filter(
         None, (os.environ.get("ZENOH_CONFIG_OVERRIDE"), f'listen/endpoints=["tcp/localhost:{port}"]')
     )
@@ -121,5 +119,5 @@ def _start(program: Path, port: int) -> subprocess.Popen[bytes]:
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C is for the recording, which ends it later
+        start_new_session=True,
     )

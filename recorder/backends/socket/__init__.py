@@ -18,13 +18,11 @@ if TYPE_CHECKING:
 
 
 def _make_node(options: NodeOptions) -> Node:
-    """Open a node that listens (a relay) or connects (a ping)."""
     peers = () if options.listens else BACKEND.peer_addresses(options)
     return SocketNode(options, BACKEND.port_of(options.domain_id), peers)
 
 
 def _make_pair(options: NodeOptions) -> tuple[Node, Node]:
-    """Open a node that listens at a free port, and one that connects to it, on this device."""
     local = replace(options, discovery=Discovery.LOCALHOST, peers=())
     if options.transport is Transport.UDP:
         local = replace(local, qos=replace(options.qos, reliability=Reliability.BEST_EFFORT))

@@ -29,19 +29,18 @@ Receivers: TypeAlias = "Mapping[str, tuple[Receive[RawMessage], ...]]"
 
 @dataclass
 class Greeting:
-    """The introduction of a node: its name, and topic -> type of its subscriptions and publishers."""
+    """A node's name, and topic -> type of its subscriptions and publishers."""
 
     name: str = ""
     subscriptions: dict[str, str] = field(default_factory=dict)
     publishers: dict[str, str] = field(default_factory=dict)
 
     def to_bytes(self) -> bytes:
-        """Return the greeting as JSON."""
         return json.dumps(vars(self)).encode()
 
     @classmethod
     def from_bytes(cls, data: RawMessage) -> Greeting | None:
-        """Return the greeting in `data`, None if it is something else."""
+        """Return the greeting in `data`, if it is one."""
         try:
             fields = json.loads(data)
             return cls(str(fields["name"]), dict(fields["subscriptions"]), dict(fields["publishers"]))
@@ -50,11 +49,7 @@ class Greeting:
 
 
 def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:
-    """Open a socket of `kind` at `address`.
-
-    Raises:
-        OptionError: the port is taken.
-    """
+    """Open a socket of `kind` at `address`; raise an `OptionError` if the port is taken."""
     bound = socket.socket(socket.AF_INET, kind)
     try:
         if kind is socket.SOCK_STREAM:  # connections that have just ended do not block the port

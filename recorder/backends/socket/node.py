@@ -30,16 +30,7 @@ PROTOCOLS = {Transport.DEFAULT: "tcp", Transport.UDP: "udp"}
 
 
 class SocketNode(ThreadedNode):
-    """The connections of one role with their thread.
-
-    Args:
-        options: options of the node.
-        port: port of the relay in this domain; 0 for any free port.
-        peers: host and port of each relay that a ping connects to.
-
-    Raises:
-        OptionError: the quality of service, the port or an address cannot be used.
-    """
+    """The connections of one role; `port` is a relay's (0: any free port), `peers` are the relays of a ping."""
 
     def __init__(self, options: NodeOptions, port: int, peers: Sequence[Address]) -> None:
         super().__init__(options)

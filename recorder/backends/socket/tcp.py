@@ -39,15 +39,7 @@ _HEADER = struct.Struct("<IH")  # bytes of the message, bytes of the topic's nam
 
 
 class TcpLinks:
-    """Connections to peers, and from peers on one listening socket.
-
-    Args:
-        own: greeting for each new peer.
-        listen: address at which connections are accepted, None for none.
-        peers: addresses to connect to.
-        receivers: callbacks of each topic.
-        prepare: sets the options of a connection's socket.
-    """
+    """Connections to peers, and from peers on one listening socket; `prepare` sets the options of each socket."""
 
     def __init__(
         self,
@@ -79,11 +71,9 @@ class TcpLinks:
         return 0 if self._listener is None else int(self._listener.getsockname()[1])
 
     def greetings(self) -> list[Greeting]:
-        """Return the greetings of the connected peers."""
         return [peer.greeting for peer in self._connected]
 
     def announce(self) -> None:
-        """Send the own greeting to all peers."""
         for peer in self._connected:
             peer.greet(self._own)
 
@@ -91,7 +81,7 @@ class TcpLinks:
         """Return a function that sends a frame; it blocks while a peer does not read."""
         name, length, head = topic.encode(), -1, b""
 
-        # Between the stamp and the kernel: as few calls and as little memory as possible.
+        # Between the stamp and the kernel: few calls, little memory.
         def send(message: RawMessage) -> None:
             nonlocal length, head
             if len(message) != length:
@@ -159,7 +149,6 @@ class TcpLinks:
         peer.thread.start()
 
     def _serve(self, peer: _TcpPeer, address: Address | None) -> None:
-        """Read from one connection until it ends, on its thread."""
         try:
             peer.read(self._receivers, self._delivering)
         except BaseException as error:  # noqa: BLE001 - a callback's; `poll` raises it
@@ -182,18 +171,13 @@ class TcpLinks:
                 peer.thread.join()
 
     def close(self) -> None:
-        """Close all sockets; the thread that polls has ended."""
         for key in list(self._selector.get_map().values()):
             key.fileobj.close()  # type: ignore[union-attr]
         self._selector.close()
 
 
 def set_congestion_control(connection: socket.socket, name: str | None) -> str:
-    """Set the congestion control of a TCP socket, unless `name` is None; return what the kernel reports.
-
-    Raises:
-        OptionError: the kernel does not have it or does not allow it.
-    """
+    """Set the congestion control of a TCP socket, unless `name` is None; return what the kernel reports."""
     if name is not None:
         try:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, name.encode())
@@ -207,7 +191,6 @@ def set_congestion_control(connection: socket.socket, name: str | None) -> str:
 
 
 def _head(topic: bytes, message_bytes: int) -> bytes:
-    """Return the part of a frame that precedes the message."""
     return _HEADER.pack(message_bytes, len(topic)) + topic
 
 
@@ -293,10 +276,7 @@ class _TcpPeer:
             head_bytes = len(head)
 
     def _read_frames(self, data: memoryview) -> list[tuple[bytes, str, bytearray]] | None:
-        """Complete the frames that start in `data`; return head, topic and message of each, without greetings.
-
-        Returns None if the connection ends, or something arrives that is not a frame.
-        """
+        """Complete the frames that start in `data`; return head, topic and message of each, None if one is broken."""
         frames = []
         if not data:
             return None
@@ -332,7 +312,6 @@ class _TcpPeer:
         return bytes(header + name), name.decode(errors="replace"), body, data
 
     def _fill(self, rest: memoryview) -> bool:
-        """Read until `rest` is full; return False when the connection has ended."""
         try:
             while rest:
                 count = self._connection.recv_into(rest)
@@ -344,14 +323,12 @@ class _TcpPeer:
         return True
 
     def _greeted(self, body: bytearray) -> bool:
-        """Store a greeting; return False if `body` is not one."""
         greeting = Greeting.from_bytes(body)
         if greeting is not None:
             self.greeting, self.topics = greeting, frozenset(greeting.subscriptions)
         return greeting is not None
 
     def shut_down(self) -> None:
-        """End the connection; the reader sees its end."""
         with suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 

@@ -25,9 +25,7 @@ FRAGMENT_BYTES = 60_000
 MAX_UNFINISHED = 8
 """Most messages of one sender that wait for fragments; then the oldest is lost."""
 DATAGRAMS_A_ROUND = 256
-"""Most datagrams in one round of the thread."""
 GREETING_S = 1.0
-"""Time between two greetings to peers that have greeted."""
 FORGET_S = 10.0
 """Silence after which a peer is forgotten."""
 
@@ -45,11 +43,7 @@ class _UdpPeer:
 
 
 class UdpLinks:
-    """Datagrams to all peers that greet; a message with a lost fragment is lost. Further arguments and methods as in `TcpLinks`.
-
-    Args:
-        buffer_bytes: size of the kernel's buffers in each direction, None for its default.
-    """
+    """Datagrams to all peers that greet; a message with a lost fragment is lost. As `TcpLinks`."""
 
     def __init__(
         self,
@@ -112,7 +106,6 @@ class UdpLinks:
                         self._socket.sendmsg([header, part], (), 0, address)
 
     def poll(self) -> None:
-        """Greet from time to time, and take what has arrived."""
         now_s = time.monotonic()
         if now_s >= self._next_greeting_s:
             have_met = set(self._relays) <= set(self._peers)

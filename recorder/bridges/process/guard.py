@@ -50,7 +50,7 @@ class BoundedLog:
         self.total_bytes = 0
 
     def write(self, data: bytes) -> None:
-        """Append `data`, to a new file if this one is full."""
+        """Append `data`."""
         self.total_bytes += len(data)
         with contextlib.suppress(OSError):  # a full disk costs the log, not the bridge
             self._look_for_up(data)
@@ -124,7 +124,7 @@ class Drain:
             self._selector.register(source, selectors.EVENT_READ)
 
     def until(self, deadline: float | None, program: subprocess.Popen[bytes]) -> None:
-        """Read output until the program ends, the deadline passes or, without a deadline, `stopping` is set."""
+        """Read output until the program ends, or the deadline passes, or a stop is requested if there is none."""
         while program.poll() is None and not (deadline is None and self.stopping):
             left_s = None if deadline is None else deadline - time.monotonic()
             if left_s is not None and left_s <= 0:

@@ -23,13 +23,13 @@ _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
 def program_on_path(name: str, folder: Path | None = None) -> Path | None:
-    """Return the path of the program `name` in `folder`, by default on the PATH; None if it is not there."""
+    """Return the path of a program in `folder`, by default on the PATH."""
     path = shutil.which(name, path=None if folder is None else str(folder))
     return Path(path) if path else None
 
 
 def reported_version(program: Path, *arguments: str) -> str:
-    """Return the first printed line that contains a version; empty if none does, or the program fails or hangs."""
+    """Return the first printed line that contains a version, else an empty text."""
     try:
         done = subprocess.run(
             [str(program), *arguments],
@@ -57,11 +57,7 @@ def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
 
 
 def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:
-    """Return the environment variables of a program, with `extra` ones.
-
-    A `foreign` program, which has libraries of its own, must not get the search path that the ROS 2 wheels set for
-    themselves (`docs/reference/bridges.md`).
-    """
+    """Return the environment of a program; a `foreign` one does not get the library path of the ROS 2 wheels."""
     variables = {**os.environ, **extra}
     if foreign and variables.pop(_WHEELS_GUARD, ""):
         paths = variables.pop("LD_LIBRARY_PATH", "").split(os.pathsep)

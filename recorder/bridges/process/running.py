@@ -74,7 +74,7 @@ class RunningBridge:
         self._stopped = False
 
     def mark_ready(self) -> None:
-        """Note that an echo has come back through the bridge."""
+        """Note that an echo has come back."""
         self._ready = True
 
     @property
@@ -99,11 +99,7 @@ class RunningBridge:
         )
 
     def check(self) -> None:
-        """Raise if a program has ended by itself.
-
-        Raises:
-            BridgeError: a program has ended.
-        """
+        """Raise a `BridgeError` if a program has ended by itself."""
         if (failure := self.failure) is not None:
             raise BridgeError(f"{failure}; run `dds-bridge {self.name}` to see its log")
 
@@ -124,7 +120,7 @@ class RunningBridge:
         return tuple(setting for half in self._halves for setting in half.read_back.not_applied)
 
     def describe(self) -> dict[str, Json]:
-        """Return programs, configurations and ends as the JSON object `bridge` of a trace's session."""
+        """Return the JSON object `bridge` of a trace's session."""
         return {
             "bridge": self.name,
             "state": self.state.value,
@@ -150,7 +146,7 @@ class RunningBridge:
         }
 
     def sample(self) -> dict[str, Json]:
-        """Return the present load of each program (`ProgramLoad`) as a JSON object for the trace."""
+        """Return the present load of each program as a JSON object for the trace."""
         return {
             "monotonic_ns": time.monotonic_ns(),
             "bridge": self.name,
@@ -158,16 +154,12 @@ class RunningBridge:
         }
 
     def log_tail(self, half: Half | None = None) -> str:
-        """Return the last lines of the log of `half`'s program, else of the one that failed, else of the first."""
+        """Return the last lines of a log: of `half`, else of a failed program, else of the first."""
         default = self._failed_half() or self._halves[0]
         return next((part for part in self._halves if part.half is half), default).program.log_tail()
 
     def wait_until_up(self, timeout_s: float) -> None:
-        """Wait until all programs are up by their logs.
-
-        Raises:
-            BridgeError: a program ended or did not get that far in time.
-        """
+        """Wait until all programs are up; raise a `BridgeError` if one ends or is late."""
         deadline = time.monotonic() + timeout_s
         for half in self._halves:
             while not half.program.is_up:
@@ -200,7 +192,7 @@ def open_bridge(
     Raises:
         OptionError: there is no such bridge, or it does not support the options.
         BackendUnavailableError: its program is not on this machine.
-        BridgeError: a program ended or did not come up in time.
+        BridgeError: it did not come up in time.
     """
     bridge = load_bridge(name)
     program = find_program(bridge)
@@ -223,11 +215,7 @@ def open_bridge(
 
 
 def find_program(bridge: Bridge) -> Path:
-    """Return the path of the bridge's program.
-
-    Raises:
-        BackendUnavailableError: the program is not on this machine.
-    """
+    """Return the path of the bridge's program; raise a `BackendUnavailableError` if it is not on this machine."""
     program = bridge.find()
     if program is None:
         raise BackendUnavailableError(f"the bridge {bridge.name} is not installed; {bridge.install}")
@@ -251,7 +239,6 @@ def _start_half(
 
 
 def _free_local_link() -> str:
-    """Return a free address, so that two bridges can run at once."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"127.0.0.1:{probe.getsockname()[1]}"

@@ -36,18 +36,14 @@ OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 @dataclass(frozen=True, slots=True)
 class GuardReport:
-    """The end of a program.
-
-    Attributes:
-        asked: whether it still ran when it was asked to stop.
-        exit_code: its exit code, or 128 + signal.
-        left_behind: number of children that outlived it.
-        log_bytes: size of its whole log.
-    """
+    """The end of a program."""
 
     asked: bool
+    """Whether it still ran when it was asked to stop."""
     exit_code: int
+    """Its exit code, or 128 + signal."""
     left_behind: int
+    """Number of children that outlived it."""
     log_bytes: int
 
 
@@ -61,17 +57,7 @@ class ProgramLoad:
 
 
 class SupervisedProgram:
-    """One program from its start to its end.
-
-    Args:
-        command: program and arguments.
-        folder: folder of its log, `log` and `log.1`.
-        environment: all its environment variables.
-        up_pattern: as in `Bridge`.
-
-    Raises:
-        BridgeError: the program cannot be started.
-    """
+    """One program from its start to its end, with its log in `folder`; a failed start is a `BridgeError`."""
 
     def __init__(
         self, command: Sequence[str], folder: Path, environment: Mapping[str, str], up_pattern: str | None
@@ -181,7 +167,7 @@ class SupervisedProgram:
 
 
 def killing_signal(exit_code: int) -> signal.Signals | None:
-    """Return the signal of an exit code, -signal (`subprocess`) or 128 + signal (a shell, the guard); None for others."""
+    """Return the signal of an exit code: -signal (`subprocess`) or 128 + signal (a shell, the guard)."""
     try:
         return signal.Signals(-exit_code if exit_code < 0 else exit_code - 128)
     except ValueError:
@@ -189,7 +175,7 @@ def killing_signal(exit_code: int) -> signal.Signals | None:
 
 
 def describe_end(exit_code: int, last_line: str) -> str:
-    """Return how a program ended: `killed by signal 9 (SIGKILL)`, or the last line of its log where that explains it."""
+    """Return how a program ended: `killed by signal 9 (SIGKILL)`, or the last line of its log."""
     number = killing_signal(exit_code)
     if number is None:
         return last_line

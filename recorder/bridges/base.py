@@ -174,6 +174,7 @@ class Bridge:
         arguments: returns the arguments between the program and the path of its configuration.
         environment: returns the variables to add.
         up_pattern: regular expression of the log line that says the bridge is up.
+        compiled_in: vendor of the middleware in its program, where no loaded library shows it.
         needs_ros_nodes: whether it finds nodes by `ros_discovery_info`, which only ROS 2 publishes.
     """
 
@@ -187,6 +188,7 @@ class Bridge:
     environment: Callable[[BridgeOptions], Mapping[str, str]] = lambda _: {}
     halves: Halves = Halves.NEVER
     up_pattern: str | None = None
+    compiled_in: str = ""
     needs_ros_nodes: bool = False
 
 

@@ -44,4 +44,5 @@ BRIDGE = Bridge(
     arguments=lambda program: plugin_arguments(program, PLUGIN),
     environment=lambda options: zenoh_environment(options, names_loopback=True),
     halves=Halves.ALWAYS,
+    compiled_in="cyclonedds",
 )

@@ -51,5 +51,6 @@ BRIDGE = Bridge(
     arguments=lambda program: plugin_arguments(program, PLUGIN),
     environment=lambda options: zenoh_environment(options, names_loopback=_is_before_iron()),
     halves=Halves.ALWAYS,
+    compiled_in="cyclonedds",
     needs_ros_nodes=True,
 )

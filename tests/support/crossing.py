@@ -60,7 +60,7 @@ def main(*, first, second, topics, until, count, reliability):
 
     def open_one(domain_id, name):
         qos = Qos(reliability=reliability)
-        return open_node("ros2", NodeOptions(domain_id, name, Discovery.LOCALHOST, qos))
+        return open_node("ros2", NodeOptions(domain_id, name=name, discovery=Discovery.LOCALHOST, qos=qos))
 
     seen = {kind: dict.fromkeys(topics, 0) for kind in ("sent", "heard", "crossed", "echoed")}
     with (

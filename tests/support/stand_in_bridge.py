@@ -26,6 +26,7 @@ class StandInBridge:
     install: str = "it is a test's own"
     suffix: str = ".txt"
     up_pattern: str | None = UP
+    compiled_in: str = ""
     needs_ros_nodes: bool = False
 
     def configuration(self, _options):

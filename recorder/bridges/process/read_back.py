@@ -18,10 +18,7 @@ if TYPE_CHECKING:
     from ...applied.applied import Applied
     from ...applied.asked import Asked
     from ...applied.differences import Difference
-    from ..base import BridgeOptions
-
-COMPILED_IN = {"zenoh-bridge-dds": "cyclonedds", "zenoh-bridge-ros2dds": "cyclonedds"}
-"""Name of a bridge -> middleware in its program, where no loaded library shows it."""
+    from ..base import Bridge, BridgeOptions
 
 LINK_MIDDLEWARES = ("zenoh", "socket")
 """Middlewares that join the halves of a bridge; `--transport` and `--tuned` are not for them."""
@@ -30,7 +27,7 @@ LINK_MIDDLEWARES = ("zenoh", "socket")
 class ProgramReadBack:
     """What one program of a bridge uses, read after the first echo and before the program is stopped."""
 
-    def __init__(self, bridge: str, options: BridgeOptions, pid: int) -> None:
+    def __init__(self, bridge: Bridge, options: BridgeOptions, pid: int) -> None:
         self._bridge = bridge
         self._options = options
         self._pid = pid  # or its first child that has sockets, if it is a script
@@ -47,8 +44,7 @@ class ProgramReadBack:
         self._applied = applied
         vendors = (library.vendor for library in applied.begin.libraries)
         vendor = next(
-            (vendor for vendor in vendors if vendor not in LINK_MIDDLEWARES),
-            COMPILED_IN.get(self._bridge, ""),
+            (vendor for vendor in vendors if vendor not in LINK_MIDDLEWARES), self._bridge.compiled_in
         )
         self._requested = tuple(
             asked_settings(
@@ -72,19 +68,17 @@ class ProgramReadBack:
         """The requested settings that the program does not use, each once."""
         if self._applied is None:
             return ()
+        name = self._bridge.name
         by_setting = {
-            difference.setting: difference
+            difference.setting: replace(
+                difference,
+                asked=f"{name}: {difference.asked}",
+                words=f"the bridge {name}: {difference.words}",
+            )
             for requested in self._requested
             for difference in differences(requested, self._applied)
         }
-        return tuple(
-            replace(
-                difference,
-                asked=f"{self._bridge}: {difference.asked}",
-                words=f"the bridge {self._bridge}: {difference.words}",
-            )
-            for difference in by_setting.values()
-        )
+        return tuple(by_setting.values())
 
     def fields(self) -> dict[str, Json]:
         """Return `asked` (a list, by domain), `applied` and `not_applied` of the program; empty before `read`."""

@@ -234,7 +234,7 @@ def _start_half(
     variables = program_environment(extra, foreign=program != Path(sys.executable))
     command = (str(program), *bridge.arguments(program), str(file))
     supervised = SupervisedProgram(command, folder, variables, bridge.up_pattern)
-    read_back = ProgramReadBack(bridge.name, options, supervised.pid)
+    read_back = ProgramReadBack(bridge, options, supervised.pid)
     return _RunningHalf(options, version, text, extra, supervised, read_back)
 
 

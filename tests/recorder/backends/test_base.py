@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import (
     BACKEND_MODULES,
     installed_middlewares,
@@ -78,14 +78,6 @@ def test_the_relays_address_is_this_device_unless_given():
     assert backend.peer_addresses(told) == (("pi4", port), ("10.0.0.2", 99))
     with pytest.raises(OptionError, match="the backend socket does not look for relays on the network"):
         backend.peer_addresses(NodeOptions(domain_id=3))
-
-
-def test_a_package_that_does_not_import_says_how_to_get_it(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "zenoh", None)
-    with pytest.raises(
-        BackendUnavailableError, match=r"^Zenoh cannot be loaded .*; pip install 'dds-trace\[zenoh\]'$"
-    ):
-        load_backend("zenoh").open_node(NodeOptions(**LOCAL))
 
 
 def test_each_rmw_of_an_installation_is_a_middleware_and_connext_needs_a_licence(tmp_path, monkeypatch):

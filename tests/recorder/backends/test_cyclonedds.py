@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import time
 
@@ -14,9 +12,9 @@ from processes import PATIENCE_S, ping, relay
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import cyclonedds, open_node
 from dds_trace.recorder.backends.cyclone_settings import CYCLONE_LOOPBACK, cyclone_loopback
-from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
-from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
-from dds_trace.recorder.payloads import BINARY, IMU, data_types
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Discovery
+from dds_trace.recorder.payloads import IMU, data_types
 from dds_trace.tracefile.format.descriptions import Qos
 
 pytest.importorskip("cyclonedds", reason="no Cyclone DDS here")
@@ -170,68 +168,12 @@ def test_a_message_older_than_its_lifespan_is_not_delivered(domain_id):
         assert one.look_at(IMU.topic).publishers[0].qos.extra == {"lifespan_ns": 100_000_000}
 
 
-def test_an_error_in_a_callback_is_kept(domain_id):
-    def fail(*_):
-        raise ValueError("ours")
-
-    with open_node("cyclonedds", options(domain_id)) as node:
-        node.create_subscription(IMU.topic, IMU.type_name, fail)
-        publisher = node.create_publisher(IMU.topic, IMU.type_name)
-        node.start()
-        deadline = time.monotonic() + PATIENCE_S
-        while node.error is None:
-            assert time.monotonic() < deadline
-            publisher.publish(IMU.make(None, 1).messages[0].data)
-            time.sleep(0.05)
-        assert str(node.error) == "ours"
-
-
-@pytest.mark.parametrize(
-    ("more", "line"),
-    [
-        ({"peers": ("pi4",)}, "discovers its peers"),
-        ({"transport": Transport.SHM}, "only has default"),
-        ({"rmw": "rmw_fastrtps_cpp"}, "--rmw"),
-        ({"executor": ExecutorKind.SINGLE}, "--executor"),
-    ],
-)
-def test_options_without_a_meaning_are_refused(domain_id, more, line):
-    with pytest.raises(OptionError, match=line):
-        open_node("cyclonedds", options(domain_id, **more))
-
-
 def test_types_and_qualities_that_it_does_not_know_are_refused(domain_id):
     with open_node("cyclonedds", options(domain_id)) as node:
         with pytest.raises(OptionError, match="does not know the type nowhere_msgs/msg/None"):
             node.create_publisher("x", "nowhere_msgs/msg/None")
         with pytest.raises(OptionError, match="rather"):
             node.create_publisher("x", IMU.type_name, qos=Qos(reliability="rather"))
-        with pytest.raises(OptionError, match="only carries serialized messages"):
-            message_objects_of(node)
-
-
-def test_closing_twice_is_allowed(domain_id):
-    node = open_node("cyclonedds", options(domain_id))
-    node.create_publisher(BINARY.topic, BINARY.type_name).close()
-    node.create_subscription(BINARY.topic, BINARY.type_name, lambda *_: None).close()
-    node.start()
-    node.close()
-    node.close()
-
-
-def test_without_cyclonedds_it_says_how_to_get_it():
-    code = (
-        "import sys; sys.modules['cyclonedds'] = None\n"
-        "from dds_trace.recorder.backends.node import NodeOptions\n"
-        "from dds_trace.recorder.backends import open_node\n"
-        "from dds_trace.base.errors import BackendUnavailableError\n"
-        "try: open_node('cyclonedds', NodeOptions())\n"
-        "except BackendUnavailableError as error: print(error)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S
-    )
-    assert "pip install 'dds-trace[cyclonedds]'" in done.stdout
 
 
 def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch):

@@ -179,22 +179,6 @@ def test_quality_of_service_that_never_matches_is_seen(domain_id, executor):
         assert one.count_participants() == 2
 
 
-def test_an_error_in_a_callback_is_kept(domain_id):
-    def fail(*_):
-        raise ValueError("ours")
-
-    with open_node("ros2", options(domain_id, executor=ExecutorKind.SINGLE)) as node:
-        node.create_subscription("imu_data", IMU.type_name, fail)
-        publisher = node.create_publisher("imu_data", IMU.type_name)
-        node.start()
-        deadline = time.monotonic() + PATIENCE_S
-        while node.error is None:
-            assert time.monotonic() < deadline
-            publisher.publish(IMU.make(None, 1).messages[0].data)
-            time.sleep(0.05)
-        assert str(node.error) == "ours"
-
-
 def test_python_keeps_its_signal_handlers(domain_id):
     # The EventsExecutor takes SIGINT and SIGTERM for itself when it is made and resets them when it goes.
     seen = []
@@ -208,13 +192,6 @@ def test_python_keeps_its_signal_handlers(domain_id):
         assert seen == [signal.SIGTERM] * 2
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def test_closing_twice_is_allowed(domain_id):
-    node = open_node("ros2", options(domain_id))
-    node.start()
-    node.close()
-    node.close()
 
 
 def test_options_that_ros_cannot_meet_are_refused(domain_id):
@@ -266,24 +243,6 @@ def test_a_missing_middleware_is_one_line_and_no_dead_process(domain_id, option,
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("RMW_IMPLEMENTATION=rmw_cyclonedds_cpp does not work here: ")
     assert "apt install ros-$ROS_DISTRO-rmw-cyclonedds-cpp" in done.stdout
-
-
-def test_without_rclpy_it_says_how_to_get_it():
-    done = python(
-        """
-        import sys
-        sys.modules["rclpy"] = None  # as if it were not installed
-        from dds_trace.recorder.backends import open_node
-        from dds_trace.recorder.backends.node import NodeOptions
-        from dds_trace.base.errors import BackendUnavailableError
-        try:
-            open_node("ros2", NodeOptions())
-        except BackendUnavailableError as error:
-            print(error)
-        """
-    )
-    assert "rclpy is not installed; pip install 'dds-trace[ros2]'" in done.stdout, done.stderr
-    assert "setup.bash" in done.stdout
 
 
 def test_binary_data_of_some_megabytes_arrives_whole(domain_id):

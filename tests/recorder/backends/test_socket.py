@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 from backend_pairs import all_data_types, events
-from processes import PATIENCE_S, ping, relay, running
+from processes import PATIENCE_S, ping, relay
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
-from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.socket import BACKEND
 from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES
-from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
+from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import BINARY, IMU
 from dds_trace.recorder.roles.floor import measure_floor
 from dds_trace.tracefile.format.descriptions import Qos
@@ -177,19 +177,6 @@ def test_a_relay_that_ends_and_comes_again_is_found_again(domain_id):
         assert here.error is None
 
 
-def test_an_error_in_a_callback_is_kept(domain_id):
-    def fail(*_):
-        raise OSError("ours")
-
-    with pair(domain_id, fail) as (_, there, publisher):
-        publisher.publish(b"x")
-        deadline = time.monotonic() + PATIENCE_S
-        while there.error is None:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        assert str(there.error) == "ours"
-
-
 def test_strangers_do_no_harm(domain_id):
     import socket
 
@@ -227,16 +214,12 @@ def test_strangers_on_udp_do_no_harm(domain_id):
     [
         ({"discovery": Discovery.SUBNET}, "--peer HOST"),
         ({"peers": ("pi4:x",)}, "write HOST or HOST:PORT"),
-        ({"transport": Transport.SHM}, "only has default, udp"),
         ({"transport": Transport.UDP}, "--reliability best_effort"),
         ({"congestion_control": "none_such"}, "--congestion-control none_such: the kernel refuses it"),
         ({"transport": Transport.UDP, "qos": BEST_EFFORT, "congestion_control": "reno"}, "UDP has none"),
         ({"qos": Qos(durability="transient_local")}, "keep no messages"),
         ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend socket has no such"),
         ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend socket has no such"),
-        ({"rmw": "rmw_fastrtps_cpp"}, "--rmw"),
-        ({"executor": ExecutorKind.EVENTS}, "--executor"),
-        ({"domain_id": 232}, "--domain 232"),
     ],
 )
 def test_options_without_a_meaning_are_refused(domain_id, more, line):
@@ -326,35 +309,6 @@ def test_several_connections_call_back_one_at_a_time(domain_id):
             sender.join()
         assert most == [1]
         assert there.error is None
-
-
-def test_message_objects_are_refused(domain_id):
-    with (
-        open_node("socket", options(domain_id)) as node,
-        pytest.raises(OptionError, match="only carries serialized messages"),
-    ):
-        message_objects_of(node)
-
-
-@pytest.mark.middleware
-def test_a_second_relay_of_the_domain_is_one_line(domain_id, tmp_path):
-    with (
-        relay(domain_id, tmp_path / "one.mcap", *SOCKET),
-        running(
-            *("dds-record", "--role", "relay", "--domain", domain_id, "--out", tmp_path / "two.mcap"), *SOCKET
-        ) as second,
-    ):
-        done = second.finish()
-    assert done.status == 2
-    assert "one relay for each domain of a device" in done.stderr
-
-
-@pytest.mark.middleware
-def test_a_ping_without_a_relay_names_what_it_looked_for(domain_id, tmp_path):
-    done = ping(domain_id, tmp_path / "ping.mcap", *SOCKET, "--wait", 1)
-    assert done.status == 8
-    assert "saw: 0 other nodes" in done.stderr
-    assert not (tmp_path / "ping.mcap").exists()
 
 
 @pytest.mark.middleware

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import time
 
 import pytest
 from backend_pairs import all_data_types
-from processes import PATIENCE_S, ping, relay, running
+from processes import PATIENCE_S
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.zenoh import BACKEND
-from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
+from dds_trace.recorder.choices import Discovery
 from dds_trace.recorder.payloads import BINARY, IMU
 from dds_trace.tracefile.format.descriptions import Qos
 
@@ -94,71 +92,16 @@ def test_domains_stay_apart_even_at_one_address(domains):
     assert seen == {b"ours"}
 
 
-def test_an_error_in_a_callback_is_kept(domain_id):
-    def fail(*_):
-        raise ValueError("ours")
-
-    with (
-        open_node("zenoh", options(domain_id, listens=True)) as there,
-        open_node("zenoh", options(domain_id)) as here,
-    ):
-        there.create_subscription(IMU.topic, IMU.type_name, fail)
-        publisher = here.create_publisher(IMU.topic, IMU.type_name)
-        there.start()
-        deadline = time.monotonic() + PATIENCE_S
-        while there.error is None:
-            assert time.monotonic() < deadline
-            publisher.publish(b"x")
-            time.sleep(0.02)
-        assert str(there.error) == "ours"
-
-
 @pytest.mark.parametrize(
     ("more", "line"),
     [
         ({"discovery": Discovery.SUBNET}, "--peer HOST"),
         ({"peers": ("multicast",)}, "--discovery subnet"),
-        ({"transport": Transport.UDP}, "only has default"),
         ({"qos": Qos(durability="transient_local")}, "keeps no message"),
         ({"qos": Qos(extra={"deadline_ns": 5})}, "--deadline: the backend zenoh has no such"),
         ({"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: the backend zenoh has no such"),
-        ({"executor": ExecutorKind.SINGLE}, "--executor"),
     ],
 )
 def test_options_without_a_meaning_are_refused(domain_id, more, line):
     with pytest.raises(OptionError, match=line):
         open_node("zenoh", options(domain_id, **more))
-
-
-def test_a_second_relay_of_the_domain_is_one_line(domain_id, tmp_path):
-    with (
-        relay(domain_id, tmp_path / "one.mcap", *ZENOH),
-        running(
-            *("dds-record", "--role", "relay", "--domain", domain_id, "--out", tmp_path / "two.mcap"), *ZENOH
-        ) as second,
-    ):
-        done = second.finish()
-    assert done.status == 2
-    assert "one relay for each domain of a device" in done.stderr
-
-
-def test_a_ping_without_a_relay_names_what_it_looked_for(domain_id, tmp_path):
-    done = ping(domain_id, tmp_path / "ping.mcap", *ZENOH, "--wait", 1)
-    assert done.status == 8
-    assert "saw: 0 other nodes" in done.stderr
-
-
-def test_without_zenoh_it_says_how_to_get_it():
-    code = (
-        "import sys; sys.modules['zenoh'] = None\n"
-        "from dds_trace.recorder.backends.node import NodeOptions\n"
-        "from dds_trace.recorder.choices import Discovery\n"
-        "from dds_trace.recorder.backends import open_node\n"
-        "from dds_trace.base.errors import BackendUnavailableError\n"
-        "try: open_node('zenoh', NodeOptions(discovery=Discovery.LOCALHOST))\n"
-        "except BackendUnavailableError as error: print(error)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S
-    )
-    assert "pip install 'dds-trace[zenoh]'" in done.stdout

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+import toy_bridge
 from applied_pair import needs_large_buffers, relaying
 
 from dds_trace.recorder.applied.vendors import BUFFER_BYTES
@@ -28,7 +29,7 @@ def asked(pair, **options):
 def test_a_program_without_a_middleware_says_nothing_and_one_that_has_ended_is_not_read():
     options = BridgeOptions(5, 10, transport=Transport.UDP, tuned=True)
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as program:
-        read_back = ProgramReadBack("toy", options, program.pid)
+        read_back = ProgramReadBack(toy_bridge.BRIDGE, options, program.pid)
         assert read_back.fields() == {}
         read_back.read()
         assert read_back.fields()["applied"]["begin"]["sockets"] == []
@@ -42,7 +43,7 @@ def test_a_program_without_a_middleware_says_nothing_and_one_that_has_ended_is_n
 def test_a_transport_that_a_program_does_not_use_is_named_with_the_bridge(pair):
     pytest.importorskip("rclpy")
     with relaying("ros2", pair[0]) as program:  # of the default transports
-        read_back = ProgramReadBack("builtin", asked(pair, transport=Transport.UDP), program.pid)
+        read_back = ProgramReadBack(load_bridge("builtin"), asked(pair, transport=Transport.UDP), program.pid)
         read_back.read()
         (difference,) = read_back.not_applied
         assert difference.words.startswith("the bridge builtin: asked for UDP, shared memory is open (")

@@ -11,7 +11,9 @@ function show(name) {
   button.setAttribute("aria-pressed", String(name === "dark"));
 }
 
-function current() { return chosen || (systemDark.matches ? "dark" : "light"); }
+function current() {
+  return chosen || (systemDark.matches ? "dark" : "light");
+}
 
 button.addEventListener("click", () => {
   chosen = current() === "dark" ? "light" : "dark";

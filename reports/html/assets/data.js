@@ -16,5 +16,9 @@ function plain(text) {
 }
 
 /** What distinguishes a group, for tables and hovers. */
-function seriesOf(group) { return DATA.series[DATA.groups.series[group]]; }
-function cellOf(group) { return DATA.cells[DATA.groups.cell[group]]; }
+function seriesOf(group) {
+  return DATA.series[DATA.groups.series[group]];
+}
+function cellOf(group) {
+  return DATA.cells[DATA.groups.cell[group]];
+}

@@ -4,13 +4,16 @@ const QUIET = { displayModeBar: false, responsive: false, doubleClick: "reset" }
 
 // Rows of figures within reach of a scroll; the observer calls when one comes near or goes.
 const NEAR = new Set();
-const SEEN = new IntersectionObserver((entries) => {
-  for (const { target, isIntersecting } of entries) {
-    if (isIntersecting) NEAR.add(target);
-    else NEAR.delete(target);
-  }
-  drawNear();
-}, { rootMargin: "400px" });
+const SEEN = new IntersectionObserver(
+  (entries) => {
+    for (const { target, isIntersecting } of entries) {
+      if (isIntersecting) NEAR.add(target);
+      else NEAR.delete(target);
+    }
+    drawNear();
+  },
+  { rootMargin: "400px" },
+);
 
 /** Whether a part is in the window. The content of a closed fold has a position for the browser, but nobody sees it. */
 function isOnScreen(part) {
@@ -31,12 +34,14 @@ class FigureBlock {
     this.fold = article.querySelector(".fold");
     this.heading = article.querySelector("h3");
     if (isNarrow(innerWidth) && FOLDED_ON_PHONES.includes(this.name)) this.fold.open = false;
-    this.all = false;   // more panels than MOST_PANELS
-    this.painted = new Set();   // places of rows
+    this.all = false; // more panels than MOST_PANELS
+    this.painted = new Set(); // places of rows
     this.spoil();
     this.sorting = { column: -1, descending: false };
     this.details.addEventListener("toggle", () => this.showRows());
-    this.fold.addEventListener("toggle", () => { if (this.fold.open) this.redraw(); });
+    this.fold.addEventListener("toggle", () => {
+      if (this.fold.open) this.redraw();
+    });
     for (const button of article.querySelectorAll("[data-save]")) {
       button.setAttribute("aria-label", `Save "${this.figure.title}" as ${button.textContent}`);
       button.addEventListener("click", () => this.save(button.dataset.save));
@@ -50,18 +55,27 @@ class FigureBlock {
     this.heading.textContent = this.title();
   }
 
-  /** Works out what is drawn, and takes its room on the page: links within it land where they say before all is drawn. */
+  /**
+   * Works out what is drawn, and takes its room on the page: links within it land where they say before all is drawn.
+   */
   plan() {
     if (this.planned) return;
     this.planned = true;
     // A figure that is folded has no width of its own yet.
-    this.drawn = KINDS[this.figure.kind](this.figure.plan, Math.floor(this.plot.clientWidth || this.article.clientWidth), this.all);
+    this.drawn = KINDS[this.figure.kind](
+      this.figure.plan,
+      Math.floor(this.plot.clientWidth || this.article.clientWidth),
+      this.all,
+    );
     const empty = this.drawn.data.length === 0;
     this.rows = empty ? [] : rowsOf(this.drawn);
     this.plot.classList.toggle("bare", empty);
     while (this.plot.children.length > this.rows.length) this.drop(this.plot.lastElementChild);
-    while (this.plot.children.length < this.rows.length) SEEN.observe(this.plot.appendChild(element("div", { class: "row" })));
-    this.rows.forEach(({ layout }, place) => { this.plot.children[place].style.height = `${layout.height}px`; });
+    while (this.plot.children.length < this.rows.length)
+      SEEN.observe(this.plot.appendChild(element("div", { class: "row" })));
+    this.rows.forEach(({ layout }, place) => {
+      this.plot.children[place].style.height = `${layout.height}px`;
+    });
     this.article.querySelector(".legend").replaceChildren(...this.legend());
     this.article.querySelector(".note").textContent = this.note(empty);
     for (const button of this.article.querySelectorAll("[data-save]")) button.disabled = empty;
@@ -70,7 +84,9 @@ class FigureBlock {
   }
 
   /** The page is renewed: nothing of this figure stays. */
-  leave() { for (const row of [...this.plot.children]) this.drop(row); }
+  leave() {
+    for (const row of [...this.plot.children]) this.drop(row);
+  }
 
   drop(row) {
     SEEN.unobserve(row);
@@ -96,7 +112,10 @@ class FigureBlock {
       Plotly.react(row, data, layout, QUIET);
       if (!row.dataset.opens) {
         row.dataset.opens = "yes";
-        row.on("plotly_click", ({ points: [point] }) => { const group = groupOfPoint(point); if (group !== null) openGroup(group); });
+        row.on("plotly_click", ({ points: [point] }) => {
+          const group = groupOfPoint(point);
+          if (group !== null) openGroup(group);
+        });
         row.on("plotly_hover", ({ points: [point] }) => this.highlight(point.data.meta));
         row.on("plotly_unhover", () => this.highlight(null));
       }
@@ -108,7 +127,11 @@ class FigureBlock {
     const groups = counted(missing, "result");
     const notes = [];
     if (empty) notes.push(missing ? "Nothing to draw here:" : "Nothing passes the filters here.");
-    if (missing) notes.push(`${groups} of this view ha${missing === 1 ? "s" : "ve"} no such value (too few messages, or a trace is missing).`);
+    if (missing)
+      notes.push(
+        `${groups} of this view ha${missing === 1 ? "s" : "ve"} no such value ` +
+          "(too few messages, or a trace is missing).",
+      );
     if (!empty && foot) notes.push(foot);
     return notes.join(" ");
   }
@@ -128,28 +151,53 @@ class FigureBlock {
   /** One button for each line, which switches it off and on everywhere; the parts of stacked bars only have names. */
   legend() {
     const more = this.drawn.panels > this.drawn.shown ? [this.moreButton()] : [];
-    if (this.drawn.parts) return [...this.drawn.parts.map(({ name, color, hatched }) => element("span", {}, swatch({ color, bar: true, hatch: hatched ? "/" : "" }), name)), ...more];
+    if (this.drawn.parts)
+      return [
+        ...this.drawn.parts.map(({ name, color, hatched }) =>
+          element("span", {}, swatch({ color, bar: true, hatch: hatched ? "/" : "" }), name),
+        ),
+        ...more,
+      ];
     if (!this.drawn.legend) return more;
     const { dimension, options } = this.drawn.legend;
-    return [...options.map((option) => {
-      const look = lookOf(dimension, option);
-      const button = element("button", { type: "button", class: "line", "aria-pressed": String(!view.hidden.has(look.key)), "data-line": look.key }, swatch({ ...look, bar: this.figure.kind === "bars" }), look.label);
-      button.addEventListener("click", () => {
-        if (!view.hidden.delete(look.key)) view.hidden.add(look.key);
-        refreshAll();
-        this.article.querySelector(`[data-line="${look.key}"]`)?.focus();
-      });
-      for (const [on, off] of [["pointerenter", "pointerleave"], ["focus", "blur"]]) {
-        button.addEventListener(on, () => this.highlight(look.key));
-        button.addEventListener(off, () => this.highlight(null));
-      }
-      return button;
-    }), ...more];
+    return [
+      ...options.map((option) => {
+        const look = lookOf(dimension, option);
+        const button = element(
+          "button",
+          { type: "button", class: "line", "aria-pressed": String(!view.hidden.has(look.key)), "data-line": look.key },
+          swatch({ ...look, bar: this.figure.kind === "bars" }),
+          look.label,
+        );
+        button.addEventListener("click", () => {
+          if (!view.hidden.delete(look.key)) view.hidden.add(look.key);
+          refreshAll();
+          this.article.querySelector(`[data-line="${look.key}"]`)?.focus();
+        });
+        for (const [on, off] of [
+          ["pointerenter", "pointerleave"],
+          ["focus", "blur"],
+        ]) {
+          button.addEventListener(on, () => this.highlight(look.key));
+          button.addEventListener(off, () => this.highlight(null));
+        }
+        return button;
+      }),
+      ...more,
+    ];
   }
 
   moreButton() {
-    const button = element("button", { type: "button", class: "quiet more" }, `${this.drawn.shown} of ${this.drawn.panels} panels: show all`);
-    button.addEventListener("click", () => { this.all = true; this.redraw(); this.heading.scrollIntoView(); });
+    const button = element(
+      "button",
+      { type: "button", class: "quiet more" },
+      `${this.drawn.shown} of ${this.drawn.panels} panels: show all`,
+    );
+    button.addEventListener("click", () => {
+      this.all = true;
+      this.redraw();
+      this.heading.scrollIntoView();
+    });
     return button;
   }
 
@@ -162,7 +210,10 @@ class FigureBlock {
   }
 
   showRows() {
-    if (this.details.open && this.drawn) showTable(this.article.querySelector(".table-place"), this.title(), this.drawn.columns, this.drawn.rows, { sorting: this.sorting });
+    if (this.details.open && this.drawn)
+      showTable(this.article.querySelector(".table-place"), this.title(), this.drawn.columns, this.drawn.rows, {
+        sorting: this.sorting,
+      });
   }
 
   save(format) {
@@ -174,16 +225,35 @@ class FigureBlock {
 }
 
 const SYMBOL_PATHS = {
-  circle: "M4.5 0A4.5 4.5 0 1 1-4.5 0A4.5 4.5 0 1 1 4.5 0Z", square: "M-4-4H4V4H-4Z", diamond: "M0-5.5L5.5 0L0 5.5L-5.5 0Z",
-  "triangle-up": "M0-5L5 4H-5Z", "triangle-down": "M0 5L5-4H-5Z", cross: "M-5-2H-2V-5H2V-2H5V2H2V5H-2V2H-5Z",
-  hexagon: "M0-5L4.5-2.5V2.5L0 5L-4.5 2.5V-2.5Z", star: "M0-6L1.5-1.5H6L2.5 1.5L4 6L0 3L-4 6L-2.5 1.5L-6-1.5H-1.5Z",
-  pentagon: "M0-5L4.8-1.5L2.9 4H-2.9L-4.8-1.5Z", hourglass: "M4.5 5H-4.5L4.5-5H-4.5Z", bowtie: "M5 4.5V-4.5L-5 4.5V-4.5Z",
-  "diamond-tall": "M0-6L3.5 0L0 6L-3.5 0Z", "diamond-wide": "M0-3.5L6 0L0 3.5L-6 0Z", "triangle-left": "M-5 0L4-5V5Z", "triangle-right": "M5 0L-4-5V5Z",
-  "star-diamond": "M0-6L2-2L6 0L2 2L0 6L-2 2L-6 0L-2-2Z", hexagram: "M0-6L1.7-3H5.2L3.5 0L5.2 3H1.7L0 6L-1.7 3H-5.2L-3.5 0L-5.2-3H-1.7Z",
-  "star-triangle-up": "M0-6L1.5 1L6 4L0 3L-6 4L-1.5 1Z", x: "M-5-3L-3-5L0-2L3-5L5-3L2 0L5 3L3 5L0 2L-3 5L-5 3L-2 0Z",
+  circle: "M4.5 0A4.5 4.5 0 1 1-4.5 0A4.5 4.5 0 1 1 4.5 0Z",
+  square: "M-4-4H4V4H-4Z",
+  diamond: "M0-5.5L5.5 0L0 5.5L-5.5 0Z",
+  "triangle-up": "M0-5L5 4H-5Z",
+  "triangle-down": "M0 5L5-4H-5Z",
+  cross: "M-5-2H-2V-5H2V-2H5V2H2V5H-2V2H-5Z",
+  hexagon: "M0-5L4.5-2.5V2.5L0 5L-4.5 2.5V-2.5Z",
+  star: "M0-6L1.5-1.5H6L2.5 1.5L4 6L0 3L-4 6L-2.5 1.5L-6-1.5H-1.5Z",
+  pentagon: "M0-5L4.8-1.5L2.9 4H-2.9L-4.8-1.5Z",
+  hourglass: "M4.5 5H-4.5L4.5-5H-4.5Z",
+  bowtie: "M5 4.5V-4.5L-5 4.5V-4.5Z",
+  "diamond-tall": "M0-6L3.5 0L0 6L-3.5 0Z",
+  "diamond-wide": "M0-3.5L6 0L0 3.5L-6 0Z",
+  "triangle-left": "M-5 0L4-5V5Z",
+  "triangle-right": "M5 0L-4-5V5Z",
+  "star-diamond": "M0-6L2-2L6 0L2 2L0 6L-2 2L-6 0L-2-2Z",
+  hexagram: "M0-6L1.7-3H5.2L3.5 0L5.2 3H1.7L0 6L-1.7 3H-5.2L-3.5 0L-5.2-3H-1.7Z",
+  "star-triangle-up": "M0-6L1.5 1L6 4L0 3L-6 4L-1.5 1Z",
+  x: "M-5-3L-3-5L0-2L3-5L5-3L2 0L5 3L3 5L0 2L-3 5L-5 3L-2 0Z",
 };
 const DASH_ARRAYS = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "9 4", longdashdot: "9 3 2 3" };
-const HATCH_PATHS = { "/": "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0", "\\": "M9 0L3-6M9 6L-3-6M3 6L-9-6M-3 6L-9 0", "-": "M-9-2H9M-9 2H9", "|": "M-5-6V6M0-6V6M5-6V6", "+": "M-9-2H9M-9 2H9M-5-6V6M0-6V6M5-6V6", ".": "M-6-2h1M0-2h1M6-2h1M-3 2h1M3 2h1" };
+const HATCH_PATHS = {
+  "/": "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0",
+  "\\": "M9 0L3-6M9 6L-3-6M3 6L-9-6M-3 6L-9 0",
+  "-": "M-9-2H9M-9 2H9",
+  "|": "M-5-6V6M0-6V6M5-6V6",
+  "+": "M-9-2H9M-9 2H9M-5-6V6M0-6V6M5-6V6",
+  ".": "M-6-2h1M0-2h1M6-2h1M-3 2h1M3 2h1",
+};
 
 /** The small picture in a legend: line and symbol (drawn by plotly's own rule), or a plain or hatched bar. */
 function swatch({ color, symbol, dash, hatch = "", bar = false }) {
@@ -194,11 +264,31 @@ function swatch({ color, symbol, dash, hatch = "", bar = false }) {
   };
   const picture = draw("svg", { width: 34, height: 14, viewBox: "-17 -7 34 14", "aria-hidden": "true" });
   if (bar) {
-    picture.append(draw("rect", { x: -9, y: -6, width: 18, height: 12, fill: hatch ? "none" : color, stroke: color, "stroke-width": 1.2 }));
+    picture.append(
+      draw("rect", {
+        x: -9,
+        y: -6,
+        width: 18,
+        height: 12,
+        fill: hatch ? "none" : color,
+        stroke: color,
+        "stroke-width": 1.2,
+      }),
+    );
     if (hatch) picture.append(draw("path", { d: HATCH_PATHS[hatch], stroke: color, "stroke-width": 1.4 }));
     return picture;
   }
-  picture.append(draw("line", { x1: -17, x2: 17, y1: 0, y2: 0, stroke: color, "stroke-width": 1.8, "stroke-dasharray": DASH_ARRAYS[dash] }));
+  picture.append(
+    draw("line", {
+      x1: -17,
+      x2: 17,
+      y1: 0,
+      y2: 0,
+      stroke: color,
+      "stroke-width": 1.8,
+      "stroke-dasharray": DASH_ARRAYS[dash],
+    }),
+  );
   picture.append(draw("path", { d: SYMBOL_PATHS[symbol], fill: color, stroke: color, "stroke-width": 1 }));
   return picture;
 }

@@ -4,18 +4,26 @@ const GROUP_FIGURES = ["timeline", "ecdf", "breakdown"];
 
 const groupName = (group) => `${cellOf(group).label}, ${seriesOf(group).label}`;
 
-const hoverKey = (text) => String(text ?? "").split("<br>").slice(0, 2).join("<br>");
+const hoverKey = (text) =>
+  String(text ?? "")
+    .split("<br>")
+    .slice(0, 2)
+    .join("<br>");
 
 /** The group that the first two lines of a hover name (`groupHover`): how a mark is traced back to its group. */
 function groupOfHover(text) {
   const named = hoverKey(text);
-  const group = Array.from({ length: DATA.groups.count }, (_, place) => place).find((place) => hoverKey(groupHover(place)) === named);
+  const group = Array.from({ length: DATA.groups.count }, (_, place) => place).find(
+    (place) => hoverKey(groupHover(place)) === named,
+  );
   return group ?? null;
 }
 
 /** The group of a mark, bar or tile that plotly says was clicked. */
 function groupOfPoint({ data, pointNumber, hovertext }) {
-  const of = Array.isArray(pointNumber) ? data.hovertext?.[pointNumber[0]]?.[pointNumber[1]] : hovertext ?? (Array.isArray(data.hovertext) ? data.hovertext[pointNumber] : data.hovertext);
+  const of = Array.isArray(pointNumber)
+    ? data.hovertext?.[pointNumber[0]]?.[pointNumber[1]]
+    : (hovertext ?? (Array.isArray(data.hovertext) ? data.hovertext[pointNumber] : data.hovertext));
   return groupOfHover(of);
 }
 
@@ -30,7 +38,10 @@ function openGroup(group) {
 /** Shows the group that the address names, or closes what was open. */
 function showGroup() {
   const { group } = view;
-  if (group === null) { if (sheet.open) sheet.close(); return; }
+  if (group === null) {
+    if (sheet.open) sheet.close();
+    return;
+  }
   if (!sheet.open) sheet.showModal();
   document.getElementById("group-title").textContent = groupName(group);
   document.getElementById("group-said").textContent = groupSentence(group);
@@ -39,16 +50,32 @@ function showGroup() {
   place.replaceChildren();
   for (const name of GROUP_FIGURES.filter((one) => DATA.figures[one])) drawOf(group, name, place);
   const runs = DATA.runs.filter((run) => run.group === group);
-  const columns = [{ label: "Run" }, { label: "Began" }, { label: "Sent", format: formatCount }, { label: "Received", format: formatCount }, { label: "Median", unit: "ns", format: formatNs }, { label: "Slowest", unit: "ns", format: formatNs }];
-  showTable(document.getElementById("group-runs"), "Runs of the result", columns, runs.map((run) => [run.name, run.began || null, run.sent, run.received, run.p50_ns, run.max_ns]));
+  const columns = [
+    { label: "Run" },
+    { label: "Began" },
+    { label: "Sent", format: formatCount },
+    { label: "Received", format: formatCount },
+    { label: "Median", unit: "ns", format: formatNs },
+    { label: "Slowest", unit: "ns", format: formatNs },
+  ];
+  showTable(
+    document.getElementById("group-runs"),
+    "Runs of the result",
+    columns,
+    runs.map((run) => [run.name, run.began || null, run.sent, run.received, run.p50_ns, run.max_ns]),
+  );
   sheet.scrollTop = 0;
 }
 
 function groupSentence(group) {
   const { times_ns: times, plain: values } = DATA.values;
-  const said = ["p50", "p90", "p99", "max"].filter((key) => times[view.metric][key][group] !== null)
-    .map((key) => `${DATA.statistics.find((one) => one.key === key).label} ${formatNs(times[view.metric][key][group])}`);
-  return `${sampleHover(group)} in ${counted(values.runs[group], "run")}. ${labelOf("metric")}: ${said.join(", ") || "no time was measured"}.`;
+  const said = ["p50", "p90", "p99", "max"]
+    .filter((key) => times[view.metric][key][group] !== null)
+    .map(
+      (key) => `${DATA.statistics.find((one) => one.key === key).label} ${formatNs(times[view.metric][key][group])}`,
+    );
+  const measured = said.join(", ") || "no time was measured";
+  return `${sampleHover(group)} in ${counted(values.runs[group], "run")}. ${labelOf("metric")}: ${measured}.`;
 }
 
 /** Draws a figure of the page as if only this group had passed the filters. */
@@ -56,11 +83,17 @@ function drawOf(group, name, place) {
   const { title, kind, plan } = DATA.figures[name];
   view.only = group;
   let drawn;
-  try { drawn = KINDS[kind](plan, Math.min(place.clientWidth, 900)); } finally { view.only = null; }
+  try {
+    drawn = KINDS[kind](plan, Math.min(place.clientWidth, 900));
+  } finally {
+    view.only = null;
+  }
   if (!drawn.data.length) return;
   place.append(element("h3", {}, title));
   for (const { data, layout } of rowsOf(drawn)) {
-    const row = place.appendChild(element("div", { class: "row", role: "img", "aria-label": `${title}: ${groupName(group)}` }));
+    const row = place.appendChild(
+      element("div", { class: "row", role: "img", "aria-label": `${title}: ${groupName(group)}` }),
+    );
     row.style.height = `${layout.height}px`;
     Plotly.react(row, data, layout, QUIET);
   }
@@ -72,7 +105,9 @@ sheet.addEventListener("close", () => {
   writeAddress();
 });
 document.getElementById("group-close").addEventListener("click", () => sheet.close());
-sheet.addEventListener("click", (event) => { if (event.target === sheet) sheet.close(); });   // outside of it
+sheet.addEventListener("click", (event) => {
+  if (event.target === sheet) sheet.close();
+}); // outside of it
 document.addEventListener("click", (event) => {
   const link = event.target.closest("[data-group]");
   if (!link) return;

@@ -6,89 +6,154 @@ function theme() {
   const of = (name) => style.getPropertyValue(`--${name}`).trim();
   return {
     dark: document.documentElement.dataset.theme === "dark",
-    ground: of("ground"), raised: of("raised"), ink: of("ink"), soft: of("soft"), line: of("line"), grid: of("grid"), error: of("error"),
+    ground: of("ground"),
+    raised: of("raised"),
+    ink: of("ink"),
+    soft: of("soft"),
+    line: of("line"),
+    grid: of("grid"),
+    error: of("error"),
     parts: [of("part-a"), of("part-b"), of("part-c"), of("part-d")],
   };
 }
 
 function axisStyle(colors) {
   return {
-    gridcolor: colors.grid, linecolor: colors.line, zerolinecolor: colors.line, tickfont: { color: colors.soft, size: 11 },
-    ticks: "", automargin: false, exponentformat: "none",
+    gridcolor: colors.grid,
+    linecolor: colors.line,
+    zerolinecolor: colors.line,
+    tickfont: { color: colors.soft, size: 11 },
+    ticks: "",
+    automargin: false,
+    exponentformat: "none",
   };
 }
 
 /** Whether a figure is as narrow as on a phone: smaller panels, and names of lines only in the legend. */
 const isNarrow = (width) => width < 600;
 
-const MOST_PANELS = 24;   // of one figure, until the reader asks for all
-const END_STEP = 12;      // px between two labels at line ends
+const MOST_PANELS = 24; // of one figure, until the reader asks for all
+const END_STEP = 12; // px between two labels at line ends
 
 /**
- * Panels {title, traces, x, y, height?, share?, shapes?, notes?, ends?} as one plotly figure. Panels of one `share` have one y
+ * Panels {title, traces, x, y, height?, share?, shapes?, notes?, ends?} as one plotly figure. Panels of one `share`
+ * have one y
  * axis: side by side, only the first has labels at its ticks. `columns` panels are side by side if there is room.
  */
-function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", left = 62, right = 16, below = 40, columns = 0, all = true } = {}) {
+function gridOf(
+  panels,
+  width,
+  { minWidth = 300, height = 215, yTitle = "", left = 62, right = 16, below = 40, columns = 0, all = true } = {},
+) {
   const colors = theme();
   const shown = all ? panels : panels.slice(0, MOST_PANELS);
   const inner = Math.max(160, width - left - right);
   const wideBy = (gap) => {
     const fits = Math.max(1, Math.min(shown.length, Math.floor((inner + gap) / (minWidth + gap))));
     const rows = Math.ceil(shown.length / fits);
-    const beside = columns && columns <= fits ? columns * Math.max(1, Math.floor(fits / columns)) : Math.ceil(shown.length / rows) || 1;
+    const beside =
+      columns && columns <= fits
+        ? columns * Math.max(1, Math.floor(fits / columns))
+        : Math.ceil(shown.length / rows) || 1;
     return Math.min(beside, shown.length) || 1;
   };
-  const shared = (wide, place) => place % wide > 0 && shown[place].share !== undefined && shown[place].share === shown[place - 1].share;
-  // Close together if the panels of each row share their axis. How many are in a row must not follow from that where axes are
-  // shared at all: on a log axis all panels do, on a linear one those of a row, and the figure would change its height with the scale.
+  const shared = (wide, place) =>
+    place % wide > 0 && shown[place].share !== undefined && shown[place].share === shown[place - 1].share;
+  // Close together if the panels of each row share their axis. How many are in a row must not follow from that where
+  // axes are
+  // shared at all: on a log axis all panels do, on a linear one those of a row, and the figure would change its height
+  // with the scale.
   const close = wideBy(16);
   const gapX = shown.every((_, place) => place % close === 0 || shared(close, place)) ? 16 : 58;
   const wide = shown.every((panel) => panel.share !== undefined) ? close : wideBy(gapX);
   const shares = (place) => shared(wide, place);
   const panelWidth = (inner - (wide - 1) * gapX) / wide;
   const gapTop = 26;
-  const heights = [];   // of the plots in each row, px
-  shown.forEach((panel, place) => { const row = Math.floor(place / wide); heights[row] = Math.max(heights[row] || 0, panel.height || Math.round((isNarrow(width) ? 0.8 : 1) * height)); });
-  const starts = [0];   // of each row, px from the top
-  const titled = 16;   // px that the title of an axis takes; only the last row has one
-  heights.forEach((each, row) => starts.push(starts[starts.length - 1] + each + gapTop + below - (row < heights.length - 1 && below > 40 ? titled : 0)));
+  const heights = []; // of the plots in each row, px
+  shown.forEach((panel, place) => {
+    const row = Math.floor(place / wide);
+    heights[row] = Math.max(heights[row] || 0, panel.height || Math.round((isNarrow(width) ? 0.8 : 1) * height));
+  });
+  const starts = [0]; // of each row, px from the top
+  const titled = 16; // px that the title of an axis takes; only the last row has one
+  heights.forEach((each, row) =>
+    starts.push(
+      starts[starts.length - 1] + each + gapTop + below - (row < heights.length - 1 && below > 40 ? titled : 0),
+    ),
+  );
   const total = starts[starts.length - 1];
-  const data = [], annotations = [], shapes = [];
+  const data = [],
+    annotations = [],
+    shapes = [];
   const layout = {
-    width, height: total, margin: { l: left, r: right, t: 0, b: 0, pad: 0 },
-    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+    width,
+    height: total,
+    margin: { l: left, r: right, t: 0, b: 0, pad: 0 },
+    paper_bgcolor: "rgba(0,0,0,0)",
+    plot_bgcolor: "rgba(0,0,0,0)",
     font: { family: "system-ui, sans-serif", size: 12, color: colors.ink },
-    showlegend: false, hovermode: "closest", dragmode: "zoom", annotations, shapes,
-    hoverlabel: { bgcolor: colors.raised, bordercolor: colors.soft, font: { color: colors.ink, size: 12 }, align: "left" },
+    showlegend: false,
+    hovermode: "closest",
+    dragmode: "zoom",
+    annotations,
+    shapes,
+    hoverlabel: {
+      bgcolor: colors.raised,
+      bordercolor: colors.soft,
+      font: { color: colors.ink, size: 12 },
+      align: "left",
+    },
   };
-  const leaders = new Map();   // share -> the first axis of it
+  const leaders = new Map(); // share -> the first axis of it
   shown.forEach((panel, place) => {
     const suffix = place === 0 ? "" : String(place + 1);
-    const column = place % wide, row = Math.floor(place / wide);
+    const column = place % wide,
+      row = Math.floor(place / wide);
     const x0 = (column * (panelWidth + gapX)) / inner;
     const top = 1 - (starts[row] + gapTop) / total;
     const bottom = 1 - (starts[row] + gapTop + heights[row]) / total;
     const leader = panel.share === undefined ? undefined : leaders.get(panel.share);
     if (panel.share !== undefined && leader === undefined) leaders.set(panel.share, `y${suffix}`);
     const { startsAt, ...y } = panel.y;
-    layout[`xaxis${suffix}`] = { ...axisStyle(colors), domain: [x0, x0 + panelWidth / inner], anchor: `y${suffix}`, ...panel.x(panelWidth) };
+    layout[`xaxis${suffix}`] = {
+      ...axisStyle(colors),
+      domain: [x0, x0 + panelWidth / inner],
+      anchor: `y${suffix}`,
+      ...panel.x(panelWidth),
+    };
     if (row < heights.length - 1 && below > 40) layout[`xaxis${suffix}`].title = undefined;
     layout[`yaxis${suffix}`] = {
-      ...axisStyle(colors), domain: [bottom, top], anchor: `x${suffix}`, ...(leader ? { matches: leader } : {}), ...y, ...(shares(place) ? { showticklabels: false } : {}),
+      ...axisStyle(colors),
+      domain: [bottom, top],
+      anchor: `x${suffix}`,
+      ...(leader ? { matches: leader } : {}),
+      ...y,
+      ...(shares(place) ? { showticklabels: false } : {}),
     };
     if (column === 0 && yTitle) {
       const from = startsAt ? `${yTitle}<br><b>axis starts at ${startsAt}</b>` : plain(yTitle);
       layout[`yaxis${suffix}`].title = { text: from, font: { size: 11, color: colors.soft }, standoff: 6 };
     }
     annotations.push({
-      text: `<b>${plain(shorten(panel.title, panelWidth / 6.4))}</b>`, xref: "paper", yref: "paper", x: x0, y: top, yshift: 6,
-      xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 12, color: colors.ink },
+      text: `<b>${plain(shorten(panel.title, panelWidth / 6.4))}</b>`,
+      xref: "paper",
+      yref: "paper",
+      x: x0,
+      y: top,
+      yshift: 6,
+      xanchor: "left",
+      yanchor: "bottom",
+      showarrow: false,
+      font: { size: 12, color: colors.ink },
     });
     const lastOfRow = column === wide - 1 || place === shown.length - 1;
     if (lastOfRow && panel.ends?.length) annotations.push(...endLabels(panel, heights[row], suffix));
-    if (panel.beside?.length) annotations.push(...besideMarks(panel, layout[`xaxis${suffix}`], panelWidth, heights[row], suffix));
-    for (const note of panel.notes || []) annotations.push({ ...note(panelWidth, colors), xref: `x${suffix}`, showarrow: false, yref: "paper", y: bottom });
-    for (const shape of panel.shapes || []) shapes.push({ xref: `x${suffix}`, yref: `y${suffix} domain`, ...shape(colors, suffix) });
+    if (panel.beside?.length)
+      annotations.push(...besideMarks(panel, layout[`xaxis${suffix}`], panelWidth, heights[row], suffix));
+    for (const note of panel.notes || [])
+      annotations.push({ ...note(panelWidth, colors), xref: `x${suffix}`, showarrow: false, yref: "paper", y: bottom });
+    for (const shape of panel.shapes || [])
+      shapes.push({ xref: `x${suffix}`, yref: `y${suffix} domain`, ...shape(colors, suffix) });
     for (const trace of panel.traces) data.push({ ...trace, xaxis: `x${suffix}`, yaxis: `y${suffix}` });
   });
   return { data, layout, panels: panels.length, shown: shown.length };
@@ -96,18 +161,33 @@ function gridOf(panels, width, { minWidth = 300, height = 215, yTitle = "", left
 
 /** What is written to the right of marks (left of those at the edge), pushed apart where marks are close. */
 function besideMarks({ beside, y }, x, width, height, suffix) {
-  const share = (axis, value) => ((axis.type === "log" ? Math.log10(value) : value) - axis.range[0]) / (axis.range[1] - axis.range[0]);
-  const ordered = beside.map((one) => ({ ...one, left: share(x, one.x) * width, at: share(y, one.y) * height })).sort((a, b) => a.at - b.at);
+  const share = (axis, value) =>
+    ((axis.type === "log" ? Math.log10(value) : value) - axis.range[0]) / (axis.range[1] - axis.range[0]);
+  const ordered = beside
+    .map((one) => ({ ...one, left: share(x, one.x) * width, at: share(y, one.y) * height }))
+    .sort((a, b) => a.at - b.at);
   const placed = [];
   for (const one of ordered) {
-    for (const other of placed) if (Math.abs(other.left - one.left) < 26 && one.at - other.at < 10) one.at = other.at + 10;
+    for (const other of placed)
+      if (Math.abs(other.left - one.left) < 26 && one.at - other.at < 10) one.at = other.at + 10;
     placed.push(one);
   }
   return placed.map((one) => {
     const edge = one.left > width - 24;
     return {
-      text: plain(one.text), xref: `x${suffix} domain`, x: one.left / width, xshift: edge ? -6 : 6, xanchor: edge ? "right" : "left", yref: `y${suffix} domain`, y: one.at / height,
-      yanchor: "middle", showarrow: false, font: { size: 9.5, color: one.color }, bgcolor: theme().ground, borderpad: 0, opacity: 0.9,
+      text: plain(one.text),
+      xref: `x${suffix} domain`,
+      x: one.left / width,
+      xshift: edge ? -6 : 6,
+      xanchor: edge ? "right" : "left",
+      yref: `y${suffix} domain`,
+      y: one.at / height,
+      yanchor: "middle",
+      showarrow: false,
+      font: { size: 9.5, color: one.color },
+      bgcolor: theme().ground,
+      borderpad: 0,
+      opacity: 0.9,
     };
   });
 }
@@ -117,11 +197,25 @@ function endLabels({ ends, y }, height, suffix) {
   const at = (value) => (y.type === "log" ? Math.log10(value) : value);
   const px = (value) => ((at(value) - y.range[0]) / (y.range[1] - y.range[0])) * height;
   const ordered = ends.map((end) => ({ ...end, px: px(end.y) })).sort((a, b) => a.px - b.px);
-  ordered.forEach((end, place) => { end.at = place ? Math.max(end.px, ordered[place - 1].at + END_STEP) : Math.max(6, end.px); });
+  ordered.forEach((end, place) => {
+    end.at = place ? Math.max(end.px, ordered[place - 1].at + END_STEP) : Math.max(6, end.px);
+  });
   const over = ordered[ordered.length - 1].at - (height - 4);
-  if (over > 0) ordered.forEach((end, place) => { end.at = Math.min(end.at, height - 4 - END_STEP * (ordered.length - 1 - place)); });
+  if (over > 0)
+    ordered.forEach((end, place) => {
+      end.at = Math.min(end.at, height - 4 - END_STEP * (ordered.length - 1 - place));
+    });
   return ordered.map((end) => ({
-    text: plain(shorten(end.text, 23)), xref: `x${suffix} domain`, x: 1, xshift: 5, yref: `y${suffix} domain`, y: end.at / height, xanchor: "left", yanchor: "middle", showarrow: false, font: { size: 10.5, color: end.color },
+    text: plain(shorten(end.text, 23)),
+    xref: `x${suffix} domain`,
+    x: 1,
+    xshift: 5,
+    yref: `y${suffix} domain`,
+    y: end.at / height,
+    xanchor: "left",
+    yanchor: "middle",
+    showarrow: false,
+    font: { size: 10.5, color: end.color },
   }));
 }
 
@@ -140,12 +234,23 @@ function tickedAxis(positions, labels, { log = true, room = 34, title = "" } = {
     let last = -Infinity;
     at.forEach((where, place) => {
       const px = ((where - at[0]) / (span + 2 * pad)) * width;
-      if (px - last >= room) { kept.push(place); last = px; }
+      if (px - last >= room) {
+        kept.push(place);
+        last = px;
+      }
     });
     return {
-      type: log ? "log" : "linear", range: [at[0] - pad - (span === 1 && at.length === 1 ? 0.5 : 0), at[at.length - 1] + pad + (at.length === 1 ? 0.5 : 0)],
-      tickmode: "array", tickvals: kept.map((place) => positions[place]), ticktext: kept.map((place) => plain(labels[place])),
-      tickangle: 0, title: { text: plain(title), font: { size: 11, color: theme().soft }, standoff: 4 }, zeroline: false,
+      type: log ? "log" : "linear",
+      range: [
+        at[0] - pad - (span === 1 && at.length === 1 ? 0.5 : 0),
+        at[at.length - 1] + pad + (at.length === 1 ? 0.5 : 0),
+      ],
+      tickmode: "array",
+      tickvals: kept.map((place) => positions[place]),
+      ticktext: kept.map((place) => plain(labels[place])),
+      tickangle: 0,
+      title: { text: plain(title), font: { size: 11, color: theme().soft }, standoff: 4 },
+      zeroline: false,
     };
   };
 }
@@ -156,19 +261,33 @@ function loadAxis(values, title = "") {
   const first = Math.floor(Math.log10(low)) - 1;
   const powers = Array.from({ length: Math.ceil(Math.log10(high)) - first + 2 }, (_, step) => 10 ** (first + step));
   const inside = powers.filter((value) => value >= low / 1.5 && value <= high * 1.5);
-  const near = powers.flatMap((value) => [value, 3 * value]).filter((value) => value >= low / 1.3 && value <= high * 1.3);
+  const near = powers
+    .flatMap((value) => [value, 3 * value])
+    .filter((value) => value >= low / 1.3 && value <= high * 1.3);
   const ticks = inside.length > 2 ? inside : near.length > 1 ? near : [...new Set([low, high])];
   return {
-    type: "log", tickmode: "array", tickvals: ticks, ticktext: ticks.map((value) => plain(formatBytesPerS(value))), zeroline: false, tickangle: 0,
-    range: [Math.log10(low) - 0.12, Math.log10(high) + 0.12], title: { text: plain(title), font: { size: 11, color: theme().soft }, standoff: 4 },
+    type: "log",
+    tickmode: "array",
+    tickvals: ticks,
+    ticktext: ticks.map((value) => plain(formatBytesPerS(value))),
+    zeroline: false,
+    tickangle: 0,
+    range: [Math.log10(low) - 0.12, Math.log10(high) + 0.12],
+    title: { text: plain(title), font: { size: 11, color: theme().soft }, standoff: 4 },
   };
 }
 
 /** An axis of named options at 0, 1, 2 ... */
 function optionAxis(labels) {
   return () => ({
-    type: "linear", range: [-0.5, labels.length - 0.5], tickmode: "array", tickvals: labels.map((_, place) => place),
-    ticktext: labels.map((label) => plain(label).replace(", ", "<br>").replace(" → ", " →<br>")), tickangle: 0, showgrid: false, zeroline: false,
+    type: "linear",
+    range: [-0.5, labels.length - 0.5],
+    tickmode: "array",
+    tickvals: labels.map((_, place) => place),
+    ticktext: labels.map((label) => plain(label).replace(", ", "<br>").replace(" → ", " →<br>")),
+    tickangle: 0,
+    showgrid: false,
+    zeroline: false,
   });
 }
 
@@ -182,18 +301,50 @@ function cellAxis(cells) {
   });
   const x = (width) => {
     const step = Math.max(1, Math.ceil(20 / (width / cells.length)));
-    const kept = cells.map((_, place) => place).filter((place) => step === 1 || sizes.some((size) => (place - size.start) % step === 0 && place >= size.start && place <= size.end && (place === size.start || step < size.end - size.start)));
+    const kept = cells
+      .map((_, place) => place)
+      .filter(
+        (place) =>
+          step === 1 ||
+          sizes.some(
+            (size) =>
+              (place - size.start) % step === 0 &&
+              place >= size.start &&
+              place <= size.end &&
+              (place === size.start || step < size.end - size.start),
+          ),
+      );
     return {
-      type: "linear", range: [-0.6, cells.length - 0.4], tickmode: "array", tickvals: kept,
-      ticktext: kept.map((place) => plain(digits(cells[place].hz))), tickangle: 0, showgrid: false, zeroline: false,
+      type: "linear",
+      range: [-0.6, cells.length - 0.4],
+      tickmode: "array",
+      tickvals: kept,
+      ticktext: kept.map((place) => plain(digits(cells[place].hz))),
+      tickangle: 0,
+      showgrid: false,
+      zeroline: false,
     };
   };
   const notes = sizes.map((size) => (width, colors) => ({
-    text: plain(((size.end - size.start + 1) * width) / cells.length < size.size.length * 6.4 ? size.size.replace(/ .*/, "") : size.size),
-    x: (size.start + size.end) / 2, xanchor: "center", yanchor: "top", yshift: -18, font: { size: 11, color: colors.ink },
+    text: plain(
+      ((size.end - size.start + 1) * width) / cells.length < size.size.length * 6.4
+        ? size.size.replace(/ .*/, "")
+        : size.size,
+    ),
+    x: (size.start + size.end) / 2,
+    xanchor: "center",
+    yanchor: "top",
+    yshift: -18,
+    font: { size: 11, color: colors.ink },
   }));
   const shapes = sizes.slice(1).map((size) => (colors) => ({
-    type: "line", x0: size.start - 0.5, x1: size.start - 0.5, y0: 0, y1: 1, line: { color: colors.line, width: 1 }, layer: "below",
+    type: "line",
+    x0: size.start - 0.5,
+    x1: size.start - 0.5,
+    y0: 0,
+    y1: 1,
+    line: { color: colors.line, width: 1 },
+    layer: "below",
   }));
   return { x, notes, shapes };
 }

@@ -1,5 +1,6 @@
 "use strict";
-// Of a watched folder: shows how far the sweep is, and puts the content of a newer page into this one once the server has it.
+// Of a watched folder: shows how far the sweep is, and puts the content of a newer page into this one once the server
+// has it.
 const LOOK_EVERY_MS = 2000;
 
 async function lookForNewer() {
@@ -22,26 +23,40 @@ async function fetched(path, read) {
 /** `34 of 55, 3 s ago, about 6 min left` next to the title. */
 function showProgress({ done, planned, age_s: age, left_s: left }) {
   if (age === null) return;
-  const short = (seconds) => (seconds < 90 ? `${Math.round(seconds)} s` : seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`);
+  const short = (seconds) =>
+    seconds < 90
+      ? `${Math.round(seconds)} s`
+      : seconds < 5400
+        ? `${Math.round(seconds / 60)} min`
+        : `${(seconds / 3600).toFixed(1)} h`;
   let place = document.getElementById("progress");
   if (!place) {
     place = Object.assign(document.createElement("p"), { id: "progress", className: "live" });
     (document.querySelector(".page-head > div") || document.body).append(place);
   }
-  place.textContent = done < planned ? `${done} of ${planned}, ${short(age)} ago, about ${short(left)} left` : `${done} of ${planned}, complete`;
+  place.textContent =
+    done < planned
+      ? `${done} of ${planned}, ${short(age)} ago, about ${short(left)} left`
+      : `${done} of ${planned}, complete`;
 }
 
-/** Takes over what the newer page says and draws; scroll, theme, filters, what is open and what was searched for stay. */
+/**
+ * Takes over what the newer page says and draws; scroll, theme, filters, what is open and what was searched for stay.
+ */
 async function renew() {
   const page = await fetched("update", (answer) => answer.text());
   if (page === null) return;
   const next = new DOMParser().parseFromString(page, "text/html");
   const data = next.querySelector("script[data-packed=data]");
-  if (!data || typeof blocks === "undefined") { location.reload(); return; }   // there was no report before
+  if (!data || typeof blocks === "undefined") {
+    location.reload();
+    return;
+  } // there was no report before
   const text = await unpacked(data.textContent);
   const kept = keepPlace();
   for (const block of blocks) block.leave();
-  for (const part of ["main", ".page-head h1", ".brief"]) document.querySelector(part).replaceWith(document.adoptNode(next.querySelector(part)));
+  for (const part of ["main", ".page-head h1", ".brief"])
+    document.querySelector(part).replaceWith(document.adoptNode(next.querySelector(part)));
   document.querySelector(".notice")?.remove();
   const notice = next.querySelector(".notice");
   if (notice) document.body.prepend(document.adoptNode(notice));
@@ -71,7 +86,10 @@ function keepPlace() {
   const focus = document.activeElement?.id;
   return () => {
     for (const part of parts()) if (open.has(nameOf(part))) part.open = open.get(nameOf(part));
-    if (search) { document.getElementById("groups-search").value = search; showGroups(); }
+    if (search) {
+      document.getElementById("groups-search").value = search;
+      showGroups();
+    }
     if (focus) document.getElementById(focus)?.focus({ preventScroll: true });
     const again = topName && marks().find((mark) => name(mark) === topName);
     if (again && scrollY > 0) scrollBy(0, again.getBoundingClientRect().top - topAt);

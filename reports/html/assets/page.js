@@ -14,19 +14,26 @@ function refreshAll() {
 
 let redrawing = 0;
 
-/** Draws what the reader sees now and does the rest in small steps, so that neither he nor the next change waits for it. */
+/**
+ * Draws what the reader sees now and does the rest in small steps, so that neither he nor the next change waits for
+ * it.
+ */
 function redraw(more = []) {
   for (const block of blocks) block.spoil();
   for (const block of blocks) if (isOnScreen(block.plot)) block.draw(isOnScreen);
   redrawing += 1;
   const job = redrawing;
   const rest = [...blocks.map((block) => () => block.plan()), ...more, drawNear];
-  requestAnimationFrame(() => later(rest, job));   // not before the reader sees what is drawn
+  requestAnimationFrame(() => later(rest, job)); // not before the reader sees what is drawn
 }
 
 /** Draws the rows that are near the window, each in a turn of its own. */
 function drawNear() {
-  later(blocks.flatMap((block) => [...block.plot.children].filter((row) => NEAR.has(row)).map((row) => () => block.draw((one) => one === row))));
+  later(
+    blocks.flatMap((block) =>
+      [...block.plot.children].filter((row) => NEAR.has(row)).map((row) => () => block.draw((one) => one === row)),
+    ),
+  );
 }
 
 /** One step a turn of the event loop, until a newer change has steps of its own. */
@@ -75,29 +82,52 @@ function choose(filter, place, checked) {
 
 function selector(name, label) {
   const select = element("select", { id: `choose-${name}` });
-  for (const choice of CHOICES[name]) select.append(element("option", { value: choice.key }, choice.menu || choice.label));
-  select.addEventListener("change", () => change(() => { view[name] = select.value; }));
+  for (const choice of CHOICES[name])
+    select.append(element("option", { value: choice.key }, choice.menu || choice.label));
+  select.addEventListener("change", () =>
+    change(() => {
+      view[name] = select.value;
+    }),
+  );
   return element("label", {}, label, select);
 }
 
 function buildFilters() {
   const form = document.getElementById("filters");
   const reset = element("button", { type: "button", class: "quiet", id: "reset" }, "Show all");
-  reset.addEventListener("click", () => change(() => { view.chosen = {}; }));
+  reset.addEventListener("click", () =>
+    change(() => {
+      view.chosen = {};
+    }),
+  );
   form.append(
-    ...DATA.filters.map(filterMenu), selector("metric", "Metric"), selector("statistic", "Statistic"), selector("scale", "Scale"),
-    reset, element("span", { class: "count", role: "status" }),
+    ...DATA.filters.map(filterMenu),
+    selector("metric", "Metric"),
+    selector("statistic", "Statistic"),
+    selector("scale", "Scale"),
+    reset,
+    element("span", { class: "count", role: "status" }),
   );
   const spreading = element("p", { class: "choice", id: "spreading" });
   const paper = element("button", { type: "button", class: "quiet", id: "paper" }, "The paper's figures");
-  paper.addEventListener("click", () => change(() => {
-    const on = isPaper();
-    for (const [name, key] of Object.entries(PAPER)) view[name] = on || !CHOICES[name].some((choice) => choice.key === key) ? CHOICES[name][0].key : key;
-  }));
-  spreading.append(selector("panels", "Panels by "), selector("lines", "Lines by "), selector("bars", "Bars over "), paper);
+  paper.addEventListener("click", () =>
+    change(() => {
+      const on = isPaper();
+      for (const [name, key] of Object.entries(PAPER))
+        view[name] = on || !CHOICES[name].some((choice) => choice.key === key) ? CHOICES[name][0].key : key;
+    }),
+  );
+  spreading.append(
+    selector("panels", "Panels by "),
+    selector("lines", "Lines by "),
+    selector("bars", "Bars over "),
+    paper,
+  );
   document.getElementById("figures-title").after(spreading);
   // What the tiles of the heatmap show is selected above it.
-  document.querySelector("#figure-heatmap .legend")?.before(element("p", { class: "choice" }, selector("tiles", "Tiles show ")));
+  document
+    .querySelector("#figure-heatmap .legend")
+    ?.before(element("p", { class: "choice" }, selector("tiles", "Tiles show ")));
   form.addEventListener("submit", (event) => event.preventDefault());
   form.addEventListener("keydown", (event) => {
     const menu = event.key === "Escape" && event.target.closest(".filter[open]");
@@ -111,7 +141,11 @@ document.addEventListener("click", (event) => {
   for (const menu of document.querySelectorAll(".filter[open]")) if (!menu.contains(event.target)) menu.open = false;
 });
 
-function isPaper() { return Object.entries(PAPER).every(([name, key]) => view[name] === key || !CHOICES[name].some((choice) => choice.key === key)); }
+function isPaper() {
+  return Object.entries(PAPER).every(
+    ([name, key]) => view[name] === key || !CHOICES[name].some((choice) => choice.key === key),
+  );
+}
 
 function showFilters() {
   document.getElementById("paper").setAttribute("aria-pressed", String(isPaper()));
@@ -120,8 +154,13 @@ function showFilters() {
     const places = view.chosen[filter.key];
     menu.classList.toggle("active", Boolean(places));
     const chosen = places ? filter.options.filter((_, place) => places.has(place)).map((option) => option.label) : [];
-    menu.querySelector("summary").textContent = places ? `${filter.label}: ${chosen.length === 1 ? shorten(chosen[0], 24) : `${chosen.length} of ${filter.options.length}`}` : filter.label;
-    menu.querySelectorAll("input").forEach((box, place) => { box.checked = Boolean(places && places.has(place)); });
+    menu.querySelector("summary").textContent = places
+      ? `${filter.label}: ` +
+        (chosen.length === 1 ? shorten(chosen[0], 24) : `${chosen.length} of ${filter.options.length}`)
+      : filter.label;
+    menu.querySelectorAll("input").forEach((box, place) => {
+      box.checked = Boolean(places && places.has(place));
+    });
   }
   for (const name of Object.keys(CHOICES)) {
     const select = document.getElementById(`choose-${name}`);
@@ -129,24 +168,37 @@ function showFilters() {
   }
   document.getElementById("reset").hidden = Object.keys(view.chosen).length === 0;
   const passing = passingGroups().length;
-  document.querySelector(".count").textContent = `${passing === DATA.groups.count ? "" : `${formatCount(passing)} of `}${counted(DATA.groups.count, "result")}`;
+  document.querySelector(".count").textContent =
+    `${passing === DATA.groups.count ? "" : `${formatCount(passing)} of `}${counted(DATA.groups.count, "result")}`;
 }
 
 /** Which message the detail figures show, out of those that pass the filters. */
 function showCellChoice() {
   const cells = [...new Set(passingGroups().map((group) => DATA.groups.cell[group]))].sort((a, b) => a - b);
-  const select = element("select", { id: "choose-cell" }, ...cells.map((cell) => element("option", { value: String(cell) }, DATA.cells[cell].label)));
+  const select = element(
+    "select",
+    { id: "choose-cell" },
+    ...cells.map((cell) => element("option", { value: String(cell) }, DATA.cells[cell].label)),
+  );
   select.value = String(shownCell());
   select.addEventListener("change", () => {
-    change(() => { view.cell = Number(select.value); });
+    change(() => {
+      view.cell = Number(select.value);
+    });
     document.getElementById("choose-cell").focus();
   });
   const label = element("label", { for: "choose-cell" }, "Messages: ");
   const places = placesOfCell();
-  const where = element("select", { id: "choose-place" }, ...places.map((place) => element("option", { value: String(place) }, DATA.dimensions.place.options[place].label)));
+  const where = element(
+    "select",
+    { id: "choose-place" },
+    ...places.map((place) => element("option", { value: String(place) }, DATA.dimensions.place.options[place].label)),
+  );
   where.value = String(shownPlace());
   where.addEventListener("change", () => {
-    change(() => { view.place = Number(where.value); });
+    change(() => {
+      view.place = Number(where.value);
+    });
     document.getElementById("choose-place").focus();
   });
   const on = places.length > 1 ? [element("label", { for: "choose-place" }, " on "), where] : [];
@@ -161,7 +213,7 @@ document.addEventListener("click", (event) => {
   if (!target) return;
   event.preventDefault();
   if (target.tagName === "DETAILS") target.open = true;
-  for (const block of blocks) block.plan();  // what has not taken its room yet would push the target away
+  for (const block of blocks) block.plan(); // what has not taken its room yet would push the target away
   const focused = target.querySelector(":scope > summary") || target;
   if (focused === target) target.tabIndex = -1;
   target.scrollIntoView();
@@ -188,16 +240,25 @@ function remembered(name) {
 
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
 let themeChosen = remembered();
-function showTheme() { setTheme(["dark", "light"].includes(themeChosen) ? themeChosen : systemDark.matches ? "dark" : "light"); }
+function showTheme() {
+  setTheme(["dark", "light"].includes(themeChosen) ? themeChosen : systemDark.matches ? "dark" : "light");
+}
 document.getElementById("theme").addEventListener("click", () => {
   themeChosen = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
   remembered(themeChosen);
   showTheme();
   redraw();
 });
-systemDark.addEventListener("change", () => { showTheme(); redraw(); });
+systemDark.addEventListener("change", () => {
+  showTheme();
+  redraw();
+});
 
-addEventListener("hashchange", () => { readAddress(); refreshAll(); showGroup(); });
+addEventListener("hashchange", () => {
+  readAddress();
+  refreshAll();
+  showGroup();
+});
 
 let width = innerWidth;
 let resized;

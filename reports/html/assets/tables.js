@@ -5,18 +5,30 @@ const MOST_ROWS = 2000;
 function compareCells(a, b) {
   const missing = (value) => value === null || value === undefined;
   if (missing(a) || missing(b)) return missing(a) - missing(b);
-  return typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), "en", { numeric: true });
+  return typeof a === "number" && typeof b === "number"
+    ? a - b
+    : String(a).localeCompare(String(b), "en", { numeric: true });
 }
 
-function isNumeric(rows, column) { return rows.some((row) => typeof row[column] === "number"); }
+function isNumeric(rows, column) {
+  return rows.some((row) => typeof row[column] === "number");
+}
 
-const FIRST_ROWS = 25, ROWS_A_STEP = 80;   // shown at once, and added while the reader reads them
+const FIRST_ROWS = 25,
+  ROWS_A_STEP = 80; // shown at once, and added while the reader reads them
 
 /**
- * Puts the table into `place`. `sorting` {column, descending} survives when filters change the rows; the first `stay` columns
+ * Puts the table into `place`. `sorting` {column, descending} survives when filters change the rows; the first `stay`
+ * columns
  * stay when the rest is scrolled sideways; a row with a `group` opens it; all rows are there at once if `whole`.
  */
-function showTable(place, caption, columns, rows, { sorting = { column: -1, descending: false }, stay = 0, whole = false } = {}) {
+function showTable(
+  place,
+  caption,
+  columns,
+  rows,
+  { sorting = { column: -1, descending: false }, stay = 0, whole = false } = {},
+) {
   const sorted = [...rows];
   if (sorting.column >= 0) {
     const sign = sorting.descending ? -1 : 1;
@@ -43,40 +55,57 @@ function showTable(place, caption, columns, rows, { sorting = { column: -1, desc
     head.append(cell);
   });
   const body = element("tbody");
-  const table = element("table", { class: "data", "data-stay": stay }, element("caption", { class: "unseen" }, caption), element("thead", {}, head), body);
+  const table = element(
+    "table",
+    { class: "data", "data-stay": stay },
+    element("caption", { class: "unseen" }, caption),
+    element("thead", {}, head),
+    body,
+  );
   const before = place.querySelector("table");
-  if (before && stay) { table.className = before.className; table.style.cssText = before.style.cssText; }   // its columns stay, most likely
+  if (before && stay) {
+    table.className = before.className;
+    table.style.cssText = before.style.cssText;
+  } // its columns stay, most likely
   const scroll = element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption }, table);
   const left = rows.length - MOST_ROWS;
-  const notes = left > 0 ? [element("p", { class: "note" }, `${formatCount(left)} more rows are in the CSV file.`)] : [];
+  const notes =
+    left > 0 ? [element("p", { class: "note" }, `${formatCount(left)} more rows are in the CSV file.`)] : [];
   const shown = sorted.slice(0, MOST_ROWS);
   const texts = shown.map((row) => columns.map((column, at) => cellText(column, row, at)));
   const first = whole ? shown.length : FIRST_ROWS;
   // The columns are at once as wide as they will be, so that nothing moves when rows are added.
   if (shown.length > first) columns.forEach((_, at) => head.children[at].append(roomFor(texts.map((row) => row[at]))));
-  const add = (from, to) => body.append(...shown.slice(from, to).map((row, at) => tableRow(texts[from + at], row, numeric)));
+  const add = (from, to) =>
+    body.append(...shown.slice(from, to).map((row, at) => tableRow(texts[from + at], row, numeric)));
   place.replaceChildren(scroll, ...notes);
   add(0, first);
   keepColumns(scroll, stay);
-  const more = (from) => setTimeout(() => {
-    if (!body.isConnected) return;   // another table has taken its place
-    add(from, from + ROWS_A_STEP);
-    if (from + ROWS_A_STEP < shown.length) more(from + ROWS_A_STEP);
-  });
+  const more = (from) =>
+    setTimeout(() => {
+      if (!body.isConnected) return; // another table has taken its place
+      add(from, from + ROWS_A_STEP);
+      if (from + ROWS_A_STEP < shown.length) more(from + ROWS_A_STEP);
+    });
   if (shown.length > first) more(first);
 }
 
 function cellText(column, row, at) {
   const value = row[at];
-  return value === null || value === undefined ? MISSING : typeof value === "number" && column.format ? column.format(value, row) : String(value);
+  return value === null || value === undefined
+    ? MISSING
+    : typeof value === "number" && column.format
+      ? column.format(value, row)
+      : String(value);
 }
 
 const RULER = document.createElement("canvas").getContext("2d");
-const WIDTHS = new Map();   // text, its digits as zeros -> px in a table
+const WIDTHS = new Map(); // text, its digits as zeros -> px in a table
 
 /** An element without height that is as wide as the widest text; digits are of one width in tables. */
 function roomFor(texts) {
-  RULER.font = `${0.85 * parseFloat(getComputedStyle(document.documentElement).fontSize)}px ${getComputedStyle(document.body).fontFamily}`;
+  const size = parseFloat(getComputedStyle(document.documentElement).fontSize);
+  RULER.font = `${0.85 * size}px ${getComputedStyle(document.body).fontFamily}`;
   let most = 0;
   for (const text of texts) {
     const pattern = text.replace(/\d/g, "0");
@@ -93,7 +122,11 @@ function tableRow(texts, row, numeric) {
   texts.forEach((shown, at) => {
     // The last of what names the group is the button that opens it; the whole row does so for a pointer.
     const opens = row.group !== undefined && at === GROUP_COLUMNS.length - 1;
-    const cell = element("td", numeric[at] ? { class: "number" } : {}, opens ? element("button", { type: "button", class: "opens" }, shown) : shown);
+    const cell = element(
+      "td",
+      numeric[at] ? { class: "number" } : {},
+      opens ? element("button", { type: "button", class: "opens" }, shown) : shown,
+    );
     if (shown.length > 40) cell.title = shown;
     line.append(cell);
   });
@@ -118,9 +151,12 @@ const groupsSorting = { column: -1, descending: false };
 /** The rows whose names, as they are shown, contain every word of a search. */
 function foundRows(columns, rows, search) {
   const words = search.toLowerCase().split(/\s+/).filter(Boolean);
-  const shown = (row, at) => (typeof row[at] === "number" && columns[at].format ? columns[at].format(row[at], row) : String(row[at] ?? MISSING));
+  const shown = (row, at) =>
+    typeof row[at] === "number" && columns[at].format ? columns[at].format(row[at], row) : String(row[at] ?? MISSING);
   return rows.filter((row) => {
-    const name = GROUP_COLUMNS.map((_, at) => shown(row, at)).join(" ").toLowerCase();
+    const name = GROUP_COLUMNS.map((_, at) => shown(row, at))
+      .join(" ")
+      .toLowerCase();
     return words.every((word) => name.includes(word));
   });
 }
@@ -133,23 +169,59 @@ function showGroups({ whole = false } = {}) {
   const bounded = (key) => ["p50", "p99"].includes(key) && Boolean(DATA.intervals.low_ns[view.metric]?.[key]);
   const columns = [
     ...GROUP_COLUMNS,
-    { label: "Runs", format: formatCount }, { label: "Planned", format: formatCount }, { label: "Sent", format: formatCount }, { label: "Unsent", format: formatCount }, { label: "Received", unit: "ratio", format: formatRatio },
+    { label: "Runs", format: formatCount },
+    { label: "Planned", format: formatCount },
+    { label: "Sent", format: formatCount },
+    { label: "Unsent", format: formatCount },
+    { label: "Received", unit: "ratio", format: formatRatio },
     ...shown.flatMap((key) => {
       const label = DATA.statistics.find((one) => one.key === key).label;
-      return [{ label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs }, ...(bounded(key) ? [{ ...LOW, label: `${label} 95 % low` }, { ...HIGH, label: `${label} 95 % high` }] : []), ...(rested(key) ? [{ label: `${label} interval` }] : [])];
+      return [
+        { label: `${labelOf("metric")} ${label}`, unit: "ns", format: formatNs },
+        ...(bounded(key)
+          ? [
+              { ...LOW, label: `${label} 95 % low` },
+              { ...HIGH, label: `${label} 95 % high` },
+            ]
+          : []),
+        ...(rested(key) ? [{ label: `${label} interval` }] : []),
+      ];
     }),
-    { label: "Transfer rate", unit: "bytes/s", format: formatBytesPerS }, { label: "Achieved rate", unit: "Hz", format: formatHz },
-    { label: "Duplicates", format: formatCount }, { label: "Reordered", format: formatCount },
-    { label: "Own nodes", unit: "ns", format: formatNs }, { label: "Own share of the round trip", unit: "ratio", format: formatRatio },
+    { label: "Transfer rate", unit: "bytes/s", format: formatBytesPerS },
+    { label: "Achieved rate", unit: "Hz", format: formatHz },
+    { label: "Duplicates", format: formatCount },
+    { label: "Reordered", format: formatCount },
+    { label: "Own nodes", unit: "ns", format: formatNs },
+    { label: "Own share of the round trip", unit: "ratio", format: formatRatio },
   ];
-  const rows = passingGroups().map((group) => groupRow(
-    group, values.runs[group], values.planned[group], values.published[group], values.unsent[group], values.received_ratio[group],
-    ...shown.flatMap((key) => [times[view.metric][key][group], ...(bounded(key) ? intervalOf(group, key) : []), ...(rested(key) ? [restsOn(group, key)] : [])]),
-    values.transfer_rate_bytes_per_s[group], values.achieved_rate_hz[group], values.duplicates[group], values.reordered[group],
-    values.own_cost_ns[group], values.own_share[group],
-  ));
+  const rows = passingGroups().map((group) =>
+    groupRow(
+      group,
+      values.runs[group],
+      values.planned[group],
+      values.published[group],
+      values.unsent[group],
+      values.received_ratio[group],
+      ...shown.flatMap((key) => [
+        times[view.metric][key][group],
+        ...(bounded(key) ? intervalOf(group, key) : []),
+        ...(rested(key) ? [restsOn(group, key)] : []),
+      ]),
+      values.transfer_rate_bytes_per_s[group],
+      values.achieved_rate_hz[group],
+      values.duplicates[group],
+      values.reordered[group],
+      values.own_cost_ns[group],
+      values.own_share[group],
+    ),
+  );
   const found = foundRows(columns, rows, document.getElementById("groups-search").value);
-  showTable(document.getElementById("groups-table"), "All results that pass the filters", columns, found, { sorting: groupsSorting, stay: GROUP_COLUMNS.length, whole });
-  document.getElementById("groups-found").textContent = found.length === rows.length ? "" : `${formatCount(found.length)} of ${counted(rows.length, "result")}`;
+  showTable(document.getElementById("groups-table"), "All results that pass the filters", columns, found, {
+    sorting: groupsSorting,
+    stay: GROUP_COLUMNS.length,
+    whole,
+  });
+  document.getElementById("groups-found").textContent =
+    found.length === rows.length ? "" : `${formatCount(found.length)} of ${counted(rows.length, "result")}`;
   return { columns, rows: found };
 }

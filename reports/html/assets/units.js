@@ -1,8 +1,18 @@
 "use strict";
 // Numbers for people, by the same rules as reports/book/groups.py (a test compares the two).
 const MISSING = "-";
-const TIME_UNITS = [[1e9, "s"], [1e6, "ms"], [1e3, "µs"], [1, "ns"]];
-const BYTE_UNITS = [[1e9, "GB"], [1e6, "MB"], [1e3, "KB"], [1, "B"]];
+const TIME_UNITS = [
+  [1e9, "s"],
+  [1e6, "ms"],
+  [1e3, "µs"],
+  [1, "ns"],
+];
+const BYTE_UNITS = [
+  [1e9, "GB"],
+  [1e6, "MB"],
+  [1e3, "KB"],
+  [1, "B"],
+];
 
 function digits(value) {
   if (value === 0) return "0";
@@ -41,6 +51,9 @@ const signed = (value, format) => (value > 0 ? "+" : "") + format(value);
 
 /** One unit for a whole axis: the one that suits its largest value. */
 function axisUnit(values) {
-  const [factor, label] = unitFor(values.reduce((most, value) => Math.max(most, Math.abs(value)), 0), TIME_UNITS);
+  const [factor, label] = unitFor(
+    values.reduce((most, value) => Math.max(most, Math.abs(value)), 0),
+    TIME_UNITS,
+  );
   return { factor, label };
 }

@@ -1,6 +1,10 @@
 "use strict";
-// What the reader chose to see. It lives in the page's address, so that a view can be linked and Back leads to the one before.
-const SCALES = [{ key: "log", label: "log" }, { key: "linear", label: "linear" }];
+// What the reader chose to see. It lives in the page's address, so that a view can be linked and Back leads to the one
+// before.
+const SCALES = [
+  { key: "log", label: "log" },
+  { key: "linear", label: "linear" },
+];
 const TILES = [
   { key: "statistic", label: "the chosen metric" },
   { key: "received_ratio", label: "messages received" },
@@ -19,26 +23,34 @@ function setChoices() {
     // What is side by side and what is a line; `auto` is what each figure proposes.
     panels: [AUTO, ...dimensionChoices(["size", "rate", "vendor", "way", "device", "link"])],
     lines: [AUTO, ...dimensionChoices(["choice", "size", "rate", "vendor", "way", "device", "link"])],
-    bars: [{ key: "size", label: "size" }, { key: "rate", label: "frequency" }],
+    bars: [
+      { key: "size", label: "size" },
+      { key: "rate", label: "frequency" },
+    ],
   });
 }
 setChoices();
 
 /** The dimensions in which groups differ, as choices. */
 function dimensionChoices(keys) {
-  return keys.filter((key) => DATA.dimensions[key].options.length > 1).map((key) => ({ key, label: DATA.dimensions[key].label }));
+  return keys
+    .filter((key) => DATA.dimensions[key].options.length > 1)
+    .map((key) => ({ key, label: DATA.dimensions[key].label }));
 }
 
-/** The paper's figures: a panel for each middleware, bridge and device with a line per size; bars of both domains over sizes. */
+/**
+ * The paper's figures: a panel for each middleware, bridge and device with a line per size; bars of both domains over
+ * sizes.
+ */
 const PAPER = { panels: "vendor", lines: "size", bars: "size" };
 
 const view = {
-  chosen: {},   // filter key -> Set of option places; a key that is not there means all
-  group: null,  // the one that is open
-  only: null,   // while only one group is drawn
-  cell: null,   // place in DATA.cells, or null for the first that passes
-  place: null,  // place among the options of the dimension place, or null for the first of the cell
-  hidden: new Set(),   // lines that the reader switched off in a legend, as `dimension/option`
+  chosen: {}, // filter key -> Set of option places; a key that is not there means all
+  group: null, // the one that is open
+  only: null, // while only one group is drawn
+  cell: null, // place in DATA.cells, or null for the first that passes
+  place: null, // place among the options of the dimension place, or null for the first of the cell
+  hidden: new Set(), // lines that the reader switched off in a legend, as `dimension/option`
 };
 
 function readAddress() {
@@ -54,7 +66,10 @@ function readAddress() {
     view[name] = (found || choices[0]).key;
   }
   const named = address.get("group");
-  const group = named === null ? -1 : Array.from({ length: DATA.groups.count }, (_, place) => place).findIndex((place) => groupName(place) === named);
+  const group =
+    named === null
+      ? -1
+      : Array.from({ length: DATA.groups.count }, (_, place) => place).findIndex((place) => groupName(place) === named);
   view.group = group < 0 ? null : group;
   const cell = DATA.cells.findIndex((one) => one.label === address.get("cell"));
   view.cell = cell < 0 ? null : cell;
@@ -74,7 +89,7 @@ function writeAddress() {
   if (view.group !== null) address.set("group", groupName(view.group));
   if (view.place !== null) address.set("place", DATA.dimensions.place.options[view.place].label);
   const text = address.toString();
-  if (text !== location.hash.slice(1)) history.pushState(null, "", `#${text}`);  // so Back undoes a choice
+  if (text !== location.hash.slice(1)) history.pushState(null, "", `#${text}`); // so Back undoes a choice
 }
 
 /** Whether the group passes every filter. */
@@ -102,37 +117,51 @@ function shownCell() {
 /** Where the cell was measured: places of DATA.dimensions.place, and the one that the detail figures show. */
 function placesOfCell() {
   const cell = shownCell();
-  const places = passingGroups().filter((group) => DATA.groups.cell[group] === cell).map((group) => DATA.dimensions.place.index[group]);
+  const places = passingGroups()
+    .filter((group) => DATA.groups.cell[group] === cell)
+    .map((group) => DATA.dimensions.place.index[group]);
   return [...new Set(places)].sort((a, b) => a - b);
 }
 function shownPlace() {
   const places = placesOfCell();
-  return places.includes(view.place) ? view.place : places[0] ?? null;
+  return places.includes(view.place) ? view.place : (places[0] ?? null);
 }
 
 /** The groups of the detail figures. */
 function cellGroups() {
   const [cell, place] = [shownCell(), shownPlace()];
-  return passingGroups().filter((group) => DATA.groups.cell[group] === cell && DATA.dimensions.place.index[group] === place);
+  return passingGroups().filter(
+    (group) => DATA.groups.cell[group] === cell && DATA.dimensions.place.index[group] === place,
+  );
 }
 
 /** The chosen statistic of the chosen metric, in ns, or null. */
-function statisticOf(group) { return DATA.values.times_ns[view.metric][view.statistic][group]; }
+function statisticOf(group) {
+  return DATA.values.times_ns[view.metric][view.statistic][group];
+}
 
-/** [low, high] of the 95 % interval of a percentile (the chosen one), each null where the sample does not support it. */
+/**
+ * [low, high] of the 95 % interval of a percentile (the chosen one), each null where the sample does not support it.
+ */
 function intervalOf(group, statistic = view.statistic) {
   const end = (side) => DATA.intervals[side][view.metric]?.[statistic]?.[group] ?? null;
   return [end("low_ns"), end("high_ns")];
 }
 
-/** What the interval of a percentile rests on: runs, and beyond a tail episodes, as a sentence; empty without an interval. */
+/**
+ * What the interval of a percentile rests on: runs, and beyond a tail episodes, as a sentence; empty without an
+ * interval.
+ */
 function restsOn(group, statistic = view.statistic) {
   const between = DATA.intervals.is_between[view.metric]?.[statistic]?.[group] ?? null;
   if (between === null) return "";
-  const episodes = statistic === "p50" ? null : DATA.intervals.episodes[view.metric]?.[statistic]?.[group] ?? null;
+  const episodes = statistic === "p50" ? null : (DATA.intervals.episodes[view.metric]?.[statistic]?.[group] ?? null);
   const count = (number, noun) => `${number} ${noun}${number === 1 ? "" : "s"}`;
-  return `rests on ${count(DATA.intervals.runs[group], "run")}${between ? "" : " (within one run)"}${episodes === null ? "" : `, ${count(episodes, "burst")}`}`;
+  const runs = `rests on ${count(DATA.intervals.runs[group], "run")}${between ? "" : " (within one run)"}`;
+  return episodes === null ? runs : `${runs}, ${count(episodes, "burst")}`;
 }
 
 const labelOf = (name) => CHOICES[name].find((choice) => choice.key === view[name]).label;
-function statisticLabel() { return `${labelOf("metric")}, ${labelOf("statistic")}`; }
+function statisticLabel() {
+  return `${labelOf("metric")}, ${labelOf("statistic")}`;
+}

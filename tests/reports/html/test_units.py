@@ -24,3 +24,15 @@ def test_counts_of_the_page_are_those_of_the_reports():
     assert json.loads(ran.stdout) == [
         [counted(count, *word, text=f"{count:,}") for word in words] for count in COUNTS
     ]
+
+
+def test_scripts_have_lines_of_at_most_120_characters():
+    scripts = sorted((Path(__file__).parents[3] / "reports").rglob("assets/**/*.js"))
+    assert len(scripts) > 15
+    long = [
+        f"{path.name}:{number}"
+        for path in scripts
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if len(line) > 120
+    ]
+    assert long == []

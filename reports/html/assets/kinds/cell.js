@@ -1,14 +1,27 @@
 "use strict";
 // Figures of one message (data, size and rate) on one device pair.
 
-const choicesOf = (groups) => ({ dimension: "choice", options: [...new Set(groups.map((group) => optionOf("choice", group)))].sort((a, b) => a - b) });
-const cellTitle = () => (shownCell() === null ? "" : [DATA.cells[shownCell()].label, varies("place") ? DATA.dimensions.place.options[shownPlace()].label : ""].filter(Boolean).join(", "));
+const choicesOf = (groups) => ({
+  dimension: "choice",
+  options: [...new Set(groups.map((group) => optionOf("choice", group)))].sort((a, b) => a - b),
+});
+const cellTitle = () =>
+  shownCell() === null
+    ? ""
+    : [DATA.cells[shownCell()].label, varies("place") ? DATA.dimensions.place.options[shownPlace()].label : ""]
+        .filter(Boolean)
+        .join(", ");
 /** The groups that these figures show: without lines that the reader hid, and no more than can be distinguished. */
-const seenInCell = (groups) => groups.filter((group) => !isHidden("choice", optionOf("choice", group))).slice(0, MOST_LINES);
+const seenInCell = (groups) =>
+  groups.filter((group) => !isHidden("choice", optionOf("choice", group))).slice(0, MOST_LINES);
 
 Object.assign(KINDS, {
-  percentile_curve(_, width) { return distribution(width, true); },
-  ecdf(_, width) { return distribution(width, false); },
+  percentile_curve(_, width) {
+    return distribution(width, true);
+  },
+  ecdf(_, width) {
+    return distribution(width, false);
+  },
 
   timeline(plan, width) {
     const inCell = cellGroups().filter((group) => plan.groups[group]);
@@ -18,9 +31,14 @@ Object.assign(KINDS, {
     const values = groups.flatMap((group) => plan.groups[group][metric].filter((value) => value !== null));
     const lossy = groups.filter((group) => plan.groups[group].lost_elapsed_s.length);
     const dots = groups.map((group) => {
-      const points = plan.groups[group].elapsed_s.map((at, place) => ({ at, value: plan.groups[group][metric][place] })).filter((point) => point.value !== null);
+      const points = plan.groups[group].elapsed_s
+        .map((at, place) => ({ at, value: plan.groups[group][metric][place] }))
+        .filter((point) => point.value !== null);
       const trace = marks(choiceLook(group), points, {
-        x: (point) => point.at, y: (point) => point.value * S, mode: "markers", size: 4.5,
+        x: (point) => point.at,
+        y: (point) => point.value * S,
+        mode: "markers",
+        size: 4.5,
         hover: (point) => groupHover(group, `at ${digits(point.at)} s`, `${label}: ${formatNs(point.value)}`),
       });
       trace.marker.opacity = 0.75;
@@ -28,20 +46,48 @@ Object.assign(KINDS, {
     });
     const crosses = lossy.map((group, place) => {
       const { lost_elapsed_s: at, lost_count: count } = plan.groups[group];
-      const trace = marks(choiceLook(group), at.map((second, index) => ({ second, count: count[index] })), {
-        x: (point) => point.second, y: () => lossy.length - place, mode: "markers", size: 8,
-        hover: (point) => groupHover(group, `${formatCount(point.count)} lost at ${digits(point.second)} s`),
-      });
+      const trace = marks(
+        choiceLook(group),
+        at.map((second, index) => ({ second, count: count[index] })),
+        {
+          x: (point) => point.second,
+          y: () => lossy.length - place,
+          mode: "markers",
+          size: 8,
+          hover: (point) => groupHover(group, `${formatCount(point.count)} lost at ${digits(point.second)} s`),
+        },
+      );
       trace.marker = { ...trace.marker, symbol: "x-thin-open" };
       trace.yaxis = "y2";
       return trace;
     });
-    const panel = { title: cellTitle(), traces: dots, x: () => ({ type: "linear", title: axisTitle("Time since the run's first message (s)"), zeroline: false }), y: timeAxis(values) };
-    const drawn = gridOf(values.length || lossy.length ? [panel] : [], width, { yTitle: timeTitle(label), height: 190, below: 46 });
+    const panel = {
+      title: cellTitle(),
+      traces: dots,
+      x: () => ({ type: "linear", title: axisTitle("Time since the run's first message (s)"), zeroline: false }),
+      y: timeAxis(values),
+    };
+    const drawn = gridOf(values.length || lossy.length ? [panel] : [], width, {
+      yTitle: timeTitle(label),
+      height: 190,
+      below: 46,
+    });
     if (drawn.layout.yaxis) {
       for (const group of groups) {
         for (const [start, end] of plan.outages[group] || []) {
-          drawn.layout.shapes.push({ type: "rect", xref: "x", yref: "y domain", x0: start, x1: end, y0: 0, y1: 1, layer: "below", fillcolor: choiceLook(group).color, opacity: 0.16, line: { width: 0 } });
+          drawn.layout.shapes.push({
+            type: "rect",
+            xref: "x",
+            yref: "y domain",
+            x0: start,
+            x1: end,
+            y0: 0,
+            y1: 1,
+            layer: "below",
+            fillcolor: choiceLook(group).color,
+            opacity: 0.16,
+            line: { width: 0 },
+          });
         }
       }
     }
@@ -49,16 +95,38 @@ Object.assign(KINDS, {
       const [bottom, top] = drawn.layout.yaxis.domain;
       const strip = top - Math.min(0.3, 0.06 + 0.045 * lossy.length) * (top - bottom);
       drawn.layout.yaxis.domain = [bottom, strip];
-      drawn.layout.yaxis2 = { ...axisStyle(theme()), domain: [strip + 0.02, top], anchor: "x", range: [0.3, lossy.length + 0.7], tickmode: "array", tickvals: [(lossy.length + 1) / 2], ticktext: ["lost"], showgrid: false, zeroline: false, fixedrange: true };
+      drawn.layout.yaxis2 = {
+        ...axisStyle(theme()),
+        domain: [strip + 0.02, top],
+        anchor: "x",
+        range: [0.3, lossy.length + 0.7],
+        tickmode: "array",
+        tickvals: [(lossy.length + 1) / 2],
+        ticktext: ["lost"],
+        showgrid: false,
+        zeroline: false,
+        fixedrange: true,
+      };
       drawn.data.push(...crosses);
     }
     return {
-      ...drawn, legend: choicesOf(inCell), missing: 0,
-      foot: plan.decimated ? "Thinned for drawing: of each slice of time the fastest and the slowest message are kept, and every loss is counted." : "",
-      columns: [...GROUP_COLUMNS, { label: "Time", unit: "s", format: digits }, { label, unit: "ns", format: formatNs }, { label: "Lost", unit: "messages", format: formatCount }],
+      ...drawn,
+      legend: choicesOf(inCell),
+      missing: 0,
+      foot: plan.decimated
+        ? "Thinned for drawing: each slice of time has its fastest and slowest message, and every loss is counted."
+        : "",
+      columns: [
+        ...GROUP_COLUMNS,
+        { label: "Time", unit: "s", format: digits },
+        { label, unit: "ns", format: formatNs },
+        { label: "Lost", unit: "messages", format: formatCount },
+      ],
       rows: groups.flatMap((group) => [
         ...plan.groups[group].elapsed_s.map((at, place) => groupRow(group, at, plan.groups[group][metric][place], 0)),
-        ...plan.groups[group].lost_elapsed_s.map((at, place) => groupRow(group, at, null, plan.groups[group].lost_count[place])),
+        ...plan.groups[group].lost_elapsed_s.map((at, place) =>
+          groupRow(group, at, null, plan.groups[group].lost_count[place]),
+        ),
       ]),
     };
   },
@@ -70,29 +138,96 @@ Object.assign(KINDS, {
     const metric = view.metric === "latency" ? "latency_ns" : "rtt_ns";
     const timed = groups.filter((group) => latency[group] && latency[group][metric].some((value) => value !== null));
     const values = timed.flatMap((group) => latency[group][metric].filter((value) => value !== null));
-    const seconds = () => ({ type: "linear", title: axisTitle("Time since the run's first message (s)"), zeroline: false });
-    const dots = timed.map((group) => {
-      const points = latency[group].elapsed_s.map((at, place) => ({ at, value: latency[group][metric][place] })).filter((point) => point.value !== null);
-      return marks(choiceLook(group), points, { x: (point) => point.at, y: (point) => point.value * S, mode: "markers", size: 4, hover: (point) => groupHover(group, formatNs(point.value)) });
+    const seconds = () => ({
+      type: "linear",
+      title: axisTitle("Time since the run's first message (s)"),
+      zeroline: false,
     });
-    const lines = (key, format) => groups.flatMap((group) => plan.groups[group].filter((load) => load[key].some((value) => value !== null)).map((load) => {
-      const points = load.elapsed_s.map((at, place) => ({ at, value: load[key][place] })).filter((point) => point.value !== null);
-      const trace = marks(choiceLook(group), points, { x: (point) => point.at, y: (point) => point.value, size: 6, hover: (point) => groupHover(group, `${load.role}: ${format(point.value)}`) });
-      if (load.role === "relay") Object.assign(trace.marker, { size: 8, line: { color: theme().ink, width: 1.6 } });
-      return trace;
-    }));
-    const [cpu, signal] = [lines("cpu_percent", (value) => `${digits(value)} %`), lines("signal_dbm", (value) => `${digits(value)} dBm`)];
+    const dots = timed.map((group) => {
+      const points = latency[group].elapsed_s
+        .map((at, place) => ({ at, value: latency[group][metric][place] }))
+        .filter((point) => point.value !== null);
+      return marks(choiceLook(group), points, {
+        x: (point) => point.at,
+        y: (point) => point.value * S,
+        mode: "markers",
+        size: 4,
+        hover: (point) => groupHover(group, formatNs(point.value)),
+      });
+    });
+    const lines = (key, format) =>
+      groups.flatMap((group) =>
+        plan.groups[group]
+          .filter((load) => load[key].some((value) => value !== null))
+          .map((load) => {
+            const points = load.elapsed_s
+              .map((at, place) => ({ at, value: load[key][place] }))
+              .filter((point) => point.value !== null);
+            const trace = marks(choiceLook(group), points, {
+              x: (point) => point.at,
+              y: (point) => point.value,
+              size: 6,
+              hover: (point) => groupHover(group, `${load.role}: ${format(point.value)}`),
+            });
+            if (load.role === "relay")
+              Object.assign(trace.marker, { size: 8, line: { color: theme().ink, width: 1.6 } });
+            return trace;
+          }),
+      );
+    const [cpu, signal] = [
+      lines("cpu_percent", (value) => `${digits(value)} %`),
+      lines("signal_dbm", (value) => `${digits(value)} dBm`),
+    ];
     const panels = [];
-    if (dots.length) panels.push({ title: metric === "latency_ns" ? "Latency" : "Round trip", traces: dots, x: seconds, y: timeAxis(values), height: 110 });
-    if (cpu.length) panels.push({ title: "Busiest processor (%)", traces: cpu, x: seconds, y: { type: "linear", range: [-3, 105], nticks: 5 }, height: 90 });
-    if (signal.length) panels.push({ title: "Wi-Fi signal (dBm)", traces: signal, x: seconds, y: { type: "linear", nticks: 4 }, height: 90 });
+    if (dots.length)
+      panels.push({
+        title: metric === "latency_ns" ? "Latency" : "Round trip",
+        traces: dots,
+        x: seconds,
+        y: timeAxis(values),
+        height: 110,
+      });
+    if (cpu.length)
+      panels.push({
+        title: "Busiest processor (%)",
+        traces: cpu,
+        x: seconds,
+        y: { type: "linear", range: [-3, 105], nticks: 5 },
+        height: 90,
+      });
+    if (signal.length)
+      panels.push({
+        title: "Wi-Fi signal (dBm)",
+        traces: signal,
+        x: seconds,
+        y: { type: "linear", nticks: 4 },
+        height: 90,
+      });
     const drawn = gridOf(cpu.length || signal.length ? panels : [], width, { minWidth: width, below: 46 });
-    panels.forEach((_, place) => { if (place && drawn.layout[`xaxis${place + 1}`]) drawn.layout[`xaxis${place + 1}`].matches = "x"; });
+    panels.forEach((_, place) => {
+      if (place && drawn.layout[`xaxis${place + 1}`]) drawn.layout[`xaxis${place + 1}`].matches = "x";
+    });
     return {
-      ...drawn, legend: choicesOf(inCell), missing: 0,
-      foot: `Marks with a rim are of the relay's device.${plan.decimated ? " Thinned for drawing: samples are left out at even steps." : ""}`,
-      columns: [...GROUP_COLUMNS, { label: "Device" }, { label: "Time", unit: "s", format: digits }, { label: "Busiest processor", unit: "%", format: digits }, { label: "Wi-Fi signal", unit: "dBm", format: digits }],
-      rows: groups.flatMap((group) => plan.groups[group].flatMap((load) => load.elapsed_s.map((at, place) => groupRow(group, load.role, at, load.cpu_percent[place], load.signal_dbm[place])))),
+      ...drawn,
+      legend: choicesOf(inCell),
+      missing: 0,
+      foot:
+        "Marks with a rim are of the relay's device." +
+        (plan.decimated ? " Thinned for drawing: samples are left out at even steps." : ""),
+      columns: [
+        ...GROUP_COLUMNS,
+        { label: "Device" },
+        { label: "Time", unit: "s", format: digits },
+        { label: "Busiest processor", unit: "%", format: digits },
+        { label: "Wi-Fi signal", unit: "dBm", format: digits },
+      ],
+      rows: groups.flatMap((group) =>
+        plan.groups[group].flatMap((load) =>
+          load.elapsed_s.map((at, place) =>
+            groupRow(group, load.role, at, load.cpu_percent[place], load.signal_dbm[place]),
+          ),
+        ),
+      ),
     };
   },
 });
@@ -100,63 +235,142 @@ Object.assign(KINDS, {
 /** The named percentiles of a group's curve with their intervals, where the sample supports them. */
 function percentileMarks(group) {
   const times = DATA.values.times_ns[view.metric];
-  const named = [["p50", 2], ["p90", 10], ["p95", 20], ["p99", 100], ["p99_9", 1000]].map(([name, at]) => ({ name, at, value: times[name][group], ends: intervalOf(group, name) }))
+  const named = [
+    ["p50", 2],
+    ["p90", 10],
+    ["p95", 20],
+    ["p99", 100],
+    ["p99_9", 1000],
+  ]
+    .map(([name, at]) => ({ name, at, value: times[name][group], ends: intervalOf(group, name) }))
     .filter((one) => one.value !== null && one.ends.some((end) => end !== null));
   if (!named.length) return [];
   const trace = marks(choiceLook(group), named, {
-    x: (one) => one.at, y: (one) => one.value * S, mode: "markers", size: 6,
-    hover: (one) => groupHover(group, `${one.name.replace("_", ".")}: ${formatNs(one.value)}`, `95 %: ${formatNs(one.ends[0])} to ${formatNs(one.ends[1])}`, restsOn(group, one.name)),
+    x: (one) => one.at,
+    y: (one) => one.value * S,
+    mode: "markers",
+    size: 6,
+    hover: (one) =>
+      groupHover(
+        group,
+        `${one.name.replace("_", ".")}: ${formatNs(one.value)}`,
+        `95 %: ${formatNs(one.ends[0])} to ${formatNs(one.ends[1])}`,
+        restsOn(group, one.name),
+      ),
   });
-  trace.error_y = errorBars(named.map((one) => one.value), named.map((one) => one.ends), 1 / S, trace.marker.color);
+  trace.error_y = errorBars(
+    named.map((one) => one.value),
+    named.map((one) => one.ends),
+    1 / S,
+    trace.marker.color,
+  );
   return [trace];
 }
 
-/** Both figures of a distribution: the tail of the received messages by rarity, or the share of the planned messages in time. */
+/**
+ * Both figures of a distribution: the tail of the received messages by rarity, or the share of the planned messages
+ * in time.
+ */
 function distribution(width, byRarity) {
-  const { values_ns: { [view.metric]: curves }, levels, shares } = DATA.curves;
+  const {
+    values_ns: { [view.metric]: curves },
+    levels,
+    shares,
+  } = DATA.curves;
   const inCell = cellGroups();
   const groups = seenInCell(inCell).filter((group) => curves[group].length > 1);
   const without = inCell.filter((group) => curves[group].length <= 1).length;
   // A curve by share ends at the slowest received message, at the share received.
-  const last = (group) => Math.max(curves[group][curves[group].length - 1], DATA.values.times_ns[view.metric].max[group] ?? 0);
-  const pointsOf = (group) => [...curves[group].map((value, place) => ({ value, level: levels[place] })), ...(byRarity ? [] : [{ value: last(group), level: 1 }])];
+  const last = (group) =>
+    Math.max(curves[group][curves[group].length - 1], DATA.values.times_ns[view.metric].max[group] ?? 0);
+  const pointsOf = (group) => [
+    ...curves[group].map((value, place) => ({ value, level: levels[place] })),
+    ...(byRarity ? [] : [{ value: last(group), level: 1 }]),
+  ];
   const valueTitle = timeTitle(labelOf("metric"));
   const values = groups.flatMap((group) => pointsOf(group).map((point) => point.value));
-  const lines = (x, y, said) => groups.map((group) => {
-    const trace = marks(choiceLook(group), pointsOf(group), {
-      x: (point) => x(point, group), y: (point) => y(point, group), mode: "lines",
-      hover: (point) => groupHover(group, said(point, group), sampleHover(group)),
+  const lines = (x, y, said) =>
+    groups.map((group) => {
+      const trace = marks(choiceLook(group), pointsOf(group), {
+        x: (point) => x(point, group),
+        y: (point) => y(point, group),
+        mode: "lines",
+        hover: (point) => groupHover(group, said(point, group), sampleHover(group)),
+      });
+      trace.line.width = 2.2;
+      if (isLossy(group)) trace.opacity = 0.55;
+      return trace;
     });
-    trace.line.width = 2.2;
-    if (isLossy(group)) trace.opacity = 0.55;
-    return trace;
-  });
-  const common = { legend: choicesOf(inCell), missing: without, foot: groups.some(isLossy) ? "Faded curves are results that lost more than 1 % of their messages." : "" };
+  const common = {
+    legend: choicesOf(inCell),
+    missing: without,
+    foot: groups.some(isLossy) ? "Faded curves are results that lost more than 1 % of their messages." : "",
+  };
   if (byRarity) {
-    const rarities = [[2, "p50"], [10, "p90"], [100, "p99"], [1000, "p99.9"], [10000, "p99.99"]];
+    const rarities = [
+      [2, "p50"],
+      [10, "p90"],
+      [100, "p99"],
+      [1000, "p99.9"],
+      [10000, "p99.99"],
+    ];
     const deepest = Math.max(...groups.map((group) => 1 / (1 - levels[curves[group].length - 1])));
     const panel = {
-      title: cellTitle(), y: timeAxis(values),
-      traces: lines((point) => 1 / (1 - point.level), (point) => point.value * S, (point) => `p${digits(100 * point.level)}: ${formatNs(point.value)}`).concat(groups.flatMap((group) => percentileMarks(group))),
-      x: () => ({ type: "log", range: [0, Math.log10(Math.max(deepest, 10)) + 0.05], tickmode: "array", tickvals: rarities.map(([x]) => x), ticktext: rarities.map(([, name]) => name), title: axisTitle("Percentile of the received messages") }),
+      title: cellTitle(),
+      y: timeAxis(values),
+      traces: lines(
+        (point) => 1 / (1 - point.level),
+        (point) => point.value * S,
+        (point) => `p${digits(100 * point.level)}: ${formatNs(point.value)}`,
+      ).concat(groups.flatMap((group) => percentileMarks(group))),
+      x: () => ({
+        type: "log",
+        range: [0, Math.log10(Math.max(deepest, 10)) + 0.05],
+        tickmode: "array",
+        tickvals: rarities.map(([x]) => x),
+        ticktext: rarities.map(([, name]) => name),
+        title: axisTitle("Percentile of the received messages"),
+      }),
     };
     return {
-      ...gridOf(groups.length ? [panel] : [], width, { yTitle: valueTitle, height: 210, below: 46 }), ...common,
-      columns: [...GROUP_COLUMNS, { label: "Percentile", unit: "%", format: digits }, { label: labelOf("metric"), unit: "ns", format: formatNs }],
-      rows: groups.flatMap((group) => pointsOf(group).map(({ value, level }) => groupRow(group, Math.round(level * 1e8) / 1e6, value))),
+      ...gridOf(groups.length ? [panel] : [], width, { yTitle: valueTitle, height: 210, below: 46 }),
+      ...common,
+      columns: [
+        ...GROUP_COLUMNS,
+        { label: "Percentile", unit: "%", format: digits },
+        { label: labelOf("metric"), unit: "ns", format: formatNs },
+      ],
+      rows: groups.flatMap((group) =>
+        pointsOf(group).map(({ value, level }) => groupRow(group, Math.round(level * 1e8) / 1e6, value)),
+      ),
     };
   }
   const byShare = (of, shareOf) => ({
-    title: `${of}, ${cellTitle()}`, share: "share", y: { type: "linear", range: [-2, 102], nticks: 6, ticksuffix: " %" },
-    traces: lines((point) => point.value * S, (point, group) => 100 * point.level * shareOf(group), (point, group) => `${formatRatio(point.level * shareOf(group))} of the ${of.toLowerCase()} within ${formatNs(point.value)}`),
+    title: `${of}, ${cellTitle()}`,
+    share: "share",
+    y: { type: "linear", range: [-2, 102], nticks: 6, ticksuffix: " %" },
+    traces: lines(
+      (point) => point.value * S,
+      (point, group) => 100 * point.level * shareOf(group),
+      (point, group) =>
+        `${formatRatio(point.level * shareOf(group))} of the ${of.toLowerCase()} within ${formatNs(point.value)}`,
+    ),
     x: () => ({ ...timeAxis(values), title: axisTitle(valueTitle) }),
   });
   const panels = [byShare("Planned messages", (group) => shares[group])];
   if (groups.some((group) => shares[group] < 1)) panels.push(byShare("Received messages", () => 1));
   const percent = (value) => Math.round(value * 1e8) / 1e6;
   return {
-    ...gridOf(groups.length ? panels : [], width, { yTitle: "Messages", minWidth: 240, height: 210, below: 46 }), ...common,
-    columns: [...GROUP_COLUMNS, { label: "Share of planned", unit: "%", format: digits }, { label: "Share of received", unit: "%", format: digits }, { label: labelOf("metric"), unit: "ns", format: formatNs }],
-    rows: groups.flatMap((group) => pointsOf(group).map(({ value, level }) => groupRow(group, percent(level * shares[group]), percent(level), value))),
+    ...gridOf(groups.length ? panels : [], width, { yTitle: "Messages", minWidth: 240, height: 210, below: 46 }),
+    ...common,
+    columns: [
+      ...GROUP_COLUMNS,
+      { label: "Share of planned", unit: "%", format: digits },
+      { label: "Share of received", unit: "%", format: digits },
+      { label: labelOf("metric"), unit: "ns", format: formatNs },
+    ],
+    rows: groups.flatMap((group) =>
+      pointsOf(group).map(({ value, level }) => groupRow(group, percent(level * shares[group]), percent(level), value)),
+    ),
   };
 }

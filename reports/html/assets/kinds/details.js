@@ -3,7 +3,9 @@
 
 /** The axis of a pair's clock offsets, which may be negative. */
 function offsetAxis(pair) {
-  const ends = pair.places.flatMap((place) => [pair.offset_ns[place] - pair.bound_ns[place], pair.offset_ns[place] + pair.bound_ns[place]]).map((ns) => ns * S);
+  const ends = pair.places
+    .flatMap((place) => [pair.offset_ns[place] - pair.bound_ns[place], pair.offset_ns[place] + pair.bound_ns[place]])
+    .map((ns) => ns * S);
   const [low, high] = [Math.min(...ends), Math.max(...ends)];
   const range = [low - 0.05 * (high - low || S), high + 0.05 * (high - low || S)];
   return { type: "linear", range, ...timeTicks(range), zeroline: true };
@@ -12,22 +14,45 @@ function offsetAxis(pair) {
 const WAYS = ["Way out", "Way back"];
 // Colour and filling of each part: one hue a way, deliveries hatched.
 const PART_LOOKS = {
-  waiting_ns: [0], outbound_ns: [1], outbound_transport_ns: [1], relay_delivery_ns: [1, "/"], relay_ns: [2], return_ns: [3], return_transport_ns: [3], ping_delivery_ns: [3, "/"],
+  waiting_ns: [0],
+  outbound_ns: [1],
+  outbound_transport_ns: [1],
+  relay_delivery_ns: [1, "/"],
+  relay_ns: [2],
+  return_ns: [3],
+  return_transport_ns: [3],
+  ping_delivery_ns: [3, "/"],
 };
 
-/** Stacked bars over messages, a panel for each setup and device pair: {data, layout} and the points that they represent. */
+/**
+ * Stacked bars over messages, a panel for each setup and device pair: {data, layout} and the points that they
+ * represent.
+ */
 function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...grid }) {
   const colors = theme();
   const panels = found.panels.map((panel) => {
     const { points } = panel.lines[0];
     return {
-      title: panel.title, weight: points.length, share: "all",
+      title: panel.title,
+      weight: points.length,
+      share: "all",
       traces: names.map((name) => {
-        const color = colors.parts[looks[name][0]], hatch = looks[name][1];
+        const color = colors.parts[looks[name][0]],
+          hatch = looks[name][1];
         return {
-          type: "bar", name: plan.names[name], meta: `part/${name}`, x: points.map((_, place) => place), y: points.map((point) => valueOf(point.group, name)),
-          marker: { color, opacity: points.map((point) => (isLossy(point.group) ? 0.5 : 1)), line: { color: hatch ? color : colors.ground, width: 1 }, pattern: hatch ? { shape: hatch, fgcolor: color, bgcolor: colors.ground, size: 5, solidity: 0.4 } : {} },
-          hoverinfo: "text", hovertext: points.map((point) => hover(point)),
+          type: "bar",
+          name: plan.names[name],
+          meta: `part/${name}`,
+          x: points.map((_, place) => place),
+          y: points.map((point) => valueOf(point.group, name)),
+          marker: {
+            color,
+            opacity: points.map((point) => (isLossy(point.group) ? 0.5 : 1)),
+            line: { color: hatch ? color : colors.ground, width: 1 },
+            pattern: hatch ? { shape: hatch, fgcolor: color, bgcolor: colors.ground, size: 5, solidity: 0.4 } : {},
+          },
+          hoverinfo: "text",
+          hovertext: points.map((point) => hover(point)),
         };
       }),
       ...cellAxis(points.map((point) => DATA.cells[point.x])),
@@ -35,31 +60,96 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
     };
   });
   const most = Math.max(1, ...panels.map((panel) => panel.weight));
-  const drawn = gridOf(panels, width, { all, minWidth: Math.min(width - 80, Math.max(150, most * 13)), height: 130, ...grid });
+  const drawn = gridOf(panels, width, {
+    all,
+    minWidth: Math.min(width - 80, Math.max(150, most * 13)),
+    height: 130,
+    ...grid,
+  });
   Object.assign(drawn.layout, { barmode: "relative", bargap: 0.15 });
-  const lossy = found.points.some((point) => isLossy(point.group)) ? " Faded bars are results that lost more than 1 % of their messages." : "";
-  return { ...drawn, parts: names.map((name) => ({ name: plan.names[name], color: colors.parts[looks[name][0]], hatched: Boolean(looks[name][1]) })), missing: found.missing, foot: `${CELL_FOOT}${lossy}` };
+  const lossy = found.points.some((point) => isLossy(point.group))
+    ? " Faded bars are results that lost more than 1 % of their messages."
+    : "";
+  return {
+    ...drawn,
+    parts: names.map((name) => ({
+      name: plan.names[name],
+      color: colors.parts[looks[name][0]],
+      hatched: Boolean(looks[name][1]),
+    })),
+    missing: found.missing,
+    foot: `${CELL_FOOT}${lossy}`,
+  };
 }
 
 Object.assign(KINDS, {
   breakdown(plan, width, all) {
     const partOf = (group, name) => plan.parts[group].find((part) => part.name === name) || null;
     const total = (group) => plan.parts[group].reduce((sum, part) => sum + part.mean_ns, 0);
-    const share = (group, name) => { const part = partOf(group, name); return part ? (100 * part.mean_ns) / total(group) : null; };
+    const share = (group, name) => {
+      const part = partOf(group, name);
+      return part ? (100 * part.mean_ns) / total(group) : null;
+    };
     const found = collected(plan, total);
     const names = plan.order.filter((name) => found.points.some((point) => partOf(point.group, name)));
-    const hover = ({ group, value }) => groupHover(group, `Mean response: ${formatNs(value)}`, ...plan.parts[group].map((part) => `${plan.names[part.name]}: ${digits(share(group, part.name))} %, ${formatNs(part.mean_ns)}${part.bound_ns ? ` ± ${formatNs(part.bound_ns)}` : ""}`));
-    const drawn = stacked(plan, width, all, { found, names, looks: PART_LOOKS, valueOf: share, hover, yTitle: "Share of the time", y: { type: "linear", range: [0, 100], nticks: 5, ticksuffix: " %" } });
-    const bounded = Math.max(0, ...found.points.flatMap((point) => plan.parts[point.group].map((part) => part.bound_ns || 0)));
+    const hover = ({ group, value }) =>
+      groupHover(
+        group,
+        `Mean response: ${formatNs(value)}`,
+        ...plan.parts[group].map(
+          (part) =>
+            `${plan.names[part.name]}: ${digits(share(group, part.name))} %, ${formatNs(part.mean_ns)}` +
+            (part.bound_ns ? ` ± ${formatNs(part.bound_ns)}` : ""),
+        ),
+      );
+    const drawn = stacked(plan, width, all, {
+      found,
+      names,
+      looks: PART_LOOKS,
+      valueOf: share,
+      hover,
+      yTitle: "Share of the time",
+      y: { type: "linear", range: [0, 100], nticks: 5, ticksuffix: " %" },
+    });
+    const bounded = Math.max(
+      0,
+      ...found.points.flatMap((point) => plan.parts[point.group].map((part) => part.bound_ns || 0)),
+    );
     return {
-      ...drawn, foot: `${drawn.foot}${bounded ? ` Clocks of two devices, or wall and monotonic clock of one, divide there from back and transport from delivery to ${formatNs(bounded)} at worst (mean of a group).` : ""}`,
-      columns: [...GROUP_COLUMNS, { label: "Mean response", unit: "ns", format: formatNs }, ...names.flatMap((name) => [{ label: plan.names[name], unit: "ns", format: formatNs }, { label: "±", unit: "ns", format: formatNs }])],
-      rows: found.points.map(({ group, value }) => groupRow(group, value, ...names.flatMap((name) => { const part = partOf(group, name); return part ? [part.mean_ns, part.bound_ns] : [null, null]; }))),
+      ...drawn,
+      foot:
+        drawn.foot +
+        (bounded
+          ? " Clocks of two devices, or wall and monotonic clock of one, divide there from back and transport from " +
+            `delivery to ${formatNs(bounded)} at worst (mean of a result).`
+          : ""),
+      columns: [
+        ...GROUP_COLUMNS,
+        { label: "Mean response", unit: "ns", format: formatNs },
+        ...names.flatMap((name) => [
+          { label: plan.names[name], unit: "ns", format: formatNs },
+          { label: "±", unit: "ns", format: formatNs },
+        ]),
+      ],
+      rows: found.points.map(({ group, value }) =>
+        groupRow(
+          group,
+          value,
+          ...names.flatMap((name) => {
+            const part = partOf(group, name);
+            return part ? [part.mean_ns, part.bound_ns] : [null, null];
+          }),
+        ),
+      ),
     };
   },
 
   one_way(plan, width, all) {
-    const valueOf = (group) => { const way = plan.ways[group]; const [out, back] = [way.outbound_ns[view.statistic], way.return_ns[view.statistic]]; return out === null || back === null ? null : [out, back]; };
+    const valueOf = (group) => {
+      const way = plan.ways[group];
+      const [out, back] = [way.outbound_ns[view.statistic], way.return_ns[view.statistic]];
+      return out === null || back === null ? null : [out, back];
+    };
     const found = collected(plan, valueOf);
     const statistic = labelOf("statistic");
     const y = timeAxis(found.points.flatMap((point) => point.value));
@@ -67,43 +157,112 @@ Object.assign(KINDS, {
       const { points } = panel.lines[0];
       const traces = [0, 1].map((way) => {
         const trace = marks({ ...choiceLook(points[0].group), label: WAYS[way] }, points, {
-          x: (point) => points.indexOf(point) + (way - 0.5) * 0.3, y: (point) => point.value[way] * S, mode: "markers", size: 8, symbol: ["triangle-right", "line-ew-open"][way],
-          hover: (point) => groupHover(point.group, `Way out, ${statistic}: ${formatNs(point.value[0])}`, `Way back, ${statistic}: ${formatNs(point.value[1])}`, `Clocks: ± ${formatNs(plan.ways[point.group].bound_ns)}`),
+          x: (point) => points.indexOf(point) + (way - 0.5) * 0.3,
+          y: (point) => point.value[way] * S,
+          mode: "markers",
+          size: 8,
+          symbol: ["triangle-right", "line-ew-open"][way],
+          hover: (point) =>
+            groupHover(
+              point.group,
+              `Way out, ${statistic}: ${formatNs(point.value[0])}`,
+              `Way back, ${statistic}: ${formatNs(point.value[1])}`,
+              `Clocks: ± ${formatNs(plan.ways[point.group].bound_ns)}`,
+            ),
         });
         const bounds = points.map((point) => (plan.ways[point.group].bound_ns || 0) * S);
         if (way) Object.assign(trace.marker, { symbol: "line-ew", line: { ...trace.marker.line, width: 2.5 } });
-        if (bounds.some((bound) => bound > 0)) trace.error_y = { type: "data", array: bounds, color: trace.marker.color, thickness: 1.1, width: 3 };
+        if (bounds.some((bound) => bound > 0))
+          trace.error_y = { type: "data", array: bounds, color: trace.marker.color, thickness: 1.1, width: 3 };
         return trace;
       });
-      return { title: panel.title, weight: points.length, share: "all", traces, ...cellAxis(points.map((point) => DATA.cells[point.x])), y };
+      return {
+        title: panel.title,
+        weight: points.length,
+        share: "all",
+        traces,
+        ...cellAxis(points.map((point) => DATA.cells[point.x])),
+        y,
+      };
     });
     const most = Math.max(1, ...panels.map((panel) => panel.weight));
     return {
-      ...gridOf(panels, width, { all, yTitle: timeTitle(`One way, ${statistic}`), minWidth: Math.min(width - 80, Math.max(200, most * 18)), height: 150 }),
-      legend: choicesOf(found.points.map((point) => point.group)), missing: found.missing,
-      foot: `Triangles are the way out, strokes the way back. Where no bar is drawn, ping and relay shared one clock. ${CELL_FOOT}`,
-      columns: [...GROUP_COLUMNS, { label: `Way out, ${statistic}`, unit: "ns", format: formatNs }, { label: `Way back, ${statistic}`, unit: "ns", format: formatNs }, { label: "Clock bound", unit: "ns", format: formatNs }],
+      ...gridOf(panels, width, {
+        all,
+        yTitle: timeTitle(`One way, ${statistic}`),
+        minWidth: Math.min(width - 80, Math.max(200, most * 18)),
+        height: 150,
+      }),
+      legend: choicesOf(found.points.map((point) => point.group)),
+      missing: found.missing,
+      foot:
+        "Triangles are the way out, strokes the way back. Where no bar is drawn, ping and relay shared one clock. " +
+        CELL_FOOT,
+      columns: [
+        ...GROUP_COLUMNS,
+        { label: `Way out, ${statistic}`, unit: "ns", format: formatNs },
+        { label: `Way back, ${statistic}`, unit: "ns", format: formatNs },
+        { label: "Clock bound", unit: "ns", format: formatNs },
+      ],
       rows: found.points.map(({ group, value }) => groupRow(group, ...value, plan.ways[group].bound_ns)),
     };
   },
 
   clock(plan, width, all) {
-    const kept = plan.pairs.map((pair) => ({ ...pair, places: pair.group.map((_, place) => place).filter((place) => passes(pair.group[place])) })).filter((pair) => pair.places.length);
+    const kept = plan.pairs
+      .map((pair) => ({
+        ...pair,
+        places: pair.group.map((_, place) => place).filter((place) => passes(pair.group[place])),
+      }))
+      .filter((pair) => pair.places.length);
     const color = theme().parts[1];
     const panels = kept.map((pair) => ({
       title: pair.title,
-      traces: [{
-        type: "scatter", mode: "markers", name: plain(pair.title), x: pair.places.map((place) => pair.elapsed_s[place]), y: pair.places.map((place) => pair.offset_ns[place] * S),
-        marker: { color, size: 5 }, error_y: { type: "data", array: pair.places.map((place) => pair.bound_ns[place] * S), color, thickness: 1, width: 2 }, hoverinfo: "text",
-        hovertext: pair.places.map((place) => plain(`at ${digits(pair.elapsed_s[place])} s: ${signed(pair.offset_ns[place], formatNs)} ± ${formatNs(pair.bound_ns[place])}`)),
-      }],
-      x: () => ({ type: "linear", title: axisTitle("Time since the first mark (s)"), zeroline: false }), y: offsetAxis(pair),
+      traces: [
+        {
+          type: "scatter",
+          mode: "markers",
+          name: plain(pair.title),
+          x: pair.places.map((place) => pair.elapsed_s[place]),
+          y: pair.places.map((place) => pair.offset_ns[place] * S),
+          marker: { color, size: 5 },
+          error_y: {
+            type: "data",
+            array: pair.places.map((place) => pair.bound_ns[place] * S),
+            color,
+            thickness: 1,
+            width: 2,
+          },
+          hoverinfo: "text",
+          hovertext: pair.places.map((place) =>
+            plain(
+              `at ${digits(pair.elapsed_s[place])} s: ` +
+                `${signed(pair.offset_ns[place], formatNs)} ± ${formatNs(pair.bound_ns[place])}`,
+            ),
+          ),
+        },
+      ],
+      x: () => ({ type: "linear", title: axisTitle("Time since the first mark (s)"), zeroline: false }),
+      y: offsetAxis(pair),
     }));
     return {
-      ...gridOf(panels, width, { yTitle: "Offset since the first", below: 46, all }), missing: 0,
+      ...gridOf(panels, width, { yTitle: "Offset since the first", below: 46, all }),
+      missing: 0,
       foot: plan.decimated ? "Thinned for drawing: marks are left out at even steps." : "",
-      columns: [{ label: "Devices" }, { label: "Time", unit: "s", format: digits }, { label: "Offset", unit: "ns", format: formatNs }, { label: "±", unit: "ns", format: formatNs }],
-      rows: kept.flatMap((pair) => pair.places.map((place) => [pair.title, pair.elapsed_s[place], pair.first_offset_ns + pair.offset_ns[place], pair.bound_ns[place]])),
+      columns: [
+        { label: "Devices" },
+        { label: "Time", unit: "s", format: digits },
+        { label: "Offset", unit: "ns", format: formatNs },
+        { label: "±", unit: "ns", format: formatNs },
+      ],
+      rows: kept.flatMap((pair) =>
+        pair.places.map((place) => [
+          pair.title,
+          pair.elapsed_s[place],
+          pair.first_offset_ns + pair.offset_ns[place],
+          pair.bound_ns[place],
+        ]),
+      ),
     };
   },
 });

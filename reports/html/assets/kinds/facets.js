@@ -1,17 +1,25 @@
 "use strict";
-// What all kinds of figures share. A kind is a function of KINDS: (plan, width, all) -> what to draw and the same numbers as a table.
-//   {data, layout}   for plotly; no data where nothing passes the filters. A trace's `meta` is the line that it belongs to
+// What all kinds of figures share. A kind is a function of KINDS: (plan, width, all) -> what to draw and the same
+// numbers as a table.
+// {data, layout}   for plotly; no data where nothing passes the filters. A trace's `meta` is the line that it belongs
+// to
 //   legend           {dimension, options} of what is drawn, or parts [{name, color, hatched}]
 //   columns, rows    the table; a column is {label, unit?, format?}; numbers in rows are raw
 //   missing          groups that pass but have no such value
 //   foot             what a reader has to know besides
-// Groups are spread over panels and lines by the rule and tables of reports/figures/figure.py (a test compares the two).
+// Groups are spread over panels and lines by the rule and tables of reports/figures/figure.py (a test compares the
+// two).
 const KINDS = {};
 
 const { atoms: ATOMS, made_of: MADE_OF, most_lines: MOST_LINES } = DATA.facets;
-const LOSSY = 0.99;   // results below this received share get hollow markers
+const LOSSY = 0.99; // results below this received share get hollow markers
 
-const GROUP_COLUMNS = [{ label: "Data" }, { label: "Size", unit: "bytes", format: (_, row) => row.size }, { label: "Rate", unit: "Hz", format: (value) => digits(value) }, { label: "Setup" }];
+const GROUP_COLUMNS = [
+  { label: "Data" },
+  { label: "Size", unit: "bytes", format: (_, row) => row.size },
+  { label: "Rate", unit: "Hz", format: (value) => digits(value) },
+  { label: "Setup" },
+];
 
 function groupRow(group, ...values) {
   const cell = cellOf(group);
@@ -22,7 +30,9 @@ function groupRow(group, ...values) {
 
 function groupHover(group, ...lines) {
   const lost = isLossy(group) ? [`Only ${formatRatio(shareOf(group))} received`] : [];
-  return [`<b>${plain(seriesOf(group).label)}</b>`, plain(cellOf(group).label), ...[...lost, ...lines].map(plain)].join("<br>");
+  return [`<b>${plain(seriesOf(group).label)}</b>`, plain(cellOf(group).label), ...[...lost, ...lines].map(plain)].join(
+    "<br>",
+  );
 }
 
 function sampleHover(group) {
@@ -39,7 +49,8 @@ function receivedWords(base, other) {
 const shareOf = (group) => DATA.curves.shares[group] ?? 1;
 const isLossy = (group) => shareOf(group) < LOSSY;
 /** The share received in as few characters as fit next to a mark. */
-const shareText = (group) => (shareOf(group) > 0 && shareOf(group) < 0.01 ? "< 1 %" : `${Math.floor(100 * shareOf(group))} %`);
+const shareText = (group) =>
+  shareOf(group) > 0 && shareOf(group) < 0.01 ? "< 1 %" : `${Math.floor(100 * shareOf(group))} %`;
 const LOST_FOOT = "A hollow mark lost more than 1 % of its messages; the number next to it is the share received.";
 
 const atomsOf = (key) => MADE_OF[key] || (key ? [key] : []);
@@ -71,7 +82,10 @@ function positionOf(x, group) {
   return x === "cell" || x === "plane" ? DATA.groups.cell[group] : optionOf(x, group);
 }
 
-const compareKeys = (a, b) => a.findIndex((value, place) => value !== b[place]) < 0 ? 0 : a.reduce((sign, value, place) => sign || value - b[place], 0);
+const compareKeys = (a, b) =>
+  a.findIndex((value, place) => value !== b[place]) < 0
+    ? 0
+    : a.reduce((sign, value, place) => sign || value - b[place], 0);
 
 /** Points {group, value} as panels {title, row, columns, lines: [{option, points: [{x, group, value}]}]}. */
 function spread({ x, panels, lines }, points) {
@@ -89,25 +103,43 @@ function spread({ x, panels, lines }, points) {
     if (!own.has(option)) own.set(option, []);
     own.get(option).push({ ...point, x: positionOf(x, point.group) });
   }
-  return [...found.values()].sort((a, b) => compareKeys(a.key, b.key)).flatMap(({ key, lines: own }) => {
-    const made = [...own].sort((a, b) => a[0] - b[0]).map(([option, its]) => ({ option, points: its.sort((a, b) => a.x - b.x || a.group - b.group) }));
-    const first = made[0].points[0].group;
-    const title = [...beside, ...below].filter(varies).map((atom) => labelIn(atom, first)).filter(Boolean).join(", ") || labelIn("data", first);
-    const parts = Math.ceil(made.length / MOST_LINES), most = Math.ceil(made.length / parts);
-    return Array.from({ length: parts }, (_, part) => ({
-      title: parts > 1 ? `${title} (${part + 1} of ${parts})` : title, row: key.slice(0, below.length).join(), column: key.slice(below.length).join(),
-      lines: made.slice(part * most, (part + 1) * most),
-    }));
-  });
+  return [...found.values()]
+    .sort((a, b) => compareKeys(a.key, b.key))
+    .flatMap(({ key, lines: own }) => {
+      const made = [...own]
+        .sort((a, b) => a[0] - b[0])
+        .map(([option, its]) => ({ option, points: its.sort((a, b) => a.x - b.x || a.group - b.group) }));
+      const first = made[0].points[0].group;
+      const title =
+        [...beside, ...below]
+          .filter(varies)
+          .map((atom) => labelIn(atom, first))
+          .filter(Boolean)
+          .join(", ") || labelIn("data", first);
+      const parts = Math.ceil(made.length / MOST_LINES),
+        most = Math.ceil(made.length / parts);
+      return Array.from({ length: parts }, (_, part) => ({
+        title: parts > 1 ? `${title} (${part + 1} of ${parts})` : title,
+        row: key.slice(0, below.length).join(),
+        column: key.slice(below.length).join(),
+        lines: made.slice(part * most, (part + 1) * most),
+      }));
+    });
 }
 
-/** The groups of a plan that pass the filters and have a value, spread over panels; lines that the reader hid are left out. */
+/**
+ * The groups of a plan that pass the filters and have a value, spread over panels; lines that the reader hid are left
+ * out.
+ */
 function collected(plan, valueOf, facet = chosenFacet(plan.facet)) {
   const found = { facet, panels: [], options: new Set(), points: [], missing: 0 };
   for (const group of plan.groups) {
     if (!passes(group)) continue;
     const value = valueOf(group);
-    if (value === null || value === undefined) { found.missing += 1; continue; }
+    if (value === null || value === undefined) {
+      found.missing += 1;
+      continue;
+    }
     found.points.push({ group, value });
   }
   for (const panel of spread(facet, found.points)) {
@@ -116,9 +148,12 @@ function collected(plan, valueOf, facet = chosenFacet(plan.facet)) {
     if (lines.length) found.panels.push({ ...panel, lines, columns: 0 });
   }
   // Panels are in rows and columns of their own where none is missing.
-  const columns = new Set(found.panels.map((panel) => panel.column)).size, rows = new Set(found.panels.map((panel) => panel.row)).size;
+  const columns = new Set(found.panels.map((panel) => panel.column)).size,
+    rows = new Set(found.panels.map((panel) => panel.row)).size;
   found.columns = columns * rows === found.panels.length ? columns : 0;
-  found.legend = facet.lines ? { dimension: facet.lines, options: [...found.options].sort((a, b) => a - b) } : { dimension: "choice", options: [] };
+  found.legend = facet.lines
+    ? { dimension: facet.lines, options: [...found.options].sort((a, b) => a - b) }
+    : { dimension: "choice", options: [] };
   return found;
 }
 
@@ -126,27 +161,62 @@ function collected(plan, valueOf, facet = chosenFacet(plan.facet)) {
 function marks(look, points, { x, y, hover, mode = "lines+markers", size = 7, symbol = look.symbol }) {
   const lossy = points.map((point) => point.group !== undefined && isLossy(point.group));
   return {
-    type: "scatter", mode, name: plain(look.label), meta: look.key, x: points.map(x), y: points.map(y), hovertext: points.map(hover), hoverinfo: "text",
+    type: "scatter",
+    mode,
+    name: plain(look.label),
+    meta: look.key,
+    x: points.map(x),
+    y: points.map(y),
+    hovertext: points.map(hover),
+    hoverinfo: "text",
     line: { color: look.color, dash: look.dash, width: 1.8 },
-    marker: { color: look.color, symbol: lossy.some(Boolean) ? lossy.map((lost) => (lost ? `${symbol}-open` : symbol)) : symbol, size, line: { color: look.color, width: 1.4 } },
+    marker: {
+      color: look.color,
+      symbol: lossy.some(Boolean) ? lossy.map((lost) => (lost ? `${symbol}-open` : symbol)) : symbol,
+      size,
+      line: { color: look.color, width: 1.4 },
+    },
     cliponaxis: false,
   };
 }
 
-/** What is written next to the hollow marks of some traces: the shares received, where there are few enough to be read. */
+/**
+ * What is written next to the hollow marks of some traces: the shares received, where there are few enough to be
+ * read.
+ */
 function sharesBeside(lines, traces) {
-  const beside = lines.flatMap((line, place) => line.points.flatMap((point, at) => (isLossy(point.group) && traces[place].y[at] !== null ? [{ x: traces[place].x[at], y: traces[place].y[at], text: shareText(point.group), color: traces[place].line.color }] : [])));
+  const beside = lines.flatMap((line, place) =>
+    line.points.flatMap((point, at) =>
+      isLossy(point.group) && traces[place].y[at] !== null
+        ? [
+            {
+              x: traces[place].x[at],
+              y: traces[place].y[at],
+              text: shareText(point.group),
+              color: traces[place].line.color,
+            },
+          ]
+        : [],
+    ),
+  );
   return beside.length <= 16 ? beside : [];
 }
 
 /** Error bars of plotly for values with ends in the same unit; a missing end has no bar. */
 function errorBars(values, ends, factor, color) {
-  // A value may lie outside of its interval, which is of the typical run: then nothing reaches from it to the nearer end.
-  const reach = (value, end, way) => (value === null || end === null || end === undefined ? 0 : Math.max(0, way * (end - value)) / factor);
+  // A value may lie outside of its interval, which is of the typical run: then nothing reaches from it to the nearer
+  // end.
+  const reach = (value, end, way) =>
+    value === null || end === null || end === undefined ? 0 : Math.max(0, way * (end - value)) / factor;
   if (ends.every((one) => !one || (one[0] === null && one[1] === null))) return undefined;
   return {
-    type: "data", symmetric: false, color, thickness: 1.1, width: 3,
-    array: values.map((value, place) => reach(value, ends[place] && ends[place][1], 1)), arrayminus: values.map((value, place) => reach(value, ends[place] && ends[place][0], -1)),
+    type: "data",
+    symmetric: false,
+    color,
+    thickness: 1.1,
+    width: 3,
+    array: values.map((value, place) => reach(value, ends[place] && ends[place][1], 1)),
+    arrayminus: values.map((value, place) => reach(value, ends[place] && ends[place][0], -1)),
   };
 }
 
@@ -172,26 +242,42 @@ const S = 1e-9;
 /** Ticks of an axis of times (in seconds), about five, each with a unit of its own. */
 function timeTicks([low, high], log) {
   const wanted = log ? logTicks(10 ** low, 10 ** high) : linearTicks(low, high);
-  return { tickmode: "array", tickvals: wanted, ticktext: wanted.map((value) => (value ? plain(formatNs(Math.round(value / S))) : "0")) };
+  return {
+    tickmode: "array",
+    tickvals: wanted,
+    ticktext: wanted.map((value) => (value ? plain(formatNs(Math.round(value / S))) : "0")),
+  };
 }
 
 function logTicks(low, high) {
-  const decades = Array.from({ length: Math.ceil(Math.log10(high)) - Math.floor(Math.log10(low)) + 1 }, (_, step) => 10 ** (Math.floor(Math.log10(low)) + step));
-  const within = (steps) => decades.flatMap((power) => steps.map((step) => step * power)).filter((value) => value >= low && value <= high);
-  return [[1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9], [1, 2, 3, 5, 7], [1, 2, 5], [1, 3], [1]].map(within).find((ticks) => ticks.length <= 6) || within([1]);
+  const decades = Array.from(
+    { length: Math.ceil(Math.log10(high)) - Math.floor(Math.log10(low)) + 1 },
+    (_, step) => 10 ** (Math.floor(Math.log10(low)) + step),
+  );
+  const within = (steps) =>
+    decades.flatMap((power) => steps.map((step) => step * power)).filter((value) => value >= low && value <= high);
+  return (
+    [[1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9], [1, 2, 3, 5, 7], [1, 2, 5], [1, 3], [1]]
+      .map(within)
+      .find((ticks) => ticks.length <= 6) || within([1])
+  );
 }
 
 function linearTicks(low, high) {
   const rough = (high - low) / 5 || 1;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((one) => one * power).find((one) => one >= rough);
-  return Array.from({ length: Math.floor(high / step) - Math.ceil(low / step) + 1 }, (_, place) => (Math.ceil(low / step) + place) * step);
+  return Array.from(
+    { length: Math.floor(high / step) - Math.ceil(low / step) + 1 },
+    (_, place) => (Math.ceil(low / step) + place) * step,
+  );
 }
 
 /** The axis of times (values in ns) on the chosen scale. */
 function timeAxis(values) {
   const own = values.filter((value) => value !== null && value > 0);
-  const least = S * own.reduce((a, b) => Math.min(a, b), Infinity), most = S * own.reduce((a, b) => Math.max(a, b), 0);
+  const least = S * own.reduce((a, b) => Math.min(a, b), Infinity),
+    most = S * own.reduce((a, b) => Math.max(a, b), 0);
   const linear = [0, own.length ? 1.08 * most : 1];
   if (view.scale === "linear" || !own.length) return { type: "linear", range: linear, ...timeTicks(linear) };
   const range = logRange(least, most);

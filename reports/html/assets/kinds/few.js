@@ -7,48 +7,128 @@ KINDS.dots = function dots(plan, width) {
   const phone = width < 600;
   const row = (group) => passing.length - 1 - passing.indexOf(group);
   const name = (group) => {
-    const parts = [cellOf(group).label, DATA.dimensions.choice.options.length > 1 ? choiceLook(group).short : "", varies("place") ? labelIn("place", group) : ""].filter(Boolean);
+    const parts = [
+      cellOf(group).label,
+      DATA.dimensions.choice.options.length > 1 ? choiceLook(group).short : "",
+      varies("place") ? labelIn("place", group) : "",
+    ].filter(Boolean);
     return plain(shorten(parts.join(", "), phone ? 26 : 60));
   };
   const left = Math.min(phone ? 165 : 390, 20 + 6 * Math.max(...passing.map((group) => name(group).length)));
-  const rows = { type: "linear", range: [-0.6, passing.length - 0.4], tickmode: "array", tickvals: passing.map(row), ticktext: passing.map(name), zeroline: false };
+  const rows = {
+    type: "linear",
+    range: [-0.6, passing.length - 0.4],
+    tickmode: "array",
+    tickvals: passing.map(row),
+    ticktext: passing.map(name),
+    zeroline: false,
+  };
   const looks = [...new Set(passing.map((group) => optionOf("choice", group)))].sort((a, b) => a - b);
-  const traces = looks.filter((option) => !isHidden("choice", option)).map((option) => {
-    const points = timed.filter((group) => optionOf("choice", group) === option).map((group) => ({ group, value: statisticOf(group) }));
-    const trace = marks(lookOf("choice", option), points, {
-      x: (point) => point.value * S, y: (point) => row(point.group), mode: "markers", size: 10,
-      hover: (point) => groupHover(point.group, `${statisticLabel()}: ${formatNs(point.value)}`, ...intervalHover(point.group), sampleHover(point.group)),
+  const traces = looks
+    .filter((option) => !isHidden("choice", option))
+    .map((option) => {
+      const points = timed
+        .filter((group) => optionOf("choice", group) === option)
+        .map((group) => ({ group, value: statisticOf(group) }));
+      const trace = marks(lookOf("choice", option), points, {
+        x: (point) => point.value * S,
+        y: (point) => row(point.group),
+        mode: "markers",
+        size: 10,
+        hover: (point) =>
+          groupHover(
+            point.group,
+            `${statisticLabel()}: ${formatNs(point.value)}`,
+            ...intervalHover(point.group),
+            sampleHover(point.group),
+          ),
+      });
+      const bars = INTERVALS()
+        ? errorBars(
+            points.map((point) => point.value),
+            points.map((point) => intervalOf(point.group)),
+            1 / S,
+            trace.marker.color,
+          )
+        : undefined;
+      return bars ? { ...trace, error_x: bars } : trace;
     });
-    const bars = INTERVALS() ? errorBars(points.map((point) => point.value), points.map((point) => intervalOf(point.group)), 1 / S, trace.marker.color) : undefined;
-    return bars ? { ...trace, error_x: bars } : trace;
-  });
   const shares = {
-    type: "bar", orientation: "h", x: passing.map((group) => 100 * shareOf(group)), y: passing.map(row), width: 0.5, text: passing.map((group) => formatRatio(shareOf(group))), textposition: "inside", insidetextanchor: "start", textfont: { size: 10, color: theme().ink },
-    marker: { color: passing.map((group) => (isLossy(group) ? theme().error : theme().grid)), opacity: passing.map((group) => (isLossy(group) ? 0.5 : 1)) }, hoverinfo: "text", hovertext: passing.map((group) => groupHover(group, sampleHover(group))),
+    type: "bar",
+    orientation: "h",
+    x: passing.map((group) => 100 * shareOf(group)),
+    y: passing.map(row),
+    width: 0.5,
+    text: passing.map((group) => formatRatio(shareOf(group))),
+    textposition: "inside",
+    insidetextanchor: "start",
+    textfont: { size: 10, color: theme().ink },
+    marker: {
+      color: passing.map((group) => (isLossy(group) ? theme().error : theme().grid)),
+      opacity: passing.map((group) => (isLossy(group) ? 0.5 : 1)),
+    },
+    hoverinfo: "text",
+    hovertext: passing.map((group) => groupHover(group, sampleHover(group))),
   };
   const height = 30 + 24 * passing.length;
   const values = timed.flatMap((group) => [statisticOf(group), ...intervalOf(group)]);
   const axis = timeAxis(values);
-  const room = Object.keys(plan.cells).length ? 0.25 * (axis.range[1] - axis.range[0]) : 0;   // for what a bridge costs
+  const room = Object.keys(plan.cells).length ? 0.25 * (axis.range[1] - axis.range[0]) : 0; // for what a bridge costs
   const range = [axis.range[0], axis.range[1] + room];
-  const x = { ...axis, range, ...timeTicks(range, axis.type === "log"), title: axisTitle(view.scale === "log" ? "log scale" : "") };
+  const x = {
+    ...axis,
+    range,
+    ...timeTicks(range, axis.type === "log"),
+    title: axisTitle(view.scale === "log" ? "log scale" : ""),
+  };
   const panels = [{ title: statisticLabel(), traces, x: () => x, y: rows, height }];
   const drawn = gridOf(timed.length ? panels : [], width, { left, below: 46 });
   if (timed.length && !phone) {
     // Beside the times, on the rows' own axis.
     drawn.layout.xaxis.domain = [0, 0.82];
-    drawn.layout.xaxis2 = { ...axisStyle(theme()), domain: [0.86, 1], anchor: "y", range: [0, 100], showticklabels: false, showgrid: false, zeroline: false };
+    drawn.layout.xaxis2 = {
+      ...axisStyle(theme()),
+      domain: [0.86, 1],
+      anchor: "y",
+      range: [0, 100],
+      showticklabels: false,
+      showgrid: false,
+      zeroline: false,
+    };
     drawn.data.push({ ...shares, xaxis: "x2", yaxis: "y" });
     const title = drawn.layout.annotations[0];
     drawn.layout.annotations.push({ ...title, text: "<b>Received</b>", x: 0.86 });
     for (const group of passing) {
-      const cost = plan.cells[group]?.costs[statisticOf(group) !== null && plan.cells[group].costs[view.statistic] ? view.statistic : "p50"];
-      if (cost?.ratio) drawn.layout.annotations.push({ ...title, xref: "paper", text: `×${digits(cost.ratio)} of the same domain`, x: 0.82, xanchor: "right", yref: "y", y: row(group), yshift: 0, yanchor: "middle", font: { size: 11, color: theme().soft } });
+      const cost =
+        plan.cells[group]?.costs[
+          statisticOf(group) !== null && plan.cells[group].costs[view.statistic] ? view.statistic : "p50"
+        ];
+      if (cost?.ratio)
+        drawn.layout.annotations.push({
+          ...title,
+          xref: "paper",
+          text: `×${digits(cost.ratio)} of the same domain`,
+          x: 0.82,
+          xanchor: "right",
+          yref: "y",
+          y: row(group),
+          yshift: 0,
+          yanchor: "middle",
+          font: { size: 11, color: theme().soft },
+        });
     }
   }
   return {
-    ...drawn, legend: { dimension: "choice", options: looks }, missing: passing.length - timed.length, foot: timed.some(isLossy) ? LOST_FOOT : "",
-    columns: [...GROUP_COLUMNS, { label: statisticLabel(), unit: "ns", format: formatNs }, ...intervalColumns(), { label: "Received of planned", unit: "ratio", format: formatRatio }],
+    ...drawn,
+    legend: { dimension: "choice", options: looks },
+    missing: passing.length - timed.length,
+    foot: timed.some(isLossy) ? LOST_FOOT : "",
+    columns: [
+      ...GROUP_COLUMNS,
+      { label: statisticLabel(), unit: "ns", format: formatNs },
+      ...intervalColumns(),
+      { label: "Received of planned", unit: "ratio", format: formatRatio },
+    ],
     rows: passing.map((group) => groupRow(group, statisticOf(group), ...intervalCells(group), shareOf(group))),
   };
 };

@@ -6,45 +6,108 @@ const VALUES = {
   statistic(plan) {
     const metric = plan.metric || view.metric;
     const times = DATA.values.times_ns[metric][view.statistic];
-    const name = plan.metric ? (DATA.metrics.find((one) => one.key === metric) || { label: "Time in relay" }).label : labelOf("metric");
+    const name = plan.metric
+      ? (DATA.metrics.find((one) => one.key === metric) || { label: "Time in relay" }).label
+      : labelOf("metric");
     const label = `${name}, ${labelOf("statistic")}`;
-    return { of: (group) => times[group], label, unit: "ns", format: formatNs, scaled: (value) => value * S, title: timeTitle(label), axis: timeAxis, intervals: !plan.metric };
+    return {
+      of: (group) => times[group],
+      label,
+      unit: "ns",
+      format: formatNs,
+      scaled: (value) => value * S,
+      title: timeTitle(label),
+      axis: timeAxis,
+      intervals: !plan.metric,
+    };
   },
   own(plan) {
-    return { of: (group) => plan.values_ns[group], label: plan.label, unit: "ns", format: formatNs, scaled: (value) => value * S, title: timeTitle(plan.label), axis: timeAxis };
+    return {
+      of: (group) => plan.values_ns[group],
+      label: plan.label,
+      unit: "ns",
+      format: formatNs,
+      scaled: (value) => value * S,
+      title: timeTitle(plan.label),
+      axis: timeAxis,
+    };
   },
   received() {
     const ratios = DATA.values.plain.received_ratio;
-    return { ...SHARES, of: (group) => ratios[group], label: "Received", flat: (values) => values.every((value) => value === 1), flatSaid: "Nothing was lost, so not drawn" };
+    return {
+      ...SHARES,
+      of: (group) => ratios[group],
+      label: "Received",
+      flat: (values) => values.every((value) => value === 1),
+      flatSaid: "Nothing was lost, so not drawn",
+    };
   },
   sustained() {
     const { achieved_rate_hz: achieved, received_ratio: received, sustained } = DATA.values.plain;
     return {
-      ...SHARES, of: (group) => sustained[group], label: "Replies of the rate", flat: (values) => values.every((value) => value >= 0.99), flatSaid: "Kept up everywhere, so not drawn",
-      further: { columns: [{ label: "Achieved", unit: "Hz", format: formatHz }, { label: "Received", unit: "ratio", format: formatRatio }], cells: (group) => [achieved[group], received[group]] },
+      ...SHARES,
+      of: (group) => sustained[group],
+      label: "Replies of the rate",
+      flat: (values) => values.every((value) => value >= 0.99),
+      flatSaid: "Kept up everywhere, so not drawn",
+      further: {
+        columns: [
+          { label: "Achieved", unit: "Hz", format: formatHz },
+          { label: "Received", unit: "ratio", format: formatRatio },
+        ],
+        cells: (group) => [achieved[group], received[group]],
+      },
     };
   },
   transfer() {
     const rates = DATA.values.plain.transfer_rate_bytes_per_s;
-    return { of: (group) => rates[group], label: "Transfer rate", unit: "bytes/s", format: formatBytesPerS, scaled: (value) => value, title: "Transfer rate (log scale)", axis: (values) => loadAxis(values) };
+    return {
+      of: (group) => rates[group],
+      label: "Transfer rate",
+      unit: "bytes/s",
+      format: formatBytesPerS,
+      scaled: (value) => value,
+      title: "Transfer rate (log scale)",
+      axis: (values) => loadAxis(values),
+    };
   },
   spread(plan) {
     const percentile = plan.reaches[view.statistic] ? view.statistic : "p50";
     const label = `${plan.label}, ${DATA.statistics.find((one) => one.key === percentile).label}: ± of a typical run`;
     return {
-      of: (group) => plan.reaches[percentile][group], label, unit: "ratio", format: formatRatio, scaled: (value) => 100 * value, title: "± of a typical run",
-      axis: (values) => ({ type: "linear", range: [0, Math.max(1, 108 * Math.max(...values))], nticks: 5, ticksuffix: " %" }),
+      of: (group) => plan.reaches[percentile][group],
+      label,
+      unit: "ratio",
+      format: formatRatio,
+      scaled: (value) => 100 * value,
+      title: "± of a typical run",
+      axis: (values) => ({
+        type: "linear",
+        range: [0, Math.max(1, 108 * Math.max(...values))],
+        nticks: 5,
+        ticksuffix: " %",
+      }),
     };
   },
 };
 
 const SHARES = {
-  unit: "ratio", format: formatRatio, scaled: (value) => 100 * value, title: "Share", size: 9,
+  unit: "ratio",
+  format: formatRatio,
+  scaled: (value) => 100 * value,
+  title: "Share",
+  size: 9,
   axis(values) {
     const least = 100 * Math.min(1, ...values);
     const floor = least > 99 ? 99 : least > 90 ? 90 : least > 50 ? 50 : 0;
     const top = Math.max(100, 100 * Math.max(...values));
-    return { type: "linear", range: [floor - (top - floor) * 0.04, top + (top - floor) * 0.06], nticks: 5, ticksuffix: " %", startsAt: floor ? `${floor} %` : "" };
+    return {
+      type: "linear",
+      range: [floor - (top - floor) * 0.04, top + (top - floor) * 0.06],
+      nticks: 5,
+      ticksuffix: " %",
+      startsAt: floor ? `${floor} %` : "",
+    };
   },
 };
 
@@ -60,14 +123,30 @@ function alongAxis(x, panel, title) {
     const of = new Map(points.map((point) => [point.x, x === "size" ? cellOf(point.group).size : digits(point.x)]));
     const span = Math.log10(positions[positions.length - 1] / positions[0]) || 1;
     return {
-      x: tickedAxis(positions, positions.map((at) => of.get(at)), { room: x === "size" ? 46 : 24, title }), joined: true, weight: positions.length,
+      x: tickedAxis(
+        positions,
+        positions.map((at) => of.get(at)),
+        { room: x === "size" ? 46 : 24, title },
+      ),
+      joined: true,
+      weight: positions.length,
       place: (point, line) => point.x * 10 ** dodge(line, 0.035 * span * Math.min(1, count / 4)),
     };
   }
   const place = (point, line) => rank.get(point.x) + dodge(line, Math.min(0.66, 0.16 * (count - 1)));
-  if (x === "cell" || x === "plane") return { ...cellAxis(positions.map((at) => DATA.cells[at])), place, weight: positions.length * Math.max(1, count / 3) };
+  if (x === "cell" || x === "plane")
+    return {
+      ...cellAxis(positions.map((at) => DATA.cells[at])),
+      place,
+      weight: positions.length * Math.max(1, count / 3),
+    };
   const labels = positions.map((at) => DATA.dimensions[x].options[at].label);
-  return { x: optionAxis(labels), place, weight: positions.length * 5, below: 12 * Math.max(1, ...labels.map((label) => label.split(", ").length)) };
+  return {
+    x: optionAxis(labels),
+    place,
+    weight: positions.length * 5,
+    below: 12 * Math.max(1, ...labels.map((label) => label.split(", ").length)),
+  };
 }
 
 KINDS.lines = function lines(plan, width, all) {
@@ -77,7 +156,11 @@ KINDS.lines = function lines(plan, width, all) {
   const left = [];
   const kept = found.panels.filter((panel) => {
     const points = panel.lines.flatMap((line) => line.points);
-    const why = value.flat?.(points.map((point) => point.value)) ? value.flatSaid : ["size", "rate", "place"].includes(x) && new Set(points.map((point) => point.x)).size < 2 ? "One position only, so not drawn" : "";
+    const why = value.flat?.(points.map((point) => point.value))
+      ? value.flatSaid
+      : ["size", "rate", "place"].includes(x) && new Set(points.map((point) => point.x)).size < 2
+        ? "One position only, so not drawn"
+        : "";
     if (why) left.push([why, panel.title]);
     return !why;
   });
@@ -86,7 +169,15 @@ KINDS.lines = function lines(plan, width, all) {
   const axes = new Map();
   const axisOf = (panel) => {
     const share = log === "all" ? "all" : panel.row;
-    if (!axes.has(share)) axes.set(share, value.axis(kept.filter((one) => log === "all" || one.row === share).flatMap((one) => one.lines.flatMap((line) => line.points.map((point) => point.value)))));
+    if (!axes.has(share))
+      axes.set(
+        share,
+        value.axis(
+          kept
+            .filter((one) => log === "all" || one.row === share)
+            .flatMap((one) => one.lines.flatMap((line) => line.points.map((point) => point.value))),
+        ),
+      );
     return { share, y: axes.get(share) };
   };
   const intervals = value.intervals && INTERVALS();
@@ -95,28 +186,82 @@ KINDS.lines = function lines(plan, width, all) {
     const traces = panel.lines.map((line, place) => {
       const look = lookOf(dimension, line.option);
       const trace = marks(look, line.points, {
-        x: (point) => along.place(point, place), y: (point) => value.scaled(point.value), mode: along.joined ? "lines+markers" : "markers", size: value.size || 7,
-        hover: (point) => groupHover(point.group, `${value.label}: ${value.format(point.value)}`, ...(intervals ? intervalHover(point.group) : []), ...(x === "load" ? [`Offered: ${formatBytesPerS(point.x)}`] : []), sampleHover(point.group)),
+        x: (point) => along.place(point, place),
+        y: (point) => value.scaled(point.value),
+        mode: along.joined ? "lines+markers" : "markers",
+        size: value.size || 7,
+        hover: (point) =>
+          groupHover(
+            point.group,
+            `${value.label}: ${value.format(point.value)}`,
+            ...(intervals ? intervalHover(point.group) : []),
+            ...(x === "load" ? [`Offered: ${formatBytesPerS(point.x)}`] : []),
+            sampleHover(point.group),
+          ),
       });
-      const bars = intervals ? errorBars(line.points.map((point) => point.value), line.points.map((point) => intervalOf(point.group)), 1 / S, trace.marker.color) : undefined;
+      const bars = intervals
+        ? errorBars(
+            line.points.map((point) => point.value),
+            line.points.map((point) => intervalOf(point.group)),
+            1 / S,
+            trace.marker.color,
+          )
+        : undefined;
       return bars ? { ...trace, error_y: bars } : trace;
     });
     const beside = sharesBeside(panel.lines, traces);
     if (x === "load") traces.unshift(diagonal(panel));
-    const ends = along.joined && !isNarrow(width) && panel.lines.length > 1 ? panel.lines.map((line, place) => ({ text: lookOf(dimension, line.option).short, color: lookOf(dimension, line.option).color, y: traces[place].y[traces[place].y.length - 1] })) : [];
+    const ends =
+      along.joined && !isNarrow(width) && panel.lines.length > 1
+        ? panel.lines.map((line, place) => ({
+            text: lookOf(dimension, line.option).short,
+            color: lookOf(dimension, line.option).color,
+            y: traces[place].y[traces[place].y.length - 1],
+          }))
+        : [];
     return { ...along, title: panel.title, traces, ends, beside, ...axisOf(panel) };
   });
   const most = Math.max(1, ...panels.map((panel) => panel.weight));
-  const names = every.length && dimension ? Math.max(...found.legend.options.map((option) => lookOf(dimension, option).short.length)) : 0;
+  const names =
+    every.length && dimension
+      ? Math.max(...found.legend.options.map((option) => lookOf(dimension, option).short.length))
+      : 0;
   return {
     ...gridOf(panels, width, {
-      yTitle: value.title, columns: found.columns, all, below: ["cell", "plane"].includes(x) ? 40 : 42 + Math.max(0, ...panels.map((panel) => panel.below || 0)),
-      minWidth: Math.min(width - 80, ["size", "rate"].includes(x) ? (isNarrow(width) ? 110 : Math.max(150, 26 * most)) : Math.max(240, most * 13)),
-      height: value.unit === "ratio" ? 130 : 180, right: panels.some((panel) => panel.ends.length) ? Math.min(150, 14 + 5.9 * names) : 16,
+      yTitle: value.title,
+      columns: found.columns,
+      all,
+      below: ["cell", "plane"].includes(x) ? 40 : 42 + Math.max(0, ...panels.map((panel) => panel.below || 0)),
+      minWidth: Math.min(
+        width - 80,
+        ["size", "rate"].includes(x) ? (isNarrow(width) ? 110 : Math.max(150, 26 * most)) : Math.max(240, most * 13),
+      ),
+      height: value.unit === "ratio" ? 130 : 180,
+      right: panels.some((panel) => panel.ends.length) ? Math.min(150, 14 + 5.9 * names) : 16,
     }),
-    legend: found.legend, missing: found.missing, foot: [...leftOutSaid(left), ...(["cell", "plane"].includes(x) && panels.length ? [CELL_FOOT] : []), ...(every.some((point) => isLossy(point.group)) ? [LOST_FOOT] : [])].join(" "),
-    columns: [...GROUP_COLUMNS, ...(value.further?.columns || []), ...(x === "load" ? [{ label: "Offered", unit: "bytes/s", format: formatBytesPerS }] : []), { label: value.label, unit: value.unit, format: value.format }, ...(intervals ? intervalColumns() : [])],
-    rows: found.points.map(({ group, value: own }) => groupRow(group, ...(value.further?.cells(group) || []), ...(x === "load" ? [positionOf(x, group)] : []), own, ...(intervals ? intervalCells(group) : []))),
+    legend: found.legend,
+    missing: found.missing,
+    foot: [
+      ...leftOutSaid(left),
+      ...(["cell", "plane"].includes(x) && panels.length ? [CELL_FOOT] : []),
+      ...(every.some((point) => isLossy(point.group)) ? [LOST_FOOT] : []),
+    ].join(" "),
+    columns: [
+      ...GROUP_COLUMNS,
+      ...(value.further?.columns || []),
+      ...(x === "load" ? [{ label: "Offered", unit: "bytes/s", format: formatBytesPerS }] : []),
+      { label: value.label, unit: value.unit, format: value.format },
+      ...(intervals ? intervalColumns() : []),
+    ],
+    rows: found.points.map(({ group, value: own }) =>
+      groupRow(
+        group,
+        ...(value.further?.cells(group) || []),
+        ...(x === "load" ? [positionOf(x, group)] : []),
+        own,
+        ...(intervals ? intervalCells(group) : []),
+      ),
+    ),
   };
 };
 
@@ -126,17 +271,30 @@ const CELL_FOOT = "Numbers below the axis: rate in Hz, and under it the size.";
 function leftOutSaid(left) {
   const why = new Map();
   for (const [reason, title] of left) why.set(reason, [...(why.get(reason) || []), title]);
-  return [...why].map(([reason, titles]) => `${reason}: ${titles.length > 8 ? counted(titles.length, "panel") : titles.join("; ")}.`);
+  return [...why].map(
+    ([reason, titles]) => `${reason}: ${titles.length > 8 ? counted(titles.length, "panel") : titles.join("; ")}.`,
+  );
 }
 
 function diagonal(panel) {
   const all = panel.lines.flatMap((line) => line.points.map((point) => point.x));
   const ends = [Math.min(...all), Math.max(...all)];
-  return { type: "scatter", mode: "lines", x: ends, y: ends, hoverinfo: "skip", line: { color: theme().soft, dash: "dash", width: 1 } };
+  return {
+    type: "scatter",
+    mode: "lines",
+    x: ends,
+    y: ends,
+    hoverinfo: "skip",
+    line: { color: theme().soft, dash: "dash", width: 1 },
+  };
 }
 
 // From fast to slow; every shade is light enough for dark figures in it (WCAG AA), in both themes.
-const HEAT = [[0, "#fff6d6"], [0.5, "#fbc66a"], [1, "#e8823a"]];
+const HEAT = [
+  [0, "#fff6d6"],
+  [0.5, "#fbc66a"],
+  [1, "#e8823a"],
+];
 
 KINDS.heatmap = function heatmap(plan, width, all) {
   const plainColumn = DATA.values.plain[view.tiles];
@@ -149,43 +307,101 @@ KINDS.heatmap = function heatmap(plan, width, all) {
   const log = view.tiles !== "received_ratio";
   const shade = (value) => (log ? Math.log10(Math.max(value, 1)) : value);
   let missing = 0;
-  const kept = plan.panels.map((panel) => ({
-    title: panel.title,
-    tiles: panel.tiles.filter(([, , group]) => passes(group)).filter(([, , group]) => {
-      const has = valueOf(group) !== null;
-      if (!has) missing += 1;
-      return has;
-    }),
-  })).filter((panel) => panel.tiles.length);
+  const kept = plan.panels
+    .map((panel) => ({
+      title: panel.title,
+      tiles: panel.tiles
+        .filter(([, , group]) => passes(group))
+        .filter(([, , group]) => {
+          const has = valueOf(group) !== null;
+          if (!has) missing += 1;
+          return has;
+        }),
+    }))
+    .filter((panel) => panel.tiles.length);
   const values = kept.flatMap((panel) => panel.tiles.map(([, , group]) => valueOf(group)));
-  const least = Math.min(...values), most = Math.max(...values);
+  const least = Math.min(...values),
+    most = Math.max(...values);
   const span = { low: log ? shade(least) : Math.min(least, 0.99), high: log ? shade(most) : 1 };
   const minWidth = Math.max(300, ...kept.map((panel) => new Set(panel.tiles.map(([, rate]) => rate)).size * 40));
   const steps = Array.from({ length: 5 }, (_, step) => span.low + ((span.high - span.low) * step) / 4);
   const panels = kept.map((panel, place) => {
-    const sizes = new Map(panel.tiles.map(([bytes, , group]) => [bytes, cellOf(group).size]).sort((a, b) => a[0] - b[0]));
+    const sizes = new Map(
+      panel.tiles.map(([bytes, , group]) => [bytes, cellOf(group).size]).sort((a, b) => a[0] - b[0]),
+    );
     const rates = [...new Set(panel.tiles.map(([, rate]) => rate))].sort((a, b) => a - b);
     const rows = [...sizes.keys()];
-    const grid = (of) => rows.map((bytes) => rates.map((rate) => {
-      const tile = panel.tiles.find(([b, r]) => b === bytes && r === rate);
-      return tile ? of(tile[2]) : null;
-    }));
+    const grid = (of) =>
+      rows.map((bytes) =>
+        rates.map((rate) => {
+          const tile = panel.tiles.find(([b, r]) => b === bytes && r === rate);
+          return tile ? of(tile[2]) : null;
+        }),
+      );
     return {
-      title: panel.title, height: Math.max(34, 28 * rows.length),
-      traces: [{
-        type: "heatmap", z: grid((group) => shade(valueOf(group))), text: grid((group) => `${format(valueOf(group)).replace(" ", "\u00a0")}${isLossy(group) && view.tiles === "statistic" ? `<br>${shareText(group)}` : ""}`),
-        hovertext: grid((group) => groupHover(group, `${label}: ${format(valueOf(group))}`, sampleHover(group))), hoverinfo: "text",
-        texttemplate: minWidth / rates.length >= 38 ? "%{text}" : undefined, textfont: { size: 9.5, color: "#1b1f24" }, xgap: 2, ygap: 2,
-        colorscale: HEAT, reversescale: view.tiles !== "statistic", zmin: span.low, zmax: span.high === span.low ? span.low + 1 : span.high, showscale: place === 0,
-        colorbar: { thickness: 12, lenmode: "pixels", len: 150, y: 1, yanchor: "top", outlinewidth: 0, tickmode: "array", tickvals: steps, ticktext: steps.map((step) => plain(format(log ? 10 ** step : step))), tickfont: { size: 11, color: theme().soft } },
-      }],
-      x: () => ({ type: "linear", tickmode: "array", tickvals: rates.map((_, i) => i), ticktext: rates.map((rate) => digits(rate)), showgrid: false, zeroline: false, title: axisTitle("Rate (Hz)") }),
-      y: { type: "linear", tickmode: "array", tickvals: rows.map((_, i) => i), ticktext: rows.map((bytes) => plain(sizes.get(bytes))), showgrid: false, zeroline: false },
+      title: panel.title,
+      height: Math.max(34, 28 * rows.length),
+      traces: [
+        {
+          type: "heatmap",
+          z: grid((group) => shade(valueOf(group))),
+          text: grid(
+            (group) =>
+              format(valueOf(group)).replace(" ", "\u00a0") +
+              (isLossy(group) && view.tiles === "statistic" ? `<br>${shareText(group)}` : ""),
+          ),
+          hovertext: grid((group) => groupHover(group, `${label}: ${format(valueOf(group))}`, sampleHover(group))),
+          hoverinfo: "text",
+          texttemplate: minWidth / rates.length >= 38 ? "%{text}" : undefined,
+          textfont: { size: 9.5, color: "#1b1f24" },
+          xgap: 2,
+          ygap: 2,
+          colorscale: HEAT,
+          reversescale: view.tiles !== "statistic",
+          zmin: span.low,
+          zmax: span.high === span.low ? span.low + 1 : span.high,
+          showscale: place === 0,
+          colorbar: {
+            thickness: 12,
+            lenmode: "pixels",
+            len: 150,
+            y: 1,
+            yanchor: "top",
+            outlinewidth: 0,
+            tickmode: "array",
+            tickvals: steps,
+            ticktext: steps.map((step) => plain(format(log ? 10 ** step : step))),
+            tickfont: { size: 11, color: theme().soft },
+          },
+        },
+      ],
+      x: () => ({
+        type: "linear",
+        tickmode: "array",
+        tickvals: rates.map((_, i) => i),
+        ticktext: rates.map((rate) => digits(rate)),
+        showgrid: false,
+        zeroline: false,
+        title: axisTitle("Rate (Hz)"),
+      }),
+      y: {
+        type: "linear",
+        tickmode: "array",
+        tickvals: rows.map((_, i) => i),
+        ticktext: rows.map((bytes) => plain(sizes.get(bytes))),
+        showgrid: false,
+        zeroline: false,
+      },
     };
   });
   return {
-    ...gridOf(panels, width, { minWidth: Math.min(minWidth, width - 80), right: 84, below: 46, all }), missing,
-    foot: `Tiles show: ${label}.${view.tiles === "statistic" && kept.some((panel) => panel.tiles.some(([, , group]) => isLossy(group))) ? " Percentages in a tile: the share received, where more than 1 % was lost." : ""}`,
+    ...gridOf(panels, width, { minWidth: Math.min(minWidth, width - 80), right: 84, below: 46, all }),
+    missing,
+    foot:
+      `Tiles show: ${label}.` +
+      (view.tiles === "statistic" && kept.some((panel) => panel.tiles.some(([, , group]) => isLossy(group)))
+        ? " Percentages in a tile: the share received, where more than 1 % was lost."
+        : ""),
     columns: [...GROUP_COLUMNS, { label, unit, format }],
     rows: kept.flatMap((panel) => panel.tiles.map(([, , group]) => groupRow(group, valueOf(group)))),
   };

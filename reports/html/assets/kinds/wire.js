@@ -8,14 +8,40 @@ Object.assign(KINDS, {
   wire_cost(plan, width, all) {
     const names = Object.keys(plan.names);
     const partOf = (group, name) => plan.parts[group].find((part) => part.name === name) || null;
-    const found = collected(plan, (group) => (plan.parts[group] || []).reduce((sum, part) => sum + part.ratio, 0) || null);
-    const hover = (point) => groupHover(point.group, `${digits(point.value)} bytes per payload byte`, ...plan.parts[point.group].map((part) => `${plan.names[part.name]}: ${digits(part.ratio)} (${formatRatio(part.share)})`));
-    const drawn = stacked(plan, width, all, { found, names, looks: WIRE_LOOKS, valueOf: (group, name) => partOf(group, name)?.ratio ?? null, hover, yTitle: "Bytes per payload byte", y: { type: "linear", range: [0, 1.05 * Math.max(...found.points.map((point) => point.value))], nticks: 5 } });
+    const found = collected(
+      plan,
+      (group) => (plan.parts[group] || []).reduce((sum, part) => sum + part.ratio, 0) || null,
+    );
+    const hover = (point) =>
+      groupHover(
+        point.group,
+        `${digits(point.value)} bytes per payload byte`,
+        ...plan.parts[point.group].map(
+          (part) => `${plan.names[part.name]}: ${digits(part.ratio)} (${formatRatio(part.share)})`,
+        ),
+      );
+    const drawn = stacked(plan, width, all, {
+      found,
+      names,
+      looks: WIRE_LOOKS,
+      valueOf: (group, name) => partOf(group, name)?.ratio ?? null,
+      hover,
+      yTitle: "Bytes per payload byte",
+      y: { type: "linear", range: [0, 1.05 * Math.max(...found.points.map((point) => point.value))], nticks: 5 },
+    });
     const low = found.points.filter((point) => plan.incomplete.includes(point.group)).length;
     return {
-      ...drawn, foot: `${drawn.foot}${low ? ` The kernel dropped packets of ${counted(low, "group")}, whose bars are too low.` : ""}`,
-      columns: [...GROUP_COLUMNS, { label: "Bytes per payload byte", unit: "ratio", format: digits }, ...names.map((name) => ({ label: plan.names[name], unit: "share of bytes", format: formatRatio }))],
-      rows: found.points.map(({ group, value }) => groupRow(group, value, ...names.map((name) => partOf(group, name)?.share ?? null))),
+      ...drawn,
+      foot:
+        drawn.foot + (low ? ` The kernel dropped packets of ${counted(low, "result")}, whose bars are too low.` : ""),
+      columns: [
+        ...GROUP_COLUMNS,
+        { label: "Bytes per payload byte", unit: "ratio", format: digits },
+        ...names.map((name) => ({ label: plan.names[name], unit: "share of bytes", format: formatRatio })),
+      ],
+      rows: found.points.map(({ group, value }) =>
+        groupRow(group, value, ...names.map((name) => partOf(group, name)?.share ?? null)),
+      ),
     };
   },
 
@@ -29,19 +55,47 @@ Object.assign(KINDS, {
       traces: groups.map((group) => {
         const points = timed(group).map((point) => ({ ...point, group }));
         const trace = marks(choiceLook(group), points, {
-          x: (point) => point.repeats, y: (point) => point.p50_ns * S, size: 8,
-          hover: (point) => groupHover(group, `sent again ${counted(point.repeats, "time")}: ${counted(point.messages, "message")}`, `${label} p50: ${formatNs(point.p50_ns)}, max: ${formatNs(point.max_ns)}`),
+          x: (point) => point.repeats,
+          y: (point) => point.p50_ns * S,
+          size: 8,
+          hover: (point) =>
+            groupHover(
+              group,
+              `sent again ${counted(point.repeats, "time")}: ${counted(point.messages, "message")}`,
+              `${label} p50: ${formatNs(point.p50_ns)}, max: ${formatNs(point.max_ns)}`,
+            ),
         });
-        trace.error_y = errorBars(points.map((point) => point.p50_ns), points.map((point) => [point.p50_ns, point.max_ns]), 1 / S, trace.marker.color);
+        trace.error_y = errorBars(
+          points.map((point) => point.p50_ns),
+          points.map((point) => [point.p50_ns, point.max_ns]),
+          1 / S,
+          trace.marker.color,
+        );
         return trace;
       }),
-      x: () => ({ type: "linear", title: axisTitle("Sent again, times"), zeroline: false, rangemode: "tozero", tickformat: "d" }), y: timeAxis(groups.flatMap((group) => timed(group).flatMap((point) => [point.p50_ns, point.max_ns]))),
+      x: () => ({
+        type: "linear",
+        title: axisTitle("Sent again, times"),
+        zeroline: false,
+        rangemode: "tozero",
+        tickformat: "d",
+      }),
+      y: timeAxis(groups.flatMap((group) => timed(group).flatMap((point) => [point.p50_ns, point.max_ns]))),
     };
     return {
       ...gridOf(groups.length ? [panel] : [], width, { yTitle: timeTitle(label), height: 190, below: 46 }),
-      legend: choicesOf(inCell), missing: 0,
-      columns: [...GROUP_COLUMNS, { label: "Sent again", unit: "times", format: formatCount }, { label: "Messages", unit: "messages", format: formatCount }, { label: `${label} p50`, unit: "ns", format: formatNs }, { label: `${label} max`, unit: "ns", format: formatNs }],
-      rows: groups.flatMap((group) => plan.groups[group].map((point) => groupRow(group, point.repeats, point.messages, point.p50_ns, point.max_ns))),
+      legend: choicesOf(inCell),
+      missing: 0,
+      columns: [
+        ...GROUP_COLUMNS,
+        { label: "Sent again", unit: "times", format: formatCount },
+        { label: "Messages", unit: "messages", format: formatCount },
+        { label: `${label} p50`, unit: "ns", format: formatNs },
+        { label: `${label} max`, unit: "ns", format: formatNs },
+      ],
+      rows: groups.flatMap((group) =>
+        plan.groups[group].map((point) => groupRow(group, point.repeats, point.messages, point.p50_ns, point.max_ns)),
+      ),
     };
   },
 });

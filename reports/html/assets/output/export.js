@@ -1,5 +1,6 @@
 "use strict";
-// Downloads: figures as SVG, PNG and PDF in the widths of print, numbers as CSV and Parquet. Files are made in the page; nothing is sent.
+// Downloads: figures as SVG, PNG and PDF in the widths of print, numbers as CSV and Parquet. Files are made in the
+// page; nothing is sent.
 
 /** One CSV field that no spreadsheet takes for a formula: a leading ' keeps such text text. */
 function csvField(value) {
@@ -11,7 +12,11 @@ function csvField(value) {
 
 function csvOf(columns, rows) {
   const head = columns.map((column) => csvField(column.unit ? `${column.label} (${column.unit})` : column.label));
-  return [head, ...rows.map((row) => columns.map((_, place) => csvField(row[place])))].map((fields) => fields.join(",")).join("\r\n") + "\r\n";
+  return (
+    [head, ...rows.map((row) => columns.map((_, place) => csvField(row[place])))]
+      .map((fields) => fields.join(","))
+      .join("\r\n") + "\r\n"
+  );
 }
 
 function saveAs(name, address) {
@@ -28,10 +33,14 @@ function saveCsv(name, columns, rows) {
 }
 
 const PX_PER_MM = 96 / 25.4;
-const PNG_SCALE = 600 / 96;   // 600 dots an inch where the width is one of print
+const PNG_SCALE = 600 / 96; // 600 dots an inch where the width is one of print
 
 /** What journals print: one column or two; `null` is the width on the screen. */
-const PICTURE_WIDTHS = [{ key: "screen", label: "as wide as here", mm: null }, { key: "column", label: "84 mm", mm: 84 }, { key: "page", label: "174 mm", mm: 174 }];
+const PICTURE_WIDTHS = [
+  { key: "screen", label: "as wide as here", mm: null },
+  { key: "column", label: "84 mm", mm: 84 },
+  { key: "page", label: "174 mm", mm: 174 },
+];
 
 function chosenWidth() {
   const select = document.getElementById("save-width");
@@ -44,7 +53,7 @@ function pictureOf(block, panel = "") {
   const { mm } = chosenWidth();
   const before = root.dataset.theme;
   const width = mm === null ? block.drawn.layout.width : Math.round(mm * PX_PER_MM);
-  root.dataset.theme = "light";   // for as long as the colours are read: nothing is painted in between
+  root.dataset.theme = "light"; // for as long as the colours are read: nothing is painted in between
   try {
     const drawn = KINDS[block.figure.kind](block.figure.plan, width, true);
     const title = block.title ? block.title() : block.figure.title;
@@ -57,31 +66,56 @@ function pictureOf(block, panel = "") {
 /** The panels of a figure {axis, title}, by the y axis of each. */
 function panelsOf({ layout }) {
   const titles = (layout.annotations || []).filter((note) => note.xref === "paper" && note.yref === "paper");
-  return Object.keys(layout).filter((key) => key.startsWith("yaxis") && !layout[key].overlaying).map((axis) => {
-    const x = layout[layout[axis].anchor.replace("x", "xaxis")];
-    const named = titles.find((note) => Math.abs(note.y - layout[axis].domain[1]) < 1e-6 && Math.abs(note.x - x.domain[0]) < 1e-6);
-    return { axis, title: named ? named.text.replace(/<[^>]*>/g, "") : "" };
-  }).filter((one) => one.title);
+  return Object.keys(layout)
+    .filter((key) => key.startsWith("yaxis") && !layout[key].overlaying)
+    .map((axis) => {
+      const x = layout[layout[axis].anchor.replace("x", "xaxis")];
+      const named = titles.find(
+        (note) => Math.abs(note.y - layout[axis].domain[1]) < 1e-6 && Math.abs(note.x - x.domain[0]) < 1e-6,
+      );
+      return { axis, title: named ? named.text.replace(/<[^>]*>/g, "") : "" };
+    })
+    .filter((one) => one.title);
 }
 
 /** One panel of a figure as a figure. */
 function panelOf({ data, layout }, axis, width) {
   const x = layout[axis].anchor;
-  const over = Object.keys(layout).filter((key) => key.startsWith("yaxis") && layout[key].anchor === x);   // over one another
+  // over one another
+  const over = Object.keys(layout).filter((key) => key.startsWith("yaxis") && layout[key].anchor === x);
   const names = over.map((key) => key.replace("axis", ""));
-  const [bottom, top] = [Math.min(...over.map((key) => layout[key].domain[0])), Math.max(...over.map((key) => layout[key].domain[1]))];
+  const [bottom, top] = [
+    Math.min(...over.map((key) => layout[key].domain[0])),
+    Math.max(...over.map((key) => layout[key].domain[1])),
+  ];
   const ranges = commonRanges("y", data, layout);
   const height = (top - bottom) * layout.height;
   const belongs = ({ xref = "", yref = "" }) => [xref, yref].some((ref) => [x, ...names].includes(ref.split(" ")[0]));
   const kept = Object.fromEntries(Object.entries(layout).filter(([key]) => !/^[xy]axis/.test(key)));
-  const annotations = (layout.annotations || []).filter(belongs).map((note) => (note.yref === "paper" ? { ...note, y: 0 } : note));
+  const annotations = (layout.annotations || [])
+    .filter(belongs)
+    .map((note) => (note.yref === "paper" ? { ...note, y: 0 } : note));
   return {
     data: data.filter((trace) => names.includes(trace.yaxis || "y")),
     layout: {
-      ...kept, width, height: height + 76, margin: { ...layout.margin, t: 26, b: 50 }, annotations, shapes: (layout.shapes || []).filter(belongs),
-      ...Object.fromEntries(over.map((key) => [key, {
-        ...layout[key], ...(ranges[key] ? { range: ranges[key] } : {}), matches: undefined, showticklabels: true, domain: layout[key].domain.map((end) => (end - bottom) / (top - bottom)),
-      }])),
+      ...kept,
+      width,
+      height: height + 76,
+      margin: { ...layout.margin, t: 26, b: 50 },
+      annotations,
+      shapes: (layout.shapes || []).filter(belongs),
+      ...Object.fromEntries(
+        over.map((key) => [
+          key,
+          {
+            ...layout[key],
+            ...(ranges[key] ? { range: ranges[key] } : {}),
+            matches: undefined,
+            showticklabels: true,
+            domain: layout[key].domain.map((end) => (end - bottom) / (top - bottom)),
+          },
+        ]),
+      ),
       [x.replace("x", "xaxis")]: { ...layout[x.replace("x", "xaxis")], matches: undefined, domain: [0, 1] },
       title: { text: panelsOf({ layout }).find((one) => one.axis === axis)?.title || "" },
     },
@@ -109,10 +143,32 @@ function onWhite({ data, layout }, title, width, mm) {
   return {
     data: traces,
     layout: {
-      ...layout, width, height, paper_bgcolor: "#ffffff", plot_bgcolor: "#ffffff", showlegend: seen.size > 1,
+      ...layout,
+      width,
+      height,
+      paper_bgcolor: "#ffffff",
+      plot_bgcolor: "#ffffff",
+      showlegend: seen.size > 1,
       margin: { ...layout.margin, t: layout.margin.t + above },
-      title: { text: plain(head), x: 0, xref: "container", y: 1, yref: "container", yanchor: "top", pad: { t: 8, l: 8 }, font: { size: size + 2, color: layout.font.color } },
-      legend: { orientation: "h", x: -layout.margin.l / (width - layout.margin.l - layout.margin.r), xanchor: "left", y: 1 - 26 / height, yref: "container", yanchor: "top", font: { size } },
+      title: {
+        text: plain(head),
+        x: 0,
+        xref: "container",
+        y: 1,
+        yref: "container",
+        yanchor: "top",
+        pad: { t: 8, l: 8 },
+        font: { size: size + 2, color: layout.font.color },
+      },
+      legend: {
+        orientation: "h",
+        x: -layout.margin.l / (width - layout.margin.l - layout.margin.r),
+        xanchor: "left",
+        y: 1 - 26 / height,
+        yref: "container",
+        yanchor: "top",
+        font: { size },
+      },
     },
     mm,
   };
@@ -122,12 +178,20 @@ function onWhite({ data, layout }, title, width, mm) {
 async function svgOf({ data, layout, mm }) {
   const address = await Plotly.toImage({ data, layout }, { format: "svg", width: layout.width, height: layout.height });
   const text = decodeURIComponent(address.slice(address.indexOf(",") + 1));
-  return mm === null ? text : text.replace(/width="[^"]*" height="[^"]*"/, `width="${mm}mm" height="${(layout.height / PX_PER_MM).toFixed(2)}mm"`);
+  return mm === null
+    ? text
+    : text.replace(
+        /width="[^"]*" height="[^"]*"/,
+        `width="${mm}mm" height="${(layout.height / PX_PER_MM).toFixed(2)}mm"`,
+      );
 }
 
 async function savePicture(name, block, format) {
   const picture = pictureOf(block, block.article.querySelector("[data-panel]")?.value);
-  if (format === "pdf") { printPictures([await svgOf(picture)], [picture]); return; }
+  if (format === "pdf") {
+    printPictures([await svgOf(picture)], [picture]);
+    return;
+  }
   if (format === "svg") {
     const address = URL.createObjectURL(new Blob([await svgOf(picture)], { type: "image/svg+xml" }));
     saveAs(`${name}.svg`, address);
@@ -135,14 +199,20 @@ async function savePicture(name, block, format) {
     return;
   }
   const { width, height } = picture.layout;
-  saveAs(`${name}.png`, await Plotly.toImage(picture, { format: "png", width, height, scale: picture.mm === null ? 2 : PNG_SCALE }));
+  saveAs(
+    `${name}.png`,
+    await Plotly.toImage(picture, { format: "png", width, height, scale: picture.mm === null ? 2 : PNG_SCALE }),
+  );
 }
 
 /** Every figure of the page, one file each; as PDF one page each. */
 async function saveAll(format) {
   for (const block of blocks) block.plan();
   const drawn = blocks.filter((block) => block.drawn.data.length);
-  if (format !== "pdf") { for (const block of drawn) await block.save(format); return; }
+  if (format !== "pdf") {
+    for (const block of drawn) await block.save(format);
+    return;
+  }
   const pictures = drawn.map((block) => pictureOf(block));
   printPictures(await Promise.all(pictures.map(svgOf)), pictures);
 }
@@ -155,7 +225,11 @@ function printPictures(svgs, pictures) {
 }
 
 function layOutPictures(svgs, pictures) {
-  const pages = pictures.map(({ layout }, place) => `@page picture${place} { size: ${layout.width}px ${layout.height}px; margin: 0; } .picture:nth-child(${place + 1}) { page: picture${place}; }`);
+  const pages = pictures.map(
+    ({ layout }, place) =>
+      `@page picture${place} { size: ${layout.width}px ${layout.height}px; margin: 0; }\n` +
+      `.picture:nth-child(${place + 1}) { page: picture${place}; }`,
+  );
   const style = element("style", {}, pages.join("\n"));
   const place = element("div", { id: "pictures" });
   for (const svg of svgs) {
@@ -174,13 +248,36 @@ function layOutPictures(svgs, pictures) {
 
 /** The bar above the figures: how wide pictures are, and all of them at once. */
 function buildPictureBar() {
-  const select = element("select", { id: "save-width" }, ...PICTURE_WIDTHS.map(({ key, label }) => element("option", { value: key }, label)));
+  const select = element(
+    "select",
+    { id: "save-width" },
+    ...PICTURE_WIDTHS.map(({ key, label }) => element("option", { value: key }, label)),
+  );
   const buttons = ["svg", "png", "pdf"].map((format) => {
-    const button = element("button", { type: "button", class: "quiet", "data-save-all": format, "aria-label": `Save all figures as ${format.toUpperCase()}` }, format.toUpperCase());
+    const button = element(
+      "button",
+      {
+        type: "button",
+        class: "quiet",
+        "data-save-all": format,
+        "aria-label": `Save all figures as ${format.toUpperCase()}`,
+      },
+      format.toUpperCase(),
+    );
     button.addEventListener("click", () => saveAll(format));
     return button;
   });
-  document.getElementById("figures-title").after(element("p", { class: "choice pictures-bar" }, element("label", {}, "Pictures are ", select), " Save all: ", ...buttons));
+  document
+    .getElementById("figures-title")
+    .after(
+      element(
+        "p",
+        { class: "choice pictures-bar" },
+        element("label", {}, "Pictures are ", select),
+        " Save all: ",
+        ...buttons,
+      ),
+    );
 }
 
 /** Which panel of a figure its pictures show; hidden where there is only one. */
@@ -188,7 +285,10 @@ function showPanelChoice(block) {
   const select = block.article.querySelector("[data-panel]");
   const panels = block.drawn.data.length ? panelsOf(block.drawn) : [];
   const chosen = select.value;
-  select.replaceChildren(element("option", { value: "" }, "All panels"), ...panels.map(({ axis, title }) => element("option", { value: axis }, shorten(title, 40))));
+  select.replaceChildren(
+    element("option", { value: "" }, "All panels"),
+    ...panels.map(({ axis, title }) => element("option", { value: axis }, shorten(title, 40))),
+  );
   if (panels.some(({ axis }) => axis === chosen)) select.value = chosen;
   select.hidden = panels.length < 2;
 }

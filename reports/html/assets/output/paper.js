@@ -5,13 +5,21 @@
 function toPaper() {
   const root = document.documentElement;
   const themeBefore = root.dataset.theme;
-  const opened = [...document.querySelectorAll(".first details:not([open]), #recording details:not([open]), .fold:not([open])")];
+  const opened = [
+    ...document.querySelectorAll(".first details:not([open]), #recording details:not([open]), .fold:not([open])"),
+  ];
   setTheme("light");
   root.classList.add("paper");
   for (const details of opened) details.open = true;
-  for (const block of blocks) { block.spoil(); block.draw(); }
+  for (const block of blocks) {
+    block.spoil();
+    block.draw();
+  }
   showGroups({ whole: true });
-  const cut = [...document.querySelectorAll("main table.data")].filter((table) => table.getClientRects().length).map(cutColumns).filter(Boolean);
+  const cut = [...document.querySelectorAll("main table.data")]
+    .filter((table) => table.getClientRects().length)
+    .map(cutColumns)
+    .filter(Boolean);
   return () => {
     for (const undo of cut) undo();
     for (const details of opened) details.open = false;
@@ -32,20 +40,29 @@ function cutColumns(table) {
   const parts = [];
   let used = Infinity;
   for (let column = stay; column < widths.length; column += 1) {
-    if (used + widths[column] > room) { parts.push([]); used = held; }
+    if (used + widths[column] > room) {
+      parts.push([]);
+      used = held;
+    }
     parts[parts.length - 1].push(column);
     used += widths[column];
   }
   const copies = parts.map((columns) => {
     const copy = table.cloneNode(true);
     const kept = new Set([...Array(stay).keys(), ...columns]);
-    for (const row of copy.rows) for (let column = row.cells.length - 1; column >= 0; column -= 1) if (!kept.has(column)) row.deleteCell(column);
+    for (const row of copy.rows)
+      for (let column = row.cells.length - 1; column >= 0; column -= 1) if (!kept.has(column)) row.deleteCell(column);
     return copy;
   });
   table.replaceWith(...copies);
-  return () => { copies[0].before(table); for (const copy of copies) copy.remove(); };
+  return () => {
+    copies[0].before(table);
+    for (const copy of copies) copy.remove();
+  };
 }
 
 let toScreen = () => {};
-addEventListener("beforeprint", () => { toScreen = document.getElementById("pictures") ? () => {} : toPaper(); });
+addEventListener("beforeprint", () => {
+  toScreen = document.getElementById("pictures") ? () => {} : toPaper();
+});
 addEventListener("afterprint", () => toScreen());

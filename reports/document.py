@@ -27,7 +27,7 @@ _IDENTIFIERS = ("run_id", "session_id")
 
 
 def render(book: Book) -> str:
-    """Return the report with one list item per line; strings are as in the traces, escaped beyond ASCII."""
+    """Return the report with one list item per line, escaped beyond ASCII."""
     parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in _document(book).items()]
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
@@ -70,7 +70,6 @@ def _document(book: Book) -> dict[str, object]:
 
 
 def _lines(value: object) -> str:
-    """Write a value as JSON, a list or table with one element or row per line."""
     if isinstance(value, pl.DataFrame):
         lines = _rows(value)
     elif isinstance(value, (list, tuple)):
@@ -81,7 +80,7 @@ def _lines(value: object) -> str:
 
 
 def _rows(frame: pl.DataFrame) -> list[str]:
-    """Write each row of a table as a JSON object, column by column, which is faster."""
+    """Write each row as a JSON object, column by column, which is faster."""
     template = ", ".join(f"{json.dumps(name)}: %s" for name in frame.columns)
     return ["{" + template % values + "}" for values in zip(*map(_column, frame), strict=True)]
 

@@ -84,7 +84,6 @@ def _advice(book: Book) -> list[str]:
 
 
 def _sizes(book: Book) -> Iterator[str]:
-    """Yield a table of sizes by setup for each device pair, then how to read them; nothing without answers."""
     table = book.sizes
     if table is None:
         return
@@ -102,7 +101,6 @@ def _sizes(book: Book) -> Iterator[str]:
 
 
 def _size_cell(cell: SizeCell | None) -> str:
-    """Format both percentiles, the best in bold, and the share lost; empty where nothing was measured."""
     if cell is None:
         return ""
     times = " / ".join(f"**{markdown(text)}**" if leads else markdown(text) for text, leads in cell.times)
@@ -110,7 +108,6 @@ def _size_cell(cell: SizeCell | None) -> str:
 
 
 def _findings(book: Book) -> str:
-    """Tabulate the kinds of findings, then list those of kinds with several in sections that open."""
     kinds = book.findings
     if not kinds:
         return "Nothing doubtful was found."
@@ -179,13 +176,11 @@ def _groups(book: Book) -> str:
 
 
 def _received(values: Values, group: int) -> str:
-    """Format the received share of the sent messages, and the unsent ones: `99.5 %, 120 unsent`."""
     unsent = values.plain["unsent"][group]
     return format_ratio(values.plain["received_ratio"][group]) + (f", {unsent:.0f} unsent" if unsent else "")
 
 
 def _runs(book: Book, group: int) -> str:
-    """Return the runs of a group, with what its intervals rest on."""
     basis = book.intervals.basis(book.values.default_metric, "p50", group)
     runs = book.values.plain["runs"][group]
     return basis if basis != MISSING or runs is None else f"{runs:.0f}"
@@ -199,7 +194,7 @@ def _bursts(intervals: Intervals, metric: str, name: str, group: int) -> str:
 def _with_interval(
     values_ns: Sequence[int | None], ends: Sequence[Mapping[str, Sequence[int | None]]], name: str, group: int
 ) -> str:
-    """Format a value with its interval, as in `1.2 ms [1.1 ms, 1.4 ms]`; without brackets if it has neither end."""
+    """Format a value with its interval, as in `1.2 ms [1.1 ms, 1.4 ms]`."""
     low, high = (end[name][group] if name in end else None for end in ends)
     shown = format_duration(values_ns[group])
     return (
@@ -247,7 +242,6 @@ def _added(cost: Cost | None) -> str:
 
 
 def _wire_costs(book: Book) -> str:
-    """Tabulate the groups that were recorded with `--wire`, by cell, then series."""
     costs = {row["group"]: row for row in book.analysis.details.wire.iter_rows(named=True)}
     rows = []
     for group in book.groups.in_order:

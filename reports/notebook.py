@@ -1,7 +1,4 @@
-"""An analysis in a notebook: its first screen as HTML, its figures as plotly values, its whole report in the browser.
-
-`analyzer.analysis.Presenter` has these functions; the analyzer loads this module by its name, as imports run one way.
-"""
+"""An analysis in a notebook. `analyzer.analysis.Presenter` has these functions, and loads this module by its name."""
 
 from __future__ import annotations
 
@@ -41,7 +38,7 @@ _CELL = "text-align:left;white-space:nowrap"
 
 
 def first_screen(analysis: Analysis) -> str:
-    """Return headline, points and the table of sizes as HTML without a script, at most `MOST_CHARACTERS`."""
+    """Return headline, points and the table of sizes as HTML, at most `MOST_CHARACTERS`."""
     book = Book(analysis)
     answer, sizes = book.answer, book.sizes
     counts = ", ".join(text for _, text in severity_counts(book.findings))
@@ -63,7 +60,6 @@ def first_screen(analysis: Analysis) -> str:
 
 
 def _table(sizes: SizeTable, room: int) -> str:
-    """Return as many device pairs as there is room for, and count the others."""
     span = len(sizes.choices) + 1
     names = "".join(f"<th style='{_CELL}'>{escape(choice)}</th>" for choice in sizes.choices)
     start = (
@@ -124,12 +120,7 @@ def plot(
 
 
 def show(analysis: Analysis, folder: Path | None = None) -> Path:
-    """Write the HTML report, open it in the browser of this machine and return its path.
-
-    Args:
-        analysis: what to report.
-        folder: its folder; None for a new temporary one, which is not removed.
-    """
+    """Write the HTML report into a folder, by default a new temporary one, open it in the browser and return its path."""
     folder = Path(tempfile.mkdtemp(prefix="dds-trace-")) if folder is None else Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (path,) = write_reports(analysis, ["html"], folder)

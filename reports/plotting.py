@@ -1,4 +1,4 @@
-"""Figures of lines as plotly values, for notebooks and papers: the page's own panels, names and styles, drawn in Python."""
+"""Figures of lines as plotly values, for notebooks and papers, with the page's panels, names and styles."""
 
 from __future__ import annotations
 
@@ -35,9 +35,7 @@ class Shown:
 
     Attributes:
         title: of the vertical axis, with the unit.
-        of: group -> its value in that unit; None where it has none.
-        text: a value as a reader reads it.
-        is_log: whether its axis is logarithmic.
+        of: group -> its value in that unit.
     """
 
     title: str
@@ -53,7 +51,6 @@ NAMES = (*LINE_FIGURES, RUN_SPREAD)
 
 
 def _shown(book: Book, value: str, metric: str, statistic: str) -> Shown:
-    """Return what the marks of a figure show, by its value (`LineFigure.value`)."""
     if value == "statistic":
         title = f"{METRIC_LABELS[metric]}, {STATISTIC_LABELS[statistic]} (ms)"
         times = book.values.times_ns[metric][statistic]
@@ -84,7 +81,7 @@ def _percent(title: str, share_of: Callable[[int], float | None]) -> Shown:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A horizontal axis: its title and the text of a position. Positions are at their values on a log axis, else at 0, 1, 2 ..."""
+    """A horizontal axis; positions are at their values on a log axis, else at 0, 1, 2 ..."""
 
     title: str
     label: Callable[[Book, float], str]
@@ -121,8 +118,8 @@ def line_figure(book: Book, name: str, panels: str | None, metric: str | None, s
         book: of the analysis.
         name: one of `NAMES`.
         panels: one of `PANELS_BY`; None as on the page.
-        metric: column `<metric>_<statistic>_ns` of the summary, where the figure shows times; None for the page's.
-        statistic: of `STATISTIC_LABELS`, where the figure shows times or their spread.
+        metric: where the figure shows times; None for the page's.
+        statistic: where the figure shows times or their spread.
 
     Raises:
         OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.
@@ -165,7 +162,6 @@ def _check(what: str, value: str, values: Mapping[str, object] | Sequence[str]) 
 
 
 def _with_values(info: Faceted, shown: Shown) -> Faceted:
-    """Return the panels without the groups that have no value, and without empty lines and panels."""
     panels = []
     for panel in info.panels:
         lines = []
@@ -234,7 +230,6 @@ def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
 
 
 def _trace(book: Book, line: Line, at: list[float], look: tuple[str, Style], shown: Shown) -> Scatter:
-    """Draw one line; a group that lost messages has a faded mark with the share received."""
     label, style = look
     values = [float(shown.of(group) or 0) for group in line.groups]
     shares = [book.values.plain["received_ratio"][group] for group in line.groups]

@@ -50,15 +50,10 @@ def load_reporter(kind: str) -> Reporter:
 def write_reports(
     analysis: Analysis, kinds: Iterable[str], folder: str | os.PathLike[str]
 ) -> list[Path | None]:
-    """Write reports of one analysis, which share a book.
-
-    Args:
-        analysis: what to report.
-        kinds: keys of `REPORT_MODULES`; a repeated one is written once.
-        folder: folder of the files; it must exist.
+    """Write reports of one analysis into a folder, which must exist.
 
     Returns:
-        For each kind its file, or None for a report that was printed to stdout.
+        For each kind its file, or None for a report that was printed.
 
     Raises:
         OptionError: there is no such kind; nothing was written.

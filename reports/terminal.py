@@ -88,7 +88,6 @@ _FIT_COLORS = {"meets": "green", "misses": "red"}
 
 
 def _advice(book: Book) -> list[RenderableType]:
-    """List the settings for the job, best first, each with its numbers and what these rest on."""
     advice = book.advice
     if advice is None:
         return []
@@ -107,7 +106,6 @@ _OUTCOME_COLORS = {"pass": "green", "fail": "red"}
 
 
 def _sizes(book: Book) -> list[RenderableType]:
-    """Make a table of sizes by setup for each device pair; best times in bold, losses in red."""
     sizes = book.sizes
     if sizes is None:
         return []
@@ -154,7 +152,6 @@ def _list(items: Sequence[str]) -> Table:
 
 
 def _findings(book: Book) -> list[RenderableType]:
-    """List each kind with its first finding; the HTML and JSON reports have the others."""
     lines: list[RenderableType] = []
     for kind in book.findings:
         first = kind.listed[0]
@@ -165,7 +162,6 @@ def _findings(book: Book) -> list[RenderableType]:
 
 
 def _tables(book: Book) -> list[RenderableType]:
-    """Make one table per series, then the legend of the sparklines."""
     metric = book.values.default_metric
     values = [value for curve in book.curves.values_ns[metric] for value in curve if value > 0]
     ends_ns = (min(values, default=1), max(values, default=1))
@@ -212,7 +208,7 @@ def _runs(runs: float | None) -> str:
 
 
 def _sparkline(curve: Sequence[int], ends: tuple[int, int]) -> str:
-    """Draw where the values of a curve are between the ends, on a log axis; a dash without a curve.
+    """Draw where the values of a curve are between the ends, on a log axis.
 
     The height of a bar counts levels of the curve, which are denser in the tail, so that rare late messages stay visible.
     """

@@ -49,7 +49,7 @@ class Picture:
         campaign: one of `CAMPAIGNS`.
         select: CSS selector of the part; empty for the first screen.
         width: of the window, in CSS pixels.
-        cell: words of the combination that is chosen at Messages; empty for the page's own choice.
+        cell: label of the message that is selected; empty for the one that the page selects.
     """
 
     campaign: str
@@ -74,7 +74,7 @@ CAMPAIGN_OF: Mapping[str, tuple[str, str]] = {
     "timeline": ("emulated-link", LINK_CELL),
     "host_load": ("gallery", "502 KB"),
 }
-"""Figure -> campaign and combination that show it well; others are taken of `gallery`."""
+"""Figure -> campaign and message that show it well; others are taken of `gallery`."""
 
 
 def pictures() -> dict[str, Picture]:
@@ -133,7 +133,7 @@ def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
     tab = browser.new_page(viewport={"width": picture.width, "height": height})
     try:
         tab.goto(address)
-        tab.locator(".count").filter(has_text="group").wait_for()
+        tab.locator(".count").filter(has_text="result").wait_for()
         cells = tab.locator("#choose-cell option").all_text_contents()
         chosen = next((cell for cell in cells if picture.cell and picture.cell in cell), None)
         if chosen is not None:

@@ -1,4 +1,4 @@
-"""The answer in words: which middleware and bridge suit which data, as far as the intervals support a choice."""
+"""The answer in words: which middleware and bridge suit which data, as far as the verdicts support it."""
 
 from __future__ import annotations
 
@@ -42,10 +42,9 @@ class Conclusion:
     """Headline and sentences of a report.
 
     Attributes:
-        headline: the most important sentence.
         metric: metric of the remarks: latency, or the next one that was measured.
         verdicts: one per kind of data; empty if no setups could be compared.
-        remarks: sentences on the range of medians, the cost of bridges and the losses.
+        remarks: the range of medians, the cost of bridges and the losses.
         rule: definition of `clearly`; empty if nothing was compared.
         points: the sentences after the headline: who is fastest, what not to use, what bridges cost, where.
     """
@@ -107,7 +106,6 @@ def _who_is_fastest(
 
 
 def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -> str:
-    """Say that no choice can be made, and whether more runs are needed for that."""
     messages = sum(verdict.cells for verdict in verdicts)
     few = sum(verdict.within_one_run for verdict in verdicts)
     where = (
@@ -128,7 +126,6 @@ _IN_WAY = {"same domain": "in the same domain", "different domains": "across dom
 
 
 def _ways(vendor: str, groups: Groups, values: Values) -> str:
-    """Describe the medians of the only middleware, in the same domain and through each bridge."""
     metric = values.default_metric
     ways: dict[str, list[int]] = {}
     for group in sorted(groups.groups, key=lambda group: group.series):
@@ -146,14 +143,12 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
 
 
 def _of_received(groups: Iterable[Group], values: Values) -> str:
-    """Say that a time is of the received messages where any of these groups lost one or never sent it."""
     unsent = values.plain["unsent"]
     is_whole = all(group.received == group.published and not unsent[group.index] for group in groups)
     return "" if is_whole else " of the received messages"
 
 
 def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
-    """State the lowest and highest median of each data type, with their groups."""
     remarks, labels = [], group_labels(groups)
     for data_type in dict.fromkeys(cell.data_type for cell in groups.cells):
         medians = sorted(
@@ -173,7 +168,6 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
 
 
 def _bridge_remarks(costs: pl.DataFrame, vendors: VendorLabels) -> list[str]:
-    """State what each vendor and bridge adds to the median latency across domains, on each device pair and link."""
     rows = list(costs.filter(statistic="p50", metric="latency").iter_rows(named=True))
     pairs = [_place_of_cost(row) for row in rows]
     ways: dict[str, list[dict[str, Any]]] = {}
@@ -236,7 +230,7 @@ def _within(row: Mapping[str, Any]) -> str:
 
 
 def way_label(row: Mapping[str, Any], vendors: VendorLabels) -> str:
-    """Name the vendor and bridge of a row of `bridge_costs`, as in `Fast DDS, through our built-in bridge`."""
+    """Name vendor and bridge, as in `Fast DDS, through our built-in bridge`."""
     return f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way_words(row['bridge'])}"
 
 
@@ -249,7 +243,6 @@ _DEADLINE_LABELS = {
 
 
 def _deadline_remarks(details: Details, groups: Groups) -> list[str]:
-    """State how many messages missed the deadline, how many may have, and where most missed it."""
     if details.deadline_ns is None or not details.freshness.height:
         return []
     counts = ("missed", "judged", "unsure")
@@ -272,7 +265,6 @@ def _deadline_remarks(details: Details, groups: Groups) -> list[str]:
 
 
 def _missed_ratio(row: Mapping[str, int]) -> float:
-    """Return the share of all messages that surely missed the deadline."""
     return row["missed"] / max(1, row["judged"] + row["unsure"])
 
 
@@ -299,7 +291,6 @@ def _of_results(some: int, count: int) -> str:
 
 
 def _unsent(values: Values) -> str:
-    """Say how many messages were due and never sent; empty if none was."""
     counts = [round(count or 0) for count in values.plain["unsent"]]
     if not any(counts):
         return ""

@@ -1,4 +1,4 @@
-"""How it was recorded, as a table: a row for each setting, version or limit, a column for each device and role."""
+"""How it was recorded: a row for each setting, version or limit, a column for each device and role."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class RecordedRow:
-    """One value of all devices and roles; strings are `printable` but not escaped for a format.
+    """One value of all devices and roles, not escaped for a format.
 
     Attributes:
         values: of each column; empty where no session has it.
-        unlike: whether columns that have it, or sessions of one column, differ where they should not.
+        unlike: whether it differs where it should not.
     """
 
     name: str
@@ -61,13 +61,7 @@ class RecordedRow:
 
 @dataclass(frozen=True, slots=True)
 class RecordedEnvironment:
-    """Rows by section.
-
-    Attributes:
-        columns: device and role.
-        sections: heading and rows of each section.
-        quality: the qualities of service of all groups.
-    """
+    """Rows by section; columns are devices and roles, `quality` all qualities of service."""
 
     columns: tuple[str, ...]
     sections: tuple[tuple[str, tuple[RecordedRow, ...]], ...]
@@ -103,7 +97,6 @@ def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironm
 
 
 def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, str, str]]:
-    """Yield section, name and value of everything in a session's description."""
     yield _VARIED, "middleware", vendors.of(session.vendor)
     yield _VARIED, "backend", printable(session.backend)
     if session.rmw:

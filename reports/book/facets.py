@@ -49,7 +49,7 @@ class Dimension:
 
     Attributes:
         label: name for readers.
-        options: label of each value that any group has, in the order of cells and series.
+        options: label of each value, in the order of cells and series.
         index: for each group the index of its value among the options.
         short: label of each value at the end of a line.
     """
@@ -62,12 +62,7 @@ class Dimension:
 
 @dataclass(frozen=True, slots=True)
 class Facets:
-    """All dimensions.
-
-    Attributes:
-        dimensions: key of `LABELS` -> dimension.
-        choices: the series of each option of `choice`, without its device pair and link.
-    """
+    """All dimensions by key; `choices` are the series of `choice`, without device pair and link."""
 
     dimensions: Mapping[str, Dimension]
     choices: tuple[Series, ...]
@@ -155,7 +150,7 @@ SHORT_BRIDGES = {"builtin": "built-in", "builtin-zenoh": "built-in Zenoh"}
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One value of a dimension, its label, and its label at the end of a line if that differs."""
+    """One value of a dimension, its label, and a different one for the end of a line."""
 
     value: Any
     label: str

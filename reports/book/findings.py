@@ -1,4 +1,4 @@
-"""Findings as every report shows them: one entry per kind, groups under their names in the report."""
+"""Findings by kind, as every report shows them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class OneFinding:
-    """One finding; strings are `printable` and not yet escaped for a medium.
+    """One finding, not escaped for a format.
 
     Attributes:
         groups: names of all its groups if `where` only has their number, else empty.
@@ -56,9 +56,6 @@ class FindingKind:
     """Findings of one severity and code.
 
     Attributes:
-        severity: `error`, `warning` or `info`.
-        code: name in the analyzer.
-        title: name in a report.
         count: number of findings, including those that are not listed.
         listed: first findings; at least one.
     """

@@ -29,8 +29,8 @@ _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 def markdown(text: object) -> str:
     """Escape text for GitHub's Markdown, also inside a table cell.
 
-    Punctuation becomes entities, which Markdown never interprets. An empty comment follows `@` and `#`, because GitHub
-    resolves entities before it looks for mentions and issues.
+    Punctuation becomes entities. An empty comment follows `@` and `#`, because GitHub resolves entities before it looks for
+    mentions and issues.
     """
     parts = []
     for c in printable(text, MAX_FINDING_CHARACTERS):
@@ -110,11 +110,7 @@ DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
 
 @dataclass(frozen=True, slots=True)
 class VendorLabels:
-    """Labels of the vendors of an analysis.
-
-    Attributes:
-        labels: label of each vendor that has one; any other is shown as in the trace.
-    """
+    """Labels of vendors; one without a label is shown as in the trace."""
 
     labels: Mapping[str, str]
 
@@ -123,7 +119,7 @@ class VendorLabels:
         return self.labels.get(vendor, printable(vendor))
 
     def of_pair(self, vendor: str, relay_vendor: str | None) -> str:
-        """Return the label of the vendors of ping and relay; the relay's is None without its trace."""
+        """Return the label of the vendors of ping and relay, which is None without its trace."""
         if relay_vendor is None or relay_vendor == vendor:
             return self.of(vendor)
         return f"{self.of(vendor)} → {self.of(relay_vendor)}"
@@ -131,7 +127,7 @@ class VendorLabels:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Parameters of a group without its message: its setup, device pair and link.
+    """Setup, device pair and link of a group.
 
     Attributes:
         further: the parameters without a field of their own, as in `name value`.
@@ -191,12 +187,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """All groups of an analysis with their series and cells, each sorted.
-
-    Attributes:
-        labels: label of each series, made of the parameters in which the series differ.
-        vendors: labels of the vendors, also of those that no group has.
-    """
+    """All groups of an analysis with their series and cells, each sorted; `labels` are those of the series."""
 
     groups: tuple[Group, ...]
     series: tuple[Series, ...]
@@ -224,12 +215,7 @@ def groups_info(analysis: Analysis) -> Groups:
 
 
 def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Groups:
-    """List groups; group i is row i.
-
-    Args:
-        rows: the parameters of each group, `published` and `received`.
-        vendors: labels of the vendors.
-    """
+    """List groups; group i is row i, which has its parameters, `published` and `received`."""
     series_rows = [_series(row, vendors) for row in rows]
     cell_rows = [Cell(**{name: row[name] for name in Cell.__dataclass_fields__}) for row in rows]
     series = tuple(sorted(set(series_rows), key=_series_order))
@@ -264,12 +250,7 @@ def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
 
 
 def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> list[str]:
-    """Label settings by everything in which any two of them differ, which is what a reader has to set.
-
-    Args:
-        settings: values of `SETTING_COLUMNS`.
-        vendors: labels of the vendors.
-    """
+    """Label settings (values of `SETTING_COLUMNS`) by everything in which any two differ: what a reader has to set."""
     series = [_series({**dict.fromkeys(SERIES_COLUMNS), **setting}, vendors) for setting in settings]
     parts = (*_LABEL_PARTS, (where_it_varies, _setting_label_of(series)))
     rules = [(where_it_varies if word not in _FOLLOWING else rule, word) for rule, word in parts]
@@ -291,10 +272,7 @@ def _series(row: Mapping[str, Any], vendors: VendorLabels) -> Series:
 
 
 def group_labels(groups: Groups) -> tuple[str, ...]:
-    """Label each group by its cell and what distinguishes its series: `Binary 33 KB at 10 Hz, through our built-in bridge`.
-
-    A vendor that all groups share is left out.
-    """
+    """Label each group as in `Binary 33 KB at 10 Hz, through our built-in bridge`, without a vendor that all share."""
     vendors = {series.vendor_label for series in groups.series}
     shared = vendors.pop() if len(vendors) == 1 else ""
     short = [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
@@ -309,14 +287,14 @@ def data_type_label(data_type: str) -> str:
 
 
 def domain_label(series: Series) -> str:
-    """Name the domains and the bridge: `same domain`, `different domains`, `through our built-in bridge`."""
+    """Name domains and bridge, as in `same domain` or `through our built-in bridge`."""
     if series.domain_mode == "same":
         return "same domain" if series.bridge == "none" else f"same domain {way_words(series.bridge)}"
     return way_words(series.bridge)
 
 
 def way_words(bridge: str) -> str:
-    """Name the way between two domains: `through our built-in bridge`, `different domains` without a bridge."""
+    """Name the way between two domains, as in `through our built-in bridge` or `different domains`."""
     return "different domains" if bridge == "none" else f"through {BRIDGES.get(bridge, printable(bridge))}"
 
 

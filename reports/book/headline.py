@@ -1,7 +1,6 @@
-"""The first sentences of a report: losses, from which size on who is fastest and by how much, what a bridge costs, where.
+"""The first sentences of a report: losses, who is fastest from which size on, what a bridge costs, where it was measured.
 
-Each sentence rests on verdicts of the analyzer (`verdicts.answers`, `verdicts.bridge_cost`) within one device pair and
-one link. Over several pairs a sentence has a range of factors and never a mean.
+Each rests on verdicts within one device pair and link; over several pairs it has a range of factors and never a mean.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ MOST_NAMED = 3
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:
-    """Say which share of the messages was lost, and where all of them were; empty without a loss."""
+    """Say which share of the messages was lost, and where; empty without a loss."""
     planned, lost = _planned_and_lost(groups.groups, values)
     if not lost:
         return ""
@@ -50,13 +49,13 @@ def loss_sentence(groups: Groups, values: Values) -> str:
 
 
 def _planned_and_lost(groups: Sequence[Group], values: Values) -> tuple[int, int]:
-    """Return the messages that were due, and those of them that were lost or never sent."""
+    """Return the messages that were due, and how many of them were lost or never sent."""
     planned = sum(group.published + round(values.plain["unsent"][group.index] or 0) for group in groups)
     return planned, planned - sum(group.received for group in groups)
 
 
 def _scope(lossy: Sequence[Group], groups: Groups) -> str:
-    """Say by which link, way and size the lossy groups differ from the others; empty if they have nothing in common."""
+    """Say by link, way and size where the losses are; empty where the lossy groups have nothing in common."""
     sides: tuple[tuple[Callable[[Group], str], str], ...] = (
         (lambda group: groups.series_of(group).vendor_label, "by {}"),
         (lambda group: domain_label(groups.series_of(group)), "{}"),
@@ -83,7 +82,7 @@ def _from_size(least: int, largest: int) -> str:
 
 
 def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
-    """Name the setups that lost more than `LOSSY_SHARE` of some messages, the worst first; empty if none did."""
+    """Name the setups that lost more than `LOSSY_SHARE` of a message, the worst first."""
     labels = contender_labels(answers, vendors)
     # Device pair -> data type and label of the setup -> smallest size, largest share lost.
     lossy: dict[str, dict[tuple[str, str], tuple[int, float]]] = {}
@@ -135,9 +134,7 @@ class Stretch:
     """Neighbouring sizes with the same outcome.
 
     Attributes:
-        winner: name of the setup that leads at these sizes, empty where none does, None where it depends on the rate.
-        sizes: the sizes, ascending.
-        cases: the answers.
+        winner: name of the setup that leads, empty where none does, None where it depends on the rate.
     """
 
     winner: str | None
@@ -146,7 +143,7 @@ class Stretch:
 
 
 def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
-    """Cut the compared answers of one kind of data and device pair into stretches of sizes."""
+    """Cut the answers of one kind of data and device pair into stretches of sizes."""
     by_size: dict[int, list[CaseAnswer]] = {}
     for case in cases:
         if case.clarity is not Clarity.ONLY_ONE:
@@ -161,10 +158,7 @@ def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
 
 
 def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[str, ...]:
-    """Say for each domain mode and kind of data from which size on which setup is fastest, and by which factor.
-
-    Device pairs with the same outcome share a sentence part.
-    """
+    """Say for each domain mode and kind of data from which size on which setup is fastest, and by which factor."""
     labels = contender_labels(answers, vendors)
     several_types = len({answer.data_type for answer in answers}) > 1
     kinds: dict[tuple[str, str], dict[str, list[CaseAnswer]]] = {}
@@ -210,7 +204,6 @@ def _pairs(pairs: Sequence[str], count: int) -> str:
 
 
 def _outcome(cut: Sequence[Stretch], labels: Mapping[str, str], *, knows_p99: bool) -> str:
-    """Put the stretches of one outcome into words; more than `MOST_NAMED` are put together by winner."""
     sizes = [size for stretch in cut for size in stretch.sizes]
     is_mixed = len(cut) > MOST_NAMED
     parts = []
@@ -227,7 +220,6 @@ def _outcome(cut: Sequence[Stretch], labels: Mapping[str, str], *, knows_p99: bo
 
 
 def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
-    """Count the comparisons that each setup leads: `Zenoh is fastest in 2 of 4 comparisons, Fast DDS in 1`."""
     won = Counter(case.leaders[0].name for case in cases if case.clarity is Clarity.CLEAR)
     (first, count), *others = won.most_common()
     lead = f"{labels[first]} is fastest in {count} of {counted(len(cases), 'comparison')}"
@@ -235,7 +227,6 @@ def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
 
 
 def _by_winner(cut: Sequence[Stretch]) -> list[Stretch]:
-    """Join the stretches with the same outcome, winners of most sizes first."""
     by_winner: dict[str | None, Stretch] = {}
     for stretch in cut:
         own = by_winner.get(stretch.winner, Stretch(stretch.winner, (), ()))
@@ -245,7 +236,7 @@ def _by_winner(cut: Sequence[Stretch]) -> list[Stretch]:
 
 
 def _span(own: Sequence[int], every: Sequence[int]) -> str:
-    """Name sizes among all: `up to 33 KB`, `from 1 MB on`, `at 145 KB`, `at every size`, `at 33 KB and 1 MB`."""
+    """Name sizes among all: `up to 33 KB`, `from 1 MB on`, `at every size`, `at 33 KB and 1 MB`."""
     if len(own) < sum(own[0] <= size <= own[-1] for size in every):
         return f"at {joined(map(format_size, own))}"
     low, high = format_size(own[0]), format_size(own[-1])
@@ -258,12 +249,7 @@ def _span(own: Sequence[int], every: Sequence[int]) -> str:
 
 
 def _by_how_much(stretch: Stretch, *, knows_p99: bool) -> str:
-    """Say how many times as long the next setup takes, at each percentile where the verdict holds.
-
-    Args:
-        stretch: sizes with a winner.
-        knows_p99: whether any setup of the campaign leads at p99; a separate sentence says where none does.
-    """
+    """Say how many times as long the next setup takes, at each percentile with a verdict."""
     parts = []
     for percentile, label in (("p50", "at the median"), ("p99", "at p99")):
         won = [case for case in stretch.cases if getattr(case, f"leader_{percentile}") == stretch.winner]
@@ -278,7 +264,6 @@ def _by_how_much(stretch: Stretch, *, knows_p99: bool) -> str:
 
 
 def _factor(case: CaseAnswer, percentile: str) -> float | None:
-    """Return how many times as long as the leader the next setup takes; None if the messages of all others were lost."""
     times = {setup.name: getattr(setup, f"{percentile}_ns") for setup in case.contenders}
     own = times.pop(getattr(case, f"leader_{percentile}"))
     others = [value for value in times.values() if value is not None and value != float("inf")]
@@ -291,12 +276,7 @@ def _factors(factors: Sequence[float]) -> str:
 
 
 def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:
-    """Say for each bridge and middleware how many times as long as in the same domain a message takes; empty without one.
-
-    Args:
-        costs: `Details.bridge_costs`.
-        vendors: labels of the vendors.
-    """
+    """Say for each bridge and middleware how many times as long as in the same domain a message takes."""
     latencies = costs.filter(metric="latency")
     several = latencies["vendor"].n_unique() > 1
     ways = latencies.group_by("bridge", "vendor", "relay_vendor", maintain_order=True)
@@ -310,7 +290,7 @@ def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:
 
 
 def _cost_words(rows: pl.DataFrame) -> str:
-    """Return the factors of one way at both percentiles where it is clearly slower, and how the others came out."""
+    """Return the factors of one way where it is clearly slower, and how the other comparisons came out."""
     is_finite = pl.col("ratio").is_finite().fill_null(value=False)
     parts, lost, others, compared = [], 0, 0, 0
     for name, label in (("p50", "at the median"), ("p99", "at p99")):
@@ -327,7 +307,7 @@ def _cost_words(rows: pl.DataFrame) -> str:
 
 
 def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
-    """Say on which devices and link this was measured, and whether the machine was busy."""
+    """Say where this was measured, and whether the machine was busy."""
     links: dict[str, dict[str, None]] = {}
     for series in groups.series:
         pair = device_pair(series.ping_device, series.relay_device)
@@ -354,7 +334,6 @@ def _run_counts(counts: Sequence[int]) -> str:
 
 
 def _busy(analysis: Analysis) -> str:
-    """Warn where at least `BUSY_SHARE` of the recordings ran on a full processor."""
     full = sum(finding.count for finding in analysis.findings if finding.code == "cpu_saturated")
     recordings = len(analysis.sessions)
     if not full or full < BUSY_SHARE * recordings:
@@ -363,6 +342,5 @@ def _busy(analysis: Analysis) -> str:
 
 
 def _some(parts: Sequence[str], rest: str) -> str:
-    """Join the first `MOST_NAMED` parts, and count the others."""
     left = len(parts) - MOST_NAMED
     return "; ".join([*parts[:MOST_NAMED], *([f"and {left} {rest}"] if left > 0 else [])])

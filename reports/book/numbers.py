@@ -1,4 +1,4 @@
-"""Numbers of the groups as figures and tables look them up: statistics, their intervals, and curves for drawing."""
+"""Numbers of the groups as figures and tables look them up."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PLAIN_COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """Numbers of `summary`: item i of each tuple belongs to group i and is None without a value.
+    """Numbers of `summary`: item i of each tuple is group i's, None without a value.
 
     Attributes:
         times_ns: metric -> statistic -> time, rounded to whole nanoseconds.
@@ -46,12 +46,12 @@ class Values:
         return any(value is not None for column in self.times_ns[metric].values() for value in column)
 
     def timed(self, group: int) -> bool:
-        """Return whether any message of the group was received, so that some metric has a time."""
+        """Return whether the group has a time of any metric."""
         return any(columns["max"][group] is not None for columns in self.times_ns.values())
 
     @property
     def default_metric(self) -> str:
-        """Metric that a page shows first: latency, or the next metric that was measured."""
+        """Latency, or the next metric that was measured."""
         return next((metric for metric in METRIC_LABELS if self.has(metric)), "latency")
 
 
@@ -74,26 +74,24 @@ def values_info(analysis: Analysis) -> Values:
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number of a frame; None for null, NaN and infinity, which a report shows as missing."""
+    """Return a number; None for null, NaN and infinity."""
     return None if value is None or not math.isfinite(value) else value
 
 
 def whole_ns(value_ns: float | None) -> int | None:
-    """Round a number of a frame to whole nanoseconds; None for null, NaN and infinity."""
+    """Round a number; None for null, NaN and infinity."""
     return None if value_ns is None or not math.isfinite(value_ns) else round(value_ns)
 
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """Ends of the 95 % intervals: metric -> percentile (`p50` to `p99_9`) -> ns per group, None without this end.
-
-    Means and extremes have no interval.
+    """95 % intervals: metric -> percentile (`p50` to `p99_9`) -> value per group, None without one.
 
     Attributes:
         low_ns: lower ends.
         high_ns: upper ends.
-        episodes: bursts that the messages beyond each percentile came in, None where no message is beyond.
-        is_between: whether each interval comes from the runs: 1 or 0, None without an interval.
+        episodes: bursts that the messages beyond each percentile came in.
+        is_between: whether each interval comes from the runs: 1 or 0.
         runs: of each group, 0 where nothing was measured.
     """
 
@@ -104,12 +102,12 @@ class Intervals:
     runs: tuple[int, ...]
 
     def tail_episodes(self, metric: str, percentile: str, group: int) -> int | None:
-        """Return the bursts that a tail rests on; None of a median, and where no message is beyond."""
+        """Return the bursts that a tail rests on; None for a median."""
         by_group = self.episodes.get(metric, {}).get(percentile, ())
         return by_group[group] if by_group and percentile != "p50" else None
 
     def basis(self, metric: str, percentile: str, group: int) -> str:
-        """Return on how many runs an interval rests, as in `5` or `1, within one run`; a dash without an interval."""
+        """Return on how many runs an interval rests, as in `5` or `1, within one run`."""
         is_between = self.is_between.get(metric, {}).get(percentile, ())
         if not is_between or is_between[group] is None:
             return MISSING
@@ -117,7 +115,7 @@ class Intervals:
 
 
 def intervals_info(analysis: Analysis) -> Intervals:
-    """Collect the intervals of the page's metrics; there are none without `analysis.details`."""
+    """Collect the intervals; there are none without `analysis.details`."""
     height = analysis.summary.height
     low, high, episodes, is_between = (
         {metric: dict[str, list[int | None]]() for metric in METRIC_LABELS} for _ in range(4)
@@ -145,12 +143,11 @@ def _frozen(ends: Mapping[str, Mapping[str, list[int | None]]]) -> Ends:
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Inverse of the cumulated histogram of each group.
+    """Curves of all groups (`report_values`).
 
     Attributes:
         levels: shares of messages, ascending from 0 to 1.
-        values_ns: metric -> for each group the times that these shares of messages do not exceed. A tuple ends at the last
-            level that the sample supports; it is empty if the metric was not measured.
+        values_ns: metric -> for each group the times at the first levels, as far as the sample supports them.
         shares: for each group the received share of the messages that were due; None where none was.
     """
 

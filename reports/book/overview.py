@@ -45,7 +45,7 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """Name of the analyzed folder, and facts whose strings are `printable` but not escaped for a format."""
+    """Name of the analyzed folder, and facts, not escaped for a format."""
 
     title: str
     facts: tuple[Fact, ...]
@@ -98,7 +98,6 @@ def _devices(analysis: Analysis, groups: Groups) -> str:
 
 
 def _conditions(groups: Groups) -> str:
-    """List the conditions of the runs, each set once."""
     return "; ".join(sorted({conditions_label(condition_of(one.setting)) for one in groups.series} - {""}))
 
 
@@ -139,7 +138,6 @@ def _rates(groups: Groups) -> str:
 
 
 def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:
-    """Return the span from the first session to the last message of a run, in UTC."""
     instants = [session.wall_anchor_ns for session in analysis.sessions]
     if not instants:
         return ""
@@ -154,7 +152,6 @@ def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:
 
 
 def _utc(wall_ns: int) -> datetime | None:
-    """Convert a wall-clock time to UTC; None if it is not a valid date."""
     try:
         return datetime.fromtimestamp(wall_ns / 1e9, tz=timezone.utc)
     except (OverflowError, OSError, ValueError):

@@ -35,7 +35,7 @@ class Advice:
     Attributes:
         job: the job in words, with its deadline.
         sentence: which settings meet it.
-        rows: one row of text per candidate, columns of `COLUMNS`.
+        rows: one row per candidate, columns of `COLUMNS`.
     """
 
     job: str
@@ -44,7 +44,7 @@ class Advice:
 
     @property
     def brief_rows(self) -> tuple[tuple[str, str, str], ...]:
-        """The rows for narrow columns: setting, whether it meets the job, and all numbers in one text."""
+        """Setting, whether it meets the job, and all numbers in one text."""
         return tuple(_brief(*row) for row in self.rows)
 
 
@@ -82,7 +82,6 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
 
 
 def _choice(setting: Setting) -> Setting:
-    """Return a setting without its device pair, link and conditions."""
     return {**setting, **dict.fromkeys(SITE_COLUMNS, ""), "setting": choice_of(str(setting["setting"]))}
 
 
@@ -111,13 +110,7 @@ def _job_words(job: Job) -> str:
 
 
 def _sentence(named: Sequence[tuple[Candidate, str]], deadline: str, *, opens: bool) -> str:
-    """Return which settings of one device pair meet the deadline.
-
-    Args:
-        named: candidates with their names, best first.
-        deadline: the deadline in words.
-        opens: whether the words start a sentence.
-    """
+    """Return which settings of one device pair meet the deadline; `opens` a sentence or continues it."""
     best = [name for candidate, name in named if candidate.fit is Fit.MEETS and candidate.tied]
     if best:
         verb = "meets" if len(best) == 1 else "meet"

@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunTime:
-    """Start and end of one run, and what was received.
+    """One run.
 
     Attributes:
         group: index of its group; the first one if several relays answered.
         origin_ns: planned send time of its first counted message, on the ping's monotonic clock; 0 of `elapsed_s`.
         last_ns: publish time of its last message, on the same clock.
         session: session of the ping; None if the run has none.
-        published: messages sent, times the relays that took part; `received` likewise.
-        p50_ns: median of the latency, or of the round trip where no relay stamped; None where nothing was received.
+        published: messages sent, times the relays; `received` likewise.
+        p50_ns: median of the latency, or of the round trip without a relay's trace.
         max_ns: the slowest of it.
     """
 
@@ -55,7 +55,7 @@ class RunTime:
 
 
 def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
-    """Collect start and end of the runs of `analysis.timeline`, in its order."""
+    """Collect the runs of `analysis.timeline`, in its order."""
     frame = run_rows(analysis.run_times, analysis.scan_roundtrips())
     rows = {row["run_id"]: row for row in frame.iter_rows(named=True)}
     sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
@@ -87,12 +87,7 @@ FLEETING = "wifi"
 
 @dataclass(frozen=True, slots=True)
 class RecordTable:
-    """Table of strings that are `printable` but not escaped for a format.
-
-    Attributes:
-        count: number of sessions or files, including those left out.
-        left_out: number of rows beyond `MOST_ROWS`.
-    """
+    """Table of sessions or files, not escaped for a format; `left_out` counts the rows beyond `MOST_ROWS`."""
 
     title: str
     columns: tuple[str, ...]
@@ -107,7 +102,7 @@ def record_tables(analysis: Analysis) -> tuple[RecordTable, ...]:
 
 
 def _sessions(analysis: Analysis) -> RecordTable:
-    """Tabulate the sessions; equal ones share a row, because a sweep starts a process per result."""
+    """Tabulate the sessions; equal ones share a row."""
     alike: dict[tuple[str, ...], list[Session]] = {}
     vendors = vendor_labels(analysis)
     for one in analysis.sessions:
@@ -138,7 +133,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
 
 
 def applied_words(session: Session) -> list[str]:
-    """Describe what the process was seen to use; nothing for a session that did not record it."""
+    """Describe what the process was seen to use."""
     path = payload_path(session)
     if path is None:
         return []
@@ -158,7 +153,6 @@ _WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
 
 
 def _sources(analysis: Analysis) -> RecordTable:
-    """Tabulate the files, those with a problem first."""
     ordered = sorted(analysis.sources, key=lambda one: one.status == "read")
     rows: list[tuple[str, ...]] = [
         (printable(one.path), printable(one.status), format_count(one.events), printable(one.detail))
@@ -194,7 +188,7 @@ class OwnCost:
 
 
 def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
-    """Collect the costs of each vendor and backend whose sessions measured them."""
+    """Collect the costs of each vendor and backend."""
     by_backend: dict[tuple[str, str], list[Session]] = {}
     for session in analysis.sessions:
         by_backend.setdefault((session.vendor, session.backend), []).append(session)
@@ -217,7 +211,7 @@ def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
 
 
 def cost_words(costs: Sequence[OwnCost]) -> str:
-    """Describe in one line what measuring cost with the slowest middleware: `recording an event 2.1 µs (p99 4 µs)`."""
+    """Describe the cost with the slowest middleware: `recording an event 2.1 µs (p99 4 µs)`."""
     parts = (
         ("recording an event", "record_median_ns", "record_p99_ns"),
         ("a message from a node to itself", "floor_median_ns", "floor_p99_ns"),
@@ -237,7 +231,7 @@ def cost_words(costs: Sequence[OwnCost]) -> str:
 
 
 def setting_words(analysis: Analysis) -> str:
-    """Describe the settings of the middlewares, from the sessions: `executor events; transport default; tuned false`."""
+    """Describe the settings of the middlewares: `executor events; transport default; tuned false`."""
     values: dict[str, dict[str, None]] = {}
     for session in analysis.sessions:
         middleware = session.host.get("middleware")
@@ -251,7 +245,7 @@ def setting_words(analysis: Analysis) -> str:
 
 
 def version_words(analysis: Analysis) -> str:
-    """List the versions of all sessions: `rclpy 7.1.6, fastrtps 2.14.5 or 2.14.6`."""
+    """List the versions: `rclpy 7.1.6, fastrtps 2.14.5 or 2.14.6`."""
     values: dict[str, dict[str, None]] = {}
     for session in analysis.sessions:
         versions = session.host.get("versions")
@@ -261,7 +255,7 @@ def version_words(analysis: Analysis) -> str:
 
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:
-    """Collect the finite, non-negative values of one field of the sessions; other traces may have anything there."""
+    """Collect the finite, non-negative values of one field; traces may have anything there."""
     parts = [fields for session in sessions if isinstance(fields := session.extra.get(part), dict)]
     values = (fields.get(name) for fields in parts)
     numbers = (value for value in values if isinstance(value, (int, float)) and not isinstance(value, bool))

@@ -1,7 +1,6 @@
 """The table below the headline: size by setup for each device pair and link, with p50, p99 and losses.
 
-Its numbers come from the analyzer's answers: a lost message is infinitely late, and a time is marked as best only where
-the test of the runs shows it at that percentile.
+A lost message is infinitely late, and a time is marked as best only where the analyzer's verdict says so.
 """
 
 from __future__ import annotations
@@ -46,8 +45,8 @@ class SizeCell:
     Attributes:
         p50: median as text, `lost` if more than half of the messages were lost.
         p99: p99 likewise; a dash where the sample does not support it.
-        leads_p50: whether the median is clearly below that of each other setup.
-        leads_p99: the same of the p99.
+        leads_p50: whether the median is clearly the lowest.
+        leads_p99: whether the p99 is.
         lost: share of the messages that were lost, as in `14 % lost`; empty if none was.
         group: index of its group; None where several groups share the cell.
     """
@@ -67,7 +66,7 @@ class SizeCell:
 
 @dataclass(frozen=True, slots=True)
 class SizeRow:
-    """One size and rate; `cells` has None for a setup that was not measured there."""
+    """One size and rate, with a cell for each setup that was measured."""
 
     size: str
     rate: str
@@ -76,12 +75,7 @@ class SizeRow:
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """Outcome of the deadline for one setup on one device pair.
-
-    Attributes:
-        outcome: `pass`, `fail` or `not known`.
-        why: how many results miss it, and the worst of them; empty for a pass.
-    """
+    """Outcome of the deadline for one setup on one device pair: `pass`, `fail` or `not known`, and why."""
 
     outcome: str
     why: str
@@ -118,7 +112,6 @@ class SizeTable:
         choices: names of the columns, setups of the same domain first.
         deadline: the deadline in words; empty without one.
         rates: the rates that the rows show, as in `at 10 Hz`.
-        places: rows of each device pair and link.
     """
 
     modes: tuple[tuple[str, int], ...]
@@ -158,13 +151,12 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
 
 
 def _columns(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return domain mode and setup of each column, the same domain first, then in the order of the labels."""
     columns = {(answer.domain_mode, setup.name) for answer in answers for setup in answer.contenders}
     return sorted(columns, key=lambda column: (column[0] != "same", column[0], labels[column[1]], column[1]))
 
 
 def _shown_rates(answers: Iterable[CaseAnswer]) -> dict[str, float]:
-    """Choose for each data type the rate of most answers; of equally frequent ones that nearest to the middle."""
+    """Choose for each data type the rate of most answers; of several the middle one."""
     counts_of: dict[str, Counter[float]] = {}
     for answer in answers:
         counts_of.setdefault(answer.data_type, Counter())[answer.rate_hz] += 1
@@ -213,7 +205,6 @@ def _place_rows(
 
 
 def _keys(analysis: Analysis) -> list[Key]:
-    """Return the key of each group."""
     columns = (*CASE_COLUMNS, CONDITIONS, *CONTENDER_COLUMNS)
     summary = with_conditions(analysis.summary)
     return list(zip(*(summary[name].to_list() for name in columns), strict=True))
@@ -225,7 +216,6 @@ def _key(case: CaseAnswer, setup: Contender) -> Key:
 
 
 def _group_by_key(analysis: Analysis) -> dict[Key, int | None]:
-    """Return the group of each setup and message; None where several groups share them."""
     groups: dict[Key, int | None] = {}
     for group, key in enumerate(_keys(analysis)):
         groups[key] = None if key in groups else group
@@ -258,10 +248,7 @@ def _deadline_words(details: Details) -> str:
 
 
 def _late_by_key(analysis: Analysis) -> dict[Key, tuple[int, int, int]]:
-    """Count for each setup and message those that missed the deadline, were judged, and cannot be judged.
-
-    A message that was never sent has missed it.
-    """
+    """Count messages that missed the deadline, were judged, and cannot be judged; an unsent one has missed it."""
     details = analysis.details
     if not _deadline_words(details):
         return {}
@@ -282,7 +269,7 @@ def _late_by_key(analysis: Analysis) -> dict[Key, tuple[int, int, int]]:
 def _threshold(
     cases: Sequence[CaseAnswer], column: tuple[str, str], late: Mapping[Key, tuple[int, int, int]]
 ) -> Threshold | None:
-    """Judge the deadline of one setup: it passes if messages of each size and rate were judged and none is late."""
+    """Judge the deadline of one setup, which passes if each message was judged and none is late."""
     mode, name = column
     judged = [
         (case, late[key])

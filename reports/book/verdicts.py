@@ -53,7 +53,7 @@ _FURTHER = (
 
 @dataclass(frozen=True, slots=True)
 class WinCount:
-    """Number of messages for which a setup was clearly faster than every other; `vendor` determines its colour."""
+    """Number of messages for which a setup was clearly the fastest; `vendor` determines its colour."""
 
     contender: str
     vendor: str
@@ -62,11 +62,10 @@ class WinCount:
 
 @dataclass(frozen=True, slots=True)
 class DataVerdict:
-    """Result for one kind of data, over all messages that at least two setups sent.
+    """Result for one kind of data, over all messages of at least two setups.
 
     Attributes:
         data: data type and domain mode, as in `Binary, same domain`.
-        mode: domain mode in words.
         cells: number of compared messages.
         wins: winners, the one with most messages first.
         inconclusive: number of messages without a clear winner.
@@ -84,7 +83,7 @@ class DataVerdict:
 
 
 def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[DataVerdict, ...]:
-    """Give one verdict per kind of data, device pair and link with two setups, in the usual order."""
+    """Give one verdict per kind of data, device pair and link with two setups."""
     setups = {setup.name: setup for answer in answers for setup in answer.contenders}
     labels = contender_labels(answers, vendors)
     verdicts = []
@@ -119,7 +118,7 @@ _CONDITION_WORDS = {
 
 
 def conditions_label(conditions: str) -> str:
-    """Put conditions of a setting into words: `emulated link wifi-54(loss=1), 2 runs at once`; empty for none."""
+    """Put conditions into words: `emulated link wifi-54(loss=1), 2 runs at once`."""
     words = (
         _CONDITION_WORDS.get(key, f"{key} {{}}").format(value)
         for key, value in parse_setting(conditions).items()
@@ -139,11 +138,7 @@ def place_of(answer: CaseAnswer | Headline) -> str:
 
 
 def contender_labels(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> dict[str, str]:
-    """Label each setup by vendor and bridge, and by more columns where labels would be equal.
-
-    Returns:
-        Name in the answers -> label.
-    """
+    """Map the name of each setup to vendor and bridge, and more columns where these are equal."""
     settings = {setup.name: setup.setting for answer in answers for setup in answer.contenders}
     parts = [(where_alike, partial(_value, column)) for column in _FURTHER]
     labels = tell_apart(list(settings.values()), partial(_label, vendors), parts)
@@ -168,12 +163,12 @@ def _order(headline: Headline) -> tuple[object, ...]:
 
 
 def data_type_rank(data_type: str) -> tuple[int, str]:
-    """Return the key by which data types are sorted: the paper's first, then the others by name."""
+    """Return the key that sorts data types: the paper's first."""
     return [*DATA_TYPES, data_type].index(data_type), data_type
 
 
 def runs_words(row: Mapping[str, Any]) -> str:
-    """Return on how many runs a row of a comparison rests, as in `5 and 5`, `5 pairs` or `1 and 1, within one run`."""
+    """Return the runs of a row, as in `5 and 5`, `5 pairs` or `1 and 1, within one run`."""
     if row["pairs"]:
         return f"{row['pairs']} pairs"
     counts = f"{row['base_runs']} and {row['new_runs']}"
@@ -181,18 +176,13 @@ def runs_words(row: Mapping[str, Any]) -> str:
 
 
 def received_words(row: Mapping[str, Any]) -> str:
-    """Return the shares that both sides received, as in `100 % → 98.5 %`; one share where they are equal."""
+    """Return the shares that both sides received, as in `100 % → 98.5 %`."""
     shares = [format_ratio(row[f"{side}_received_ratio"]) for side in ("base", "new")]
     return " → ".join(dict.fromkeys(shares))
 
 
 def episodes_words(row: Mapping[str, Any], side: str) -> str:
-    """Return the bursts that the tail of a side rests on, as in `12 bursts`; empty for a median or a mean.
-
-    Args:
-        row: a row of a comparison.
-        side: `base` or `new`.
-    """
+    """Return the bursts that the tail of `base` or `new` rests on, as in `12 bursts`."""
     bursts = row[f"{side}_episodes"]
     is_tail = row["statistic"].startswith("p9") and row[f"{side}_ns"] is not None
     return counted(bursts, "burst") if is_tail and bursts is not None else ""

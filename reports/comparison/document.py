@@ -27,7 +27,7 @@ FORMAT_VERSION = 1
 
 
 def render(info: ComparisonInfo, comparison: Comparison) -> str:
-    """Return the comparison as JSON; infinite times and ratios, of what was lost, are null."""
+    """Return the comparison as JSON; infinite times and ratios are null."""
     document = {
         "format": FORMAT_VERSION,
         "said": info.said,
@@ -73,7 +73,6 @@ def _group(group: ComparedGroup) -> dict[str, object]:
 
 
 def _curve(values_ns: list[float]) -> list[dict[str, float]]:
-    """Return the levels that were received, with their times."""
     levels = zip(DISTRIBUTION_LEVELS, values_ns, strict=False)
     return [{"level": level, "ns": value} for level, value in levels if math.isfinite(value)]
 

@@ -55,11 +55,9 @@ class ComparedGroup:
     Attributes:
         label: its name, as in the report of one side.
         verdict: one of `WORST_FIRST`.
-        where: the statistics that became slower or faster, in words; empty for other verdicts.
-        delivery: its row of `Comparison.delivery`.
-        changes: its rows of `Comparison.rows`.
-        distributions: its rows of `Comparison.distributions`.
-        unlike: how the environments of the sides differ for it; empty if they do not, or that is unknown.
+        where: the statistics that became slower or faster; empty for other verdicts.
+        delivery: its row of `Comparison.delivery`; `changes` and `distributions` are those of the other frames.
+        unlike: how the environments differ; empty if they do not, or that is unknown.
     """
 
     label: str
@@ -71,7 +69,7 @@ class ComparedGroup:
     unlike: str
 
     def shown(self) -> tuple[Mapping[str, Any], ...]:
-        """Return the changes in the row of the result: median and p99 of the first metric, as far as there are."""
+        """Return the changes in the row of the result: median and p99 of the first metric."""
         return _shown(self.changes)
 
 
@@ -82,7 +80,7 @@ def _shown(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any], ...]:
 
 @dataclass(frozen=True, slots=True)
 class Unlike:
-    """A column in which no group of one side equals any of the other, with the values of both in words."""
+    """A column in which the sides have no value in common, with the values of both."""
 
     column: str
     base: str
@@ -125,12 +123,7 @@ class ComparisonInfo:
 
 
 def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) -> ComparisonInfo:
-    """Put a comparison into words.
-
-    Args:
-        comparison: what was compared.
-        results: outcomes of its gates.
-    """
+    """Put a comparison and the outcomes of its gates into words."""
     frames = (comparison.delivery, comparison.only_base, comparison.only_new)
     labels = _labels(frames)
     shared, only_base, only_new = (
@@ -161,7 +154,6 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
 
 
 def _labels(frames: Sequence[pl.DataFrame]) -> tuple[str, ...]:
-    """Name the groups of frames of match columns by the same words, without columns that were not matched."""
     filled = {
         **dict.fromkeys(SERIES_COLUMNS),
         **dict.fromkeys(("vendor", "ping_device", "connectivity"), "any"),
@@ -220,7 +212,7 @@ def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> 
 
 
 def _where(rows: Sequence[Mapping[str, Any]], verdict: str) -> str:
-    """Name the statistics of the first metric with a verdict, unless all have it; other metrics where it has none."""
+    """Name the statistics of the first metric with a verdict, unless all have it; else other metrics."""
     judged = [row for row in rows if row["verdict"] == verdict]
     tested = [row for row in rows if row["metric"] == rows[0]["metric"] and row["p_value"] is not None]
     own = [row for row in tested if row["verdict"] == verdict]
@@ -240,7 +232,6 @@ def _rank(group: ComparedGroup) -> tuple[int, float]:
 
 
 def _answer(groups: Sequence[ComparedGroup]) -> str:
-    """Say what was lost, what became slower, or that nothing did; then what became faster."""
     several, count = len(groups) > 1, counted(len(groups), "result")
     counts = Counter(group.verdict for group in groups)
     parts = []
@@ -273,7 +264,7 @@ def _is_slower(row: Mapping[str, Any]) -> bool:
 
 
 def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -> str:
-    """Say below which size changes would not have been seen in every result, for each statistic of their rows."""
+    """Say below which size a change in any result would not have been seen."""
     shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
     own = [sight for sight in sights if (sight.metric, sight.statistic) in shown]
     parts = [
@@ -298,7 +289,6 @@ def _with_article(statistic: str) -> str:
 
 
 def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:
-    """Say in which columns sides without a common result differ, and without which they can be compared."""
     differ = ", ".join(f"{one.column} ({one.base} against {one.new})" for one in unlike)
     sentences = [f"They differ in {differ}."] if differ else []
     sentences += [f"--ignore {','.join(ignore)} compares them without that."] if ignore else []
@@ -308,7 +298,6 @@ def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:
 def _gates(
     comparison: Comparison, results: Sequence[GateResult], shared: Sequence[str], missing: Sequence[str]
 ) -> tuple[Gated, ...]:
-    """Replace the parameters by the names of the report, the worst outcome first."""
     match = comparison.options.match
     labels = {
         group_words(row, names): label
@@ -331,7 +320,7 @@ def _gates(
 
 
 def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
-    """Return what makes the sides unlike or unfit: columns, requests and environments, order in time, errors."""
+    """Return what makes the sides unlike or unfit."""
     parts = (
         ("Not matched", comparison.ignored),
         ("Measured in turns", comparison.interleaved),

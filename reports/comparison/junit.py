@@ -1,8 +1,4 @@
-"""The gates of a comparison as JUnit XML for CI.
-
-A CI follows a test by its name, so classes have the parameters of a group as in the trace: the names in the other reports
-depend on what else was compared.
-"""
+"""The gates of a comparison as JUnit XML. Classes are named by parameters, which stay the same whatever else is compared."""
 
 from __future__ import annotations
 
@@ -19,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def render(info: ComparisonInfo) -> str:
-    """Return one test case per gate and result; an inconclusive one is skipped, the answer of the comparison is the output."""
+    """Return one test case per gate and result; an inconclusive one is skipped."""
     results = [gated.result for gated in info.gates]
     failed = sum(r.outcome is GateOutcome.REGRESSED for r in results)
     unsure = sum(r.outcome is GateOutcome.INCONCLUSIVE for r in results)

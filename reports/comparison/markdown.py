@@ -1,4 +1,4 @@
-"""A comparison as Markdown for a pull request or a job summary, with every string from a trace escaped."""
+"""A comparison as Markdown, with every string from a trace escaped."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOST_GROUPS = 50
 
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
-    """Return the comparison as Markdown: the answer, the outcome of the gates, a row for each result, worst first."""
+    """Return the answer, the outcome of the gates, and a row for each result, worst first."""
     most = None if shows_all else MOST_GROUPS
     lines = ["# Comparison of latency", "", f"**{markdown(info.said)}** {markdown(info.seen)}".rstrip(), ""]
     if info.outcome is not None:
@@ -68,7 +68,6 @@ def _groups(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> list[str]:
 
 
 def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
-    """Return every metric and statistic in a section that opens."""
     names = (
         *("Result", "Time", "Base", "New", "Change", "Interval"),
         *("New is below base", "Runs", "Found from", "Verdict"),

@@ -1,4 +1,4 @@
-"""A comparison as one HTML page in the report's style: offline, under a policy that runs only its one script."""
+"""A comparison as one HTML page in the report's style."""
 
 from __future__ import annotations
 
@@ -47,12 +47,7 @@ _TONES = {
 
 
 def render(info: ComparisonInfo, title: str) -> str:
-    """Return the page.
-
-    Args:
-        info: the comparison.
-        title: names of the sides.
-    """
+    """Return the page; `title` names the sides."""
     script = _asset("comparison", "comparison.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment = Environment(
@@ -123,12 +118,11 @@ class _Scale:
 
 
 def _levels(row: Row, side: str) -> dict[float, float]:
-    """Return level -> time of a side."""
     return dict(zip(DISTRIBUTION_LEVELS, row[f"{side}_ns"], strict=False))
 
 
 def strip(row: Row) -> Markup:
-    """Draw a range, the middle half and the median of each side, one above the other."""
+    """Draw range, middle half and median of each side."""
     scale = _Scale(row, _MARGIN, STRIP_WIDTH - _MARGIN)
     parts = []
     for side, y in zip(SIDES, (9, 23), strict=True):
@@ -146,7 +140,7 @@ def strip(row: Row) -> Markup:
 
 
 def curve(row: Row) -> Markup:
-    """Draw the share of sent messages that were received within each time; with losses a line stays below 100 %."""
+    """Draw the share of sent messages that were received within each time."""
     left, bottom, top = 42, CURVE_HEIGHT - 24, 18
     scale = _Scale(row, left, CURVE_WIDTH - _MARGIN)
 
@@ -168,7 +162,7 @@ def curve(row: Row) -> Markup:
 
 
 def _medians(row: Row) -> str:
-    """Describe a drawing to those who do not see it; the table next to it has the numbers."""
+    """Describe a drawing to those who do not see it."""
     base, new = (time_words(_levels(row, side).get(0.5)) for side in SIDES)
     return f"distributions of both sides, medians {base} and {new}"
 

@@ -86,7 +86,6 @@ def _table(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> Table:
 
 
 def _rest(groups: Sequence[ComparedGroup]) -> list[Text]:
-    """Count the results that are not shown, by their verdicts."""
     counts = Counter(group.verdict for group in groups)
     if not counts:
         return []
@@ -95,7 +94,6 @@ def _rest(groups: Sequence[ComparedGroup]) -> list[Text]:
 
 
 def _gates(gates: Sequence[Gated], shows_all: bool) -> list[RenderableType]:
-    """List what did not pass, and count what did."""
     failed = [gate for gate in gates if gate.result.outcome is not GateOutcome.PASSED]
     shown = gates if shows_all else failed[:MOST_GROUPS]
     lines = [Text(gate.line, style=_OUTCOME_COLORS.get(gate.result.outcome, "yellow")) for gate in shown]

@@ -1,4 +1,4 @@
-"""Numbers of a comparison in words, the same in each of its reports: times, changes, and what gates judge."""
+"""Numbers of a comparison in words, the same in each of its reports."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def both_words(row: Mapping[str, Any]) -> str:
 
 
 def side_words(row: Mapping[str, Any], side: str) -> str:
-    """Format the time of a side; a lost one with that of the received messages, a tail with the bursts that it rests on."""
+    """Format the time of a side; a lost one with that of the received messages, a tail with its bursts."""
     value_ns, received_ns = row[f"{side}_ns"], row[f"{side}_survivors_ns"]
     words = time_words(value_ns)
     if words == LOST and received_ns is not None:
@@ -68,13 +68,13 @@ def change_words(ratio: float | None) -> str:
 
 
 def interval_words(row: Mapping[str, Any]) -> str:
-    """Format the interval of a ratio, as in `+12 to +25 %`; a dash where it has no end."""
+    """Format the interval of a ratio, as in `+12 to +25 %`."""
     low, high = (change_words(row[end]) for end in ("ratio_low", "ratio_high"))
     return MISSING if MISSING in (low, high) or low == high == LOST else f"{low.removesuffix(' %')} to {high}"
 
 
 def change_with_interval(row: Mapping[str, Any]) -> str:
-    """Format the change of a row with its interval in brackets, where it has one: `+20 % (12 to 25)`."""
+    """Format a change with its interval: `+20 % (12 to 25)`."""
     interval = interval_words(row)
     short = interval.replace("+", "").removesuffix(" %")
     return change_words(row["ratio"]) + (f" ({short})" if interval != MISSING else "")
@@ -88,7 +88,7 @@ def statistic_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
 
 
 def measured_words(result: GateResult, value: float | None) -> str:
-    """Format a value that a gate judges in the unit of its limit."""
+    """Format a value in the unit of the gate's limit."""
     if value is None:
         return "unknown"
     if result.gate.against is Against.RATIO:
@@ -104,7 +104,7 @@ def gate_interval_words(result: GateResult) -> str:
 
 
 def why_words(result: GateResult) -> str:
-    """Return the reason of a result, with the smallest change that could have been found."""
+    """Return the reason, and the smallest change that could have been found."""
     smallest = ""
     if result.smallest_ratio is not None:
         smallest = (

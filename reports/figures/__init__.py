@@ -53,7 +53,7 @@ FIGURES: list[FigureMaker | LineFigure] = [
 
 
 def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | LeftOut]]:
-    """Draw every figure of the table; for a few groups the chart of dots replaces those that need more."""
+    """Draw every figure; for a few groups the chart of dots replaces those that need more."""
     few = is_few(book)
     made = []
     for maker in FIGURES:

@@ -38,11 +38,10 @@ class MeanPart:
 
 @dataclass(frozen=True, slots=True)
 class Breakdown(Faceted):
-    """One panel per data type, setup and device pair; x is the rank of the message.
+    """One panel per data type, setup and device pair.
 
     Attributes:
-        parts: group -> its parts in the order of time. The clock fit divides the two ways; `bound_ns` is the largest
-            error of that division.
+        parts: group -> its parts in the order of time; `bound_ns` is the error with which the clock fit divides the two ways.
     """
 
     parts: Mapping[int, tuple[MeanPart, ...]]

@@ -1,4 +1,4 @@
-"""How many times as long a message takes through a bridge, and the latency that it adds, with their intervals."""
+"""How many times as long a message takes through a bridge, and the latency that it adds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Difference of one statistic in ns and its ratio, with the ends of their intervals if the samples support them.
+    """Difference of one statistic in ns and its ratio, with their intervals.
 
     Attributes:
         received: shares received in the same domain and through the bridge, as in `100 % → 98.5 %`.
@@ -43,9 +43,8 @@ class BridgedCell:
     """One message through one bridge.
 
     Attributes:
-        costs: percentile (`p50` to `p99_9`) -> cost, for those that the samples support.
-        bridge_cpu_percent: mean load of the bridge's processes during its runs, percent of one processor; None
-            without samples.
+        costs: percentile -> cost, for those that the samples support.
+        bridge_cpu_percent: mean load of the bridge's processes, percent of one processor; None without samples.
     """
 
     costs: Mapping[str, Cost]
@@ -54,12 +53,7 @@ class BridgedCell:
 
 @dataclass(frozen=True, slots=True)
 class BridgeCost(Faceted):
-    """Groups through bridges with at least one cost; x is the rank of the message.
-
-    Attributes:
-        cells: group -> its costs, by cell, then series.
-        lost: groups through a bridge that lost so much that no percentile has a difference.
-    """
+    """Groups through bridges with at least one cost; `lost` are those that lost too much for any."""
 
     cells: Mapping[int, BridgedCell]
     lost: int = 0

@@ -29,7 +29,7 @@ class Way:
 
 @dataclass(frozen=True, slots=True)
 class OneWay(Faceted):
-    """One panel per data type, setup and device pair; x is the rank of the message."""
+    """One panel per data type, setup and device pair."""
 
     ways: Mapping[int, Way]
 
@@ -83,7 +83,6 @@ class ClockPair:
         elapsed_s: time of each mark since the first.
         offset_ns: relay's clock minus ping's clock minus `first_offset_ns`.
         bound_ns: largest error of each offset.
-        group: group of each mark.
     """
 
     title: str
@@ -96,7 +95,7 @@ class ClockPair:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Device pairs with two clocks; `one_clock` if a pair is missing because ping and relay shared one."""
+    """Device pairs with two clocks; `one_clock` if some pair shared one."""
 
     pairs: tuple[ClockPair, ...]
     decimated: bool

@@ -1,7 +1,6 @@
 """How the values of a group are spread: from run to run, over rarity (the tail), and as the share of messages in time.
 
-The share is of the planned messages: a lost or unsent one is infinitely late, and the curve ends at the share received.
-The tail is that of the received messages, whose curve is drawn next to it.
+The share is of the planned messages, so that a curve ends at the share received; the tail is of the received messages.
 """
 
 from __future__ import annotations
@@ -25,11 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Spread(Faceted):
-    """How far the runs of each group differ; x is the rank of the message.
+    """How far the runs of each group differ.
 
     Attributes:
-        reaches: percentile -> group -> how far the 95 % interval of a typical run reaches to either side, as a ratio (0.05 is
-            5 %). Only intervals that come from the runs.
+        reaches: percentile -> group -> how far the 95 % interval of a typical run reaches to either side (0.05 is 5 %).
         metric: what the percentiles are of.
     """
 
@@ -38,7 +36,7 @@ class Spread(Faceted):
 
 
 def run_spread_info(book: Book, panels: str = "way", lines: str = "choice") -> Spread:
-    """Collect the intervals of `details.intervals` that come from the runs, with both ends."""
+    """Collect the two-sided intervals that come from the runs."""
     metric = book.values.default_metric
     rows = book.analysis.details.intervals.filter(metric=metric, basis=Basis.BETWEEN_RUNS.value)
     reaches: dict[str, dict[int, float]] = {percentile.name: {} for percentile in PERCENTILES}
@@ -73,7 +71,7 @@ RUN_SPREAD = figure_maker(run_spread_info, run_spread_figure, opened=False)
 
 @dataclass(frozen=True, slots=True)
 class DistributionCurves:
-    """Whether any group has a curve. The page contains the curves once (`Curves`), for both figures."""
+    """Whether any group has a curve; the page contains the curves once, for both figures."""
 
     any_drawn: bool
 
@@ -87,7 +85,7 @@ _NO_CURVE = "no result has two received messages."
 
 
 def percentile_curve_figure(info: DistributionCurves) -> Figure | LeftOut:
-    """Draw one curve per setup of the selected message, over 1 / (1 - q) on a log axis."""
+    """Draw one curve per setup of the selected message, over 1 / (1 - q)."""
     name, title = "percentile_curve", "Percentile curve"
     if not info.any_drawn:
         return LeftOut(name, title, _NO_CURVE)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class DomainDifference(Faceted):
-    """Pairs of groups that differ in the domain only; x is the size in bytes or the rate in Hz.
+    """Pairs of groups that differ in the domain only.
 
     Attributes:
         pairs: (group in the same domain, group across domains).
@@ -31,9 +31,7 @@ class DomainDifference(Faceted):
 
 
 def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
-    """Pair the groups of different domains with those of the same domain, whose message, vendors, devices and QoS are equal.
-
-    A group in the same domain belongs to several pairs if several bridges were measured.
+    """Pair the groups of different domains with those of the same domain that differ in nothing else.
 
     Returns:
         (group in the same domain, group in different domains), in the order of cells.

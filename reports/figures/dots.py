@@ -16,11 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Dots:
-    """Groups from the top of the chart; none where there are more than `FEW_GROUPS`.
-
-    Attributes:
-        cells: group through a bridge -> what that costs.
-    """
+    """Groups from the top of the chart, and group through a bridge -> what that costs."""
 
     groups: tuple[int, ...]
     cells: Mapping[int, BridgedCell]

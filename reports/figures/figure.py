@@ -30,12 +30,10 @@ class Figure:
 
     Attributes:
         name: id in the page and in file names of downloads.
-        title: heading of the figure.
         how_to_read: one sentence for the reader.
         kind: function of the page's scripts (`KINDS`) that draws it.
-        plan: arguments of that function, as `json_island` writes them.
-        follows: whether it shows the reader's metric and statistic, which its title and file name then mention; the metric
-            replaces the word Latency at the start of the title.
+        plan: arguments of that function.
+        follows: whether it shows the reader's metric and statistic, which then replace the word Latency in the title.
     """
 
     name: str
@@ -69,10 +67,9 @@ class FigureMaker:
     """One row of the table of figures (`reports.figures.FIGURES`).
 
     Attributes:
-        scope: what one view shows.
         draw: the figure of a book, or why there is none.
-        opened: whether the page shows it at once; any other is a line that opens it.
-        few: whether it says more about a few groups than the chart of dots (`FEW_GROUPS`), which replaces the others then.
+        opened: whether the page shows it at once.
+        few: whether it says more about a few groups than the chart of dots, which replaces the others then.
     """
 
     scope: Scope
@@ -89,15 +86,7 @@ def figure_maker(
     opened: bool = True,
     few: bool = True,
 ) -> FigureMaker:
-    """Join the two steps of a figure into its row of the table.
-
-    Args:
-        info: numbers of the figure, from the book; what tests compare.
-        figure: plan of the figure, from these numbers only.
-        scope: what one view shows.
-        opened: whether the page shows it at once.
-        few: whether it is drawn of a few groups, too.
-    """
+    """Join the two steps of a figure into its row of the table: numbers from the book, and a plan from these."""
     return FigureMaker(scope, lambda book: figure(info(book)), opened, few)
 
 
@@ -124,8 +113,8 @@ class Facet:
     What is neither on the axis nor a line separates panels. The page spreads by the same rule and tables (`facets.js`).
 
     Attributes:
-        x: `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the message, each data type in panels of its
-            own), `cell` (the same for all data types) or another dimension of `book.facets` (index of the option).
+        x: `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the message, with panels by data type), `cell`
+            (without) or another dimension of `book.facets`.
         panels: dimension whose values are side by side; the others follow below.
         lines: dimension with a line for each value; empty for one line a panel.
     """
@@ -137,13 +126,7 @@ class Facet:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of one panel.
-
-    Attributes:
-        line: index of its value among the options of the dimension of lines; 0 where there is none.
-        x: ascending positions on the axis.
-        groups: index of the group at each position.
-    """
+    """One line of one panel; `line` is the index of its option, `x` are ascending positions."""
 
     line: int
     x: tuple[float, ...]
@@ -160,14 +143,14 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Faceted:
-    """Groups of a figure, spread over panels as `facet` says; none where the figure has nothing to draw."""
+    """Groups of a figure, spread over panels; none where there is nothing to draw."""
 
     facet: Facet
     panels: tuple[Panel, ...]
 
 
 def plane_facet(book: Book, panels: str = "choice", lines: str = "") -> Facet:
-    """Return the facet of a figure over messages: all data types share its axis where there are few groups."""
+    """Return the facet of a figure over messages; few groups share one axis."""
     return Facet("cell" if is_few(book) else "plane", panels, lines)
 
 
@@ -177,14 +160,7 @@ def faceted(book: Book, facet: Facet, drawn: Test = lambda _: True, least: int =
 
 
 def facet_panels(book: Book, facet: Facet, drawn: Test = lambda _: True, least: int = 1) -> tuple[Panel, ...]:
-    """Spread groups over panels and lines.
-
-    Args:
-        book: groups of the report and their dimensions.
-        facet: what is spread along what.
-        drawn: whether the group of this index has the values that the figure draws.
-        least: fewest positions on the axis of a panel: one position makes no line.
-    """
+    """Spread the groups that are `drawn` over panels with at least `least` positions."""
     facets, groups = book.facets, book.groups
     columns, rows = panel_keys(facet)
     points: dict[tuple[int, ...], dict[int, list[tuple[float, int]]]] = {}
@@ -238,17 +214,16 @@ def _position(book: Book, x: str, group: Group) -> float:
 
 
 def facet_plan(facet: Facet, panels: tuple[Panel, ...], **settings: object) -> dict[str, object]:
-    """Return the plan of a figure of panels: how it is spread and its groups, with the settings of its axes."""
+    """Return the plan of a figure of panels."""
     groups = sorted(group for panel in panels for line in panel.lines for group in line.groups)
     return {"facet": facet, "groups": groups, **settings}
 
 
 @dataclass(frozen=True, slots=True)
 class LineFigure:
-    """A row of the table of figures whose marks or lines show one value of each group.
+    """A row of the table of figures whose marks or lines show one value of each group; fields as in `Figure` and `FigureMaker`.
 
     Attributes:
-        name: as in `Figure`, like `title` and `how_to_read`.
         nothing: why there is nothing to draw.
         x: dimension along the axis (`Facet`).
         panels: dimension whose values are side by side.
@@ -257,8 +232,6 @@ class LineFigure:
         shows: of a book, whether a group shows something; a panel in which none does is left out.
         least: fewest positions of a panel.
         settings: further settings of the plan.
-        opened: as in `FigureMaker`.
-        follows: as in `Figure`.
     """
 
     name: str
@@ -278,7 +251,7 @@ class LineFigure:
     scope: Scope = Scope.CAMPAIGN
 
     def info(self, book: Book, panels: str = "", lines: str = "choice") -> Faceted:
-        """Spread the groups, with panels by another dimension if one is given."""
+        """Spread the groups."""
         facet = Facet(self.x, panels or self.panels, lines)
         shows = self.shows(book)
         shown = (

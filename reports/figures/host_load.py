@@ -23,7 +23,7 @@ class DeviceLoad:
 
     Attributes:
         role: `ping` or `relay`.
-        elapsed_s: time of each sample since the planned first message of its run, rounded to 0.1 s.
+        elapsed_s: time since the planned first message of the run, rounded to 0.1 s.
         cpu_percent: load of the busiest processor.
         signal_dbm: signal of the weakest Wi-Fi interface.
     """
@@ -43,10 +43,7 @@ class HostLoad:
 
 
 def host_load_info(book: Book) -> HostLoad:
-    """Collect the rows of `details.host_samples` taken during a run, by group and role.
-
-    Wall clocks relate the devices, which is exact enough for one sample per second.
-    """
+    """Collect the samples taken during a run; wall clocks relate the devices, which is enough for one sample per second."""
     if not book.analysis.details.host_samples.height:
         return HostLoad({}, decimated=False)
     samples = book.analysis.details.host_samples.filter(
@@ -65,7 +62,7 @@ def host_load_info(book: Book) -> HostLoad:
 
 
 def host_load_figure(info: HostLoad) -> Figure | LeftOut:
-    """Draw latency, load and signal over one time axis, for the setups of the selected message."""
+    """Draw latency, load and signal over one time axis."""
     name, title = "host_load", "Processor load and Wi-Fi signal against latency"
     how_to_read = (
         "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load "
@@ -83,12 +80,8 @@ FIGURE = figure_maker(host_load_info, host_load_figure, Scope.CELL)
 def _during_runs(samples: pl.DataFrame, book: Book) -> pl.DataFrame:
     """Return the samples of the ping's session and of the relay's device during each run.
 
-    Args:
-        samples: rows of `details.host_samples`, ascending in `wall_ns`.
-        book: with the runs.
-
     Returns:
-        `group`, `role` and the columns of `DeviceLoad`, by time within a role of a group; a row for each run that a sample is in.
+        `group`, `role` and the columns of `DeviceLoad`, by time within a role of a group.
     """
     relay_device = book.analysis.summary["relay_device"]
     runs = pl.DataFrame(

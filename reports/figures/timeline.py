@@ -30,14 +30,12 @@ MOST_OUTAGES = 50
 
 @dataclass(frozen=True, slots=True)
 class GroupTimeline:
-    """Messages of one group over their planned send time, counted from the start of their run.
+    """Messages of one group over their planned send time, since the start of their run.
 
     Attributes:
-        elapsed_s: planned send time of each message drawn.
-        latency_ns: latency of these messages, None without the relay's stamps.
-        rtt_ns: round-trip time of these messages.
-        lost_elapsed_s: planned send time of each cross drawn.
-        lost_count: number of lost messages that the cross represents.
+        latency_ns: of each message drawn, None without the relay's stamps.
+        lost_elapsed_s: planned send time of each cross.
+        lost_count: number of lost messages that a cross represents.
     """
 
     group: int
@@ -53,8 +51,8 @@ class Timeline:
     """Groups with at least one message.
 
     Attributes:
-        decimated: whether messages were left out for drawing; extremes and losses are always drawn.
-        outages: group -> (start, end) of its outages in the same time; the longest `MOST_OUTAGES` of them.
+        decimated: whether messages were left out for drawing; extremes and losses never are.
+        outages: group -> (start, end) of its longest `MOST_OUTAGES` outages.
     """
 
     groups: tuple[GroupTimeline, ...]
@@ -63,7 +61,7 @@ class Timeline:
 
 
 def timeline_info(book: Book) -> Timeline:
-    """Thin the rows of `analysis.timeline` to what a page can hold: the extremes of each slice of time."""
+    """Thin the rows of `analysis.timeline` to the extremes of each slice of time."""
     frame = book.analysis.timeline.sort("group", "elapsed_s", "run_id", "relay_id", "sequence")
     share = max(FEWEST_POINTS, POINTS_IN_PAGE // max(1, book.analysis.summary.height))
     is_back = pl.col("outcome") == "completed"
@@ -107,7 +105,6 @@ FIGURE = figure_maker(timeline_info, timeline_figure, Scope.CELL)
 
 
 def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
-    """Place the longest outages of each group on the time axis of its runs."""
     if not book.analysis.details.outages.height:
         return {}
     origin_ns = {run.run_id: run.origin_ns for run in book.run_times}
@@ -126,7 +123,7 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
 def _slices(
     elapsed_s: Float64, start_s: Float64 | np.float64, end_s: Float64 | np.float64, count: int
 ) -> NDArray[np.int64]:
-    """Return for each instant which of `count` equal slices of the time from `start_s` to `end_s` contains it."""
+    """Return which of `count` equal slices of the time contains each instant."""
     duration_s = np.where(end_s > start_s, end_s - start_s, 1.0)  # all at one instant are in the first slice
     index: NDArray[np.int64] = np.minimum((elapsed_s - start_s) / duration_s * count, count - 1).astype(
         np.int64
@@ -135,7 +132,7 @@ def _slices(
 
 
 def _thinned(rows: pl.DataFrame, share: int) -> pl.DataFrame:
-    """Keep about `share` rows of each group that has more: the least and the greatest value of each slice of its time."""
+    """Keep about `share` rows of each group: the least and the greatest value of each slice of its time."""
     at = pl.col("elapsed_s")
     times = rows.select(at, start=at.min().over("group"), end=at.max().over("group"))
     elapsed_s, start_s, end_s = (column.to_numpy() for column in times)
@@ -152,7 +149,7 @@ def _thinned(rows: pl.DataFrame, share: int) -> pl.DataFrame:
 
 
 def _crosses(lost_s: Float64, share: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
-    """Return at most `share` crosses, each at its first loss, and the number of losses that each represents."""
+    """Return at most `share` crosses, each at its first loss, with its number of losses."""
     if len(lost_s) <= share:
         return tuple(round(float(at), 4) for at in lost_s), (1,) * len(lost_s)
     _, first, count = np.unique(

@@ -1,4 +1,4 @@
-"""What was seen on the wire: bytes per payload byte by class of traffic, messages sent again, time to the first message."""
+"""What was seen on the wire: bytes by class of traffic, messages sent again, time to the first message."""
 
 from __future__ import annotations
 
@@ -46,13 +46,7 @@ fragments, are usually data."""
 
 @dataclass(frozen=True, slots=True)
 class WirePart:
-    """One part of the bytes that one payload byte costs.
-
-    Attributes:
-        name: key of `PART_LABELS`.
-        ratio: bytes on the wire per payload byte.
-        share: share of all bytes on the wire.
-    """
+    """One part of the bytes that one payload byte costs: their ratio, and their share of all."""
 
     name: str
     ratio: float
@@ -61,19 +55,14 @@ class WirePart:
 
 @dataclass(frozen=True, slots=True)
 class WireCost(Faceted):
-    """Groups over their message.
-
-    Attributes:
-        parts: group -> its parts from the bottom up.
-        incomplete: groups whose capture lost packets, so that the bars are too low.
-    """
+    """Group -> its parts from the bottom up; the bars of `incomplete` groups are too low."""
 
     parts: Mapping[int, tuple[WirePart, ...]]
     incomplete: tuple[int, ...]
 
 
 def wire_cost_info(book: Book) -> WireCost:
-    """Collect the classes of `details.wire_classes` and the groups' bytes per payload byte."""
+    """Collect the classes of `details.wire_classes`."""
     details = book.analysis.details
     ratios = dict(details.wire.select("group", "bytes_per_payload_byte").drop_nulls().iter_rows())
     shares: dict[int, dict[str, float]] = {}
@@ -115,14 +104,7 @@ WIRE_COST = figure_maker(wire_cost_info, wire_cost_figure)
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """Messages of one group that were sent again equally often.
-
-    Attributes:
-        repeats: how often, on the way out and back together.
-        messages: number of messages.
-        p50_ns: median time of the received ones.
-        max_ns: longest time of those.
-    """
+    """Messages of one group that were sent again equally often; times are of the received ones."""
 
     repeats: int
     messages: int
@@ -132,11 +114,7 @@ class Repeats:
 
 @dataclass(frozen=True, slots=True)
 class SentAgain:
-    """Group -> its messages by how often they were sent again, ascending; only groups that sent a message again.
-
-    Attributes:
-        metric: `latency`, or `rtt` where a relay's trace is missing.
-    """
+    """Groups that sent a message again -> their messages by how often, ascending; `metric` is `rtt` without a relay's trace."""
 
     groups: Mapping[int, tuple[Repeats, ...]]
     metric: str
@@ -155,7 +133,7 @@ def sent_again_info(book: Book) -> SentAgain:
 
 
 def sent_again_figure(info: SentAgain) -> Figure | LeftOut:
-    """Draw times over how often messages were sent again, for the setups of the selected message."""
+    """Draw times over how often messages were sent again."""
     name, title = "sent_again", "Sent again"
     how_to_read = (
         "Each mark is the median time of the messages that were sent again so often, its bar reaches to the slowest; a step from 0 to 1 is "

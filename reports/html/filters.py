@@ -27,14 +27,7 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """One filter of a page.
-
-    Attributes:
-        key: name in the page's address.
-        label: name on the page.
-        options: distinct options among the groups.
-        index: for each group the index of its option.
-    """
+    """One filter of a page; `index` is that of each group's option."""
 
     key: str
     label: str
@@ -84,7 +77,6 @@ def filters_info(groups: Groups) -> tuple[Filter, ...]:
 
 
 def _ordered(groups: Groups, option_of: Callable[[Cell, Series], Option]) -> list[Option]:
-    """Sort the options like cells and series; numbers by size."""
     by_series = sorted(groups.groups, key=lambda group: (group.series, group.cell))
     options = list(dict.fromkeys(option_of(groups.cell_of(g), groups.series_of(g)) for g in by_series))
     if all(option.value.replace(".", "", 1).isdigit() for option in options):

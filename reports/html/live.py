@@ -1,6 +1,6 @@
 """The HTML report on a local address, made again when a trace below its folder changes.
 
-`/version` is the version of the page, `/status` the progress of the sweep, `/update` the page without plotly.js for one that is open.
+`/version` is that of the page, `/status` the progress of the sweep, `/update` the page without plotly.js.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class SweepStatus:
     Attributes:
         done: recordings that exist.
         planned: recordings that there will be; 0 without a sweep.
-        age_s: seconds since the last change of a sweep's state; None without a sweep.
+        age_s: seconds since the last change of a state; None without a sweep.
         left_s: about how long the sweeps take from now on.
     """
 
@@ -71,7 +71,7 @@ class SweepStatus:
 
 
 def sweep_status(folder: Path) -> SweepStatus:
-    """Add up the sweeps in and below a folder; a file that is not the state of a sweep counts as none."""
+    """Add up the sweeps in and below a folder."""
     total = SweepStatus()
     for path in sorted(folder.rglob(_STATE)):
         try:
@@ -99,13 +99,7 @@ def without_running(analysis: Analysis) -> Analysis:
 
 @dataclass(frozen=True, slots=True)
 class WatchOptions:
-    """A folder to watch and how to analyze it.
-
-    Attributes:
-        folder: folder with traces at any depth.
-        out: folder for the files of the analysis; None for its default.
-        cache: whether to keep events there, so that only new traces are read again; if False, nothing is written.
-    """
+    """A folder with traces, where the analysis is written (None: its default), and whether it keeps a cache there at all."""
 
     folder: Path
     out: Path | None = None
@@ -149,9 +143,9 @@ class Watcher:
         return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
 
     def refresh(self) -> bool:
-        """Analyze the folder if a file changed since the last call, and return whether there is a new report.
+        """Analyze the folder if a file changed, and return whether there is a new report.
 
-        An analysis that fails leaves the previous report on the page, under a line with the reason.
+        A failed analysis leaves the previous report on the page, under a line with the reason.
         """
         stamp = _stamp_of(self._options.folder, self._target())
         if stamp == self._stamp:
@@ -229,10 +223,9 @@ def _server_class(host: str) -> type[ThreadingHTTPServer]:
 
 
 def is_own_name(host: str, bound: str) -> bool:
-    """Return whether a request's `Host` is a name of this server: of loopback, or the address that it listens on.
+    """Return whether a request's `Host` is a name of this server, against DNS rebinding, which would let a foreign page read ours.
 
-    Any other name may come from DNS rebinding, which would let a foreign page read ours. An address needs no DNS, so a server
-    that listens on all addresses of the machine accepts each of them.
+    An address needs no DNS, so a server that listens on all addresses accepts each of them.
     """
     name = host.strip().lower()
     name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
@@ -286,7 +279,7 @@ def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
 
 
 def _stamp_of(folder: Path, skip: Path) -> Stamp:
-    """Return the stamp of every file that may be part of a trace, without those of the analysis below `skip`."""
+    """Return the stamp of every file that may be part of a trace, except below `skip`."""
     stamps = []
     for path in sorted(folder.rglob("*")):
         if (path.suffix in TRACE_ENDINGS or not path.suffix) and not path.is_relative_to(skip):

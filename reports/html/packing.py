@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def json_island(value: object) -> str:
-    """Encode JSON that cannot end its `<script>` element: dataclasses as objects, sorted keys, no NaN."""
+    """Encode JSON that cannot end its `<script>` element: sorted keys, no NaN."""
     text = json.dumps(
         value, separators=(",", ":"), sort_keys=True, ensure_ascii=False, allow_nan=False, default=_fields
     )

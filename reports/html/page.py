@@ -1,7 +1,6 @@
 """HTML report: one self-contained file that opens offline.
 
-The page contains every number once, as packed JSON, from which `assets/*.js` draw figures and tables under the reader's
-filters. Equal input gives equal bytes: no clock, no random id.
+It contains every number once, as packed JSON, from which `assets/*.js` draw. Equal input gives equal bytes.
 """
 
 from __future__ import annotations
@@ -78,17 +77,17 @@ def render(book: Book) -> str:
 
 
 def render_live(book: Book, version: str) -> str:
-    """Return the page for `dds-analyze watch`, which updates itself when the version of `GET status` changes."""
+    """Return the page for `dds-analyze watch`, which updates itself."""
     return _render(book, (*SCRIPTS, LIVE_SCRIPT), version)
 
 
 def without_plotly(page: str) -> str:
-    """Return a page for a reader that already has plotly.js, which is two megabytes."""
+    """Return a page for a reader that already has plotly.js."""
     return page.replace(packed_script(get_plotlyjs()), "", 1)
 
 
 def live_script() -> str:
-    """Return the script that looks for a newer page than `data-version` of the root element."""
+    """Return the script that looks for a newer page."""
     return _asset(LIVE_SCRIPT)
 
 
@@ -139,9 +138,9 @@ def _asset(name: str) -> str:
 
 
 def _policy(*scripts: str, connect: str) -> str:
-    """Return a security policy under which only these scripts run and only `connect` is fetched.
+    """Return a security policy that allows only these scripts, and requests only to `connect`.
 
-    plotly.js writes style attributes, and downloads are made of data and blob images.
+    plotly.js needs style attributes, and downloads data and blob images.
     """
     hashes = " ".join(f"'{policy_hash(script)}'" for script in scripts)
     return (

@@ -1,4 +1,4 @@
-"""Looks of lines and bars, the same in every figure: colour shows the vendor; symbol, dash and hatching show the setup."""
+"""Looks of lines and bars: colour shows the vendor; symbol, dash and hatching show the setup."""
 
 from __future__ import annotations
 
@@ -50,10 +50,8 @@ class Style:
 def choice_styles(facets: Facets) -> tuple[Style, ...]:
     """Choose a style for each setup.
 
-    The same domain is solid, plain, and has its vendor's colour and symbol; every bridge has a dash, a hatching and, for each
-    vendor, a symbol of its own. A bridge has its vendor's colour, unless a vendor has more than two setups and there are
-    colours for all. Setups of equal vendor and bridge (they differ in QoS or backend) have further symbols. Symbols
-    repeat only where there are more setups than symbols, and then in another colour or dash.
+    The same domain is solid, with its vendor's colour and symbol; every bridge has a dash, a hatching and, for each vendor, a
+    symbol. A bridge has its vendor's colour, unless a vendor has more than two setups and there are colours for all.
     """
     setups = facets.choices
     vendors = in_order_of([*VENDORS, *(one.vendor for one in setups)], VENDORS)
@@ -87,7 +85,7 @@ def choice_styles(facets: Facets) -> tuple[Style, ...]:
 
 
 def option_styles(count: int) -> tuple[Style, ...]:
-    """Choose a style for each of some options (sizes, rates, device pairs) by their order."""
+    """Choose styles by order, for sizes, rates and device pairs."""
     return tuple(
         Style(
             *PALETTE[index % len(PALETTE)],

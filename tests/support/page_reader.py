@@ -77,7 +77,7 @@ class Reader:
     def open(self, address):
         self.tab.goto(address)
         # Playwright's wait_for_function would need eval, which the page forbids.
-        self.tab.locator(".count").filter(has_text="group").wait_for()
+        self.tab.locator(".count").filter(has_text="result").wait_for()
         self.tab.locator("#groups-table table").wait_for(state="attached")  # comes last
         return self.tab
 

@@ -84,7 +84,7 @@ def test_a_filter_acts_on_every_figure_and_table_and_on_the_address(reader, page
     }
     assert all(0 < after[name] < before[name] for name in names)
     assert reader.marks("vendor_comparison") == 16
-    assert tab.locator(".count").inner_text() == "16 of 32 groups"
+    assert tab.locator(".count").inner_text() == "16 of 32 results"
     tab.locator("#groups-table tbody tr").nth(16).wait_for(
         state="detached"
     )  # the figures in sight come first
@@ -100,12 +100,12 @@ def test_a_linked_view_opens_as_it_was(reader, pages):
     tab = reader.open(
         pages("small campaign") + "#vendor=Zenoh&domain=same&metric=rtt&statistic=p99&cell=IMU+296+B+at+20+Hz"
     )
-    assert tab.locator(".count").inner_text() == "8 of 32 groups"
+    assert tab.locator(".count").inner_text() == "8 of 32 results"
     assert tab.locator("#choose-metric").input_value() == "rtt"
     assert tab.locator("#choose-statistic").input_value() == "p99"
     assert tab.locator("#choose-cell option:checked").inner_text() == "IMU 296 B at 20 Hz"
     tab.evaluate("location.hash = '#vendor=Fast+DDS'")
-    tab.locator(".count").filter(has_text="16 of 32 groups").wait_for()
+    tab.locator(".count").filter(has_text="16 of 32 results").wait_for()
     assert tab.locator("#choose-metric").input_value() == "latency"
 
 
@@ -117,7 +117,7 @@ def test_a_link_within_the_page_keeps_the_view_and_opens_its_finding(reader, pag
     assert finding.get_attribute("open") is not None
     assert tab.evaluate("document.activeElement.parentElement.id") == "warning-size_step"
     assert tab.evaluate("location.hash") == "#vendor=Zenoh"
-    assert tab.locator(".count").inner_text() == "16 of 32 groups"
+    assert tab.locator(".count").inner_text() == "16 of 32 results"
 
 
 @pytest.mark.parametrize("viewport", [(1280, 800), (390, 844)])
@@ -159,7 +159,7 @@ def test_a_recommendation_stands_first_and_does_not_stick_out_on_a_phone(read_wi
 
 def test_an_address_with_nonsense_shows_everything(reader, pages):
     tab = reader.open(pages("small campaign") + "#vendor=nobody&metric=__proto__&cell=x&%%%")
-    assert tab.locator(".count").inner_text() == "32 groups"
+    assert tab.locator(".count").inner_text() == "32 results"
     assert reader.complaints == []
 
 
@@ -207,16 +207,16 @@ def drawn(reader, name):
     )
 
 
-def test_the_ecdf_is_of_the_messages_planned_and_the_survivors_stand_beside(reader, lossy_page):
+def test_the_ecdf_is_of_the_planned_messages_and_one_of_the_received_ones_follows(reader, lossy_page):
     reader.open(lossy_page)
     reader.draw_all()
-    ends = {row["Choice"]: row for row in drawn(reader, "ecdf")}  # the last row of each curve
-    shares = {name: (row["Share of planned"], row["Share of survivors"]) for name, row in ends.items()}
+    ends = {row["Setup"]: row for row in drawn(reader, "ecdf")}  # the last row of each curve
+    shares = {name: (row["Share of planned"], row["Share of received"]) for name, row in ends.items()}
     assert shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, through our built-in bridge": (60, 100)}
     titles = reader.tab.locator("#figure-ecdf .annotation-text").all_text_contents()
-    assert [title.split(", ")[0] for title in titles] == ["Messages planned", "Survivors"]
+    assert [title.split(", ")[0] for title in titles] == ["Planned messages", "Received messages"]
     medians = {
-        row["Choice"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30
+        row["Setup"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30
     }
     assert medians == {"Fast DDS, same domain": 1_110_000, "Fast DDS, through our built-in bridge": 1_140_000}
     assert reader.complaints == []
@@ -236,7 +236,7 @@ def test_tables_say_what_their_numbers_rest_on_and_what_was_received(reader, los
     assert [bridged[name] for name in counts] == ["1", "50", "40", "10", "75 %"]
     for tail in ("p90", "p99", "p99.9"):
         assert bridged[f"{tail} interval"].startswith("rests on 1 run (within one run)"), tail
-    assert "episode" in bridged["p90 interval"]
+    assert "burst" in bridged["p90 interval"]
     (cost,) = drawn(reader, "bridge_cost")
     assert (cost["Received"], cost["Runs"]) == ("100 % → 75 %", "3 and 3")
     (pair,) = drawn(reader, "domain_difference")
@@ -302,7 +302,7 @@ def test_figures_download(reader, pages):
                 tab.locator(f"#figure-{figure} [data-save={kind}]").click()
             assert download.value.suggested_filename == f"dds-trace-{name}.{kind}"
             saved[kind] = download.value.path().read_bytes()
-        assert saved["csv"].decode("utf-8-sig").startswith('"Data","Size (bytes)","Rate (Hz)","Choice"')
+        assert saved["csv"].decode("utf-8-sig").startswith('"Data","Size (bytes)","Rate (Hz)","Setup"')
         assert saved["svg"].startswith(b"<svg")
         assert saved["png"].startswith(b"\x89PNG")
     assert reader.complaints == []
@@ -438,7 +438,7 @@ def test_axe_finds_nothing_in_the_first_screen_of_a_campaign_with_losses(
     assert violations(tab, "{include: ['.first']}") == []
     assert tab.evaluate("document.documentElement.scrollWidth") <= width, "nothing sticks out to the side"
     assert tab.locator(".sizes .lost").count() > 0
-    assert tab.locator(".headline").inner_text().partition(" % of the messages never came back")[1]
+    assert tab.locator(".headline").inner_text().partition(" % of the messages were lost")[1]
 
 
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1360), ("dark", 420)])
@@ -524,7 +524,7 @@ def test_the_table_of_all_groups_is_saved_as_csv(reader, pages):
     assert download.value.suggested_filename == "dds-trace-groups.csv"
     lines = download.value.path().read_text(encoding="utf-8-sig").splitlines()
     assert len(lines) == 1 + 6
-    assert lines[0].startswith('"Data","Size (bytes)","Rate (Hz)","Choice","Runs"')
+    assert lines[0].startswith('"Data","Size (bytes)","Rate (Hz)","Setup","Runs"')
 
 
 def test_a_watched_page_is_renewed_in_place(reader, tmp_path):

@@ -47,15 +47,15 @@ def test_back_undoes_a_filter_and_closes_a_group(reader, pages):
     tab.locator("[data-filter=vendor] summary").click()
     tab.get_by_label("Zenoh", exact=True).check()
     count = tab.locator(".count")
-    count.filter(has_text="16 of 32 groups").wait_for()
+    count.filter(has_text="16 of 32 results").wait_for()
     tab.locator(".sizes a[data-group]").first.click()
     tab.locator("dialog#group[open]").wait_for()
     assert "group=" in tab.evaluate("location.hash")
     tab.go_back()
     tab.locator("dialog#group").wait_for(state="hidden")
-    assert count.inner_text() == "16 of 32 groups"
+    assert count.inner_text() == "16 of 32 results"
     tab.go_back()
-    count.filter(has_text=re.compile("^32 groups$")).wait_for()
+    count.filter(has_text=re.compile("^32 results$")).wait_for()
     assert reader.complaints == []
 
 
@@ -162,7 +162,7 @@ def test_paper_is_whole(reader, pages, name, paper):
 def test_the_table_is_searched_and_its_first_columns_stay(reader, pages):
     tab = reader.open(pages("lossy machine"))
     tab.locator("#groups-search").fill("ros2dds 4 MB")
-    tab.locator("#groups-found").filter(has_text="3 of 126 groups").wait_for()
+    tab.locator("#groups-found").filter(has_text="3 of 126 results").wait_for()
     assert tab.locator("#groups-table tbody tr").count() == 3
     tab.locator("#groups-search").fill("")
     tab.locator("#groups-table tbody tr").nth(125).wait_for(state="attached")

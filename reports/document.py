@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -20,10 +19,10 @@ if TYPE_CHECKING:
 
 FILE_NAME = "report.json"
 FORMAT_VERSION = 1
-"""Version 1: first version (2026). A field may be added without a new version; none changes its meaning."""
+"""Version 1: first version (2026). A field may be added without a new version."""
 
 _IDENTIFIERS = ("run_id", "session_id")
-"""Columns written as hex digits, as in `sessions` and `runs`: a JSON number has no 64 bits."""
+"""Columns written as hex digits: a JSON number has no 64 bits."""
 
 
 def render(book: Book) -> str:
@@ -38,13 +37,6 @@ def write(book: Book, folder: Path) -> Path:
     with replacing(path) as draft:
         draft.write_text(render(book), encoding="utf-8", newline="\n")
     return path
-
-
-def schema() -> dict[str, object]:
-    """Return the JSON Schema (2020-12) of reports of this version."""
-    text = (files("dds_trace.reports") / "report.schema.json").read_text(encoding="utf-8")
-    made: dict[str, object] = json.loads(text)
-    return made
 
 
 def _document(book: Book) -> dict[str, object]:
@@ -80,13 +72,11 @@ def _lines(value: object) -> str:
 
 
 def _rows(frame: pl.DataFrame) -> list[str]:
-    """Write each row as a JSON object, column by column, which is faster."""
     template = ", ".join(f"{json.dumps(name)}: %s" for name in frame.columns)
     return ["{" + template % values + "}" for values in zip(*map(_column, frame), strict=True)]
 
 
 def _column(series: pl.Series) -> list[str]:
-    """Write each value of a column as JSON; NaN and infinity become null."""
     values = series.to_list()
     if series.name in _IDENTIFIERS:
         return [f'"{value:016x}"' for value in values]

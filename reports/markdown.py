@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150
-"""Most results in a table, because a comment on a pull request is read and not searched."""
+"""Most results in a table: a comment on a pull request is read and not searched."""
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
-    "Latency through the bridge less that of the same domain, its 95 % interval, and the ratio of the two, with the runs and the "
+    "Latency through the bridge less the latency in the same domain, its 95 % interval, and the ratio of the two, with the runs and the "
     "shares received of the same domain and of the bridge; a lost message is infinitely late. Without an interval the samples show no "
     "more than the difference; with fewer than three runs a side the interval holds within one run."
 )
@@ -166,7 +166,7 @@ def _groups(book: Book) -> str:
     left = len(groups) - len(rows)
     has_own_share = any(share is not None for share in values.plain["own_share"])
     notes = (
-        "Times are those of the received messages.",
+        "Times are of the received messages.",
         _INTERVAL_NOTE if any(ends) else "",
         OWN_SHARE_NOTE if has_own_share else "",
         f"{counted(left, 'more result is', 'more results are')} in `summary.parquet`." if left else "",
@@ -194,7 +194,6 @@ def _bursts(intervals: Intervals, metric: str, name: str, group: int) -> str:
 def _with_interval(
     values_ns: Sequence[int | None], ends: Sequence[Mapping[str, Sequence[int | None]]], name: str, group: int
 ) -> str:
-    """Format a value with its interval, as in `1.2 ms [1.1 ms, 1.4 ms]`."""
     low, high = (end[name][group] if name in end else None for end in ends)
     shown = format_duration(values_ns[group])
     return (
@@ -271,7 +270,6 @@ def _wire_costs(book: Book) -> str:
 
 
 def _clocks(book: Book) -> str:
-    """Tabulate the clock fits: a row per device pair with two clocks, and per segment without a step."""
     rows = [
         (
             f"{row['ping_device']} → {row['relay_device']}",

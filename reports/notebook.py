@@ -1,4 +1,4 @@
-"""An analysis in a notebook. `analyzer.analysis.Presenter` has these functions, and loads this module by its name."""
+"""An analysis in a notebook; `analyzer.analysis.Presenter` loads this module by its name."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ MOST_CHARACTERS = 12_000
 """Longest first screen, which a notebook saves in its file."""
 
 _BELOW = 700
-"""Characters reserved for what is below the table."""
 
 # Only losses have a colour: a red with a contrast of 4.5 on a light and a dark notebook.
 _LOST = "color:#e5484d"

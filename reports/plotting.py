@@ -47,7 +47,6 @@ class Shown:
 LINE_FIGURES = {figure.name: figure for figure in FIGURES if isinstance(figure, LineFigure)}
 RUN_SPREAD = "run_spread"
 NAMES = (*LINE_FIGURES, RUN_SPREAD)
-"""Figures of the page that have lines or marks of groups."""
 
 
 def _shown(book: Book, value: str, metric: str, statistic: str) -> Shown:
@@ -98,7 +97,6 @@ AXES: Mapping[str, Axis] = {
         "Devices and link", lambda book, at: book.facets.dimensions["place"].options[round(at)], is_log=False
     ),
 }
-"""Dimension along an axis (`figures.figure.Facet.x`) -> the axis."""
 
 PANELS_BY: Mapping[str, str] = {
     "size": "size",
@@ -108,7 +106,6 @@ PANELS_BY: Mapping[str, str] = {
     "middleware": "vendor",
     "bridge": "way",
 }
-"""What may separate panels -> its dimension of `book.facets`."""
 
 
 def line_figure(book: Book, name: str, panels: str | None, metric: str | None, statistic: str) -> Figure:
@@ -130,8 +127,9 @@ def line_figure(book: Book, name: str, panels: str | None, metric: str | None, s
     _check("metric", metric, METRIC_LABELS)
     _check("statistic", statistic, STATISTIC_LABELS)
     by = PANELS_BY[panels] if panels else ""
-    # What separates panels cannot separate lines, too.
-    lines = {"vendor": "way", "way": "vendor"}.get(by, "choice")
+    lines = {"vendor": "way", "way": "vendor"}.get(
+        by, "choice"
+    )  # what separates panels cannot separate lines
     info, left_out, shown = _drawn(book, name, (by, lines), metric, statistic)
     if isinstance(left_out, LeftOut):
         raise OptionError(f"{name}: {left_out.reason}")
@@ -178,7 +176,6 @@ def _with_values(info: Faceted, shown: Shown) -> Faceted:
 
 
 def _part(title: str) -> str:
-    """Return which part of its lines a panel has, as in `1 of 2)`: such panels are below one another."""
     return title.rpartition(" (")[2] if title.endswith(")") and " of " in title else ""
 
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 _FACT_COLUMNS = 20
-"""Columns of a fact's name."""
 SPARK_CELLS = 12
 _BLOCKS = " ▁▂▃▄▅▆▇█"
 _COLORS = {"error": "red", "warning": "yellow", "info": "blue"}
@@ -64,7 +63,7 @@ def _plain(part: RenderableType) -> str:
 
 
 def _report(book: Book) -> RenderableType:
-    # Text objects only: rich would interpret [markup] in a str, and strings from traces must stay literal.
+    # Text objects only: rich would interpret [markup] in a str.
     overview, answer = book.overview, book.answer
     return Group(
         Text(f"Latency report: {overview.title}", style="bold"),
@@ -100,7 +99,7 @@ def _advice(book: Book) -> list[RenderableType]:
 
 
 MOST_CHOICES = 4
-"""Setups side by side in 80 columns; more of them follow in a second table."""
+"""Setups side by side in 80 columns."""
 
 _OUTCOME_COLORS = {"pass": "green", "fail": "red"}
 
@@ -203,15 +202,11 @@ def _table(book: Book, series: int, ends_ns: tuple[int, int]) -> Table:
 
 
 def _runs(runs: float | None) -> str:
-    """Return a number of runs, with a star where they are too few for a verdict."""
     return MISSING if runs is None else f"{runs:.0f}" + ("*" if runs < MIN_RUNS else "")
 
 
 def _sparkline(curve: Sequence[int], ends: tuple[int, int]) -> str:
-    """Draw where the values of a curve are between the ends, on a log axis.
-
-    The height of a bar counts levels of the curve, which are denser in the tail, so that rare late messages stay visible.
-    """
+    """Draw a curve on a log axis; bars count its levels, which are denser in the tail, so that rare late messages stay visible."""
     positive = [value for value in curve if value > 0]
     if not positive:
         return MISSING

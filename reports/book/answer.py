@@ -192,7 +192,7 @@ _BRIDGE_VERDICTS = {
 
 
 def _bridge_remark(rows: list[dict[str, Any]]) -> str:
-    # Where messages were lost, the latency of the received ones is biased: the quick ones arrived.
+    # Where messages were lost, the received ones are the quick ones.
     complete = [row for row in rows if row["new_received_ratio"] >= row["base_received_ratio"]]
     whole = [row for row in complete if finite(row["difference_ns"]) is not None]
     lossy, left = len(rows) - len(complete), len(complete) - len(whole)
@@ -239,7 +239,6 @@ _DEADLINE_LABELS = {
     "outbound": "way out",
     "return": "way back",
 }
-"""Metric of a deadline -> its label, where it differs from that of a figure."""
 
 
 def _deadline_remarks(details: Details, groups: Groups) -> list[str]:

@@ -7,73 +7,70 @@ from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.groups.report_values import RunSpan, bridge_loads
 
-from .answer import answer_info
-from .environment import recorded_environment
-from .facets import facets_info
-from .findings import findings_info
-from .groups import groups_info
-from .numbers import curves_info, intervals_info, values_info
-from .overview import overview_info
-from .recommendation import recommendation_info
-from .recording import own_costs, record_tables, run_times
-from .sizes import size_table
+from .answer import Conclusion, answer_info
+from .facets import Facets, facets_info
+from .findings import FindingKind, findings_info
+from .groups import Groups, groups_info
+from .numbers import Curves, Intervals, Values, curves_info, intervals_info, values_info
+from .overview import Overview, overview_info
+from .recommendation import Advice, recommendation_info
+from .recording import (
+    OwnCost,
+    RecordedEnvironment,
+    RecordTable,
+    RunTime,
+    own_costs,
+    record_tables,
+    recorded_environment,
+    run_times,
+)
+from .sizes import SizeTable, size_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from dds_trace.analyzer.analysis import Analysis
 
-    from .answer import Conclusion
-    from .environment import RecordedEnvironment
-    from .facets import Facets
-    from .findings import FindingKind
-    from .groups import Groups
-    from .numbers import Curves, Intervals, Values
-    from .overview import Overview
-    from .recommendation import Advice
-    from .recording import OwnCost, RecordTable, RunTime
-    from .sizes import SizeTable
-
 
 class Book:
-    """Parts of a report of an analysis; each is computed at its first use."""
+    """Parts of a report; each is computed at its first use."""
 
     def __init__(self, analysis: Analysis) -> None:
         self.analysis = analysis
 
     @cached_property
     def groups(self) -> Groups:
-        """Groups of `analysis.summary` with their series and cells."""
+        """Groups with their series and cells."""
         return groups_info(self.analysis)
 
     @cached_property
     def facets(self) -> Facets:
-        """Dimensions of the groups: sizes, rates, middlewares, bridges, devices, links."""
+        """Dimensions of the groups."""
         return facets_info(self.groups)
 
     @cached_property
     def values(self) -> Values:
-        """Numbers of `analysis.summary`, by column and group."""
+        """Numbers by column and group."""
         return values_info(self.analysis)
 
     @cached_property
     def intervals(self) -> Intervals:
-        """Confidence intervals of the percentiles, by metric and group."""
+        """Confidence intervals by metric and group."""
         return intervals_info(self.analysis)
 
     @cached_property
     def curves(self) -> Curves:
-        """Distributions thinned for drawing, by metric and group."""
+        """Distributions by metric and group."""
         return curves_info(self.analysis)
 
     @cached_property
     def run_times(self) -> tuple[RunTime, ...]:
-        """Start and end of each run of `analysis.timeline`."""
+        """The runs of `analysis.timeline`."""
         return run_times(self.analysis)
 
     @cached_property
     def bridge_loads(self) -> Mapping[int, float]:
-        """Mean load of the bridges' processes by group, percent of one processor."""
+        """Group -> mean load of its bridge, percent of one processor."""
         spans = (
             RunSpan(run.group, run.session.session_id, run.origin_ns, run.last_ns)
             for run in self.run_times
@@ -98,12 +95,12 @@ class Book:
 
     @cached_property
     def sizes(self) -> SizeTable | None:
-        """Table of sizes by setup; None where nothing was judged."""
+        """Table of sizes by setup, if anything was judged."""
         return size_table(self.analysis, self.groups.vendors)
 
     @cached_property
     def advice(self) -> Advice | None:
-        """Recommendation in words; None without a job."""
+        """Recommendation in words, if there is a job."""
         return recommendation_info(self.analysis.details.recommendation, self.groups.vendors)
 
     @cached_property
@@ -118,5 +115,5 @@ class Book:
 
     @cached_property
     def environment(self) -> RecordedEnvironment | None:
-        """How it was recorded, by device and role; None without sessions."""
+        """How it was recorded, by device and role."""
         return recorded_environment(self.analysis, self.groups)

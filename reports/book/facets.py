@@ -1,7 +1,6 @@
-"""Dimensions along which a report spreads its groups over panels and lines, with the label of each value.
+"""Dimensions along which a report spreads its groups, with the label of each value.
 
-`choice` is the setup (middleware, way between the domains, whatever else differs) and `place` the device pair and link; both
-are made of other dimensions (`MADE_OF`).
+`choice` is the setup (middleware, way between the domains, whatever else differs), `place` the device pair and link.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ MADE_OF = {
     "plane": ("size", "rate"),
     "load": ("size", "rate"),
 }
-"""Dimension -> the dimensions that it is made of; the last three are only positions on an axis."""
+"""Dimension -> what it is made of; the last three are only positions on an axis."""
 
 LABELS = {
     "data": "data",
@@ -40,7 +39,6 @@ LABELS = {
     "choice": "middleware and bridge",
     "place": "devices and link",
 }
-"""Dimension -> its name for readers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +66,15 @@ class Facets:
     choices: tuple[Series, ...]
 
     def option(self, key: str, group: int) -> int:
-        """Return the index of a group's value in a dimension."""
+        """Return the index of a group's value."""
         return self.dimensions[key].index[group]
 
     def label(self, key: str, group: int) -> str:
-        """Return the label of a group's value in a dimension."""
+        """Return the label of a group's value."""
         return self.dimensions[key].options[self.option(key, group)]
 
     def varies(self, key: str) -> bool:
-        """Return whether groups differ in a dimension."""
+        """Return whether groups differ."""
         return len(self.dimensions[key].options) > 1
 
 
@@ -145,7 +143,6 @@ def facets_info(groups: Groups) -> Facets:
 
 
 SHORT_BRIDGES = {"builtin": "built-in", "builtin-zenoh": "built-in Zenoh"}
-"""Bridge -> its name at the end of a line; any other has its own."""
 
 
 @dataclass(frozen=True, slots=True)

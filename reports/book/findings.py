@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from .numbers import Values
 
 SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
-"""Severity -> its word in a report, the most severe first."""
 
 _SPELLED = {"cpu": "CPU", "udp": "UDP"}
 _TITLES = {
@@ -29,20 +28,15 @@ _TITLES = {
     "few_samples": "Too few messages for a percentile",
     "not_applied": "Requested and not applied",
 }
-"""Code -> its name in a report, where the words of the code are not enough."""
+"""Code -> its name, where its words are not enough."""
 
 _MOST_NAMED = 3
-"""Most groups that a finding names; of more it has the number."""
+"""Most groups that a finding names."""
 
 
 @dataclass(frozen=True, slots=True)
 class OneFinding:
-    """One finding, not escaped for a format.
-
-    Attributes:
-        groups: names of all its groups if `where` only has their number, else empty.
-        worst_first: indices of all its groups (`worst_first`).
-    """
+    """One finding; `groups` has the names of its groups if `where` only has their number, `worst_first` their indices."""
 
     where: str
     what: str
@@ -53,12 +47,7 @@ class OneFinding:
 
 @dataclass(frozen=True, slots=True)
 class FindingKind:
-    """Findings of one severity and code.
-
-    Attributes:
-        count: number of findings, including those that are not listed.
-        listed: first findings; at least one.
-    """
+    """Findings of one severity and code; `count` includes those that are not listed."""
 
     severity: str
     code: str
@@ -84,7 +73,7 @@ class FindingKind:
 
 
 def worst_first(values: Values) -> tuple[int, ...]:
-    """Return the indices of the groups: most losses first, then the slowest medians."""
+    """Sort the groups: most losses first, then the slowest medians."""
     received, times = values.plain["received_ratio"], values.times_ns[values.default_metric]["p50"]
     return tuple(
         sorted(

@@ -1,7 +1,7 @@
-"""Groups of a report, which readers know as results, the series that they form and the cells that they share.
+"""Groups of a report, which readers know as results.
 
-A group is one row of `Analysis.summary`. Its cell is what was sent (data type, size, rate), its series everything
-else (vendor, domains, bridge, QoS, devices). Groups of one cell can be compared; groups of one series form a line.
+A group is one row of `Analysis.summary`. Its cell is the message (data type, size, rate), its series everything else. Groups
+of one cell can be compared; groups of one series form a line.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ def markdown(text: object) -> str:
 
 
 def format_added_ns(value_ns: float) -> str:
-    """Format a difference of durations with its sign: `+1.25 ms`."""
+    """Format a difference: `+1.25 ms`."""
     return f"+{format_duration(value_ns)}" if value_ns > 0 else format_duration(value_ns)
 
 
 def format_ratio(value: float | None) -> str:
-    """Format a share in percent, as in `99.99 %`; only exact values are `100 %` and `0 %`."""
+    """Format a share, as in `99.99 %`; only exact values are `100 %` and `0 %`."""
     if value is None or not math.isfinite(value):
         return MISSING
     percent = 100.0 * value
@@ -62,23 +62,20 @@ def format_ratio(value: float | None) -> str:
 
 
 def format_count(value: float | None) -> str:
-    """Format a whole number with separated thousands: `12,000`."""
+    """Format a whole number: `12,000`."""
     return MISSING if value is None else f"{int(value):,}"
 
 
 LATENCY_MEANING = (
     "Latency is (round trip - time in the relay) / 2, each of the two measured on one device's own clock. It is the mean of a "
-    "message's two ways, so its tail is not that of one way: a message that was slow one way only counts with half of the delay. "
-    "Where the slow moments of the two ways do not coincide, the p99 of one way is 20 to 50 % above that of the latency in simulations. "
+    "message's two ways, so its tail differs from the tail of one way: a message that was slow one way only counts with half of the delay. "
+    "Where the slow moments of the two ways do not coincide, the p99 of one way was 20 to 50 % above the p99 of the latency in simulations. "
     "Read tails of one way from outbound and return with their clock bound, deadlines from the response."
 )
-"""What the latency is and what its tail is not, in words."""
 
 METRIC_LABELS = {name: METRICS[name].label for name in ("latency", *METRICS)}
-"""Metric -> label, in the order of the page's menu: the latency first."""
 
 METRIC_MENU = {"intermediate": "Time in relay (the paper's intermediate-process time)"}
-"""Metric -> its label in the page's menu, where the label alone is not enough."""
 
 STATISTIC_LABELS = {
     "p50": "median",
@@ -90,7 +87,7 @@ STATISTIC_LABELS = {
     "p99_9": "p99.9",
     "max": "maximum",
 }
-"""Statistic -> label, in the order of the page's menu; `<metric>_<statistic>_ns` is its column."""
+"""Statistic -> label; `<metric>_<statistic>_ns` is its column."""
 
 VENDORS = {
     "fastdds": "Fast DDS",
@@ -99,18 +96,16 @@ VENDORS = {
     "zenoh": "Zenoh",
     "socket": "Socket",
 }
-"""Vendor in a trace -> label, in the order of a report; sessions have the label of any other vendor."""
+"""Vendor -> label, in the order of a report; sessions have other labels."""
 
 BRIDGES = {"builtin": "our built-in bridge", "builtin-zenoh": "our built-in Zenoh bridge"}
-"""Bridge in a trace -> its words; any other bridge is shown by its name."""
 
 DATA_TYPES = {"binary": "Binary", "string": "String", "imu": "IMU"}
-"""Data type in a trace -> label, in the order of the paper."""
 
 
 @dataclass(frozen=True, slots=True)
 class VendorLabels:
-    """Labels of vendors; one without a label is shown as in the trace."""
+    """Labels of vendors; others are shown as in the trace."""
 
     labels: Mapping[str, str]
 
@@ -156,7 +151,7 @@ class Series:
     vendor_label: str = ""
 
     def values(self, names: Iterable[str]) -> tuple[object, ...]:
-        """Return the values of some parameters, and all further ones."""
+        """Return the values of some parameters, and `further`."""
         return (*(getattr(self, name) for name in names if hasattr(self, name)), self.further)
 
 
@@ -187,7 +182,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """All groups of an analysis with their series and cells, each sorted; `labels` are those of the series."""
+    """All groups of an analysis; series and cells are sorted, `labels` belong to the series."""
 
     groups: tuple[Group, ...]
     series: tuple[Series, ...]
@@ -230,7 +225,7 @@ def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Group
 
 
 def series_labels(series: Sequence[Series]) -> list[str]:
-    """Label each series by its vendor and the parameters in which any two of them differ."""
+    """Label each series by vendor and what differs between any two."""
     parts = (*_LABEL_PARTS, (where_it_helps, _setting_label_of(series)))
     return tell_apart(series, lambda one: one.vendor_label, parts)
 
@@ -258,7 +253,7 @@ def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels)
 
 
 def vendor_labels(analysis: Analysis) -> VendorLabels:
-    """Collect the labels of the vendors: `VENDORS`, and what the sessions have for others."""
+    """Collect the labels of `VENDORS`, and those in the sessions."""
     labels = {session.vendor: session.extra.get("vendor_label") for session in analysis.sessions}
     own = {vendor: printable(label) for vendor, label in labels.items() if isinstance(label, str) and label}
     return VendorLabels({**own, **VENDORS})
@@ -272,7 +267,7 @@ def _series(row: Mapping[str, Any], vendors: VendorLabels) -> Series:
 
 
 def group_labels(groups: Groups) -> tuple[str, ...]:
-    """Label each group as in `Binary 33 KB at 10 Hz, through our built-in bridge`, without a vendor that all share."""
+    """Label each group as in `Binary 33 KB at 10 Hz, same domain`, without a vendor that all share."""
     vendors = {series.vendor_label for series in groups.series}
     shared = vendors.pop() if len(vendors) == 1 else ""
     short = [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
@@ -309,12 +304,12 @@ def _history_label(series: Series) -> str:
 
 
 def device_label(series: Series) -> str:
-    """Name the devices of a series as `device_pair` does."""
+    """Name the devices of a series."""
     return device_pair(series.ping_device, series.relay_device)
 
 
 def device_pair(ping_device: str, relay_device: str | None) -> str:
-    """Name the ping's device, and the relay's if there is one and it differs."""
+    """Name the ping's device, and the relay's if it differs."""
     devices = [printable(device) for device in (ping_device, relay_device) if device is not None]
     return " → ".join(dict.fromkeys(devices))
 
@@ -340,14 +335,13 @@ _LABEL_PARTS: tuple[tuple[Rule, Callable[[Series], str]], ...] = (
     (where_it_helps, _rmw_label),
     (where_it_helps, lambda s: printable(", ".join(s.further))),
 )
-"""Parts of a series label after the vendor."""
 
 _FOLLOWING = (_backend_label, _rmw_label)
-"""Parts that mostly follow from the vendor: a setting has them only where nothing else distinguishes it."""
+"""Parts that mostly follow from the vendor."""
 
 
 def in_order_of(values: Iterable[str], order: Iterable[str]) -> list[str]:
-    """Sort distinct values: those of `order` first, then the others by name."""
+    """Sort distinct values: first as in `order`, then by name."""
     rank = {name: index for index, name in enumerate(order)}
     return sorted(set(values), key=lambda value: (rank.get(value, len(rank)), value))
 

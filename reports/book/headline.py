@@ -1,4 +1,4 @@
-"""The first sentences of a report: losses, who is fastest from which size on, what a bridge costs, where it was measured.
+"""The first sentences of a report: losses, who is fastest, what a bridge costs, where it was measured.
 
 Each rests on verdicts within one device pair and link; over several pairs it has a range of factors and never a mean.
 """
@@ -29,13 +29,12 @@ if TYPE_CHECKING:
     from .numbers import Values
 
 LOSSY_SHARE = 0.01
-"""Share of lost messages above which a report advises against a setup: its p99 is a lost message then."""
+"""Share of lost messages above which a report advises against a setup, as its p99 is a lost message."""
 
 BUSY_SHARE = 0.25
-"""Share of the recordings with a full processor from which on a report warns at once."""
+"""Share of recordings with a full processor from which on a report warns."""
 
 MOST_NAMED = 3
-"""Most device pairs or setups in a sentence; the table below it has all of them."""
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:
@@ -49,7 +48,6 @@ def loss_sentence(groups: Groups, values: Values) -> str:
 
 
 def _planned_and_lost(groups: Sequence[Group], values: Values) -> tuple[int, int]:
-    """Return the messages that were due, and how many of them were lost or never sent."""
     planned = sum(group.published + round(values.plain["unsent"][group.index] or 0) for group in groups)
     return planned, planned - sum(group.received for group in groups)
 
@@ -158,7 +156,7 @@ def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
 
 
 def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[str, ...]:
-    """Say for each domain mode and kind of data from which size on which setup is fastest, and by which factor."""
+    """Say for each kind of data from which size on which setup is fastest, and by which factor."""
     labels = contender_labels(answers, vendors)
     several_types = len({answer.data_type for answer in answers}) > 1
     kinds: dict[tuple[str, str], dict[str, list[CaseAnswer]]] = {}
@@ -193,7 +191,6 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
 
 
 def _pairs(pairs: Sequence[str], count: int) -> str:
-    """Name up to `MOST_NAMED` device pairs with their links; of more their number among all."""
     if len(pairs) == count > 1:
         return f"each of {count} pairs of devices and links"
     return (
@@ -249,7 +246,6 @@ def _span(own: Sequence[int], every: Sequence[int]) -> str:
 
 
 def _by_how_much(stretch: Stretch, *, knows_p99: bool) -> str:
-    """Say how many times as long the next setup takes, at each percentile with a verdict."""
     parts = []
     for percentile, label in (("p50", "at the median"), ("p99", "at p99")):
         won = [case for case in stretch.cases if getattr(case, f"leader_{percentile}") == stretch.winner]

@@ -26,7 +26,6 @@ PLAIN_COLUMNS = (
     *("published", "received", "lost_outbound", "lost_in_relay", "lost_return", "lost_unknown"),
     *("duplicates", "reordered", "runs", "planned", "unsent"),
 )
-"""Columns of `summary` that are no time of a metric."""
 
 
 @dataclass(frozen=True, slots=True)

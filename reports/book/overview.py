@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .recording import OwnCost, RunTime
 
 MOST_LISTED = 12
-"""Most values in one line; more become a range or are cut, so that the first screen stays one screen."""
+"""Most values in one line, so that the first screen stays one screen."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .groups import VendorLabels
 
 COLUMNS = ("Setting", "Meets it", "Time", "95 % interval", "Received", "Of received", "Rests on", "Why")
-"""Headings of `Advice.rows`; `Of received` is the time over the received messages only."""
+"""`Of received` is the time over the received messages only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +49,11 @@ class Advice:
 
 
 def _brief(
-    setting: str, fit: str, time: str, interval: str, share: str, of_received: str, basis: str, why: str
+    setting: str, fit: str, time: str, interval: str, share: str, received_time: str, basis: str, why: str
 ) -> tuple[str, str, str]:
     numbers = f"{time} (95 %: {interval}), received {share}"
     if time == "lost":
-        numbers += f" (those in {of_received})"
+        numbers += f" (those in {received_time})"
     return setting, fit, f"{numbers}; {basis}. {why}".strip()
 
 
@@ -94,7 +94,6 @@ def _pair(candidate: Candidate) -> str:
 _NOTHING = "The traces have no such messages: their size and rate were not measured, and no measured ones surround them."
 
 _JUDGED_BY = {"response": "from planned send to reply", "latency": "by the latency, the mean of both ways"}
-"""Metric of a job -> what the deadline is for, in words; any other metric by its label."""
 
 
 def _job_words(job: Job) -> str:

@@ -1,4 +1,4 @@
-"""Who recorded, what was read, and what measuring cost."""
+"""Who recorded in which environment, what was read, and what measuring cost."""
 
 from __future__ import annotations
 
@@ -19,28 +19,27 @@ from dds_trace.analyzer.model.applied import (
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 
-from .groups import VENDORS, format_count, in_order_of, vendor_labels
+from .groups import VENDORS, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.tracefile.format.descriptions import Session
 
+    from .groups import Groups, VendorLabels
+
 
 @dataclass(frozen=True, slots=True)
 class RunTime:
-    """One run.
+    """One run; `published` and `received` count messages times relays.
 
     Attributes:
         group: index of its group; the first one if several relays answered.
-        origin_ns: planned send time of its first counted message, on the ping's monotonic clock; 0 of `elapsed_s`.
+        origin_ns: planned send time of its first counted message, on the ping's monotonic clock.
         last_ns: publish time of its last message, on the same clock.
-        session: session of the ping; None if the run has none.
-        published: messages sent, times the relays; `received` likewise.
         p50_ns: median of the latency, or of the round trip without a relay's trace.
-        max_ns: the slowest of it.
     """
 
     run_id: int
@@ -82,7 +81,7 @@ MOST_ROWS = 200
 """Most rows of a table; the JSON report has all of them."""
 
 FLEETING = "wifi"
-"""Part of a fingerprint that always differs; the figure of the load shows it over time."""
+"""Part of a fingerprint that always differs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +101,6 @@ def record_tables(analysis: Analysis) -> tuple[RecordTable, ...]:
 
 
 def _sessions(analysis: Analysis) -> RecordTable:
-    """Tabulate the sessions; equal ones share a row."""
     alike: dict[tuple[str, ...], list[Session]] = {}
     vendors = vendor_labels(analysis)
     for one in analysis.sessions:
@@ -146,10 +144,8 @@ def applied_words(session: Session) -> list[str]:
 
 
 _LONGEST_SETTING = 40
-"""Characters of a setting among the facts of the first screen."""
 
 _WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
-"""Path of a payload -> its words; any other is an interface."""
 
 
 def _sources(analysis: Analysis) -> RecordTable:
@@ -236,7 +232,7 @@ def setting_words(analysis: Analysis) -> str:
     for session in analysis.sessions:
         middleware = session.host.get("middleware")
         for name, value in middleware.items() if isinstance(middleware, dict) else ():
-            # A configuration in XML would fill a first screen; the table of the sessions has all of it.
+            # A configuration in XML would fill a first screen.
             values.setdefault(printable(name), {})[printable(value, _LONGEST_SETTING)] = None
         path = payload_path(session)
         if path is not None:
@@ -255,8 +251,111 @@ def version_words(analysis: Analysis) -> str:
 
 
 def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:
-    """Collect the finite, non-negative values of one field; traces may have anything there."""
     parts = [fields for session in sessions if isinstance(fields := session.extra.get(part), dict)]
     values = (fields.get(name) for fields in parts)
     numbers = (value for value in values if isinstance(value, (int, float)) and not isinstance(value, bool))
     return [round(value) for value in numbers if math.isfinite(value) and value >= 0]
+
+
+MOST_COLUMNS = 16
+_MOST_VALUES = 4
+"""Most values in one table cell."""
+
+_VARIED = "Sessions"
+_SECTIONS = {
+    "versions": "Versions",
+    "middleware": "Settings of the middleware",
+    "settings": "Environment variables",
+    "configuration": "Configuration",
+    "socket_buffers": "Limits of socket buffers (bytes)",
+    "mtu": "MTU of interfaces (bytes)",
+}
+"""Part of a fingerprint -> its heading; the others are under the machine."""
+_NAMES = {
+    "cpu_model": "processor",
+    "cpu_cores": "processors",
+    "cpu_cores_physical": "cores",
+    "cpu_governor": "governor",
+    "cpu_max_mhz": "highest MHz",
+    "os": "system",
+    "kernel_realtime": "realtime kernel",
+    "memory_bytes": "memory (bytes)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRow:
+    """One value of all devices and roles; `unlike` if it differs where it should not."""
+
+    name: str
+    values: tuple[str, ...]
+    unlike: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedEnvironment:
+    """Rows by section; columns are devices and roles, `quality` all qualities of service."""
+
+    columns: tuple[str, ...]
+    sections: tuple[tuple[str, tuple[RecordedRow, ...]], ...]
+    quality: str
+
+
+def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironment | None:
+    """Arrange the sessions' descriptions by device and role."""
+    vendors = vendor_labels(analysis)
+    described: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
+    columns: dict[str, None] = {}
+    for session in sorted(analysis.sessions, key=lambda one: (one.device, one.role)):
+        column = f"{printable(session.device)} ({printable(session.role)})"
+        columns.setdefault(column)
+        for section, name, value in _described(session, vendors):
+            described.setdefault((section, name), {}).setdefault(column, {}).setdefault(value)
+    if not columns:
+        return None
+    shown = tuple(columns)[:MOST_COLUMNS]
+    sections: dict[str, list[RecordedRow]] = {}
+    for (section, name), by_column in described.items():
+        values = tuple(_joined(by_column.get(column, {})) for column in shown)
+        distinct = [tuple(sorted(own)) for own in by_column.values()]
+        # Middleware, domain and link are what a campaign varies on purpose.
+        unlike = section != _VARIED and (len(set(distinct)) > 1 or any(len(own) > 1 for own in distinct))
+        sections.setdefault(section, []).append(RecordedRow(name, values, unlike))
+    ordered = [_VARIED, "Machine", "Seen in use", *_SECTIONS.values()]
+    return RecordedEnvironment(
+        shown,
+        tuple((section, tuple(sections[section])) for section in ordered if section in sections),
+        "; ".join(dict.fromkeys(qos_label(one) for one in groups.series)),
+    )
+
+
+def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, str, str]]:
+    yield _VARIED, "middleware", vendors.of(session.vendor)
+    yield _VARIED, "backend", printable(session.backend)
+    if session.rmw:
+        yield _VARIED, "RMW", printable(session.rmw)
+    yield _VARIED, "domain", str(session.domain_id)
+    yield _VARIED, "link", printable(session.connectivity)
+    for words in applied_words(session):
+        what, _, used = words.rpartition(" by ") if " by " in words else words.rpartition(" granted ")
+        yield "Seen in use", what or words, used
+    for name, value in session.host.items():
+        if name == FLEETING or value is None or value in ({}, []):
+            continue
+        if isinstance(value, dict):
+            for inner, one in value.items():
+                yield _SECTIONS.get(name, "Machine"), printable(inner), _text(one)
+        else:
+            yield "Machine", _NAMES.get(name, printable(name).replace("_", " ")), _text(value)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return format_count(value) if isinstance(value, int) else printable(value, 200)
+
+
+def _joined(values: dict[str, None]) -> str:
+    shown = list(values)
+    more = [f"and {len(shown) - _MOST_VALUES} more"] if len(shown) > _MOST_VALUES else []
+    return " or ".join(shown[:_MOST_VALUES] + more)

@@ -33,21 +33,20 @@ if TYPE_CHECKING:
     """Values of `CASE_COLUMNS`, the conditions, then values of `CONTENDER_COLUMNS`: one setup with one message."""
 
 HOW_TO_READ = (
-    "Latency, median / p99, from three runs on those of a typical run; a lost message counts as infinitely late. Bold: clearly the "
+    "Latency, median / p99, from three runs on of a typical run; a lost message counts as infinitely late. Bold: clearly the "
     "lowest of its row and domain, by a test of the runs. A dash: too few messages for this percentile."
 )
 
 
 @dataclass(frozen=True, slots=True)
 class SizeCell:
-    """Times of one setup for one size and rate.
+    """Times of one setup with one message.
 
     Attributes:
         p50: median as text, `lost` if more than half of the messages were lost.
         p99: p99 likewise; a dash where the sample does not support it.
-        leads_p50: whether the median is clearly the lowest.
-        leads_p99: whether the p99 is.
-        lost: share of the messages that were lost, as in `14 % lost`; empty if none was.
+        leads_p50: whether the median is clearly the lowest; `leads_p99` likewise.
+        lost: share of the messages that were lost, as in `14 % lost`.
         group: index of its group; None where several groups share the cell.
     """
 
@@ -88,14 +87,7 @@ class Threshold:
 
 @dataclass(frozen=True, slots=True)
 class PlaceRows:
-    """The rows of one device pair and link.
-
-    Attributes:
-        place: devices, link and conditions.
-        thresholds: one per setup, None where it was not measured; empty without a deadline.
-        rows: sizes at the rate that the table shows.
-        further: sizes at all other rates.
-    """
+    """The rows of one device pair and link: at the shown rate, and `further` ones at all others; `thresholds` has one per setup."""
 
     place: str
     thresholds: tuple[Threshold | None, ...]
@@ -108,10 +100,10 @@ class SizeTable:
     """Sizes by setup, for each device pair and link.
 
     Attributes:
-        modes: domain modes in words with the number of their columns.
-        choices: names of the columns, setups of the same domain first.
-        deadline: the deadline in words; empty without one.
-        rates: the rates that the rows show, as in `at 10 Hz`.
+        modes: domain modes with the number of their columns.
+        choices: names of the columns.
+        deadline: the deadline in words.
+        rates: the rates of the rows, as in `at 10 Hz`.
     """
 
     modes: tuple[tuple[str, int], ...]
@@ -135,9 +127,9 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
     columns = _columns(answers, labels)
     rates = _shown_rates(answers)
     late, groups = _late_by_key(analysis), _group_by_key(analysis)
-    by_place: dict[str, list[CaseAnswer]] = {}
+    answers_at: dict[str, list[CaseAnswer]] = {}
     for answer in sorted(answers, key=_order):
-        by_place.setdefault(place_of(answer), []).append(answer)
+        answers_at.setdefault(place_of(answer), []).append(answer)
     modes = Counter(mode for mode, _ in columns)
     return SizeTable(
         modes=tuple((MODES.get(mode, printable(mode)), count) for mode, count in modes.items()),
@@ -145,7 +137,7 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         deadline=_deadline_words(analysis.details),
         rates=_rates_words(rates),
         places=tuple(
-            _place_rows(name, cases, columns, rates, late, groups) for name, cases in by_place.items()
+            _place_rows(name, cases, columns, rates, late, groups) for name, cases in answers_at.items()
         ),
     )
 
@@ -279,14 +271,14 @@ def _threshold(
     ]
     if not judged:
         return None
-    of_all = f"of {counted(len(judged), 'result')}"
+    all_results = f"of {counted(len(judged), 'result')}"
     missing = [(case, missed / (count + unsure)) for case, (missed, count, unsure) in judged if missed]
     if missing:
         worst, share = max(missing, key=lambda pair: pair[1])
         where = f"{format_size(worst.payload_bytes)} at {format_rate(worst.rate_hz)}"
-        return Threshold("fail", f"{len(missing)} {of_all}, worst {where}: {format_ratio(share)} late")
+        return Threshold("fail", f"{len(missing)} {all_results}, worst {where}: {format_ratio(share)} late")
     unknown = sum(bool(unsure) or not count for _, (_, count, unsure) in judged)
-    return Threshold("not known", f"for {unknown} {of_all}") if unknown else Threshold("pass", "")
+    return Threshold("not known", f"for {unknown} {all_results}") if unknown else Threshold("pass", "")
 
 
 def _order(answer: CaseAnswer) -> tuple[object, ...]:

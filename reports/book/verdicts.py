@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 CLEARLY = (
     "Setups are compared for the same message, on the same devices and link. A setup is called fastest only where its p99 (its "
-    "median, where a sample is too small for that) is below that of each of the others by a test of their runs at 95 %, adjusted for "
+    "median, where a sample is too small for that) is below the others by a test of their runs at 95 %, adjusted for "
     "their number; lost messages count as infinitely late, and a setup that receives significantly less never leads. With fewer than "
     "three runs, and where the tests find no difference, there is no clear winner. Plain sockets are not a middleware and not compared."
 )
@@ -34,11 +34,10 @@ WITHIN_ONE_RUN = (
     f"Setups are compared for the same message. A verdict needs {MIN_RUNS} runs of each: runs of equal settings differ by more than "
     "the messages within one run can show."
 )
-"""The rule of a campaign whose every comparison has too few runs."""
 
 MODES = {"same": "same domain", "different": "different domains"}
 
-# Columns that extend equal labels of setups, the most helpful first.
+# Columns that extend equal labels of setups.
 _FURTHER = (
     "backend",
     "relay_backend",
@@ -69,7 +68,7 @@ class DataVerdict:
         cells: number of compared messages.
         wins: winners, the one with most messages first.
         inconclusive: number of messages without a clear winner.
-        place: devices, link and conditions, as in `pi-3 → pi-4, wired`; each is judged for itself.
+        place: devices, link and conditions; each is judged for itself.
         within_one_run: messages among the inconclusive ones for which a setup has fewer than three runs.
     """
 
@@ -114,7 +113,6 @@ _CONDITION_WORDS = {
     "relays": "{} relays",
     "data": "data from {}",
 }
-"""Key of a condition -> its words."""
 
 
 def conditions_label(conditions: str) -> str:

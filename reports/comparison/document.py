@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import asdict
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.parameters import PARAMETER_NAMES
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from .words import Gated
 
 FORMAT_VERSION = 1
-"""Version 1: first version (2026). A field may be added without a new version; none changes its meaning."""
+"""Version 1: first version (2026). A field may be added without a new version."""
 
 
 def render(info: ComparisonInfo, comparison: Comparison) -> str:
@@ -45,13 +44,6 @@ def render(info: ComparisonInfo, comparison: Comparison) -> str:
         "rules": info.rules,
     }
     return json.dumps(to_json(document, not_finite=lambda _: None), indent=1, allow_nan=False) + "\n"
-
-
-def schema() -> dict[str, object]:
-    """Return the JSON Schema (2020-12) of comparisons of this version."""
-    path = files("dds_trace.reports.comparison") / "comparison.schema.json"
-    schema_of_comparison: dict[str, object] = json.loads(path.read_text(encoding="utf-8"))
-    return schema_of_comparison
 
 
 def _group(group: ComparedGroup) -> dict[str, object]:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.gates import GateResult
 
 SHOWN_STATISTICS = ("p50", "p99")
-"""Statistics in the row of a result, as far as they were compared; its details have all of them."""
+"""Statistics in the row of a result; its details have all of them."""
 
 WORST_FIRST = (
     "no reply came back",
@@ -45,18 +45,15 @@ WORST_FIRST = (
     "loses less",
     "faster",
 )
-"""What is said of a result, in the order of the results."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedGroup:
-    """One matched group.
+    """One matched group with its rows of the frames of `Comparison`.
 
     Attributes:
-        label: its name, as in the report of one side.
         verdict: one of `WORST_FIRST`.
-        where: the statistics that became slower or faster; empty for other verdicts.
-        delivery: its row of `Comparison.delivery`; `changes` and `distributions` are those of the other frames.
+        where: the statistics that became slower or faster.
         unlike: how the environments differ; empty if they do not, or that is unknown.
     """
 
@@ -212,7 +209,6 @@ def _verdict(delivery: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> 
 
 
 def _where(rows: Sequence[Mapping[str, Any]], verdict: str) -> str:
-    """Name the statistics of the first metric with a verdict, unless all have it; else other metrics."""
     judged = [row for row in rows if row["verdict"] == verdict]
     tested = [row for row in rows if row["metric"] == rows[0]["metric"] and row["p_value"] is not None]
     own = [row for row in tested if row["verdict"] == verdict]
@@ -264,7 +260,6 @@ def _is_slower(row: Mapping[str, Any]) -> bool:
 
 
 def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -> str:
-    """Say below which size a change in any result would not have been seen."""
     shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
     own = [sight for sight in sights if (sight.metric, sight.statistic) in shown]
     parts = [

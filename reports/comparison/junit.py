@@ -1,4 +1,4 @@
-"""The gates of a comparison as JUnit XML. Classes are named by parameters, which stay the same whatever else is compared."""
+"""The gates of a comparison as JUnit XML, with classes that stay the same whatever else is compared."""
 
 from __future__ import annotations
 

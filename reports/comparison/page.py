@@ -92,8 +92,6 @@ def _asset(room: str, name: str) -> str:
     return (files(f"dds_trace.reports.{room}") / "assets" / name).read_text(encoding="utf-8")
 
 
-# Distributions of both sides as SVG: a strip for the row of a result, and the share of messages below each time.
-
 SIDES = ("base", "new")
 STRIP_WIDTH, CURVE_WIDTH, CURVE_HEIGHT = 250, 330, 190
 _MARGIN = 8

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 MOST_GROUPS = 10
-"""Results, and lines of gates, that are shown without `--all`."""
 
 _COLORS = {
     "no reply came back": "red",
@@ -50,7 +49,7 @@ def write(info: ComparisonInfo, *, shows_all: bool = False) -> None:
 
 
 def _report(info: ComparisonInfo, shows_all: bool) -> RenderableType:
-    # Text objects only: rich would interpret [markup] in a str, and strings from traces must stay literal.
+    # Text objects only: rich would interpret [markup] in a str.
     parts: list[RenderableType] = [Text(info.said, style="bold")]
     parts += [Text(info.seen)] if info.seen else []
     parts += [Text(), *_gates(info.gates, shows_all)] if info.gates else [Text()]

@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.gates import GateResult
 
 LOST = "lost"
-"""Replaces a time that more messages never reached than the statistic allows."""
+"""Replaces a time where too many messages were lost for the statistic."""
 
 VERDICTS = {"worse": "slower", "better": "faster", "same": "the same", "inconclusive": "no clear change"}
-"""Verdict on a time -> its words."""
 
 
 def metric_words(metric: str) -> str:
@@ -46,7 +45,7 @@ def both_words(row: Mapping[str, Any]) -> str:
 
 
 def side_words(row: Mapping[str, Any], side: str) -> str:
-    """Format the time of a side; a lost one with that of the received messages, a tail with its bursts."""
+    """Format a side's time with its bursts, a lost one with the time of the received messages."""
     value_ns, received_ns = row[f"{side}_ns"], row[f"{side}_survivors_ns"]
     words = time_words(value_ns)
     if words == LOST and received_ns is not None:

@@ -49,7 +49,6 @@ FIGURES: list[FigureMaker | LineFigure] = [
     timeline.FIGURE,
     host_load.FIGURE,
 ]
-"""The table of figures: one row each."""
 
 
 def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | LeftOut]]:

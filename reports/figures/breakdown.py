@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..book.numbers import whole_ns
-from .figure import Faceted, Figure, LeftOut, facet_panels, facet_plan, figure_maker, plane_facet
+from .figure import Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, plane_facet
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -38,11 +38,7 @@ class MeanPart:
 
 @dataclass(frozen=True, slots=True)
 class Breakdown(Faceted):
-    """One panel per data type, setup and device pair.
-
-    Attributes:
-        parts: group -> its parts in the order of time; `bound_ns` is the error with which the clock fit divides the two ways.
-    """
+    """Group -> its parts in the order of time; `bound_ns` is the error with which the clock fit divides the two ways."""
 
     parts: Mapping[int, tuple[MeanPart, ...]]
 
@@ -76,4 +72,4 @@ def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "breakdown", plan)
 
 
-FIGURE = figure_maker(breakdown_info, breakdown_figure, opened=False)
+FIGURE = FigureMaker(breakdown_info, breakdown_figure, opened=False)

@@ -10,7 +10,7 @@ from dds_trace.base.units import counted
 
 from ..book.numbers import finite, whole_ns
 from ..book.verdicts import received_words, runs_words
-from .figure import Facet, Faceted, Figure, LeftOut, facet_panels, facet_plan, figure_maker
+from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -40,12 +40,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class BridgedCell:
-    """One message through one bridge.
-
-    Attributes:
-        costs: percentile -> cost, for those that the samples support.
-        bridge_cpu_percent: mean load of the bridge's processes, percent of one processor; None without samples.
-    """
+    """One message through one bridge: percentile -> cost, and the mean load of the bridge's processes."""
 
     costs: Mapping[str, Cost]
     bridge_cpu_percent: float | None
@@ -61,7 +56,7 @@ class BridgeCost(Faceted):
 
 def bridge_cost_info(book: Book) -> BridgeCost:
     """Assign the rows of `details.bridge_costs` to their groups."""
-    # The comparison pools the numbers of domains, so a row belongs to the first of the groups that differ in nothing else.
+    # The comparison pools the numbers of domains, so a row belongs to the first of several groups.
     first: dict[tuple[object, ...], int] = {}
     for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
         if row["domain_mode"] == "different":
@@ -114,4 +109,4 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
 
 
-FIGURE = figure_maker(bridge_cost_info, bridge_cost_figure, few=False)
+FIGURE = FigureMaker(bridge_cost_info, bridge_cost_figure, few=False)

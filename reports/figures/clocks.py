@@ -9,7 +9,7 @@ from dds_trace.base.printable import printable
 
 from ..book.groups import STATISTIC_LABELS
 from ..book.numbers import whole_ns
-from .figure import Faceted, Figure, LeftOut, facet_panels, facet_plan, figure_maker, plane_facet
+from .figure import Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, plane_facet
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,19 +67,18 @@ def one_way_figure(info: OneWay) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "one_way", facet_plan(info.facet, info.panels, ways=ways))
 
 
-ONE_WAY = figure_maker(one_way_info, one_way_figure, opened=False)
+ONE_WAY = FigureMaker(one_way_info, one_way_figure, opened=False)
 
 
 KNOTS_IN_PAGE = 4000
-"""Most clock knots in a page, for all device pairs; of more, every n-th is drawn."""
+"""Most clock knots in a page; of more, every n-th is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockPair:
-    """Clocks of one device pair.
+    """Clocks of one device pair, and the drift of the longest segment without a step in the title.
 
     Attributes:
-        title: names of the devices, and the drift of the longest segment without a step.
         elapsed_s: time of each mark since the first.
         offset_ns: relay's clock minus ping's clock minus `first_offset_ns`.
         bound_ns: largest error of each offset.
@@ -147,4 +146,4 @@ def clock_figure(info: Clock) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "clock", {"pairs": info.pairs, "decimated": info.decimated})
 
 
-CLOCK = figure_maker(clock_info, clock_figure, opened=False)
+CLOCK = FigureMaker(clock_info, clock_figure, opened=False)

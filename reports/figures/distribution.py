@@ -1,7 +1,4 @@
-"""How the values of a group are spread: from run to run, over rarity (the tail), and as the share of messages in time.
-
-The share is of the planned messages, so that a curve ends at the share received; the tail is of the received messages.
-"""
+"""How the values of a group are spread: from run to run, over rarity (the tail), and as the share of messages in time."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
 from ..book.groups import METRIC_LABELS
 from ..book.numbers import any_curve
-from .figure import Faceted, Figure, LeftOut, Scope, facet_panels, facet_plan, figure_maker, plane_facet
+from .figure import Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, plane_facet
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -66,7 +63,7 @@ def run_spread_figure(info: Spread) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "lines", plan)
 
 
-RUN_SPREAD = figure_maker(run_spread_info, run_spread_figure, opened=False)
+RUN_SPREAD = FigureMaker(run_spread_info, run_spread_figure, opened=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +100,10 @@ def ecdf_figure(info: DistributionCurves) -> Figure | LeftOut:
         return LeftOut(name, title, _NO_CURVE)
     how_to_read = (
         "Pick a deadline on the horizontal axis: the curve shows which share of the planned messages met it; a lost or unsent message never "
-        "does, so the curve ends at the share received; where that is less than all, a second curve is that of the received messages."
+        "does, so the curve ends at the share received; where that is less than all, a second curve is of the received messages."
     )
     return Figure(name, title, how_to_read, "ecdf", {})
 
 
-PERCENTILE_CURVE = figure_maker(distribution_info, percentile_curve_figure, Scope.CELL)
-ECDF = figure_maker(distribution_info, ecdf_figure, Scope.CELL)
+PERCENTILE_CURVE = FigureMaker(distribution_info, percentile_curve_figure, Scope.CELL)
+ECDF = FigureMaker(distribution_info, ecdf_figure, Scope.CELL)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from dds_trace.analyzer.groups.report_values import planned_percentiles
 from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
 
-from .figure import Facet, Faceted, Figure, LeftOut, facet_panels, facet_plan, figure_maker
+from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
 
 if TYPE_CHECKING:
     from dds_trace.analyzer.groups.report_values import Planned
@@ -31,11 +31,7 @@ class DomainDifference(Faceted):
 
 
 def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
-    """Pair the groups of different domains with those of the same domain that differ in nothing else.
-
-    Returns:
-        (group in the same domain, group in different domains), in the order of cells.
-    """
+    """Pair each group across domains with the group in the same domain that differs in nothing else, in the order of cells."""
     ordered = [(group, groups.series_of(group)) for group in groups.in_order]
     keyed = [((group.cell, series.values(SAME_SIDES_COLUMNS)), group, series) for group, series in ordered]
     same = {
@@ -77,4 +73,4 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "bars", plan, follows=True)
 
 
-FIGURE = figure_maker(domain_difference_info, domain_difference_figure, few=False)
+FIGURE = FigureMaker(domain_difference_info, domain_difference_figure, few=False)

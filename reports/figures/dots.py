@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from .bridge_cost import BridgedCell, bridge_cost_info
-from .figure import FEW_GROUPS, Figure, LeftOut, figure_maker, is_few
+from .figure import FEW_GROUPS, Figure, FigureMaker, LeftOut, is_few
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,10 +37,10 @@ def dots_figure(info: Dots) -> Figure | LeftOut:
         return LeftOut(name, title, f"no message was received, or there are more than {FEW_GROUPS} results.")
     how_to_read = (
         "Each line is one result: the dot is its time with the 95 % interval, followed by the share received and how many times as long a "
-        "message takes through a bridge as in the same domain; times are those of the received messages."
+        "message takes through a bridge as in the same domain; times are of the received messages."
     )
     cells = {str(group): cell for group, cell in info.cells.items()}
     return Figure(name, title, how_to_read, "dots", {"groups": info.groups, "cells": cells}, follows=True)
 
 
-FIGURE = figure_maker(dots_info, dots_figure)
+FIGURE = FigureMaker(dots_info, dots_figure)

@@ -1,14 +1,14 @@
 """How a figure is made: numbers from the book, then the plan that the page draws.
 
-A plan names groups in place of values. The page looks the values up (metric, statistic and filters are the reader's
-choice) and draws with plotly.js, so one plan serves every view and the page contains each number once.
+A plan has groups in place of values: the page looks them up (metric, statistic and filters are the reader's) and draws with
+plotly.js.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from ..book.facets import MADE_OF
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     Test = Callable[[int], bool]
     """Whether a group has what a figure draws."""
-
-Info = TypeVar("Info")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +55,8 @@ class Scope(Enum):
     """What one view of a figure shows."""
 
     CAMPAIGN = "campaign"
-    """Every group that passes the page's filters."""
     CELL = "cell"
-    """The groups of one message (data type, size, rate), which the reader selects."""
+    """The groups of one message, which the reader selects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,43 +64,37 @@ class FigureMaker:
     """One row of the table of figures (`reports.figures.FIGURES`).
 
     Attributes:
-        draw: the figure of a book, or why there is none.
+        info: numbers of the figure, from the book; what tests compare.
+        figure: plan of the figure from these numbers, or why there is none.
         opened: whether the page shows it at once.
         few: whether it says more about a few groups than the chart of dots, which replaces the others then.
     """
 
-    scope: Scope
-    draw: Callable[[Book], Figure | LeftOut]
-    opened: bool
-    few: bool
+    info: Callable[[Book], Any]
+    figure: Callable[[Any], Figure | LeftOut]
+    scope: Scope = Scope.CAMPAIGN
+    opened: bool = True
+    few: bool = True
 
-
-def figure_maker(
-    info: Callable[[Book], Info],
-    figure: Callable[[Info], Figure | LeftOut],
-    scope: Scope = Scope.CAMPAIGN,
-    *,
-    opened: bool = True,
-    few: bool = True,
-) -> FigureMaker:
-    """Join the two steps of a figure into its row of the table: numbers from the book, and a plan from these."""
-    return FigureMaker(scope, lambda book: figure(info(book)), opened, few)
+    def draw(self, book: Book) -> Figure | LeftOut:
+        """Return the figure of a book, or why there is none."""
+        return self.figure(self.info(book))
 
 
 FEW_GROUPS = 12
-"""Most groups that the chart of dots shows. With so few, figures over sizes or rates have a dot or two each."""
+"""Most groups of the chart of dots; other figures would have a dot or two each."""
 
 
 def is_few(book: Book) -> bool:
-    """Return whether the chart of dots replaces figures that need more groups."""
+    """Return whether the chart of dots replaces other figures."""
     return 0 < len(book.groups.groups) <= FEW_GROUPS
 
 
 MOST_LINES = 7
-"""Most lines of one panel, which a reader can still distinguish; a panel with more becomes several."""
+"""Most lines of one panel that a reader can distinguish; a panel with more becomes several."""
 
 ATOMS = ("device", "link", "data", "vendor", "way", "rest", "size", "rate")
-"""Dimensions that are made of no other, in the order in which rows of panels follow one another."""
+"""Dimensions that are made of no other, in the order of rows of panels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,11 +143,6 @@ class Faceted:
 def plane_facet(book: Book, panels: str = "choice", lines: str = "") -> Facet:
     """Return the facet of a figure over messages; few groups share one axis."""
     return Facet("cell" if is_few(book) else "plane", panels, lines)
-
-
-def faceted(book: Book, facet: Facet, drawn: Test = lambda _: True, least: int = 1) -> Faceted:
-    """Spread groups as `facet_panels` does."""
-    return Faceted(facet, facet_panels(book, facet, drawn, least))
 
 
 def facet_panels(book: Book, facet: Facet, drawn: Test = lambda _: True, least: int = 1) -> tuple[Panel, ...]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..book.groups import data_type_label
-from .figure import Figure, LeftOut, figure_maker
+from .figure import Figure, FigureMaker, LeftOut
 
 if TYPE_CHECKING:
     from ..book.book import Book
@@ -53,4 +53,4 @@ def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "heatmap", {"panels": info.panels})
 
 
-FIGURE = figure_maker(heatmap_info, heatmap_figure, opened=False, few=False)
+FIGURE = FigureMaker(heatmap_info, heatmap_figure, opened=False, few=False)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from .figure import Figure, LeftOut, Scope, figure_maker
+from .figure import Figure, FigureMaker, LeftOut, Scope
 
 if TYPE_CHECKING:
     from ..book.book import Book
 
 
 SAMPLES_IN_PAGE = 30_000
-"""Most samples in a page, for all groups (about 300 KB of JSON); of more, every n-th is drawn."""
+"""Most samples in a page (about 300 KB of JSON); of more, every n-th is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class HostLoad:
 
 
 def host_load_info(book: Book) -> HostLoad:
-    """Collect the samples taken during a run; wall clocks relate the devices, which is enough for one sample per second."""
+    """Collect the samples taken during a run, by wall clock."""
     if not book.analysis.details.host_samples.height:
         return HostLoad({}, decimated=False)
     samples = book.analysis.details.host_samples.filter(
@@ -74,7 +74,7 @@ def host_load_figure(info: HostLoad) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "host_load", {"groups": groups, "decimated": info.decimated})
 
 
-FIGURE = figure_maker(host_load_info, host_load_figure, Scope.CELL)
+FIGURE = FigureMaker(host_load_info, host_load_figure, Scope.CELL)
 
 
 def _during_runs(samples: pl.DataFrame, book: Book) -> pl.DataFrame:

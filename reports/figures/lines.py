@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ..book.book import Book
 
 KEPT_UP = 0.99
-"""Replies per second as a share of the requested rate, from which on a rate counts as kept up."""
+"""Replies per second as a share of the requested rate that counts as kept up."""
 
 
 def _timed(book: Book) -> Callable[[int], bool]:
@@ -89,7 +89,7 @@ VENDOR_COMPARISON = LineFigure(
     title="Latency side by side, all results",
     how_to_read=(
         "Marks above one another sent the same messages: the lowest took the least time; every result of the campaign is in this figure, and "
-        "times are those of the received messages."
+        "times are of the received messages."
     ),
     nothing="no message was received.",
     x="plane",
@@ -119,7 +119,7 @@ RECEIVED = LineFigure(
     name="received",
     title="Packets received",
     how_to_read=(
-        "Everything should be on the 100 % line; a mark below it lost the rest of its messages, and its latency is that of the received "
+        "Everything should be on the 100 % line; a mark below it lost the rest of its messages, and its latency is of the received "
         "ones only."
     ),
     nothing="every message was received, or none was published.",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from .figure import Figure, LeftOut, Scope, figure_maker
+from .figure import Figure, FigureMaker, LeftOut, Scope
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,22 +21,15 @@ if TYPE_CHECKING:
 
 
 POINTS_IN_PAGE = 40_000
-"""Most messages in a page, for all groups: about 1 MB of JSON."""
+"""Most messages in a page (about 1 MB of JSON)."""
 FEWEST_POINTS = 80
-"""Fewest messages drawn of a group, which keeps the shape of its run."""
+"""Fewest messages drawn of a group."""
 MOST_OUTAGES = 50
-"""Most outages shaded in one group; losses are marked in any case."""
 
 
 @dataclass(frozen=True, slots=True)
 class GroupTimeline:
-    """Messages of one group over their planned send time, since the start of their run.
-
-    Attributes:
-        latency_ns: of each message drawn, None without the relay's stamps.
-        lost_elapsed_s: planned send time of each cross.
-        lost_count: number of lost messages that a cross represents.
-    """
+    """Messages of one group by planned send time; `lost_count` is the number of lost messages of each cross."""
 
     group: int
     elapsed_s: tuple[float, ...]
@@ -101,7 +94,7 @@ def timeline_figure(info: Timeline) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "timeline", plan)
 
 
-FIGURE = figure_maker(timeline_info, timeline_figure, Scope.CELL)
+FIGURE = FigureMaker(timeline_info, timeline_figure, Scope.CELL)
 
 
 def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
@@ -113,7 +106,7 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
     columns = ("group", "run_id", "start_ns", "end_ns")
     for group, run_id, start_ns, end_ns in longest.select(columns).iter_rows():
         own = spans.setdefault(group, [])
-        # An outage without an end lasted to the end of its run, which its crosses show.
+        # An outage without an end lasted to the end of its run.
         if run_id in origin_ns and end_ns is not None and len(own) < MOST_OUTAGES:
             start, end = ((ns - origin_ns[run_id]) / 1e9 for ns in (start_ns, end_ns))
             own.append((round(start, 4), round(end, 4)))
@@ -123,7 +116,6 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
 def _slices(
     elapsed_s: Float64, start_s: Float64 | np.float64, end_s: Float64 | np.float64, count: int
 ) -> NDArray[np.int64]:
-    """Return which of `count` equal slices of the time contains each instant."""
     duration_s = np.where(end_s > start_s, end_s - start_s, 1.0)  # all at one instant are in the first slice
     index: NDArray[np.int64] = np.minimum((elapsed_s - start_s) / duration_s * count, count - 1).astype(
         np.int64

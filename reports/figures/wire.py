@@ -10,11 +10,11 @@ from .figure import (
     Facet,
     Faceted,
     Figure,
+    FigureMaker,
     LeftOut,
     Scope,
     facet_panels,
     facet_plan,
-    figure_maker,
     is_few,
     plane_facet,
 )
@@ -31,7 +31,6 @@ PART_LABELS = {
     "discovery": "Discovery",
     "other": "Other",
 }
-"""Part of a bar -> label, from the bottom up."""
 
 _CLASSES = {
     "data": ("data", "data_frag", "tcp_data", "udp_other", "fragment_unknown"),
@@ -99,7 +98,7 @@ def wire_cost_figure(info: WireCost) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "wire_cost", plan)
 
 
-WIRE_COST = figure_maker(wire_cost_info, wire_cost_figure)
+WIRE_COST = FigureMaker(wire_cost_info, wire_cost_figure)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +144,7 @@ def sent_again_figure(info: SentAgain) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "sent_again", {"groups": groups, "metric": info.metric})
 
 
-SENT_AGAIN = figure_maker(sent_again_info, sent_again_figure, Scope.CELL)
+SENT_AGAIN = FigureMaker(sent_again_info, sent_again_figure, Scope.CELL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,4 +176,4 @@ def first_message_figure(info: FirstMessage) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "lines", plan)
 
 
-FIRST_MESSAGE = figure_maker(first_message_info, first_message_figure, opened=False)
+FIRST_MESSAGE = FigureMaker(first_message_info, first_message_figure, opened=False)

@@ -27,7 +27,7 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """One filter of a page; `index` is that of each group's option."""
+    """One filter of a page; `index` has the option of each group."""
 
     key: str
     label: str
@@ -61,7 +61,7 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
         lambda _, s: Option(printable(s.setting), printable(s.setting) or "nothing else set"),
     ),
 )
-"""Key, label, and the option of a group; options are in the order of cells and series."""
+"""Key, label, and the option of a group."""
 
 
 def filters_info(groups: Groups) -> tuple[Filter, ...]:

@@ -1,6 +1,6 @@
 """The HTML report on a local address, made again when a trace below its folder changes.
 
-`/version` is that of the page, `/status` the progress of the sweep, `/update` the page without plotly.js.
+`/version` names the page, `/status` the progress of the sweep, `/update` the page without plotly.js.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Stamp: TypeAlias = "tuple[tuple[str, int, int], ...]"
 TRACE_ENDINGS = (".mcap", ".db3", ".yaml", ".ring")
 
 _STATE, _PARTS = "state.json", ".parts"
-"""A sweep's state, and the folder of what it is recording; `recorder/sweep/` writes both."""
+"""A sweep's state, and the folder of what it is recording."""
 
 _DONE = ("recorded", "complete")
 
@@ -50,14 +50,7 @@ _WAITING = (
 
 @dataclass(frozen=True, slots=True)
 class SweepStatus:
-    """Sweeps below a folder, taken together.
-
-    Attributes:
-        done: recordings that exist.
-        planned: recordings that there will be; 0 without a sweep.
-        age_s: seconds since the last change of a state; None without a sweep.
-        left_s: about how long the sweeps take from now on.
-    """
+    """Sweeps below a folder, taken together: recordings done and planned, time since the last change, and about what is left."""
 
     done: int = 0
     planned: int = 0
@@ -91,7 +84,7 @@ def sweep_status(folder: Path) -> SweepStatus:
 
 
 def without_running(analysis: Analysis) -> Analysis:
-    """Return the analysis without findings about files that a running sweep has not finished."""
+    """Return the analysis without findings about unfinished files of a running sweep."""
     unfinished = {source.path for source in analysis.sources if _PARTS in source.path.split("/")}
     findings = (one for one in analysis.findings if not set(one.where.split(", ")) <= unfinished)
     return replace(analysis, findings=tuple(findings))
@@ -176,7 +169,7 @@ class Watcher:
         if not self._report:
             return _waiting(version, why)
         notice = f'<p class="notice" role="status">The latest analysis failed: {escape(why)}</p>'
-        # Both are the page's own markup, which precedes any text of a trace.
+        # Both precede any text of a trace.
         page = self._report.replace(
             f'data-version="{self._analyzed_version}"', f'data-version="{version}"', 1
         )
@@ -188,7 +181,7 @@ class Watcher:
 
     @contextmanager
     def serving(self) -> Iterator[None]:
-        """Answer requests while the block runs, in a thread of its own."""
+        """Answer requests while the block runs."""
         thread = threading.Thread(target=self._server.serve_forever, name="watch", daemon=True)
         thread.start()
         try:
@@ -214,7 +207,7 @@ def _server_class(host: str) -> type[ThreadingHTTPServer]:
         address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
 
         def handle_error(self, _request: object, client_address: object) -> None:
-            """Print one line, but nothing for a tab that was closed while it was answered."""
+            """Print one line, but nothing for a closed tab."""
             error = sys.exc_info()[1]
             if not isinstance(error, ConnectionError | TimeoutError):
                 print(f"{client_address}: {type(error).__name__}: {error}", file=sys.stderr)
@@ -223,10 +216,7 @@ def _server_class(host: str) -> type[ThreadingHTTPServer]:
 
 
 def is_own_name(host: str, bound: str) -> bool:
-    """Return whether a request's `Host` is a name of this server, against DNS rebinding, which would let a foreign page read ours.
-
-    An address needs no DNS, so a server that listens on all addresses accepts each of them.
-    """
+    """Return whether a request's `Host` is this server's: any other name may come from DNS rebinding, and read the page."""
     name = host.strip().lower()
     name = name[1:].partition("]")[0] if name.startswith("[") else name.partition(":")[0]
     if name in {"localhost", bound.lower()}:

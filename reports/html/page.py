@@ -45,7 +45,6 @@ if TYPE_CHECKING:
 
 FILE_NAME = "report.html"
 MOST_LINKED = 40
-"""Most results that one finding links to; the worst come first."""
 SCRIPTS = (
     "data.js",
     "units.js",
@@ -138,10 +137,7 @@ def _asset(name: str) -> str:
 
 
 def _policy(*scripts: str, connect: str) -> str:
-    """Return a security policy that allows only these scripts, and requests only to `connect`.
-
-    plotly.js needs style attributes, and downloads data and blob images.
-    """
+    """Return a policy for these scripts only; plotly.js needs style attributes, downloads data and blob images."""
     hashes = " ".join(f"'{policy_hash(script)}'" for script in scripts)
     return (
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data: blob:; "

@@ -12,7 +12,15 @@ from campaigns import write_runs
 from dds_trace.cli.analyze import main
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES
-from dds_trace.reports.figures.figure import Facet, Figure, LeftOut, facet_plan, faceted, figure_maker
+from dds_trace.reports.figures.figure import (
+    Facet,
+    Faceted,
+    Figure,
+    FigureMaker,
+    LeftOut,
+    facet_panels,
+    facet_plan,
+)
 from dds_trace.reports.html.packing import unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 
@@ -22,7 +30,8 @@ def toy_figure():
     """Worst latency against size: what a newcomer would write, with the page's own kind of lines."""
 
     def worst_info(book):
-        return faceted(book, Facet("size", "rate"))
+        facet = Facet("size", "rate")
+        return Faceted(facet, facet_panels(book, facet))
 
     def worst_figure(info):
         if not info.panels:
@@ -30,7 +39,7 @@ def toy_figure():
         plan = facet_plan(info.facet, info.panels, x_title="Size")
         return Figure("toy", "A toy figure", "Read it from left to right.", "lines", plan)
 
-    FIGURES.append(figure_maker(worst_info, worst_figure))
+    FIGURES.append(FigureMaker(worst_info, worst_figure))
     yield
     FIGURES.pop()
 

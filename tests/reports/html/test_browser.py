@@ -215,9 +215,7 @@ def test_the_ecdf_is_of_the_planned_messages_and_one_of_the_received_ones_follow
     assert shares == {"Fast DDS, same domain": (100, 100), "Fast DDS, through our built-in bridge": (60, 100)}
     titles = reader.tab.locator("#figure-ecdf .annotation-text").all_text_contents()
     assert [title.split(", ")[0] for title in titles] == ["Planned messages", "Received messages"]
-    medians = {
-        row["Setup"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30
-    }
+    medians = {row["Setup"]: row["Latency"] for row in drawn(reader, "ecdf") if row["Share of planned"] == 30}
     assert medians == {"Fast DDS, same domain": 1_110_000, "Fast DDS, through our built-in bridge": 1_140_000}
     assert reader.complaints == []
 

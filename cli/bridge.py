@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.choices import Role  # noqa: TC001 - typer reads the annotation
 
-from .errors import run_command
+from .program import run_command
 from .quick_help import Version, argument, command_app, declare_command, option
 from .table_options import given_values, read_record, with_options
 

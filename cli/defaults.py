@@ -9,13 +9,17 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import typer
+from typer.core import TyperCommand, TyperOption
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
 
 FILE_NAME = "dds-trace.toml"
 
@@ -128,3 +132,123 @@ def _check_owner(path: Path, owner: int) -> None:
 
 def _home() -> str:
     return os.path.expanduser("~")  # noqa: PTH111 - Path.home() raises where there is none
+
+
+class DefaultedCommand(TyperCommand):
+    """A command that looks into the files of defaults before it reads its arguments.
+
+    Attributes:
+        table: its table in `dds-trace.toml`; empty for a command without defaults.
+        overridden: takes the values of a call, returns name of a parameter -> why its default in the file does not count.
+        defaults: name of a parameter -> its default, where the parser does not know it.
+        in_file: name of a parameter -> its default in a file.
+    """
+
+    table = ""
+    overridden: Callable[[Mapping[str, Any]], Mapping[str, str]] = staticmethod(lambda _: {})
+    defaults: Mapping[str, object] = {}
+    in_file: Mapping[str, Default] = {}
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return arguments and options, `--print-config` among them unless the command has its own."""
+        params = super().get_params(ctx)
+        return [*params[:-1], _print_config_option(), params[-1]] if self._prints_config else params
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """Return the context of a call; options that are not given have the defaults of `dds-trace.toml`."""
+        files = find_files() if self.table and not {"-h", "--help", "--version"} & set(args) else []
+        if files:
+            options = {_key(option): option for option in self._options()}
+            values = read_defaults(
+                files, self.table, {key: option.multiple for key, option in options.items()}
+            )
+            self.in_file = {options[key].name: default for key, default in values.items()}
+            extra["default_map"] = {name: default.value for name, default in self.in_file.items()}
+        return super().make_context(info_name, args, parent, **extra)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments; print which defaults are in force, or with `--print-config` all values, and end.
+
+        Raises:
+            OptionError: a default of a file is not what its option takes.
+        """
+        prints_config = "--print-config" in args and self._prints_config
+        # Nothing will be done, so nothing may be missing.
+        ctx.resilient_parsing = ctx.resilient_parsing or prints_config
+        try:
+            rest: list[str] = super().parse_args(ctx, args)
+        except typer.BadParameter as err:
+            parameter: Any = err.param
+            if parameter is None or not _is_from_file(ctx, parameter.name):
+                raise
+            path = self.in_file[parameter.name].path
+            raise OptionError(f"{path}: [{self.table}]: {_key(parameter)}: {err.message}") from err
+        overridden = self.overridden(ctx.params)
+        from_file = {name for name in self.in_file if _is_from_file(ctx, name)}
+        in_force = {
+            name: value for name, value in self.in_file.items() if name in from_file - set(overridden)
+        }
+        options = {option.name: option for option in self._options()}
+        for name in from_file & set(overridden):
+            ctx.params[name] = options[name].default
+        if prints_config:
+            self._print_config(ctx, in_force, overridden)
+            ctx.exit()
+        if in_force and not ctx.resilient_parsing:
+            for path in dict.fromkeys(default.path for default in in_force.values()):
+                keys = [_key(options[name]) for name in in_force if in_force[name].path == path]
+                typer.echo(f"{ctx.info_name}: defaults of {path}: {', '.join(keys)}", err=True)
+        return rest
+
+    @property
+    def _prints_config(self) -> bool:
+        return bool(self.table) and not any("--print-config" in option.opts for option in self.params)
+
+    def _options(self) -> list[Any]:
+        """Return the options that change what the command does, without version and completion."""
+        options = [parameter for parameter in self.params if parameter.param_type_name == "option"]
+        return [option for option in options if option.expose_value and not option.is_eager]
+
+    def _print_config(self, ctx: Any, in_force: Mapping[str, Default], overridden: Mapping[str, str]) -> None:
+        """Print a line for each option: its name, the value in force, and where that is from."""
+        rows = []
+        for option in self._options():
+            if option.name in in_force:
+                value, source = in_force[option.name].value, str(in_force[option.name].path)
+            else:
+                is_given = ctx.get_parameter_source(option.name).name == "COMMANDLINE"
+                value = ctx.params.get(option.name)
+                source = "option" if is_given else overridden.get(option.name, "default")
+                if value is None and source == "default":
+                    value = self.defaults.get(option.name)
+            rows.append((f"--{_key(option)}", _shown(value), source))
+        widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+        for name, value, source in rows:
+            typer.echo(f"{name:{widths[0]}}  {value:{widths[1]}}  {source}")
+
+
+def _print_config_option() -> Any:
+    return TyperOption(
+        param_decls=["print_config", "--print-config"],
+        is_flag=True,
+        expose_value=False,
+        help="Show the value in force of each option and where it is from, and exit.",
+    )
+
+
+def _key(parameter: Any) -> str:
+    """Return the name of an option in the file: its long name without the dashes."""
+    return str(max(parameter.opts, key=len)).lstrip("-")
+
+
+def _is_from_file(ctx: Any, name: str) -> bool:
+    source = ctx.get_parameter_source(name)
+    return source is not None and source.name == "DEFAULT_MAP"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value)) or "-"
+    return "-" if value is None else str(getattr(value, "value", value))

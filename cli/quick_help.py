@@ -13,7 +13,7 @@ import typer
 
 from dds_trace.base.version import __version__
 
-from .defaulted import DefaultedCommand
+from .defaults import DefaultedCommand
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -6,24 +6,28 @@ are made of the fields.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from enum import Enum
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, OutputExistsError
 from dds_trace.base.units import parse_size
 
-from .choices import Role, Serialization
+from .choices import Discovery, Role, Serialization
 from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, option
 from .option_values import KeepFree, Rotation, parse_pairs
 from .payloads import check_data
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator
 
+    from dds_trace.tracefile.format.json_fields import Json
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     from .backends.node import NodeOptions
+
 
 DEFAULT_MESSAGES = 1000
 """Messages of a run: gates were simulated with it (docs/explanation/coverage.md)."""
@@ -324,3 +328,49 @@ def check_fields(record: object) -> None:
         if row is not None and row.limit is not None:
             for part in value if isinstance(value, tuple) else (value,):
                 limits.check(row.limit, part, row.name)
+
+
+def side_settings(options: RecordOptions, connectivity: str) -> dict[str, Json]:
+    """Return the settings of a side, for its session.
+
+    Discovery is left out where it is the usual one of this link: `localhost` over loopback, `subnet` over any other.
+    """
+    settings = dict(changed_settings(options))
+    usual = Discovery.LOCALHOST if connectivity == "loopback" else Discovery.SUBNET
+    settings.pop("discovery", None)
+    if options.node.discovery is not usual:
+        settings["discovery"] = options.node.discovery.value
+    return settings
+
+
+def run_settings(options: PingOptions) -> dict[str, Json]:
+    """Return the settings of a run, for its description."""
+    settings = dict(changed_settings(options))
+    if options.bridge_listen is not None:
+        settings["bridge_listen"] = True  # not the address, which is private
+    return settings
+
+
+def changed_settings(record: object) -> Iterator[tuple[str, Json]]:
+    """Yield name and value of each setting of a record, and of the records in it, that is not its default."""
+    assert is_dataclass(record)
+    for column in fields(record):
+        value = getattr(record, column.name)
+        row = column.metadata.get("option")
+        if not (column.metadata.get("in_key", True) if row is None else row.in_key):
+            continue
+        default = column.default if column.default_factory is MISSING else column.default_factory()
+        if is_dataclass(value):
+            yield from changed_settings(value)
+        elif isinstance(value, Mapping):
+            yield from value.items()
+        elif value != default:
+            yield column.name, _json_of(value)
+
+
+def _json_of(value: object) -> Json:
+    if isinstance(value, Enum):
+        return str(value.value)
+    if isinstance(value, tuple):
+        return [_json_of(item) for item in value]
+    return value if isinstance(value, bool | int | float) else str(value)

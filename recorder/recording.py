@@ -23,6 +23,7 @@ from .errors import BridgeError, NoEchoError, NotAppliedError, RelayLostError
 from .host.clock import SystemClock, read_adjtimex
 from .host.process import apply_privileges, tuned_gc
 from .host.sampling import HostSampler
+from .options import side_settings
 from .payloads import open_payload, served_data_types
 from .roles.echo import explain_silence, find_loss, look_for_relays
 from .roles.floor import measured_cost, measured_floor
@@ -33,7 +34,6 @@ from .roles.relay import Relay
 from .roles.session import default_connectivity, describe_session
 from .roles.wire_record import open_wire
 from .service.upkeep import Upkeep
-from .settings import side_settings
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager

@@ -11,8 +11,7 @@ from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos, Run
 
 from ..choices import Serialization
-from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ
-from ..settings import run_settings
+from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, run_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -8,7 +8,7 @@ import pytest
 
 from dds_trace.cli import analyze, bridge
 from dds_trace.cli.defaults import FILE_NAME, VARIABLE, find_files
-from dds_trace.cli.errors import run_command
+from dds_trace.cli.program import run_command
 from dds_trace.cli.record import command as record
 from dds_trace.cli.sweep import command as sweep
 from dds_trace.cli.sweep.dry_run import check_arguments

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
-from dds_trace.cli.errors import run_command
+from dds_trace.cli.program import run_command
 from dds_trace.recorder.errors import NoEchoError
 
 

@@ -27,7 +27,7 @@ import json
 from generated.commands import commands
 from generated.plan_keys import plan_keys
 from dds_trace.cli.record import command
-from dds_trace.recorder.settings import side_settings
+from dds_trace.recorder.options import side_settings
 from dds_trace.recorder.sweep.plan.cells import Cell
 from dds_trace.recorder.sweep.plan.commands import ping_arguments, relay_arguments
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan

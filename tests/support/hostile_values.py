@@ -13,7 +13,7 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from dds_trace.cli import analyze, bridge, compare, watch
-from dds_trace.cli.errors import run_command
+from dds_trace.cli.program import run_command
 from dds_trace.cli.record import command as record
 from dds_trace.cli.sweep import command as sweep
 

@@ -16,7 +16,7 @@ from trace_files import ping_session, relay_session, run
 from dds_trace.analyzer.model.parameters import parameters_of
 from dds_trace.cli.record import command
 from dds_trace.recorder.choices import Discovery
-from dds_trace.recorder.settings import run_settings, side_settings
+from dds_trace.recorder.options import run_settings, side_settings
 from dds_trace.recorder.sweep.plan.cells import AXES, DEFAULTS, Cell
 from dds_trace.recorder.sweep.plan.commands import ping_arguments, relay_arguments
 from dds_trace.recorder.sweep.plan.link import PRESETS

@@ -229,7 +229,6 @@ def main_command(
 
 
 def _show_page(pages: list[Path], *, open_it: bool) -> None:
-    """Print the address of the page as the last line, and open it if requested."""
     for page in pages:
         if open_it:
             open_page(page)

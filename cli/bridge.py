@@ -104,7 +104,6 @@ def main_command(
 
 
 def _list(*, as_json: bool) -> None:
-    """Print one line for each bridge: its version if it is installed, else how to get it."""
     from dds_trace.recorder.bridges.base import load_bridge
 
     rows = []
@@ -141,7 +140,6 @@ def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
 
 
 def _check(bridge: Bridge, options: BridgeOptions) -> None:
-    """Look for the bridge's program and make its configuration; print that it can run."""
     from dds_trace.recorder.bridges.base import split_halves
     from dds_trace.recorder.bridges.process.running import find_program
 
@@ -167,7 +165,6 @@ def _run(name: str, options: BridgeOptions) -> None:
 
 
 def _describe(bridge: RunningBridge) -> str:
-    """Return the running programs in words: `domain 5, pid 4711; domain 10, pid 4712`."""
     parts = []
     for part, pid in zip(bridge.parts, bridge.processes.values(), strict=True):
         domains = " and ".join(str(side.domain_id) for side in part.sides())

@@ -144,7 +144,6 @@ def _text(
 
 
 def _print_or_write(text: str, out: Path | None) -> None:
-    """Print a report, or write it to `out`."""
     from dds_trace.base.errors import OutputError
     from dds_trace.base.files import replacing
 
@@ -161,7 +160,6 @@ def _print_or_write(text: str, out: Path | None) -> None:
 
 
 def _print_outcome(outcome: "GateOutcome", *, gated: bool) -> None:
-    """Print the outcome to stderr."""
     from dds_trace.analyzer.verdicts.gate import GateOutcome
 
     if gated or outcome is GateOutcome.NOTHING_TO_COMPARE:

@@ -210,7 +210,6 @@ class DefaultedCommand(TyperCommand):
         return [option for option in options if option.expose_value and not option.is_eager]
 
     def _print_config(self, ctx: Any, in_force: Mapping[str, Default], overridden: Mapping[str, str]) -> None:
-        """Print a line for each option: its name, the value in force, and where that is from."""
         rows = []
         for option in self._options():
             if option.name in in_force:
@@ -237,7 +236,6 @@ def _print_config_option() -> Any:
 
 
 def _key(parameter: Any) -> str:
-    """Return the name of an option in the file: its long name without the dashes."""
     return str(max(parameter.opts, key=len)).lstrip("-")
 
 

@@ -1,7 +1,4 @@
-"""The app of each command: `--help` and usage errors are written without rich.
-
-Rich, and what typer's own help imports with it, load longer than all else of `--help` (docs/explanation/performance.md).
-"""
+"""Apps with a `--help` of their own: rich, which typer's help imports, loads longer than all else (docs/explanation/performance.md)."""
 
 from __future__ import annotations
 
@@ -47,11 +44,11 @@ class QuickHelpCommand(DefaultedCommand):
                 formatter.write(first + (filled if first.endswith("\n") else filled[column:]))
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return options and arguments as the usage line has them: `[NAME]` may be left out, `NAME` may not."""
+        """Return options and arguments of the usage line: `[NAME]` is optional."""
         return [piece.removeprefix("{").removesuffix("}") for piece in super().collect_usage_pieces(ctx)]
 
     def _panels(self, ctx: Any) -> dict[str, list[tuple[str, str]]]:
-        """Return title -> (name, help) of each parameter as declared: arguments first, options of no panel last."""
+        """Return title -> (name, help) of each parameter, arguments first."""
         panels: dict[str, list[tuple[str, str]]] = {"Arguments": []}
         general: list[tuple[str, str]] = []
         for parameter in self.get_params(ctx):
@@ -93,11 +90,7 @@ def argument(metavar: str, help: str, **more: Any) -> ArgumentInfo:  # noqa: A00
 
 
 def command_app(*, completes: bool = False) -> typer.Typer:
-    """Return an empty app; `declare_command` gives it its command.
-
-    Args:
-        completes: whether it has options that install or show its completion in the shell.
-    """
+    """Return an empty app; one that `completes` has options for its completion in the shell."""
     return typer.Typer(add_completion=completes, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
@@ -107,14 +100,7 @@ def declare_command(
     overridden: Callable[[Mapping[str, Any]], Mapping[str, str]] | None = None,
     defaults: Mapping[str, object] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the decorator that makes a function the command of an app, with -h, the quick help and `dds-trace.toml`.
-
-    Args:
-        app: the app.
-        table: table of the command in the file; empty for none.
-        overridden: see `DefaultedCommand`.
-        defaults: likewise.
-    """
+    """Return the decorator that makes a function the command of an app; for the others see `DefaultedCommand`."""
     own: dict[str, Any] = {"table": table, "defaults": defaults or {}}
     if overridden is not None:
         own["overridden"] = staticmethod(overridden)
@@ -124,7 +110,6 @@ def declare_command(
 
 
 def _print_version(context: typer.Context, is_given: bool) -> None:
-    """Print name and version of the program, and end it."""
     if is_given:
         print(f"{context.info_name} {__version__}")
         raise typer.Exit

@@ -20,12 +20,7 @@ _Record = TypeVar("_Record")
 def with_options(
     names: Iterable[str], *, in_panels: bool
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the decorator that makes rows of the table parameters of a command that takes `**values`.
-
-    Args:
-        names: names of the rows.
-        in_panels: whether the help has them in their panels; else among the command's own.
-    """
+    """Return the decorator that makes rows of the table, in their panels or not, parameters of a command that takes `**values`."""
     order = list(Panel)
     options = [
         _parameter(name, in_panels) for name in sorted(names, key=lambda n: order.index(OPTIONS[n].panel))
@@ -70,10 +65,6 @@ def given_values(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_record(record: type[_Record], given: Mapping[str, Any], **more: object) -> _Record:
-    """Return a record of options with the values that were given, and `more`.
-
-    Raises:
-        OptionError: a value cannot be read.
-    """
+    """Return a record of options with the given values and `more`."""
     names = [column.name for column in fields(record) if column.name in given]  # type: ignore[arg-type]
     return record(**{name: OPTIONS[name].read(given[name]) for name in names}, **more)

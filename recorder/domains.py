@@ -50,7 +50,7 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
 
 
 def first_port(domain_id: int) -> int:
-    """Return the first of the 250 ports of a domain."""
+    """Return the first port of a domain."""
     return _PORT_BASE + _DOMAIN_GAIN * domain_id
 
 
@@ -60,7 +60,7 @@ def domain_port_range(domain_id: int) -> range:
 
 
 def participants_in(domain_id: int, ports: set[int]) -> list[int]:
-    """Return the numbers of this machine's participants whose discovery port is among `ports`."""
+    """Return the participants of this machine whose discovery port is among `ports`."""
     first = first_port(domain_id) + _FIRST_PARTICIPANT
     return [number for number in range(PARTICIPANTS_PER_DOMAIN) if first + 2 * number in ports]
 

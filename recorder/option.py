@@ -40,14 +40,12 @@ class Axis:
     """How an option is a key of `[axes]` in a plan.
 
     Attributes:
-        of_relay: whether the relay is started with it too.
+        for_relay: whether the relay is started with it too.
         meaning: for the reference and editors; by default the help.
-        default: value where the plan is silent, if it is not the option's own default.
-        kind: type of the value, if it is not the option's.
-        unit: unit of a number.
+        default: by default that of the option; likewise `kind`.
     """
 
-    of_relay: bool = True
+    for_relay: bool = True
     meaning: str = ""
     default: object = None
     kind: type | None = None
@@ -60,15 +58,13 @@ class Option:
 
     Attributes:
         metavar: name of the value in the help; empty for a flag.
-        kind: type of the value on the command line; an Enum's values are its choices.
+        kind: type on the command line; an Enum's values are the choices.
         limit: validator of the field's value.
-        parse: makes the field's value of the text, of a list of texts if the option is repeatable.
-        default: the default in words, where the field's own does not say it.
+        parse: makes the field's value of the text, or of all texts of a repeatable option.
+        default: the default in words, where `field_default` does not say it.
         role: the only role that takes it.
-        in_key: whether it is a setting of session or run: results with different values are not mixed.
-        axis: how it is an axis of plans; None if it is none.
-        variables: environment variables of ROS 2 that override a configured default.
-        field_default: default of the field.
+        in_key: whether it is a setting: results with different values are not mixed.
+        variables: variables of ROS 2 that override a configured default.
     """
 
     name: str
@@ -153,4 +149,6 @@ def option(
 
 def options_of(record: Any) -> dict[str, Option]:
     """Return field -> row of a record of options."""
-    return {each.name: each.metadata["option"] for each in fields(record) if "option" in each.metadata}
+    return {
+        column.name: column.metadata["option"] for column in fields(record) if "option" in column.metadata
+    }

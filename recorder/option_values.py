@@ -1,4 +1,4 @@
-"""Values of options that are more than a number or a word: percentages, pairs, the rotation of files, free space."""
+"""Values of options: percentages, pairs, rotation of files, free space."""
 
 from __future__ import annotations
 
@@ -43,13 +43,7 @@ def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """When a relay starts a new file, whichever comes first, and how many files it keeps.
-
-    Attributes:
-        file_bytes: largest length of a file.
-        age_s: longest time from its first event to the next file.
-        keep: files of the recording that stay, the current one included.
-    """
+    """When a relay starts a new file, and how many it keeps, the current one included."""
 
     file_bytes: int | None = None
     age_s: float | None = None

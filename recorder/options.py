@@ -48,7 +48,7 @@ class PingOptions:
         "What is sent: binary, string, imu, file:PATH (or the files of a folder), bag:PATH#TOPIC, or topic:/NAME (live).",
         in_key=False,
         axis=Axis(
-            of_relay=False,
+            for_relay=False,
             meaning="`binary`, `string`, `imu`, or what is sent instead: `file:PATH`, `bag:PATH#TOPIC`, `topic:/NAME` "
             "([payloads](../how-to/payloads.md))",
         ),
@@ -62,7 +62,7 @@ class PingOptions:
         parse=lambda text: parse_size(text, "--size"),
         in_key=False,
         axis=Axis(
-            of_relay=False,
+            for_relay=False,
             kind=int,
             meaning='payload as a number of bytes, or a text such as `"33KB"`, `"4MB"` (1000), `"1KiB"` (1024)',
             unit="bytes",
@@ -83,7 +83,7 @@ class PingOptions:
         f"Messages per second. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate",
         limit=limits.RATE_HZ,
         in_key=False,
-        axis=Axis(of_relay=False, default=DEFAULT_RATE_HZ, unit="Hz"),
+        axis=Axis(for_relay=False, default=DEFAULT_RATE_HZ, unit="Hz"),
     )
     messages: int | None = option(
         None,
@@ -119,7 +119,7 @@ class PingOptions:
         "Start this bridge to the domain of the relay:",
         limit=limits.NAME,
         in_key=False,
-        axis=Axis(of_relay=False, meaning="bridge between two domains; `none` puts ping and relay into one"),
+        axis=Axis(for_relay=False, meaning="bridge between two domains; `none` puts ping and relay into one"),
     )
     bridge_running: bool = option(
         False, "--bridge-running", Panel.BRIDGE, "The bridge is running already: start nothing.", in_key=False
@@ -183,12 +183,10 @@ class PingOptions:
 
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
-    """The options of one recording: a ping's with `ping`, a relay's without.
+    """The options of one recording; without `ping`, of a relay.
 
     Attributes:
-        node: options of the node; its `name` and `listens` are set by the role.
-        own_cost: whether the session measures what recording and the client library cost, before its node opens.
-        rotation: when a relay starts a new file; None for never.
+        node: the role sets its `name` and `listens`.
     """
 
     destination: TraceDestination = field(metadata=OUTSIDE_OF_KEY)
@@ -331,10 +329,7 @@ def check_fields(record: object) -> None:
 
 
 def side_settings(options: RecordOptions, connectivity: str) -> dict[str, Json]:
-    """Return the settings of a side, for its session.
-
-    Discovery is left out where it is the usual one of this link: `localhost` over loopback, `subnet` over any other.
-    """
+    """Return the settings of a session, without the discovery that is usual for its link (loopback: localhost)."""
     settings = dict(changed_settings(options))
     usual = Discovery.LOCALHOST if connectivity == "loopback" else Discovery.SUBNET
     settings.pop("discovery", None)
@@ -352,7 +347,7 @@ def run_settings(options: PingOptions) -> dict[str, Json]:
 
 
 def changed_settings(record: object) -> Iterator[tuple[str, Json]]:
-    """Yield name and value of each setting of a record, and of the records in it, that is not its default."""
+    """Yield name and value of each setting that is not its default, of a record and the records in it."""
     assert is_dataclass(record)
     for column in fields(record):
         value = getattr(record, column.name)

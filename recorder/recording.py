@@ -74,9 +74,7 @@ class Recorded:
 
     Attributes:
         trace: the closed trace; None for a ping that was stopped before its echo.
-        session: the session at its start.
-        run: the run of a ping.
-        error: why a ping's run ended early or without an answering relay, or why a relay recorded nothing for a while.
+        error: why a run ended early or without a relay, or why a relay recorded nothing for a while.
     """
 
     trace: ClosedTrace | None
@@ -97,8 +95,7 @@ def record(
         OptionError: an option makes no sense, or not on this machine.
         BackendUnavailableError: the middleware or the bridge is not on this machine.
         NoEchoError: no relay answered; nothing is written.
-        NotAppliedError: the middleware does not use a requested setting and `options.strict` is set; a trace remains only if
-            this shows at the end.
+        NotAppliedError: the middleware does not use a requested setting, under `strict`.
         OutputExistsError: there is a trace already.
         OutputError: the trace cannot be written.
     """
@@ -110,8 +107,6 @@ def record(
 
 
 class _Recording:
-    """One recording in either role."""
-
     def __init__(
         self, options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool
     ) -> None:
@@ -136,7 +131,7 @@ class _Recording:
         with self._open_wire() as wire, self._open_node("relay") as node, tuned_gc():
             read_back = self._read_back(node)
             session = self._describe("relay", node, read_back, relay_id)
-            with self._open_trace(session) as upkeep:
+            with Upkeep(options, session, self.clock.monotonic_ns, self.watch.note) as upkeep:
                 relay = Relay(
                     node,
                     upkeep.sink,
@@ -186,7 +181,9 @@ class _Recording:
             session = self._describe("ping", node, read_back)
             if self.stop.is_set():  # a file without a message would block the next try
                 return Recorded(None, session, ping.progress())
-            upkeep = stack.enter_context(self._open_trace(session))
+            upkeep = stack.enter_context(
+                Upkeep(self.options, session, self.clock.monotonic_ns, self.watch.note)
+            )
             sink = upkeep.sink
             wire.begin(ping.run_id)
             with _sampled(sink, wire, bridge):
@@ -259,10 +256,6 @@ class _Recording:
     def _clock_at_end(self) -> JsonObject:
         """Return the session's field `clock`: the kernel's correction of the clock at start and end."""
         return {"clock": {"begin": self.correction, "end": read_adjtimex()}}
-
-    def _open_trace(self, session: Session) -> Upkeep:
-        """Context manager: the trace is closed on exit."""
-        return Upkeep(self.options, session, self.clock.monotonic_ns, self.watch.note)
 
     def _note_disk(self, sink: TraceSink) -> None:
         if sink.error is not None and not self._noted_disk:
@@ -398,6 +391,5 @@ def _find_failure(
 
 
 def _raise_error_of(node: Node) -> None:
-    """Raise the error of a callback, which ends the recording."""
     if node.error is not None:
         raise node.error

@@ -93,7 +93,6 @@ def main_command(
 
 
 def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
-    """Refuse options that only the other role has, instead of ignoring them."""
     from dds_trace.base.errors import OptionError
 
     names = [OPTIONS[name].name for name in given if OPTIONS[name].role not in (None, role)]
@@ -105,11 +104,7 @@ def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
 
 
 def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOptions:
-    """Return the options of a recording; domains that are not given are those of ROS 2's environment.
-
-    Raises:
-        OptionError: a value cannot be read.
-    """
+    """Return the options of a recording; by default its domains are those of ROS 2's environment."""
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import PingOptions, RecordOptions

@@ -1,4 +1,4 @@
-"""Why a configured default is overridden: an environment variable of ROS 2, or the role; and what ROS 2's environment says."""
+"""Why a configured default is overridden: by a variable of ROS 2, or by the role."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DEFAULT_DOMAIN = 10
 
 
 def overridden(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return field of an option -> why its default in a file does not count, for these values of a call."""
+    """Return field of an option -> why its default in a file does not count."""
     role = None if values.get("role") is None else Role(values["role"])
     is_bridged = role is not Role.RELAY and values.get("bridge") not in (None, "none")
     reasons = {}
@@ -32,11 +32,7 @@ def overridden(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def default_domain() -> int:
-    """Return ROS_DOMAIN_ID, or 10 if it is unset.
-
-    Raises:
-        OptionError: the variable is not a number.
-    """
+    """Return ROS_DOMAIN_ID, or 10 if it is unset."""
     text = os.environ.get("ROS_DOMAIN_ID", "").strip()
     if not text:
         return DEFAULT_DOMAIN

@@ -93,16 +93,11 @@ def record_until_stopped(options: RecordOptions) -> Recorded:
 def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | None = None) -> None:
     """Print the result of a recording, and raise its error.
 
-    Args:
-        recorded: the result.
-        as_json: whether to print it for a script.
-        fail_if_lost: largest allowed share of lost messages, 0 to 1.
-
     Raises:
         OutputError: not all of the trace could be written.
         BridgeError: the bridge died during the run.
         RelayLostError: the relay did.
-        LossesError: more messages were lost than `fail_if_lost` allows.
+        LossesError: the share of lost messages is above `fail_if_lost`.
     """
     trace = recorded.trace
     error = _error_of(recorded, fail_if_lost)
@@ -120,7 +115,6 @@ def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | Non
 
 
 def _error_of(recorded: Recorded, fail_if_lost: float | None) -> TraceError | None:
-    """Return the error of a recording, None if there is none."""
     trace, progress = recorded.trace, recorded.progress
     if trace is not None and trace.error is not None:
         return _trace_error(trace, trace.error)
@@ -150,7 +144,6 @@ def _trace_error(trace: ClosedTrace, error: OutputError) -> OutputError:
 
 
 def _result(recorded: Recorded, error: TraceError | None) -> dict[str, object]:
-    """Return the JSON object of `--json`."""
     session, run, trace = recorded.session, recorded.run, recorded.trace
     return {
         "path": None if trace is None else str(trace.path),

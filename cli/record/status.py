@@ -38,7 +38,6 @@ def _as_json(listed: Listed) -> dict[str, object]:
 
 
 def _lines(listed: Listed) -> list[str]:
-    """Return the lines of one recording."""
     from datetime import datetime
 
     from dds_trace.base.units import counted

@@ -128,12 +128,7 @@ def main_command(
 
 
 def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> None:
-    """Raise an `OptionError` for options that exclude each other, and one that needs another.
-
-    Args:
-        kinds: option -> value; at most one may be given.
-        dependent: an option and the one that it needs.
-    """
+    """Raise an `OptionError` for options that exclude each other, and one that needs another."""
     given = [name for name, value in kinds.items() if value]
     if len(given) > 1:
         reason = (

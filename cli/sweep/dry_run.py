@@ -31,16 +31,7 @@ LOOPBACK_MBIT_S = 10_000
 def dry_run(
     plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, max_rate: bool, as_json: bool
 ) -> int:
-    """Show a sweep and rehearse it; return the exit code.
-
-    Args:
-        plan: the plan.
-        out: folder of all sweeps.
-        other: the other side with `--against`.
-        until: precision at which the sweep ends.
-        max_rate: whether to search the highest rate of each cell.
-        as_json: whether to print JSON.
-    """
+    """Show a sweep and rehearse it; return the exit code."""
     from dds_trace.recorder.sweep.rehearsal import rehearse_plan
     from dds_trace.recorder.sweep.search import search_plan
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
@@ -80,7 +71,6 @@ def check_arguments(arguments: Sequence[str]) -> None:
 
 
 def _print_reasons(refused: Mapping[str, str]) -> None:
-    """Print each reason once, with its recordings."""
     names = defaultdict(list)
     for name, reason in refused.items():
         names[reason].append(name)
@@ -94,7 +84,6 @@ def _note(text: str) -> None:
 
 
 def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str]]:
-    """Return the cells in their order, as a JSON object and as lines."""
     from dds_trace.recorder.sweep.plan.schedule import plan_seconds, schedule
 
     groups = schedule(plan)
@@ -131,7 +120,6 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
 
 
 def _remarks(plan: Plan) -> list[str]:
-    """Return lines about the plan as a whole: exclusions, warnings, its link, commands for the other device."""
     from dds_trace.recorder.sweep.plan.plan import depth_warnings
 
     left_out = Counter(reason for _, reason in plan.excluded).items()

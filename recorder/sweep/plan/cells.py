@@ -30,11 +30,9 @@ class Key:
 
     Attributes:
         meaning: for the reference and editors.
-        limit: validator of the value.
-        unit: unit of a number.
         default_words: the default in words, where `default` does not say it.
-        kind: type of the value; a float may be written as a whole number.
-        takes_list: whether it may be a list of values.
+        kind: type of the value; a float may be a whole number.
+        takes_list: whether a list of values is allowed.
     """
 
     meaning: str
@@ -60,24 +58,23 @@ class PlanAxis(Key):
     """A key of `[axes]`, which takes one value or a list of them.
 
     Attributes:
-        option: option of `dds-record`, empty for none.
-        of_relay: whether the relay is started with it too.
-        row: option whose choices are those of the axis.
+        option: name in the arguments of `dds-record`, if it is there.
+        for_relay: whether the relay is started with it too.
+        row: option with the same choices.
     """
 
     takes_list: bool = True
     option: str = ""
-    of_relay: bool = False
+    for_relay: bool = False
     row: Option | None = None
 
     @property
     def choices(self) -> list[str]:
-        """The allowed values, empty for any of the type."""
+        """The allowed values; empty for any."""
         return choices_of(self.row) if self.row else []
 
 
 def _axis_of(row: Option) -> PlanAxis:
-    """Return the axis of an option of `dds-record`."""
     assert row.axis is not None
     default = row.axis.default if row.field_default is None else row.field_default
     return PlanAxis(
@@ -86,7 +83,7 @@ def _axis_of(row: Option) -> PlanAxis:
         unit=row.axis.unit,
         default_words=row.default if default is None else "",
         option=row.name,
-        of_relay=row.axis.of_relay,
+        for_relay=row.axis.for_relay,
         kind=row.axis.kind or (str if issubclass(row.kind, Enum) else row.kind),
         row=row,
         default=getattr(default, "value", default),
@@ -104,7 +101,7 @@ AXES: Mapping[str, PlanAxis] = {
     "environment": PlanAxis(
         "folder of the Python environment whose `dds-record` runs; both sides on this machine",
         default_words="this environment",
-        of_relay=True,
+        for_relay=True,
         default="",
     ),
 }
@@ -113,7 +110,7 @@ AXES: Mapping[str, PlanAxis] = {
 DEFAULTS: dict[str, Any] = {name: axis.default for name, axis in AXES.items()}
 """Value of each axis where a plan is silent."""
 
-RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.of_relay)
+RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.for_relay)
 """Axes that a relay is started with."""
 
 _ALWAYS_NAMED = {"backend", "rmw", "relay_backend", "relay_rmw", "bridge", "data", "size", "rate"}
@@ -134,7 +131,7 @@ def _with_all_axes(cell: type[_Class]) -> type[_Class]:
 @dataclass(frozen=True, slots=True)
 @_with_all_axes
 class Cell:
-    """The parameters of one run; each field but `repeat`, the number of the pass, is an axis of a plan."""
+    """The parameters of one run: the axes, and the number of the pass."""
 
     backend: str = "ros2"
     rmw: str | None = None
@@ -192,10 +189,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Name of the cell and stem of its files: `ros2-fastrtps_same_binary-33KB_10Hz`.
-
-        Only the main parameters are always in it: with a new axis, recorded cells keep their names.
-        """
+        """Name of the cell and of its files: `ros2-fastrtps_same_binary-33KB_10Hz`; a new axis keeps the names of recorded cells."""
         relay = (
             ["to-" + _middleware_name(self.relay.backend, self.relay.rmw)]
             if self.relay_backend is not None or self.relay_rmw is not None
@@ -220,7 +214,7 @@ def _middleware_name(backend: str, rmw: str | None) -> str:
 
 
 def environment_name(folder: str) -> str:
-    """Return the name of a Python environment: that of its folder, or of the one around a `.venv`."""
+    """Return the name of a Python environment: its folder, or the one around a `.venv`."""
     path = expand_home(folder).absolute()
     return path.parent.name if path.name in {".venv", "venv"} else path.name
 

@@ -83,7 +83,7 @@ class Link:
 
     @property
     def setting(self) -> str:
-        """Name and all values that are applied, as a run's setting: `wifi-54(delay_ms=1,rate_mbit_s=54)`."""
+        """The link as a run's setting: `wifi-54(delay_ms=1,rate_mbit_s=54)`."""
         applied = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
         values = ",".join(f"{name}={value:g}" for name, value in sorted(applied.items()) if value)
         return f"{self.name}({values})"
@@ -115,13 +115,10 @@ class LinkReport(TypedDict):
     """Work of the link since the report before, as written to the trace.
 
     Attributes:
-        monotonic_ns: time of the report.
         link: the emulated values, null for a bare veth.
         applied_by: parts of the system that emulate them, joined by `+`.
         commands: the commands of `tc`.
-        ping: the ping's end.
-        relay: the relay's end.
-        forwarder: report of the user-space wire; null if the kernel did it all.
+        forwarder: report of the user-space wire, null if the kernel did it all.
     """
 
     monotonic_ns: int

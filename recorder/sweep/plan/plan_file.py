@@ -22,7 +22,7 @@ from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 from .toml_table import TomlTable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterator
     from pathlib import Path
 
     FindInstalled: TypeAlias = Callable[[], Collection[tuple[str, str | None]]]
@@ -139,7 +139,6 @@ def check_runs(where: str, cells: int, passes: int) -> None:
 
 
 def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
-    """Return how many cells `_cells` yields."""
     counts = [len(values) for values in axes.values()]
     if axes.get("backend") == [INSTALLED]:
         counts = [len(values) for axis, values in axes.items() if axis not in ("backend", "rmw")]
@@ -162,12 +161,7 @@ def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:
             yield from _cells({"backend": [backend], "rmw": [rmw], **others}, installed)
         return
     for values in itertools.product(*axes.values()):
-        yield _cell(dict(zip(axes, values, strict=True)))
-
-
-def _cell(values: Mapping[str, AxisValue]) -> Cell:
-    """Return the cell with these checked values."""
-    return replace(Cell(), **values)  # type: ignore[arg-type]  # mypy sees a union
+        yield replace(Cell(), **dict(zip(axes, values, strict=True)))  # type: ignore[arg-type]  # checked by `_axis_value`
 
 
 def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell], list[tuple[Cell, str]]]:
@@ -269,7 +263,6 @@ def _link(table: TomlTable) -> Link | None:
 
 
 def _axis_values(table: TomlTable, ignore: Collection[str] = ()) -> AxisValues:
-    """Return the values of each axis, in the order of the plan."""
     table.allow(*AXES, *ignore)
     return {
         axis: [

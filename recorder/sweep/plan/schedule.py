@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .plan import Plan
 
 RUN_OVERHEAD_S = 1.5
-"""Start, discovery, drain and close of a ping; measured with four middlewares on two slow cores."""
+"""Start, discovery, drain and close of a ping, measured on two slow cores."""
 
 OWN_COST_S = 1.0
 """Measurement of a session's own cost, in the passes that do it (`own_cost_passes`)."""
@@ -29,12 +29,12 @@ RELAY_OVERHEAD_S = 1.5
 
 @dataclass(frozen=True, slots=True)
 class CellGroup:
-    """Cells that one relay serves without a restart, in their order.
+    """Cells that one relay serves without a restart.
 
     Attributes:
-        number: 1, 2 ... in the order of the groups.
+        number: 1, 2 ...
         need: parameters of the relay.
-        bridge: bridge of the cells, if half of it runs next to the relay.
+        bridge: bridge of which half runs next to the relay.
     """
 
     number: int
@@ -44,7 +44,7 @@ class CellGroup:
 
 
 def schedule(plan: Plan) -> list[CellGroup]:
-    """Return all cells of all passes in groups of one relay; the order depends only on the plan, so a sweep can continue."""
+    """Return all cells of all passes in groups of one relay; an interrupted sweep has the same order."""
     groups = [
         group
         for number in range(1, plan.run.repeats + 1)
@@ -69,7 +69,7 @@ def _listed(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
 
 
 def _shuffled(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
-    """Shuffle the relays, and the cells of each relay, which it serves without a restart."""
+    """Shuffle the relays, and the cells of each relay."""
     chance = random.Random(f"{seed} {number}")  # noqa: S311 - an order, not a secret
     chance.shuffle(groups)
     return [replace(group, cells=tuple(chance.sample(group.cells, len(group.cells)))) for group in groups]
@@ -91,7 +91,6 @@ _ORDERS: dict[Order, Callable[[list[CellGroup], int, int], list[CellGroup]]] = {
     Order.SHUFFLED: _shuffled,
     Order.ALTERNATING: _alternating,
 }
-"""Order -> function of the listed groups of a pass, the seed and the number of the pass."""
 
 
 def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
@@ -145,7 +144,7 @@ class Estimate:
 
 
 def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | None = None) -> Remaining:
-    """Return the expected time of the plan, or of another number of passes or starts of a relay."""
+    """Return the expected time of the plan, by default with its own passes and starts of a relay."""
     passes = plan.run.repeats if passes is None else passes
     first_s = Estimate(plan).remaining(list(plan.cells)).seconds
     measuring = min(passes, plan.run.own_cost_passes or passes)

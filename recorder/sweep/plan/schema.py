@@ -46,7 +46,6 @@ class Table:
 
 
 def _keys_of(record: type[DataclassInstance], *, without: str = "") -> dict[str, Key]:
-    """Return the fields of a record that are keys."""
     return {
         column.name: column.metadata["key"]
         for column in fields(record)
@@ -191,7 +190,6 @@ def _key(table: str, name: str, key: Key) -> Schema:
 
 
 def _value(table: str, name: str, key: Key) -> Schema:
-    """Return what one value of a key may be."""
     if table == "axes":
         choices = axis_choices(name)
         value: Schema = {"enum": choices} if choices else _SPECIAL_AXES.get(name, _of_limit)(key)

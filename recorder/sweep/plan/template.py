@@ -124,7 +124,6 @@ def _matrix(message: Message) -> str:
 
 
 def _where(location: str) -> list[str]:
-    """Return the table of the relay's place; none on one machine."""
     if location == HERE:
         return []
     if location in PRESETS:

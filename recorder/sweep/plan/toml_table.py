@@ -43,9 +43,8 @@ class TomlTable:
     """One table of a TOML file.
 
     Attributes:
-        path: path of the file, for errors.
         key: dotted key of the table, empty for the root.
-        validators: table of the file -> its keys -> their validators.
+        validators: table of the file -> its keys -> their limits.
     """
 
     values: Mapping[str, object]
@@ -99,7 +98,7 @@ class TomlTable:
         """Return `value` as a `kind`; a whole number passes as a float, but a bool is no number.
 
         Raises:
-            OptionError: it is of another type, or its validator refuses it.
+            OptionError: it has another type or is beyond its limit.
         """
         is_number = kind is float and isinstance(value, int)
         if not (is_number or isinstance(value, kind)) or (kind is not bool and isinstance(value, bool)):
@@ -138,7 +137,6 @@ class TomlTable:
         )
 
     def _like(self, name: str, default: object) -> object:
-        """Return the value of a key, of the type of `default`."""
         value = self.values[name]
         if isinstance(default, Enum):
             choices = {str(choice.value): choice for choice in type(default)}

@@ -147,6 +147,11 @@ def option(
     return field(default=default, metadata={"option": row})
 
 
+def detail(default: _T, name: str, panel: Panel, help: str, **row: Any) -> _T:  # noqa: A002 - typer's word
+    """Return a field that is an option and no setting: the trace has it elsewhere, or it does not change what is measured."""
+    return option(default, name, panel, help, in_key=False, **row)
+
+
 def options_of(record: Any) -> dict[str, Option]:
     """Return field -> row of a record of options."""
     return {

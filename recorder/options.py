@@ -16,7 +16,7 @@ from dds_trace.base.errors import OptionError, OutputExistsError
 from dds_trace.base.units import parse_size
 
 from .choices import Discovery, Role, Serialization
-from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, option
+from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, detail, option
 from .option_values import KeepFree, Rotation, parse_pairs
 from .payloads import check_data
 
@@ -41,26 +41,24 @@ DEFAULT_WAIT_S = 20.0
 class PingOptions:
     """The options of a ping."""
 
-    data: str = option(
+    data: str = detail(
         "binary",
         "--data KIND",
         Panel.MESSAGE,
         "What is sent: binary, string, imu, file:PATH (or the files of a folder), bag:PATH#TOPIC, or topic:/NAME (live).",
-        in_key=False,
         axis=Axis(
             for_relay=False,
             meaning="`binary`, `string`, `imu`, or what is sent instead: `file:PATH`, `bag:PATH#TOPIC`, `topic:/NAME` "
             "([payloads](../how-to/payloads.md))",
         ),
     )
-    size_bytes: int | None = option(
+    size_bytes: int | None = detail(
         None,
         "--size SIZE",
         Panel.MESSAGE,
         "Size of a message: a number of bytes, 33KB or 4MB (1000), 1KiB (1024). Default: 33KB; string 91; imu always 296",
         limit=limits.SIZE_BYTES,
         parse=lambda text: parse_size(text, "--size"),
-        in_key=False,
         axis=Axis(
             for_relay=False,
             kind=int,
@@ -68,61 +66,49 @@ class PingOptions:
             unit="bytes",
         ),
     )
-    seed: int | None = option(
-        None,
-        "--seed N",
-        Panel.MESSAGE,
-        "Seed of the random content. Default: drawn",
-        limit=limits.SEED,
-        in_key=False,
+    seed: int | None = detail(
+        None, "--seed N", Panel.MESSAGE, "Seed of the random content. Default: drawn", limit=limits.SEED
     )
-    rate_hz: float | None = option(
+    rate_hz: float | None = detail(
         None,
         "--rate HZ",
         Panel.SCHEDULE,
         f"Messages per second. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate",
         limit=limits.RATE_HZ,
-        in_key=False,
         axis=Axis(for_relay=False, default=DEFAULT_RATE_HZ, unit="Hz"),
     )
-    messages: int | None = option(
+    messages: int | None = detail(
         None,
         "--messages N",
         Panel.SCHEDULE,
         f"Messages to measure. Default: {DEFAULT_MESSAGES}, or what fits --duration",
         limit=limits.MESSAGES,
-        in_key=False,
     )
-    warmup: int = option(
+    warmup: int = detail(
         DEFAULT_WARMUP,
         "--warmup N",
         Panel.SCHEDULE,
         "Messages sent before them, which do not count.",
         limit=limits.WARMUP,
-        in_key=False,
     )
-    wait_s: float = option(
+    wait_s: float = detail(
         DEFAULT_WAIT_S,
         "--wait SECONDS",
         Panel.SCHEDULE,
         "How long to wait for the first echo.",
         limit=limits.WAIT_S,
-        in_key=False,
     )
-    relays: int = option(
-        1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS, in_key=False
-    )
-    bridge: str = option(
+    relays: int = detail(1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS)
+    bridge: str = detail(
         "none",
         "--bridge NAME",
         Panel.BRIDGE,
         "Start this bridge to the domain of the relay:",
         limit=limits.NAME,
-        in_key=False,
         axis=Axis(for_relay=False, meaning="bridge between two domains; `none` puts ping and relay into one"),
     )
-    bridge_running: bool = option(
-        False, "--bridge-running", Panel.BRIDGE, "The bridge is running already: start nothing.", in_key=False
+    bridge_running: bool = detail(
+        False, "--bridge-running", Panel.BRIDGE, "The bridge is running already: start nothing."
     )
     bridge_listen: str | None = option(
         None,
@@ -131,31 +117,28 @@ class PingOptions:
         "Start only the ping's half; it waits at HOST:PORT for the relay's half (dds-bridge --half relay).",
         limit=limits.ADDRESS,
     )
-    bridge_peers: tuple[str, ...] = option(
+    bridge_peers: tuple[str, ...] = detail(
         (),
         "--bridge-peer ADDRESS",
         Panel.BRIDGE,
         "Start only the ping's half; it connects to the relay's half at HOST:PORT; repeatable.",
         limit=limits.ADDRESS,
-        in_key=False,
     )
-    relay_domain_id: int | None = option(
+    relay_domain_id: int | None = detail(
         None,
         "--relay-domain ID",
         Panel.BRIDGE,
         "DDS domain of the relay. Default: ROS_DOMAIN_ID, else 10",
         limit=limits.DOMAIN_ID,
-        in_key=False,
         variables=("ROS_DOMAIN_ID",),
     )
-    labels: Mapping[str, str] = option(
+    labels: Mapping[str, str] = detail(
         {},
         "--label KEY=VALUE",
         Panel.DESCRIPTION,
         "A note on the run; repeatable.",
         parse=lambda texts: parse_pairs("--label", texts, "site=lab"),
         role=Role.PING,
-        in_key=False,
     )
     settings: Mapping[str, str] = option(
         {},
@@ -192,30 +175,27 @@ class RecordOptions:
     destination: TraceDestination = field(metadata=OUTSIDE_OF_KEY)
     node: NodeOptions
     ping: PingOptions | None = field(default=None, metadata=OUTSIDE_OF_KEY)
-    duration_s: float | None = option(
+    duration_s: float | None = detail(
         None,
         "--duration SECONDS",
         Panel.OUTPUT,
         "Stop after this many seconds; a relay without it runs until stopped.",
         limit=limits.LENGTH_S,
-        in_key=False,
     )
-    keep_free: KeepFree = option(
+    keep_free: KeepFree = detail(
         KeepFree(),
         "--keep-free SIZE",
         Panel.OUTPUT,
         "Stop writing when free disk space falls below SIZE: 500MB, 10%, or 0. Default: 5% of the disk, at most 1GB",
         kind=str,
         parse=KeepFree.parse,
-        in_key=False,
     )
-    backend: str = option(
+    backend: str = detail(
         "ros2",
         "--backend NAME",
         Panel.MIDDLEWARE,
         "API that carries the messages:",
         limit=limits.NAME,
-        in_key=False,
         axis=Axis(
             meaning="API that carries the messages; `installed` stands for every middleware of this machine, each RMW of ROS 2 "
             "included"
@@ -228,29 +208,26 @@ class RecordOptions:
         "What the client library gets: raw (serialized bytes) or typed (message objects).",
         axis=Axis(),
     )
-    rotation: Rotation | None = option(
+    rotation: Rotation | None = detail(
         None,
         "--rotate LIMIT",
         Panel.RELAY,
         "Start a new file at this size or age: 1GB, 1h (30min, 7d), or 1GB,1h; --out NAME.mcap becomes NAME.00001.mcap and so on.",
         parse=Rotation.parse,
-        in_key=False,
     )
-    types: tuple[str, ...] = option(
+    types: tuple[str, ...] = detail(
         (),
         "--type TYPE",
         Panel.RELAY,
         "Send back this message type too, such as sensor_msgs/msg/PointCloud2; repeatable.",
         limit=limits.NAME,
-        in_key=False,
     )
-    relay_id: int | None = option(
+    relay_id: int | None = detail(
         None,
         "--relay-id N",
         Panel.RELAY,
         "Number of the relay in the trace. Default: drawn",
         limit=limits.RELAY_ID,
-        in_key=False,
     )
     cpu_affinity: str | None = option(
         None, "--cpu-affinity CPUS", Panel.PROCESS, "Run only on these CPUs: 3, or 0,2-3.", limit=limits.CPUS
@@ -262,12 +239,11 @@ class RecordOptions:
         "Run under SCHED_FIFO with this priority, 1 to 99, and all memory locked.",
         limit=limits.REALTIME_PRIORITY,
     )
-    strict: bool = option(
+    strict: bool = detail(
         False,
         "--strict",
         Panel.PROCESS,
         "Exit with 11 if the middleware does not use a requested setting (--transport, --tuned ...); without it, warn.",
-        in_key=False,
     )
     wire: bool = option(
         False,
@@ -276,28 +252,25 @@ class RecordOptions:
         "Count packets, retransmissions and bytes on the interfaces: lo with localhost discovery, else all that are up. "
         "Needs CAP_NET_RAW.",
     )
-    own_cost: bool = option(
+    own_cost: bool = detail(
         True,
         "--no-own-cost",
         Panel.PROCESS,
         "Start a second sooner: do not measure the cost of recording and of the client library.",
-        in_key=False,
     )
-    device: str | None = option(
+    device: str | None = detail(
         None,
         "--device NAME",
         Panel.DESCRIPTION,
         "Name of this device in the trace. Default: host name",
         limit=limits.NAME,
-        in_key=False,
     )
-    connectivity: str | None = option(
+    connectivity: str | None = detail(
         None,
         "--connectivity NAME",
         Panel.DESCRIPTION,
         "Link of this device: loopback, wired, wireless, or a word of yours. Default: detected",
         limit=limits.NAME,
-        in_key=False,
     )
 
     def check(self) -> None:

@@ -12,7 +12,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, ExecutorKind, Transport
-from ..option import OUTSIDE_OF_KEY, Axis, Panel, option
+from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -44,13 +44,12 @@ class NodeOptions:
         listens: whether the node waits for others to connect (a relay), where a backend has such sides.
     """
 
-    domain_id: int = option(
+    domain_id: int = detail(
         10,
         "--domain ID",
         Panel.MIDDLEWARE,
         "DDS domain. Default: ROS_DOMAIN_ID, else 10; a ping with --bridge: 5",
         limit=limits.DOMAIN_ID,
-        in_key=False,
         variables=("ROS_DOMAIN_ID",),
     )
     name: str = field(default="dds_trace", metadata=OUTSIDE_OF_KEY)
@@ -61,21 +60,19 @@ class NodeOptions:
         "How far to look for other nodes: localhost or subnet. Default: as the environment of ROS 2 has it, else subnet",
         variables=("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"),
     )
-    peers: tuple[str, ...] = option(
+    peers: tuple[str, ...] = detail(
         (),
         "--peer HOST",
         Panel.MIDDLEWARE,
         "Address of the relay's device, HOST or HOST:PORT, for a backend that does not discover it; repeatable.",
         limit=limits.HOST,
-        in_key=False,
     )
-    rmw: str | None = option(
+    rmw: str | None = detail(
         None,
         "--rmw NAME",
         Panel.MIDDLEWARE,
         "ROS middleware of the backend ros2. Default: RMW_IMPLEMENTATION, else that of ROS 2",
         limit=limits.RMW,
-        in_key=False,
         axis=Axis(),
         variables=("RMW_IMPLEMENTATION",),
     )

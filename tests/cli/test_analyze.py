@@ -6,6 +6,7 @@ import shutil
 import polars as pl
 import pytest
 import typer
+from commands import run_main as analyze
 from mcap.writer import Writer
 from trace_files import Message, run, write_pair
 
@@ -13,13 +14,6 @@ import dds_trace.cli.analyze
 from dds_trace.cli.analyze import COMMANDS, DESKTOP_VARIABLES, main
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
-
-
-def analyze(*arguments):
-    """Run the command; its exit code."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code or 0
 
 
 @pytest.fixture

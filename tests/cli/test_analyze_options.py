@@ -6,10 +6,11 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from commands import run_main
 from trace_files import Message, run, write_pair
 
 from dds_trace.analyzer.exports.tables import EXPORTERS
-from dds_trace.cli.analyze import ExportKind, main
+from dds_trace.cli.analyze import ExportKind
 from dds_trace.tracefile.reading.reader import read_trace
 
 MS = 1_000_000
@@ -25,12 +26,6 @@ TIMELINE = [
     )
     for s in range(120)
 ]
-
-
-def run_main(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code or 0
 
 
 @pytest.fixture

@@ -5,9 +5,8 @@ from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import pytest
+from commands import run_main
 from trace_files import Message, ping_session, run, write_pair
-
-from dds_trace.cli.analyze import main
 
 MS = 1_000_000
 PERIOD = 100 * MS
@@ -20,12 +19,6 @@ def drawn(slower=1, count=600, number=0):
         t, way = (number * 1000 + s) * PERIOD, int(slower * (MS + (s * 7 % 60) * 1000))
         messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
     return messages
-
-
-def run_main(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code or 0
 
 
 def printed(capsys):

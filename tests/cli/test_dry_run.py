@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -16,7 +15,6 @@ from namespaces import needs_namespaces
 from rich.console import Console
 
 from dds_trace.base.errors import OptionError
-from dds_trace.cli.sweep import command
 from dds_trace.cli.sweep.dry_run import check_arguments
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.rehearsal import rehearse_plan
@@ -33,20 +31,6 @@ attempts = 1
 domain = {}
 ping_domain = {}
 """
-
-
-@pytest.fixture
-def call(monkeypatch, capsys):
-    """Calls `dds-sweep`; its exit code, stdout and stderr."""
-
-    def calling(*arguments):
-        monkeypatch.setattr(sys, "argv", ["dds-sweep", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            command.main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, said.out, said.err
-
-    return calling
 
 
 @pytest.fixture

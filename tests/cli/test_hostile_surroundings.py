@@ -1,9 +1,8 @@
 """Links and foreign files where `dds-analyze` writes: links are replaced, their targets and all else stay."""
 
 import pytest
+from commands import run_main
 from trace_files import Message, write_pair
-
-from dds_trace.cli.analyze import main
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 OUTPUTS = (
@@ -11,13 +10,6 @@ OUTPUTS = (
     *("roundtrips.csv", "summary.csv", "roundtrips.arrow", "summary.arrow"),
     *("latency.derived.mcap", "latency.derived.foxglove.json"),
 )
-
-
-def run_main(*arguments):
-    """Run the command; its exit code."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code or 0
 
 
 @pytest.fixture

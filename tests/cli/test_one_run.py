@@ -6,10 +6,10 @@ import html
 import re
 
 import pytest
+from commands import run_main
 from trace_files import Message, ping_session, relay_session, run, write_pair
 
 from dds_trace import analyze
-from dds_trace.cli.analyze import main
 
 MS = 1_000_000
 MESSAGES = 300
@@ -64,12 +64,6 @@ def record(folder, runs, slower=1.0):
     return folder
 
 
-def run_main(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code or 0
-
-
 def without_program(page):
     """The page without the scripts that draw it; its data and its words stay."""
     kept = re.sub(r"<script>.*?</script>|<style>.*?</style>", "", page, flags=re.DOTALL)
@@ -100,7 +94,7 @@ def test_no_output_tells_apart_what_rests_on_one_or_two_runs(tmp_path, capsys, r
     outputs = every_output(record(tmp_path / "runs", runs), record(tmp_path / "slow", runs, slower=3), capsys)
     assert set(outputs) == {
         "terminal", "html", "md", "json", "recommend", "notebook",
-        "compare terminal", "compare md", "compare json", "compare junit", "compare html",
+        "compare terminal", "compare md", "compare json", "compare junit", "compare html"
     }  # fmt: skip
     for name, text in outputs.items():
         assert len(text) > 200, name

@@ -1,14 +1,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.base.version import __version__
-from dds_trace.cli.sweep import command
 from dds_trace.recorder.sweep.plan.cells import Cell
 from dds_trace.recorder.sweep.plan.plan import Order
 from dds_trace.recorder.sweep.plan.plan_file import read_plan
@@ -40,20 +38,6 @@ def plan(tmp_path):
     return path
 
 
-@pytest.fixture
-def call(monkeypatch, capsys):
-    """Calls `dds-sweep`; its exit code, stdout and stderr."""
-
-    def calling(*arguments):
-        monkeypatch.setattr(sys, "argv", ["dds-sweep", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            command.main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, said.out, said.err
-
-    return calling
-
-
 def installed():
     return [("ros2", None), ("cyclonedds", None)]
 
@@ -80,7 +64,7 @@ def test_paper_plan_has_the_papers_cells():
 def test_paper_plan_has_the_papers_sizes():
     cells = read_plan(ROOT / "plans/paper.toml").cells
     assert sorted({cell.size for cell in cells if cell.data == "binary"}) == [
-        *(33_000, 67_000, 87_000, 145_000, 294_000, 502_000, 1_000_000, 2_000_000, 4_000_000),
+        *(33_000, 67_000, 87_000, 145_000, 294_000, 502_000, 1_000_000, 2_000_000, 4_000_000)
     ]
     assert sorted({cell.size for cell in cells if cell.data == "string"}) == [4, 91, 1405, 2675]
 

@@ -75,14 +75,7 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
     done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
     assert done.status == 0, done.stderr
     folder = tmp_path / "runs/p-against-q"
-    assert starts_of(folder) == [
-        ("base", 1),
-        ("new", 1),
-        ("new", 2),
-        ("base", 2),
-        ("base", 3),
-        ("new", 3),
-    ]
+    assert starts_of(folder) == [("base", 1), ("new", 1), ("new", 2), ("base", 2), ("base", 3), ("new", 3)]
     printed = next(line for line in done.stdout.splitlines() if line.startswith("Compare: "))
     words = printed.removeprefix("Compare: dds-analyze ").split()
     assert words == ["compare", str(folder / "base"), str(folder / "new"), "--paired"]

@@ -1,0 +1,23 @@
+"""How tests call commands in this process."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from dds_trace.cli.sweep import command
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Calls `dds-sweep`; its exit code, stdout and stderr."""
+
+    def calling(*arguments):
+        monkeypatch.setattr(sys, "argv", ["dds-sweep", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            command.main()
+        said = capsys.readouterr()
+        return ended.value.code or 0, said.out, said.err
+
+    return calling

@@ -150,5 +150,3 @@ PRESETS: Mapping[str, Link] = {
     )
 }
 """Typical links, not standards; a plan's `[link]` may change single values."""
-
-LINK_KEYS = tuple(f.name for f in fields(Link) if f.name != "name")

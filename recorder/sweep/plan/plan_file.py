@@ -16,7 +16,7 @@ from dds_trace.base.units import parse_size
 from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data
 from .cells import AXES, DEFAULTS, Cell
-from .link import LINK_KEYS, PRESETS, Link
+from .link import PRESETS, Link
 from .plan import DeviceSettings, Exclusion, Network, Plan, RunSettings, Search
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 from .toml_table import TomlTable
@@ -248,13 +248,10 @@ def _link(table: TomlTable) -> Link | None:
     if not table.values:
         return None
     preset = table.take("preset", str, None)
-    table.allow(*TABLES["link"].words)
-    values = {key: table.take(key, float, None) for key in LINK_KEYS}
-    changed = {key: value for key, value in values.items() if value is not None}
     base = PRESETS[preset] if preset else Link()
-    # A changed preset has another name in the trace.
-    name = table.take("name", str, f"{base.name}-changed" if preset and changed else base.name)
-    link = replace(base, name=name, **changed)
+    link = table.fill(base, "preset")
+    if preset and table.values.keys() - {"preset"} and "name" not in table.values:
+        link = replace(link, name=f"{base.name}-changed")
     if (link.outage_ms > 0) != (link.outage_every_s > 0):
         raise OptionError(
             f"{table.where}: an outage has both outage_every_s and outage_ms; give both or none"

@@ -124,13 +124,14 @@ class TomlTable:
                     f"{self.where}: there is no {limits.shown(key)}; {limits.nearest(key, keys)}"
                 )
 
-    def fill(self, defaults: _Record) -> _Record:
+    def fill(self, defaults: _Record, *others: str) -> _Record:
         """Return a dataclass with the table's values, and with those of `defaults` where a key is missing.
 
-        A value has the type of its default: an Enum takes its values, a tuple one text or a list of texts, None a text.
+        A value has the type of its default: an Enum takes its values, a tuple one text or a list of texts, None a text. Keys of
+        `others` are allowed, too.
         """
         names = [field.name for field in fields(defaults)]
-        self.allow(*names)
+        self.allow(*names, *others)
         return replace(
             defaults,
             **{name: self._like(name, getattr(defaults, name)) for name in names if name in self.values},

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.sweep.plan.cells import AXES
 from dds_trace.recorder.sweep.plan.commands import ping_arguments, relay_arguments
-from dds_trace.recorder.sweep.plan.link import LINK_KEYS
+from dds_trace.recorder.sweep.plan.link import Link
 from dds_trace.recorder.sweep.plan.plan import DeviceSettings, RunSettings, Search
 from dds_trace.recorder.sweep.plan.plan_file import read_plan
 from dds_trace.recorder.sweep.plan.schedule import plan_seconds, schedule
@@ -55,7 +55,7 @@ def test_every_key_of_a_plan_has_a_validator():
     assert set(PLAN_LIMITS["run"]) == names(RunSettings)
     assert set(PLAN_LIMITS["devices.relay"]) == {"ssh", *PLAN_LIMITS["devices.ping"]} == names(DeviceSettings)
     assert set(PLAN_LIMITS["search"]) == names(Search)
-    assert set(PLAN_LIMITS["link"]) == {"preset", "name", *LINK_KEYS}
+    assert set(PLAN_LIMITS["link"]) == {"preset", *names(Link)}
 
 
 def test_axes_have_validators_of_their_own():

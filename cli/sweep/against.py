@@ -159,7 +159,7 @@ def _false_alarms(done: AgainstOutcome) -> FalseAlarms:
 
 def _in_words(alarms: FalseAlarms) -> str:
     return (
-        f"A/A: {alarms.measured} of {counted(alarms.measured_verdicts, 'verdict')} better or worse; with the passes dealt to "
+        f"A/A: {alarms.measured} of {counted(alarms.measured_verdicts, 'verdict')} better or worse; with the repeats dealt to "
         f"the two sides in {counted(alarms.deals, 'way')}: {alarms.dealt} of {alarms.dealt_verdicts} "
         f"({alarms.rate:.1%}), all false"
     )

@@ -125,7 +125,7 @@ def _remarks(plan: Plan) -> list[str]:
     left_out = Counter(reason for _, reason in plan.excluded).items()
     return [
         *(
-            f"left out by [[exclude]]: {counted(count, 'combination')}" + (f" ({reason})" if reason else "")
+            f"left out by [[exclude]]: {counted(count, 'result')}" + (f" ({reason})" if reason else "")
             for reason, count in left_out
         ),
         *(f"warning: {warning}" for warning in depth_warnings(plan)),

@@ -100,10 +100,10 @@ def test_names_cannot_leave_out(call, tmp_path, name):
     [
         (
             f"[axes]\nrate = {list(range(1, 1001))}\nsize = {list(range(1, 1001))}\ndepth = {list(range(1, 1001))}\n",
-            "1,000,000,000 cells",
+            "1,000,000,000 results",
         ),
         ("[run]\nrepeats = 1000000000\n[axes]\nrate = [1]\n", ""),
-        ("[[axes]]\nrate = 1\n" * 1001 + "[[matrix]]\nsize = 1\n" * 1000, "1,001,000 cells"),
+        ("[[axes]]\nrate = 1\n" * 1001 + "[[matrix]]\nsize = 1\n" * 1000, "1,001,000 results"),
     ],
     ids=["axes", "passes", "tables"],
 )
@@ -130,7 +130,7 @@ def test_a_cell_whose_name_no_file_can_have_is_refused():
 
 def test_a_cell_that_would_be_another_pass_of_one_is_refused(tmp_path):
     text = f"[run]\nrepeats = 2\n[axes]\nenvironment = ['', '{tmp_path / 'r2'}']\n"
-    with pytest.raises(OptionError, match="would be pass 2 of"):
+    with pytest.raises(OptionError, match="would be repeat 2 of"):
         parse_plan(text, "plan", "plan.toml")
 
 

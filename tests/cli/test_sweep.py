@@ -162,7 +162,7 @@ def test_a_reason_is_told_once_for_all_its_cells(call, plan, unrehearsed):
 def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
     code, out, _ = call(plan, "--dry-run")
     assert code == 0
-    assert "left out by [[exclude]]: 1 combination (for the test)" in out
+    assert "left out by [[exclude]]: 1 result (for the test)" in out
     assert (
         "ros2_same_binary-4MB_1000Hz  0 s  needs 32000 of 10000 Mbit/s: will be cut off after 30 s more"
         in out
@@ -175,7 +175,7 @@ def test_dry_run_warns_of_a_history_that_holds_too_few_messages(call, plan):
     _, out, _ = call(plan, "--dry-run")
     assert (
         "warning: --depth 10 keeps 10 ms of messages at 1000 Hz: a side that stalls longer loses some, reliable or "
-        "not; --depth 100 on both sides keeps 100 ms (a cell: ros2_same_binary-4MB_1000Hz)" in out
+        "not; --depth 100 on both sides keeps 100 ms (in ros2_same_binary-4MB_1000Hz)" in out
     )
     assert out.count("warning: ") == 1  # 10 Hz are fine
 
@@ -230,7 +230,7 @@ def test_interruption_has_the_shells_exit_code_and_says_how_to_go_on(call, plan,
     monkeypatch.setattr(dds_trace.recorder.sweep.sweep, "run_sweep", interrupted)
     code, _, err = call(plan)
     assert code == 130
-    assert "the same command goes on" in err
+    assert "the same command continues" in err
 
 
 def test_max_rate_prints_a_table_and_writes_it(call, plan, monkeypatch, tmp_path):

@@ -68,7 +68,7 @@ def test_answers_on_a_terminal_are_a_plan_with_a_schema_beside_it(new, tmp_path)
     text = (tmp_path / "mine.toml").read_text()
     assert text.startswith("#:schema ./plan.schema.json\n")
     assert "# dds-sweep mine.toml --dry-run" in text.replace(
-        "Show its cells and prove that they start:  ", ""
+        "Show its runs and check that they start:  ", ""
     )
     assert max(map(len, text.splitlines())) <= 100
     assert json.loads((tmp_path / "plan.schema.json").read_text()) == plan_schema()

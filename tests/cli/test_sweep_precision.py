@@ -140,10 +140,10 @@ def test_another_python_environment_records_the_new_side(plan, tmp_path):
         (("--until", "latency_p99"), "write STATISTIC:PERCENT"),
         (("--until", "latency_p99:1000001%"), "above 0% and at most 1000000%"),
         (("--until", "lateness_p99:5%"), "is not a statistic"),
-        (("--until", "latency_p99:5%", "--max-passes", 2), "below the 3 passes of the plan"),
+        (("--until", "latency_p99:5%", "--max-passes", 2), "below the 3 repeats of the plan"),
         (("--max-passes", 9), "--max-passes needs --until"),
         (("--until", "latency_p99:5%", "--max-rate"), "--max-rate and --until cannot be combined"),
-        (("--until", "latency_p99:5%", "--print", "relay"), "a person cannot be waited for"),
+        (("--until", "latency_p99:5%", "--print", "relay"), "cannot wait for a person"),
         (("--against", "nowhere"), "give another plan.toml"),
     ],
 )
@@ -167,5 +167,5 @@ def test_dry_run_tells_the_most_that_further_passes_take_and_the_turns_of_two_si
 def test_the_false_alarm_rate_is_printed_in_words():
     alarms = FalseAlarms(measured=1, measured_verdicts=12, dealt=9, dealt_verdicts=192, deals=16)
     assert _in_words(alarms) == (
-        "A/A: 1 of 12 verdicts better or worse; with the passes dealt to the two sides in 16 ways: 9 of 192 (4.7%), all false"
+        "A/A: 1 of 12 verdicts better or worse; with the repeats dealt to the two sides in 16 ways: 9 of 192 (4.7%), all false"
     )

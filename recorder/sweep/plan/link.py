@@ -21,13 +21,12 @@ class Link:
         "custom",
         limits.FILE_NAME,
         "name of the link; the trace's `connectivity` is `emulated-NAME`",
-        default_words="the preset's, with `-changed` where values differ from it, else `custom`",
+        default_words="the preset's, with `-changed` if values differ, else `custom`",
     )
     rate_mbit_s: float = plan_key(
         0.0,
         limits.LINE_MBIT_S,
-        "line rate of each direction, 0 for that of the machine; by the kernel's token bucket (tbf), where a full line holds "
-        "the sender back as a network card does",
+        "line rate of each direction, 0 for the machine's; by tbf, where a full line blocks the sender",
         unit="Mbit/s",
     )
     delay_ms: float = plan_key(
@@ -39,20 +38,17 @@ class Link:
     jitter_ms: float = plan_key(
         0.0,
         limits.DELAY_MS,
-        "standard deviation of the delay (normal, never below zero), by the same; frames keep their order",
+        "standard deviation of the delay (normal, not below zero); frames keep their order",
         unit="ms",
     )
     loss_percent: float = plan_key(
         0.0,
         limits.PERCENT,
-        "share of lost IP fragments, each by itself, before the receiver reassembles; by the same",
+        "share of lost IP fragments, independent of each other, before reassembly",
         unit="%",
     )
     outage_every_s: float = plan_key(
-        0.0,
-        limits.WAIT_S,
-        "time from the start of one outage to the next, by our forwarder; needs `outage_ms`",
-        unit="s",
+        0.0, limits.WAIT_S, "time from one outage to the next, by our forwarder; needs `outage_ms`", unit="s"
     )
     outage_ms: float = plan_key(
         0.0,
@@ -63,7 +59,7 @@ class Link:
     queue_ms: float = plan_key(
         100.0,
         limits.DELAY_MS,
-        "longest time that a frame waits before a full line; later ones are dropped (tail drop)",
+        "longest wait of a frame for a full line; later ones are dropped (tail drop)",
         unit="ms",
     )
 

@@ -44,65 +44,55 @@ class RunSettings:
     messages: int = plan_key(
         0,
         limits.MESSAGES_OR_NONE,
-        "length of a run in messages, warm-up not counted; instead of `seconds`",
+        "messages of a run, without warm-up; instead of `seconds`",
         default_words=f"{DEFAULT_MESSAGES} where there is no `seconds`",
     )
     seconds: float = plan_key(
         0.0,
         limits.LENGTH_OR_NONE_S,
-        "length of a run in time, warm-up not counted: the number of messages follows from the cell's rate; instead of "
-        "`messages`",
+        "length of a run, without warm-up; instead of `messages`, which then follow from the rate",
         unit="s",
         default_words="none",
     )
     min_messages: int = plan_key(
-        1,
-        limits.MESSAGES,
-        "fewest messages of a run whose length is given in `seconds`, however low its rate",
+        1, limits.MESSAGES, "fewest messages of a run with `seconds`, however low its rate"
     )
-    warmup: int = plan_key(
-        10, limits.WARMUP, "messages at the start of each run that are kept out of every statistic"
-    )
+    warmup: int = plan_key(10, limits.WARMUP, "messages at the start of each run that are in no statistic")
     settle_seconds: float = plan_key(
-        0.5, limits.WAIT_S, "pause between two cells, in which buffers empty and CPUs cool", unit="s"
+        0.5, limits.WAIT_S, "pause between two runs, in which buffers empty and CPUs cool", unit="s"
     )
     cutoff_seconds: float = plan_key(
-        30.0,
-        limits.WAIT_S,
-        "how much longer than planned a run may take; then it is ended, and its result says how far it got",
-        unit="s",
+        30.0, limits.WAIT_S, "how much longer than planned a run may take before it is stopped", unit="s"
     )
     order: Order = plan_key(  # noqa: RUF009 - a field, as the others
         Order.LISTED,
         limits.OneOf(tuple(order.value for order in Order)),
-        "order of the cells in each pass; `alternating` keeps a drift of the machine from looking like an effect",
+        "order of the runs of a repeat; with `alternating` a drift of the machine does not look like an effect",
     )
     seed: int = plan_key(0, limits.SEED, "seed of the shuffling")
     repeats: int = plan_key(
         1,
         limits.REPEATS,
-        "passes over all cells; verdicts take three, and five find +20 % in most comparisons",
+        "runs of each result; a verdict needs three, and five find +20 % in most comparisons",
     )
-    attempts: int = plan_key(2, limits.ATTEMPTS, "most attempts at a cell that fails")
+    attempts: int = plan_key(2, limits.ATTEMPTS, "most attempts at a run that fails")
     discovery: str | None = plan_key(
         None,
         limits.OneOf(tuple(reach.value for reach in Discovery)),
         "how far nodes look for each other",
         default_words="`localhost` on one machine, `subnet` between devices or namespaces",
     )
-    domain: int = plan_key(
-        10, limits.DOMAIN_ID, "DDS domain of the relay, and of the ping where no bridge is between them"
-    )
-    ping_domain: int = plan_key(5, limits.DOMAIN_ID, "DDS domain of the ping where a bridge joins the two")
+    domain: int = plan_key(10, limits.DOMAIN_ID, "DDS domain of the relay, and of a ping without a bridge")
+    ping_domain: int = plan_key(5, limits.DOMAIN_ID, "DDS domain of a ping with a bridge")
     wire: bool = plan_key(
         False,
         limits.FLAG,
-        "whether both sides count the packets of their interfaces ([wire.md](wire.md)); needs CAP_NET_RAW",
+        "whether both sides count packets on their interfaces ([wire.md](wire.md)); needs CAP_NET_RAW",
     )
     own_cost_passes: int = plan_key(
         0,
         limits.PASSES_OR_ALL,
-        "passes whose sessions measure what recording and the client library cost, which takes each a second; 0: all",
+        "first repeats in which sessions measure their own cost, for one second each; 0: all",
     )
 
     def messages_at(self, rate_hz: float) -> int:
@@ -128,7 +118,7 @@ class DeviceSettings:
     ssh: str | None = plan_key(
         None,
         limits.NAME,
-        "`user@host` of the relay's device, reached by the system's `ssh` with keys; the ping is always on this machine",
+        "`user@host` of the relay's device, reached by `ssh` with keys",
         default_words="none: this machine",
     )
     ssh_options: tuple[str, ...] = plan_key(
@@ -147,15 +137,12 @@ class DeviceSettings:
         default_words="found by the shell's PATH",
     )
     address: str | None = plan_key(
-        None,
-        limits.HOST,
-        "address at which the other device reaches this one",
-        default_words="the host of `ssh`",
+        None, limits.HOST, "address of this device for the other one", default_words="the host of `ssh`"
     )
     bridge_port: int = plan_key(
         7447,
         limits.PORT,
-        "port at which the half of a bridge beside the relay waits for the ping's; by default Zenoh's own",
+        "port at which the relay's half of a bridge waits for the ping's half; the default is Zenoh's",
     )
     options: tuple[str, ...] = plan_key(
         (), limits.TEXT, 'further options of `dds-record` on the device, such as `["--realtime", "50"]`'
@@ -186,16 +173,16 @@ class Search:
     min_rate: float = plan_key(1.0, limits.RATE_HZ, "lowest rate tried", unit="Hz")
     max_rate: float = plan_key(2000.0, limits.RATE_HZ, "highest rate tried", unit="Hz")
     loss_percent: float = plan_key(
-        0.1, limits.PERCENT, "largest share of lost messages of a rate that holds", unit="%"
+        0.1, limits.PERCENT, "largest share of lost messages of a rate that works", unit="%"
     )
     deadline_ms: float = plan_key(
         50.0,
         limits.DEADLINE_MS,
-        "longest response time (planned send to reply) at `percentile` of a rate that holds",
+        "longest response (planned send to reply) at `percentile` of a rate that works",
         unit="ms",
     )
     percentile: float = plan_key(
-        99.0, limits.OneOf(PERCENTILES), "percentile of the response times that has to keep the deadline"
+        99.0, limits.OneOf(PERCENTILES), "percentile of the responses that must meet the deadline"
     )
     resolution: float = plan_key(
         1.1, limits.FACTOR, "factor within which the answer is exact (1.1: within 10 %)"
@@ -203,12 +190,12 @@ class Search:
     knee_repeats: int = plan_key(
         3,
         limits.KNEE_REPEATS,
-        "runs at the last rate that held and at the first that did not; the majority counts",
+        "runs at the last rate that worked and at the first that did not; the majority counts",
     )
     seconds: float = plan_key(
         5.0,
         limits.LENGTH_S,
-        "length of each trial run, and at least as many messages as the percentile takes",
+        "length of each trial run, which has at least the messages that the percentile needs",
         unit="s",
     )
 
@@ -220,7 +207,7 @@ class Network:
     namespaces: bool = plan_key(
         False,
         limits.FLAG,
-        "whether ping and relay run each in a network namespace of its own, joined by a veth pair; `[link]` implies it",
+        "whether each side runs in its own network namespace, joined by a veth pair; implied by `[link]`",
     )
 
 
@@ -300,9 +287,9 @@ def depth_warnings(plan: Plan) -> list[str]:
         if (warning := depth_warning(cell)) is not None:
             warned.setdefault(warning, []).append(cell.name)
     return [
-        f"{warning} (a cell: {names[0]})"
+        f"{warning} (in {names[0]})"
         if len(names) == 1
-        else f"{warning} ({len(names)} cells: {names[0]} ...)"
+        else f"{warning} (in {len(names)} results: {names[0]} ...)"
         for warning, names in warned.items()
     ]
 

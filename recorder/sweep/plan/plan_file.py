@@ -92,7 +92,7 @@ def parse_plan(
     check_runs(where, sum(_count_cells(values, installed) for values in combined), run.repeats)
     listed = [cell for values in combined for cell in _cells(values, installed)]
     if not listed:
-        raise OptionError(f"{where}: the plan has no cell; give [axes] or [[matrix]] some values")
+        raise OptionError(f"{where}: the plan has nothing to record; give [axes] or [[matrix]] some values")
     cells, excluded = _apply(exclusions, listed)
     _check_names(cells, where, run.repeats)
     link = _link(root.table("link"))
@@ -131,9 +131,9 @@ def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by
 def check_runs(where: str, cells: int, passes: int) -> None:
     """Raise an `OptionError` for more than `MAX_RUNS` runs."""
     if cells * passes > MAX_RUNS:
-        times = f" in {passes:,} passes" if passes > 1 else ""
+        times = f" in {passes:,} repeats" if passes > 1 else ""
         raise OptionError(
-            f"{where}: {cells:,} cells{times} are more than the {MAX_RUNS:,} runs of the largest sweep; give axes fewer "
+            f"{where}: {cells:,} results{times} are more than the {MAX_RUNS:,} runs of the largest sweep; give axes fewer "
             "values, or write a [[matrix]] for each part"
         )
 
@@ -182,11 +182,11 @@ def _check_names(cells: list[Cell], where: str, passes: int) -> None:
     for cell in cells:
         if cell.name in seen:
             raise OptionError(
-                f"{where}: the cell {cell.name} is there twice; two [[matrix]] overlap, so leave it out of one"
+                f"{where}: {cell.name} is there twice; two [[matrix]] overlap, so remove it from one"
             )
         if len(cell.name.encode()) > MOST_NAME_BYTES:
             raise OptionError(
-                f"{where}: the cell {cell.name[:60]}... has a name of {len(cell.name.encode())} bytes, which no file may have; "
+                f"{where}: {cell.name[:60]}... has a name of {len(cell.name.encode())} bytes, which no file may have; "
                 "give its data or environment a shorter path"
             )
         seen.add(cell.name)
@@ -194,7 +194,7 @@ def _check_names(cells: list[Cell], where: str, passes: int) -> None:
         match = _PASS_NAME.fullmatch(name)
         if match is not None and match[1] in seen and 1 < int(match[2]) <= passes:
             raise OptionError(
-                f"{where}: the cell {name} would be pass {match[2]} of {match[1]}; rename the folder of its environment"
+                f"{where}: {name} would be repeat {match[2]} of {match[1]}; rename the folder of its environment"
             )
 
 

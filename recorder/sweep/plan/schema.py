@@ -67,25 +67,25 @@ TABLES: Mapping[str, Table] = {
         ("axes", "matrix", "exclude", "run", "devices", "network", "link", "search"),
     ),
     "axes": Table(
-        "Every combination of the values is a cell; `[axes]` is combined with each `[[matrix]]`. Several `[[axes]]` are each combined "
+        "Every combination of the values is a result; `[axes]` is combined with each `[[matrix]]`. Several `[[axes]]` are each combined "
         "with every `[[matrix]]`, for values that belong together (a vendor and its own bridge). Each key takes one value or a list.",
         AXES,
         is_repeated=True,
     ),
     "matrix": Table("The same keys as `[axes]`.", AXES, is_repeated=True),
     "exclude": Table(
-        "Cells to leave out: those whose every named axis has one of the values. The same keys as `[axes]`, and",
+        "Results to leave out: those whose every named axis has one of the values. The same keys as `[axes]`, and",
         {**AXES, "reason": _text("why, shown by `--dry-run`")},
         is_repeated=True,
     ),
-    "run": Table("What all cells have in common.", _keys_of(RunSettings)),
+    "run": Table("What all runs have in common.", _keys_of(RunSettings)),
     "devices": Table(
         "The two devices; both are this machine unless the relay has `ssh`.",
         {
             "connectivity": _text(
                 "the link as the traces name it: `loopback`, `wired`, `wireless`, or a word of yours",
                 limits.NAME,
-                "`loopback` on one machine, `wired` between namespaces, `emulated-NAME` over `[link]`; looked up on two devices",
+                "`loopback` on one machine, `wired` between namespaces, `emulated-NAME` over `[link]`; detected on two devices",
             )
         },
         ("ping", "relay"),
@@ -99,7 +99,7 @@ TABLES: Mapping[str, Table] = {
         "An emulated link between two namespaces of this machine, equal in both directions.",
         {
             "preset": _text(
-                f"a link to start from, of which single values can be changed: {', '.join(f'`{name}`' for name in PRESETS)}",
+                f"a link to start from; single values can be changed: {', '.join(f'`{name}`' for name in PRESETS)}",
                 limits.OneOf(tuple(PRESETS)),
             ),
             **_keys_of(Link),

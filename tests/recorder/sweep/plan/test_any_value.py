@@ -38,7 +38,7 @@ BEYOND_A_SCHEMA = (
     r"\\n'; ",  # $ of Python, by which this test reads the patterns, allows one behind the end
     r"Exceeds the limit|nested deeper",  # no TOML
     r"size '|size is (\d|a number)|--data ",  # what a text means: more than the largest size, no topic's name
-    r"has no cell|is there twice|has a name of|are more than the|takes more than a year|has more than|would be pass",
+    r"has nothing to record|is there twice|has a name of|are more than the|takes more than a year|has more than|would be repeat",
     r"are both|does not know where|needs? both devices|must be below max_rate|an outage has",  # rules of several keys
 )
 """Refusals of the parser that the schema does not make, each for the reason beside it."""

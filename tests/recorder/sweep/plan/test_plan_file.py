@@ -156,7 +156,7 @@ def test_installed_middlewares_are_asked_for_when_the_plan_does():
             r"min_rate \(100\) must be below max_rate \(10\)$",
         ),
         (RUN + "[axes]\nrate = [1, 1]\n", "is there twice"),
-        (RUN + "[axes]\nrate = []\n", "the plan has no cell"),
+        (RUN + "[axes]\nrate = []\n", "the plan has nothing to record"),
         ("[run\n", "plan.toml: "),
         ("run = 1\n", "run is 1, not a table"),
         ("matrix = [1]\n", "matrix number 1 is 1, not a table"),

@@ -32,22 +32,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dds_trace.analyzer.run_statistics import (
-    MIN_RUNS,
-    Run,
-    Statistic,
-    Verdict,
-    change_of_runs,
-    interval_of_runs,
-    received_interval,
-)
+from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
+from dds_trace.analyzer.run_statistics.change import Verdict, change_of_runs
+from dds_trace.analyzer.run_statistics.received import received_interval
+from dds_trace.analyzer.run_statistics.runs import Run, Statistic
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from dds_trace.analyzer.run_statistics import Change, Interval
+    from dds_trace.analyzer.run_statistics.change import Change
+    from dds_trace.analyzer.statistics.intervals import Interval
 
     Float64 = NDArray[np.float64]
     Bools = NDArray[np.bool_]

@@ -239,15 +239,11 @@ def _median(values: Float64) -> float:
     return float(low if low == high else (low + high) / 2)
 
 
-def interval_within(runs: Runs | Sequence[Run], statistic: Statistic, confidence: float = 0.95) -> Interval:
-    """Return the interval of a statistic within one run, or within a few runs that are taken as one series.
+def _intervals_within(group: Runs, statistics: Sequence[Statistic], confidence: float) -> list[Interval]:
+    """Return intervals within one run, or within a few runs that are taken as one series.
 
     The value is the summary's: the mean, or the quantile by linear interpolation (Hyndman and Fan's definition 7).
     """
-    return _intervals_within(Runs.of(runs), [statistic], confidence)[0]
-
-
-def _intervals_within(group: Runs, statistics: Sequence[Statistic], confidence: float) -> list[Interval]:
     if not statistics:
         return []
     joined, runs = group.joined, len(group)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .distributions import shift_for_power, student_quantile
+from .distributions import shift_for_power
 from .intervals import MIN_EPISODES, MIN_RUNS
 from .percentiles import planned_messages
 
@@ -91,18 +91,6 @@ def runs_to_decide(
         return abs(distance) >= smallest_shift(error, (runs - 1) * share, confidence, power)
 
     return None if distance == 0 else _fewest(is_enough)
-
-
-def runs_to_narrow(spread: float, half_width: float, confidence: float = 0.95) -> int | None:
-    """Return the runs after which the interval of a logarithm is as narrow as `half_width` (0.05 is +-5 %).
-
-    At least 3; None if it takes more than `MOST_RUNS`. `spread` is the standard deviation of the logarithms of the runs.
-    """
-
-    def is_enough(runs: int) -> bool:
-        return student_quantile((1 + confidence) / 2, runs - 1) * spread / math.sqrt(runs) <= half_width
-
-    return _fewest(is_enough)
 
 
 def _fewest(is_enough: Callable[[int], bool]) -> int | None:

@@ -89,13 +89,8 @@ CONDITIONS = "conditions"
 
 def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
     """Append the part of `setting` that surrounds a run (`model.setting.condition_of`)."""
-    settings = groups["setting"].unique()
-    conditions = {setting: condition_of(setting) for setting in settings.to_list()}
-    return groups.with_columns(
-        pl.col("setting").replace_strict(conditions, return_dtype=pl.String).alias(CONDITIONS)
-        if conditions
-        else pl.lit("").alias(CONDITIONS)
-    )
+    conditions = map(condition_of, groups["setting"].to_list())
+    return groups.with_columns(pl.Series(CONDITIONS, list(conditions), pl.String))
 
 
 def is_too_large(groups: pl.DataFrame) -> bool:

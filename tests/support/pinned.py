@@ -18,25 +18,17 @@ from pinned_series import SERIES
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.clocks.slews import slewed_ppm
-from dds_trace.analyzer.run_statistics import (
-    MEAN,
-    Run,
-    Statistic,
-    change_of_received,
-    change_of_runs,
-    find_modes,
-    find_trend,
-    find_warm_up,
-    interval_of_runs,
-    interval_within,
-    messages_to_close,
-    received_interval,
-    runs_to_decide,
-    runs_to_narrow,
+from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
+from dds_trace.analyzer.run_statistics.change import change_of_runs
+from dds_trace.analyzer.run_statistics.modes import find_modes, find_trend, find_warm_up
+from dds_trace.analyzer.run_statistics.received import change_of_received, received_interval
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
+from dds_trace.analyzer.run_statistics.spread import (
     runs_to_settle_ratio,
     runs_to_settle_value,
     spread_of_runs,
 )
+from dds_trace.analyzer.statistics.power import messages_to_close, runs_to_decide
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,7 +83,7 @@ def of_statistic(name: str, statistic: str) -> dict[str, Any]:
     order = tuple(range(len(runs)))
     interval, change = interval_of_runs(runs, one), change_of_runs(others, runs, one)
     return {
-        "interval": [interval, interval_of_runs(runs, one, 0.8), interval_within(runs[:1], one)],
+        "interval": [interval, interval_of_runs(runs, one, 0.8), interval_of_runs(runs[:1], one)],
         "spread": spread_of_runs(runs, one),
         "change": [change, change_of_runs(runs, others, one, 0.8)],
         "paired": change_of_runs(others, runs, one, passes=(order[: len(others)], order)),
@@ -104,7 +96,6 @@ def power() -> list[Any]:
     """How many runs it takes."""
     return [
         runs_to_decide(0.07, 0.05, 0.02),
-        runs_to_narrow(0.05, 0.03),
         runs_to_decide(0.3, 0.1, 0.1, 0.8),
     ]
 

@@ -7,16 +7,6 @@ from typing import Any
 import numpy as np
 from drawn_series import autoregressive
 
-from dds_trace.analyzer.run_statistics import (
-    MEAN,
-    Run,
-    Statistic,
-    find_modes,
-    find_trend,
-    find_warm_up,
-    received_interval,
-    spread_of_runs,
-)
 from dds_trace.analyzer.run_statistics.bursts import (
     cells_of,
     equal_episodes,
@@ -25,7 +15,10 @@ from dds_trace.analyzer.run_statistics.bursts import (
     share_inflation,
     share_inflations,
 )
-from dds_trace.analyzer.run_statistics.runs import Runs
+from dds_trace.analyzer.run_statistics.modes import find_modes, find_trend, find_warm_up
+from dds_trace.analyzer.run_statistics.received import received_interval
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic
+from dds_trace.analyzer.run_statistics.spread import spread_of_runs
 from dds_trace.analyzer.run_statistics.tails import bursts_to_count, episodes_of, tails_of
 from dds_trace.analyzer.run_statistics.two_samples import fieller_ends, paired_test, welch_test
 from dds_trace.analyzer.statistics.percentiles import order_statistic_ranks

@@ -9,7 +9,8 @@ from polars.testing import assert_frame_equal
 from roundtrip_frames import MS, S, roundtrips, with_one_way
 
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, interval_rows, one_way_rows
-from dds_trace.analyzer.run_statistics import Run, Statistic, interval_of_runs
+from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
+from dds_trace.analyzer.run_statistics.runs import Run, Statistic
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
 OUT_NS, BACK_NS = 2 * MS, 3 * MS

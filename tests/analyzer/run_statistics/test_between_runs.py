@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,11 +15,10 @@ from dds_trace.analyzer.run_statistics.between_runs import (
     Scale,
     ends_of_units,
     interval_of_runs,
-    interval_within,
     scale_of,
     units_of,
 )
-from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
+from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic, joined_runs
 from dds_trace.analyzer.statistics.intervals import Basis
 
 P50, P99 = Statistic(0.5), Statistic(0.99)
@@ -45,7 +45,7 @@ def test_three_messages_in_as_many_runs_are_three_units():
 
 def test_two_runs_say_something_of_themselves_only():
     runs = [Run(values) for values in log_normal_groups(1, 2, 500, 0.05, seed=1)[0]]
-    assert interval_of_runs(runs, P50) == interval_within(runs, P50)
+    assert interval_of_runs(runs, P50) == replace(interval_of_runs([joined_runs(runs)], P50), runs=len(runs))
     assert interval_of_runs(runs, P50).basis is Basis.WITHIN_RUN
     assert interval_of_runs([], P50).value is None
     assert interval_of_runs([Run(np.empty(0))] * 3, P50).value is None
@@ -172,7 +172,7 @@ def test_nineteen_of_twenty_intervals_hold_the_truth(runs, correlation, quantile
 def test_pooled_messages_would_fail_the_same_test():
     held = 0
     for group in log_normal_groups(100, 5, 500, 0.05, seed=5):
-        found = interval_within([Run(np.concatenate(list(group)))], P50)
+        found = interval_of_runs([Run(np.concatenate(list(group)))], P50)
         held += found.lower <= 1 <= found.upper
     assert held < 88  # runs of 5 % spread by more than their messages do
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dds_trace.analyzer.run_statistics import Basis, Interval
+from dds_trace.analyzer.statistics.intervals import Basis, Interval
 
 SCRIPT = (
     next(folder for folder in Path(__file__).parents if (folder / "benchmarks").is_dir())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drawn_series import autoregressive
 
-from dds_trace.analyzer.run_statistics.between_runs import interval_within
+from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.runs import Run, Statistic
 from dds_trace.analyzer.run_statistics.tails import bursts_to_count, level_below
 
@@ -96,7 +96,7 @@ def test_one_burst_leaves_p99_open(length):
     """The messages of a short burst and forty quiet ones beyond p99 were counted as forty episodes."""
     for draw in np.random.default_rng(7).lognormal(0, 0.5, (10, 5000)):
         draw[2000 : 2000 + length] *= 20
-        found = interval_within([Run(draw)], Statistic(0.99))
+        found = interval_of_runs([Run(draw)], Statistic(0.99))
         assert found.upper is None
         assert found.episodes < 10
 
@@ -106,13 +106,13 @@ def test_a_burst_is_one_in_spite_of_a_senders_jitter():
     draw = generator.lognormal(0, 0.5, 5000)
     draw[2000:2020] *= 20
     sent_ns = np.arange(5000) * 10_000_000 + generator.integers(-1_000_000, 1_000_000, 5000)
-    assert interval_within([Run(draw, sent_ns)], Statistic(0.99)).episodes == 1
+    assert interval_of_runs([Run(draw, sent_ns)], Statistic(0.99)).episodes == 1
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8])
 def test_messages_without_bursts_keep_their_end(correlation):
     found = [
-        interval_within([Run(np.exp(run / 2))], Statistic(0.99))
+        interval_of_runs([Run(np.exp(run / 2))], Statistic(0.99))
         for run in autoregressive(100, 5000, correlation, seed=9)
     ]
     assert sum(interval.is_two_sided for interval in found) >= 97

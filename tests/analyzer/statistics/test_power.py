@@ -10,12 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.two_samples import welch_test
-from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.statistics.power import (
+    _fewest,
     messages_to_close,
     runs_to_decide,
-    runs_to_narrow,
     smallest_shift,
 )
 
@@ -78,22 +77,11 @@ def test_more_spread_takes_more_runs(distance, spread):
     assert many is None or few <= many
 
 
-def test_the_runs_of_a_narrow_interval():
-    runs = runs_to_narrow(0.05, 0.05)
-    assert student_quantile(0.975, runs - 1) * 0.05 / math.sqrt(runs) <= 0.05
-    assert student_quantile(0.975, runs - 2) * 0.05 / math.sqrt(runs - 1) > 0.05
-    assert runs == 7  # t of 6 degrees 2.447 / sqrt(7) = 0.925; of 5 degrees 2.571 / sqrt(6) = 1.05
-    assert runs_to_narrow(0.0, 0.05) == 3
-    assert runs_to_narrow(0.05, 0.0) is None
-
-
-def test_the_fewest_runs_of_a_narrow_interval_by_hand():
-    # Student's t over the root of the runs: 4.3027 / sqrt(3) = 2.4841, 3.1824 / sqrt(4) = 1.5912.
-    widths = (2.485, 2.483, 1.592, 1.591)
-    assert [runs_to_narrow(1.0, half_width) for half_width in widths] == [3, 4, 4, 5]
-    assert runs_to_narrow(1.0, student_quantile(0.975, 4) / math.sqrt(5)) == 5  # just as narrow
-    most = student_quantile(0.975, 999) / math.sqrt(1000)
-    assert [runs_to_narrow(1.0, most * share) for share in (1 + 1e-9, 1 - 1e-9)] == [1000, None]
+@pytest.mark.parametrize(
+    ("enough", "fewest"), [(1, 3), (3, 3), (4, 4), (7, 7), (999, 999), (1000, 1000), (1001, None)]
+)
+def test_the_fewest_runs_from_three_to_a_thousand(enough, fewest):
+    assert _fewest(lambda runs: runs >= enough) == fewest
 
 
 def test_messages_that_close_an_interval():

@@ -12,9 +12,10 @@ import pytest
 from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.model.finding import Finding, Severity
-from dds_trace.analyzer.run_statistics import Change, holm_adjusted
+from dds_trace.analyzer.run_statistics.change import Change
 from dds_trace.analyzer.statistics.distributions import shift_for_power, student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
+from dds_trace.analyzer.statistics.power import holm_adjusted
 from dds_trace.analyzer.verdicts import gates
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import (

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What one process uses at one instant.
+    """What one process uses at one instant, and the totals, limits and groups of its network namespace.
 
     Attributes:
         read_ns: how long reading took.
@@ -46,11 +46,7 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """What one side of a run really uses.
-
-    Attributes:
-        path: what carried the payload: `shm`, the name of an interface, or `unknown` (`carried.payload_path`).
-    """
+    """What one side of a run really uses: before its first message, after its last (None until then), and the payload's path."""
 
     begin: Snapshot
     end: Snapshot | None = None

@@ -46,13 +46,12 @@ class DiagError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class DiagSocket:
-    """One socket.
+    """One socket; `local` and `remote` are address and port (port 0: not connected), `attributes` bytes by their number.
 
     Attributes:
-        remote: address and port that it is connected to; the port is 0 if it is not.
         state: number of its TCP state (1 established, 7 closed or not connected, 10 listening).
         inode: number of its inode, as in the links of `/proc/PID/fd`.
-        cookie: number that differs from that of a later socket with the same ports.
+        cookie: number that differs from a later socket with the same ports.
     """
 
     local: tuple[str, int]

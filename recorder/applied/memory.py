@@ -41,9 +41,9 @@ class SharedMemory:
         size_bytes: size of the file; of the mapping if the file is gone.
         owner_uid: user who owns the file, None if it is gone.
         is_own: this process created it, None if the middleware leaves no sign of that.
-        is_served: some process holds its lock, None if the middleware has none or it cannot be tested.
+        is_served: some process holds its lock, None if there is none or it cannot be tested.
         is_abandoned: its lock exists and nobody holds it: the process that served it was killed.
-        is_deleted: its file was removed; the memory is left from a participant that has ended.
+        is_deleted: its file was removed; its participant has ended.
         is_here: the file of that name in this namespace's `/dev/shm` is the mapped one.
     """
 
@@ -195,11 +195,7 @@ _VERSION = re.compile(r"\.so\.(\d+(?:\.\d+)+)$")
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """One loaded library of a middleware.
-
-    Attributes:
-        version: from its file name, or of the Python distribution that contains it; empty if neither has one.
-    """
+    """One loaded library of a middleware; `version` is from its file name or its Python distribution, else empty."""
 
     name: str
     vendor: str

@@ -33,14 +33,7 @@ _TCP_FIELDS = {
 
 @dataclass(frozen=True, slots=True)
 class TcpState:
-    """State of one TCP connection.
-
-    Attributes:
-        rtt_us: smoothed round-trip time that TCP itself measures.
-        retransmitted: segments sent again since the connection was made.
-        acked_bytes: bytes that the other side acknowledged since then.
-        received_bytes: bytes received since then.
-    """
+    """State of one TCP connection: the kernel's smoothed round-trip time, and totals since the connection was made."""
 
     congestion_control: str = ""
     rtt_us: int = 0
@@ -55,13 +48,11 @@ class Socket:
     """One UDP or TCP socket of the process.
 
     Attributes:
-        local_address, local_port: that it is bound to; address `0.0.0.0` for any.
-        remote_address, remote_port: that it is connected to; `0.0.0.0` and 0 if it is not.
+        remote_address, remote_port: `0.0.0.0` and 0 if it is not connected.
         receive_buffer_bytes: SO_RCVBUF as the kernel granted it: for a buffer that a program set, twice what it set,
             or twice `net.core.rmem_max` if that is less (socket(7)).
         send_buffer_bytes: SO_SNDBUF likewise, bounded by `net.core.wmem_max`.
         dropped: datagrams that the kernel dropped at this socket since it was opened.
-        inode: number that identifies a socket while it is open.
         tcp: state of a TCP connection, None for UDP and for a listening socket.
     """
 

@@ -19,12 +19,11 @@ SEGMENT, PORT = "segment", "port"
 
 @dataclass(frozen=True, slots=True)
 class TransportFacts:
-    """What must be seen in a process that really uses a transport.
+    """What must be seen in a process that really uses a transport, which sentences call `label`.
 
     Attributes:
-        label: the transport in a sentence.
-        protocol: `udp` or `tcp` if at least one such socket must be open, None if none need be.
-        shared_memory: True if the middleware's shared memory must be mapped, False if it must not, None if both are fine.
+        protocol: `udp` or `tcp` if at least one such socket must be open.
+        shared_memory: whether the middleware's shared memory must be mapped or must not, None if both are fine.
     """
 
     label: str
@@ -172,8 +171,7 @@ class RosMiddleware:
         packages: ROS packages whose versions describe it.
         stamps_reception: whether `received_timestamp` is the time of reception; False if it is the time of the take.
         has_durations: whether deadline and lifespan have an effect.
-        router: program of its package that its nodes need to find each other; empty if there is none.
-        router_port: TCP port at which the router listens by default.
+        router, router_port: program of its package that its nodes need to find each other, and its TCP port.
     """
 
     vendor: str

@@ -141,8 +141,7 @@ class WireCapture:
     def take(self) -> WireResult:
         """Return what was counted since `begin`, after a quarter of a second in which late packets still count.
 
-        Call it once for each `begin`: rows and the kernel's drops are handed over, not copied. Rows need 61 bytes of memory each
-        until then, so a relay that serves for days calls it now and then.
+        Call it once for each `begin`: rows and drops are handed over. Rows need 61 bytes of memory each until then.
         """
         self._ask({"ask": "take"})
         answer = self._answer()

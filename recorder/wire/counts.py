@@ -50,7 +50,7 @@ class Beginnings:
 
 @dataclass(slots=True)
 class RunTally:
-    """Counters that restart with each run.
+    """Counters that restart with each run; frames of other domains are only in `foreign_packets`.
 
     Attributes:
         unseen_headers: packets in which a submessage header was not captured.
@@ -96,16 +96,14 @@ _AGAIN_NAMES = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class ClassCount:
-    """Traffic of one class in one direction.
+    """Traffic of a `WireClass` in one direction (`sent`, `received`, or `local` on loopback, where it is both).
 
     Attributes:
-        direction: `sent`, `received`, or `local` on the loopback interface, where it is both.
         packets: IP packets; one with several classes counts for the first of them in `WireClass`'s order.
         bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages for
             their own, so the classes' bytes sum to the packets' bytes.
         submessages: RTPS submessages; 0 for TCP and other UDP.
-        fragments: samples (DATA) and fragments of samples (DATA_FRAG, which may have several) in them. A DATA_FRAG with
-            one repeated fragment counts as repeated.
+        fragments: samples (DATA) and fragments of samples in them; a DATA_FRAG with one repeated fragment counts as repeated.
     """
 
     name: str
@@ -194,20 +192,20 @@ class WireCounts:
     """Counts of one run on the wire, seen from one side; times are CLOCK_MONOTONIC ns of this device.
 
     Attributes:
-        begin_ns, end_ns: of the counting.
+        run_id: 16 hex digits; empty if all runs were counted.
         classes: traffic by class and direction; those that did not occur are left out.
         repeats: messages that this side sent, by how often they were sent again.
+        messages, sample_bytes: number of messages with a row, both directions, and their serialized lengths in total.
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
         first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
             the first message with our stamp (probes included), the first that a relay has sent back.
-        foreign_packets: RTPS of other domains, in no class.
         unseen_headers: packets with a submessage whose header was not captured; its kind is missing in `classes`, its
             bytes count for the packet's class.
-        unfollowed_datagrams: datagrams in which an IP fragment was missing or out of order, so that headers after it were
-            not found, likewise. On the receiving side of a lossy link that is the link's loss.
+        unfollowed_datagrams: datagrams with an IP fragment missing or out of order, so that later headers were not found,
+            likewise. On the receiving side of a lossy link that is the link's loss.
         late_repeats: repeats of samples that were no longer remembered; they are in `classes` and in no row.
         kernel_drops, kernel_freezes: packets that found no room in the ring, and how often it was full.
-        cpu_s: CPU time of the capturing process, reading of the kernel's counters included.
+        cpu_s: CPU time of the capturing process.
     """
 
     run_id: str = ""

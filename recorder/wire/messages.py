@@ -119,11 +119,7 @@ class _StreamSamples:
 
 
 class SendLedger(Generic[Stream]):
-    """Samples of all writers; a stream is one writer's on one interface and in one direction.
-
-    Attributes:
-        late_repeats: copies of samples that were forgotten already.
-    """
+    """Samples of all writers, by stream: one writer on one interface and in one direction."""
 
     def __init__(
         self, remembered_ns: int = REMEMBERED_NS, remembered_copies: int = REMEMBERED_COPIES
@@ -228,14 +224,11 @@ def message_rows(packed: Sequence[MessageRows]) -> MessageRows:
 
 @dataclass(frozen=True, slots=True)
 class RepeatCount:
-    """Messages that were sent again equally often.
+    """Messages that were sent again `repeats` times; the other fields are None for those that were sent once.
 
     Attributes:
-        repeats: how often, 0 for messages that were sent once.
-        messages: how many there are.
-        delay_p50_ns, delay_p90_ns, delay_p99_ns, delay_max_ns: of `resent_after_ns` (linear interpolation, as in numpy);
-            None for messages that were sent once.
-        heartbeats_p50: median of the heartbeats that their writer sent meanwhile; None likewise.
+        delay_p50_ns, delay_p90_ns, delay_p99_ns, delay_max_ns: of `resent_after_ns` (linear interpolation, as in numpy).
+        heartbeats_p50: median of the heartbeats that their writer sent meanwhile.
     """
 
     repeats: int

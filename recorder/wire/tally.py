@@ -36,12 +36,7 @@ _ROWS_TO_PACK = 4096
 
 
 class Sender(NamedTuple):
-    """Where a packet comes from and goes to.
-
-    Attributes:
-        prefix: GUID prefix of the participant; empty for what is not RTPS.
-        destination: a number for address and port, MULTICAST for a group.
-    """
+    """Where a packet comes from (`prefix` of the participant, empty if it is not RTPS) and goes to (MULTICAST for a group)."""
 
     interface: str
     direction: Direction
@@ -66,15 +61,11 @@ class Datagram(NamedTuple):
 
 
 class WireTally:
-    """Counts frames of all interfaces.
+    """Counts frames of all interfaces: `run` since `begin`, `beginnings` since the capture began.
 
     Args:
         domain_ports: UDP ports of the run's DDS domains; RTPS of participants that neither use one of these nor talk to
             one that does is another domain's. Empty: all RTPS counts.
-
-    Attributes:
-        run: what was counted since `begin`.
-        beginnings: since the capture began.
     """
 
     def __init__(self, domain_ports: Sequence[PortRange] = ()) -> None:

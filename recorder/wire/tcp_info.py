@@ -48,10 +48,9 @@ _COUNTERS = ("retransmitted_segments", "segments_out", "segments_in", "bytes_sen
 
 @dataclass(frozen=True, slots=True)
 class TcpConnection:
-    """One end of a connection; counters since it was opened, or of a run (`since`).
+    """One end of a connection (without addresses, which may identify a device); counters since it opened, or of a run (`since`).
 
     Attributes:
-        local_port, remote_port: of the connection; addresses are left out, they may identify a device.
         bytes_sent: payload, repetitions included (`tcpi_bytes_sent`).
         segments_out, segments_in: acknowledgements included.
         segment_bytes: the largest that it sends (`tcpi_snd_mss`).

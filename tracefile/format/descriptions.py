@@ -43,7 +43,7 @@ class Qos:
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """One recording process, described at its start and again at a clean end.
+    """One recording process, described at its start and again at a clean end (docs/trace-format.md).
 
     Attributes:
         session_id: 64-bit random number, 16 hex digits in the JSON.
@@ -54,8 +54,7 @@ class Session:
         rmw: the ROS middleware; None outside of ROS 2.
         relay_id: the relay's random number; None for a ping.
         connectivity: the link between the devices, as the user named it.
-        wall_anchor_ns: ns since 1970 at the instant `monotonic_anchor_ns` of CLOCK_MONOTONIC.
-        monotonic_anchor_ns: CLOCK_MONOTONIC at the same instant, ns.
+        wall_anchor_ns, monotonic_anchor_ns: one instant in ns since 1970, and of CLOCK_MONOTONIC.
         host: fingerprint of the environment.
         dropped_events: number of events that the recorder could not store.
         state: `open` at the start, `closed` at a clean end.
@@ -139,20 +138,17 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run, described by its ping at its start and at its end.
+    """One run, described by its ping at its start and at its end (docs/trace-format.md).
 
     Attributes:
         run_id: 64-bit random number, 16 hex digits in the JSON.
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message, without the stamp.
-        rate_hz: messages a second, as planned.
         planned_messages: number of messages to measure, without warm-up.
         warmup_messages: number of first messages that no statistic includes.
         bridge: the bridge between the two domains, or `none`.
         relay_domain_id: the relay's domain, as the user gave it; None if unknown.
         serialization: `raw` or `typed`.
-        qos: quality of service of the data topics.
-        labels: the user's labels.
         published: number of messages handed to the middleware, with the warm-up; final in state `finished`.
         state: `started` or `finished`.
         extra: fields that this version does not know.

@@ -106,20 +106,19 @@ def ring_path(trace: Path) -> Path:
 
 
 def events_by_stage(slots: Slots) -> list[tuple[Stage, NDArray[np.void]]]:
-    """Return the events of each stage that has some, in the order of `slots`: arrays of `EVENT_DTYPE`."""
+    """Return the events of each stage that has some, as arrays of `EVENT_DTYPE`."""
     parts = [(stage, slots["event"][slots["stage"] == number]) for number, stage in STAGE_NUMBERS.items()]
     return [(stage, np.frombuffer(events.tobytes(), EVENT_DTYPE)) for stage, events in parts if len(events)]
 
 
 class Ring:
-    """Ring that this process writes.
+    """Ring that this process writes, in a new file.
 
     Attributes:
         memory: the mapped file, to pack into (0.1 us faster than a memoryview of it).
         slots_at: offset of the first slot.
-        slots: the slots as an array of `SLOT_DTYPE`.
-        words: the slots as int64 words of this machine's byte order (little-endian on every ROS 2 machine); each is stored by
-            one instruction, in a third of the time of a `struct`.
+        slots: array of `SLOT_DTYPE`.
+        words: the slots as int64 words (little-endian on every ROS 2 machine), each stored in a third of the time of a `struct`.
 
     Raises:
         OSError: the file cannot be created (disk full, read-only folder).
@@ -178,11 +177,7 @@ class Ring:
 
 
 def _fill(descriptor: int, size: int) -> None:
-    """Write `size` zeros, so that every page has its block on disk.
-
-    A mapped page without one kills the process (SIGBUS) when the disk is full. Written, not only allocated, so that the first
-    store to a page changes no extent on disk.
-    """
+    """Write `size` zeros: a mapped page without a block kills the process (SIGBUS) when the disk is full."""
     zeros = bytes(1 << 20)
     while size > 0:
         size -= os.write(descriptor, zeros[:size])

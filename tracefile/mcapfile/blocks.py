@@ -67,7 +67,6 @@ class Block:
         scan: the offsets of the records in `data`.
         starts: (position in `data`, offset in the file) of the first byte of each chunk, or of the stretch.
         chunked: whether the records were in chunks, whose unpacked bytes have no offsets in the file.
-        memory: the memory of `data`; None if `data` has its own.
     """
 
     data: Buffer

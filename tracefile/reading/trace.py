@@ -43,9 +43,7 @@ class Trace:
     """One trace: a `.mcap` file (with its ring, if one was left) or a rosbag2 folder.
 
     Attributes:
-        path: the file or folder it was read from.
-        sessions: the latest description of each recording process, in order of appearance.
-        runs: the latest description of each run, in order of appearance.
+        sessions, runs: the latest description of each, in order of appearance.
         events: the events of every stage, in file order; a stage may be empty.
         host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock, ns since 1970).
         wire: the JSON objects of `/dds_trace/wire`: records of messages, and counts of a relay (`format.wire`).

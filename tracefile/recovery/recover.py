@@ -43,9 +43,8 @@ class RecoveryReport:
         file_events: number of events in the complete chunks of the file.
         ring_events: number of events that only the ring had.
         missing_events: number of events in neither, after a power failure or on a bad disk.
-        dropped_events: number of events that the recorder could not store.
         torn_bytes: number of bytes at the file's end that were no complete record.
-        damaged_chunks: number of chunks left out because their content is not what was written.
+        damaged_chunks: number of chunks whose content is not what was written.
         ring_fault: the damage of a ring from which only whole slots were used, or None.
     """
 

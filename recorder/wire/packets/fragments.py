@@ -17,13 +17,7 @@ Owner = TypeVar("Owner")
 
 
 class Piece(NamedTuple):
-    """A later fragment.
-
-    Attributes:
-        offset: of its first byte in the datagram.
-        begin, end: index of its first byte, and the end of what was captured.
-        wire_end: end of the fragment, captured or not.
-    """
+    """A later fragment: its offset in the datagram, and where it begins and ends in `memory` (captured, and on the wire)."""
 
     offset: int
     memory: memoryview
@@ -35,12 +29,7 @@ class Piece(NamedTuple):
 
 @dataclass(slots=True)
 class _Datagram(Generic[Owner]):
-    """A datagram whose fragments are still coming.
-
-    Attributes:
-        next_at: offset of the next submessage header, -1 if it is lost.
-        carried: bytes of that header in the fragments so far.
-    """
+    """A datagram whose fragments are still coming; `next_at` is -1 if its next header is lost, `carried` the part of it seen."""
 
     owner: Owner
     length: int

@@ -48,7 +48,6 @@ class Headers:
 
     Attributes:
         protocol: of IP, 0 for a frame that is not IPv4 or too short.
-        source, destination: IPv4 addresses as numbers.
         ip_id: the identification that the fragments of a datagram share.
         fragment_offset: bytes of the datagram before this frame's.
         transport: index in the batch's memory of the first byte after the IP header.
@@ -56,7 +55,6 @@ class Headers:
         seen_end: end index of what was captured, `transport_end` at most.
         source_port, destination_port: of UDP and TCP; 0 in later fragments.
         datagram_bytes: length of the UDP datagram with its header, over all its fragments.
-        is_rtps: whether the UDP payload begins with `RTPS`.
     """
 
     protocol: Numbers

@@ -135,10 +135,7 @@ VENDORS: Mapping[str, VendorFacts] = {
         ),
         VendorFacts(
             "socket",
-            transports={
-                "default": TransportFacts("TCP", "tcp"),
-                "udp": UDP,
-            },
+            transports={"default": TransportFacts("TCP", "tcp"), "udp": UDP},
             # Only buffers of UDP sockets are compared; the kernel sizes those of TCP itself.
             tuned=TunedFacts(BUFFER_BYTES, BUFFER_BYTES),
         ),

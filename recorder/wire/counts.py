@@ -282,16 +282,5 @@ class WireCounts:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object, the properties included."""
-        return {**to_json(self), **{name: getattr(self, name) for name in _DERIVED}}
-
-
-_DERIVED = (
-    "complete",
-    "duration_s",
-    "total_bytes",
-    "wire_bytes_per_sample_byte",
-    "discovery_bytes_per_minute",
-    "again_bytes_share",
-    "match_ns",
-    "packets_per_s",
-)
+        derived = [name for name, value in vars(type(self)).items() if isinstance(value, property)]
+        return {**to_json(self), **{name: getattr(self, name) for name in derived}}

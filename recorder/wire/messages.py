@@ -95,12 +95,7 @@ class SentSample:
         """
         if not self.first_copies:
             return None
-        for key in (
-            (fragment, destination),
-            (fragment, MULTICAST),
-            (WHOLE, destination),
-            (WHOLE, MULTICAST),
-        ):
+        for key in ((fragment, destination), (fragment, MULTICAST), (WHOLE, destination), (WHOLE, MULTICAST)):
             before_ns = self.first_copies.get(key)
             if before_ns is not None:
                 return before_ns

@@ -28,10 +28,7 @@ def test_a_noun_takes_an_s_unless_the_count_is_one(count, text):
     assert counted(count, "message") == text
 
 
-@pytest.mark.parametrize(
-    ("count", "text"),
-    [(1, "1 reply is late"), (3, "3 replies are late")],
-)
+@pytest.mark.parametrize(("count", "text"), [(1, "1 reply is late"), (3, "3 replies are late")])
 def test_a_noun_with_a_plural_of_its_own_brings_its_verb(count, text):
     assert counted(count, "reply is late", "replies are late") == text
 

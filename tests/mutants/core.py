@@ -18,11 +18,7 @@ CORE = {
         ("analyzer/pairing",), ("tests/analyzer/pairing", "tests/analyzer/test_unsent_messages.py")
     ),
     "storing": Part(
-        (
-            "analyzer/cache/events.py",
-            "analyzer/cache/entries.py",
-            "analyzer/cache/store.py",
-        ),
+        ("analyzer/cache/events.py", "analyzer/cache/entries.py", "analyzer/cache/store.py"),
         ("tests/analyzer/cache",),
     ),
     "known": Part(

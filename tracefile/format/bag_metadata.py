@@ -62,10 +62,7 @@ def write_metadata(
         count=count,
         topics=per_topic or " []\n",
     )
-    with (
-        replacing(trace.with_name(METADATA_NAME), fsync=fsync) as draft,
-        create_file(draft, mode) as file,
-    ):
+    with replacing(trace.with_name(METADATA_NAME), fsync=fsync) as draft, create_file(draft, mode) as file:
         file.write(text.encode())
 
 

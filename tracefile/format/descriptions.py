@@ -6,7 +6,7 @@ Unknown fields are kept and written back; a missing field is an error that names
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
@@ -32,13 +32,8 @@ class Qos:
 
     def to_dict(self) -> dict[str, Json]:
         """Return the JSON object of `docs/trace-format.md`."""
-        return {
-            "reliability": self.reliability,
-            "durability": self.durability,
-            "history": self.history,
-            "depth": self.depth,
-            **self.extra,
-        }
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "extra"}
+        return {**values, **self.extra}
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,26 +82,7 @@ class Session:
 
     def to_json(self) -> str:
         """Return the text stored on `/dds_trace/session`."""
-        return json.dumps(
-            {
-                "format": FORMAT_VERSION,
-                "state": self.state,
-                "session_id": f"{self.session_id:016x}",
-                "role": self.role,
-                "device": self.device,
-                "backend": self.backend,
-                "vendor": self.vendor,
-                "rmw": self.rmw,
-                "domain_id": self.domain_id,
-                "relay_id": self.relay_id,
-                "connectivity": self.connectivity,
-                "wall_anchor_ns": self.wall_anchor_ns,
-                "monotonic_anchor_ns": self.monotonic_anchor_ns,
-                "host": dict(self.host),
-                "dropped_events": self.dropped_events,
-                **self.extra,
-            },
-        )
+        return _description(self, session_id=f"{self.session_id:016x}", host=dict(self.host))
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Session:
@@ -175,24 +151,8 @@ class Run:
 
     def to_json(self) -> str:
         """Return the text stored on `/dds_trace/run`."""
-        return json.dumps(
-            {
-                "format": FORMAT_VERSION,
-                "state": self.state,
-                "run_id": f"{self.run_id:016x}",
-                "data_type": self.data_type,
-                "payload_bytes": self.payload_bytes,
-                "rate_hz": self.rate_hz,
-                "planned_messages": self.planned_messages,
-                "warmup_messages": self.warmup_messages,
-                "bridge": self.bridge,
-                "relay_domain_id": self.relay_domain_id,
-                "serialization": self.serialization,
-                "qos": self.qos.to_dict(),
-                "labels": dict(self.labels),
-                "published": self.published,
-                **self.extra,
-            },
+        return _description(
+            self, run_id=f"{self.run_id:016x}", qos=self.qos.to_dict(), labels=dict(self.labels)
         )
 
     @classmethod
@@ -222,3 +182,10 @@ class Run:
             state=take.text("state"),
             extra=take.rest(),
         )
+
+
+def _description(described: Session | Run, **encoded: Json) -> str:
+    """Return the JSON of a description: format and state first, then its fields, some of them `encoded`, and the unknown ones."""
+    values = {f.name: getattr(described, f.name) for f in fields(described)}
+    state, extra = values.pop("state"), values.pop("extra")
+    return json.dumps({"format": FORMAT_VERSION, "state": state, **values, **encoded, **extra})

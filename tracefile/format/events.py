@@ -41,7 +41,7 @@ EVENT_DTYPE = np.dtype(
         ("received_ns", "<i8"),
         ("payload_bytes", "<u4"),
         ("relay_id", "<u4"),
-    ],
+    ]
 )
 """One event without its CDR header: 56 bytes, no padding."""
 
@@ -150,7 +150,7 @@ EVENT_RECORD_DTYPE = np.dtype(
         ],
         "offsets": [0, 8, 9, 11, 15, _DATA_AT, _DATA_AT, _DATA_AT + len(CDR_HEADER)],
         "itemsize": EVENT_RECORD_BYTES,
-    },
+    }
 )
 """Fields: `head` is the opcode and the seven low bytes of the length, for one comparison; `length_top` the length's last byte;
 `times_ns` log and publish time; `cdr` the first half of `cdr_header`."""

@@ -82,7 +82,7 @@ SLOT_DTYPE = np.dtype(
         "formats": [f"V{EVENT_DTYPE.itemsize}", "<u8", "<i8", "<u8", "u1"],
         "offsets": [0, 0, 16, 56, 63],
         "itemsize": SLOT_BYTES,
-    },
+    }
 )
 """A slot as it is read: the event's bytes, its run and its monotonic time (parts of them), the mark, the mark's stage byte."""
 
@@ -133,7 +133,7 @@ class Ring:
                 "format": RING_VERSION,
                 "session": json.loads(session.to_json()),
                 "topics": {str(number): stage.topic for number, stage in STAGE_NUMBERS.items()},
-            },
+            }
         ).encode()
         slots_at = -(-(RING_HEADER.size + len(text)) // mmap.PAGESIZE) * mmap.PAGESIZE
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)

@@ -127,7 +127,7 @@ def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int) -> N
     if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
         raise DamagedChunkError(
             f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
-            "(a file that really has such chunks can be rewritten by `mcap compress`)",
+            "(a file that really has such chunks can be rewritten by `mcap compress`)"
         )
     if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
         raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")

@@ -47,12 +47,7 @@ class McapSource:
         TraceFormatError: `path` is not a MCAP file, or cannot be read.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        pool: Executor,
-        shown_as: Path | None = None,
-    ) -> None:
+    def __init__(self, path: Path, pool: Executor, shown_as: Path | None = None) -> None:
         self._path = shown_as or path
         self._pool = pool
         self._file = RecordFile(path, shown_as)
@@ -151,11 +146,7 @@ class McapSource:
             yield event_batch(packed)
 
     def _add_single(
-        self,
-        content: memoryview,
-        offset: int,
-        batch: Batch,
-        packed: list[tuple[Stage, bytes]],
+        self, content: memoryview, offset: int, batch: Batch, packed: list[tuple[Stage, bytes]]
     ) -> None:
         """Add a message that is not part of an array: a text, an event that was packed by itself, or a foreign one."""
         if len(content) < MESSAGE_HEADER.size:

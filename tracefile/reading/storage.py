@@ -32,10 +32,7 @@ def _open_sqlite(path: Path, _pool: Executor, shown_as: Path) -> Source:
     return SqliteSource(path, shown_as)
 
 
-_OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {
-    ".mcap": McapSource,
-    ".db3": _open_sqlite,
-}
+_OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {".mcap": McapSource, ".db3": _open_sqlite}
 
 
 def find_traces(

@@ -81,37 +81,11 @@ class TextCollector:
     """
 
     def __init__(self) -> None:
-        self._sessions: dict[int, Session] = {}
-        self._runs: dict[int, Run] = {}
-        self._host: list[JsonObject] = []
-        self._wire: list[JsonObject] = []
-        self._takers = {
-            SESSION_TOPIC: self._session,
-            RUN_TOPIC: self._run,
-            HOST_TOPIC: self._host_sample,
-            WIRE_TOPIC: self._wire_text,
-        }
+        self.sessions: dict[int, Session] = {}
+        self.runs: dict[int, Run] = {}
+        self.host: list[JsonObject] = []
+        self.wire: list[JsonObject] = []
         self.unreadable = Counter[str]()
-
-    @property
-    def sessions(self) -> tuple[Session, ...]:
-        """Descriptions of the recording processes."""
-        return tuple(self._sessions.values())
-
-    @property
-    def runs(self) -> tuple[Run, ...]:
-        """Descriptions of the runs."""
-        return tuple(self._runs.values())
-
-    @property
-    def host_samples(self) -> tuple[JsonObject, ...]:
-        """JSON objects of `/dds_trace/host`, each with its `log_time_ns`."""
-        return tuple(self._host)
-
-    @property
-    def wire(self) -> tuple[JsonObject, ...]:
-        """JSON objects of `/dds_trace/wire`."""
-        return tuple(self._wire)
 
     def add(self, text: Text) -> None:
         """Add one message; an unknown topic is ignored.
@@ -119,11 +93,15 @@ class TextCollector:
         Raises:
             TraceFormatError: a description cannot be read; the error names file, offset and field.
         """
-        take = self._takers.get(text.topic)
-        if take is None:
-            return
         try:
-            take(text)
+            if text.topic == SESSION_TOPIC:
+                session = Session.from_json(_string(text), text.path)
+                self.sessions[session.session_id] = session
+            elif text.topic == RUN_TOPIC:
+                run = Run.from_json(_string(text), text.path)
+                self.runs[run.run_id] = run
+            elif text.topic in (HOST_TOPIC, WIRE_TOPIC):
+                self._add_object(text)
         except TraceFormatError as err:
             raise TraceFormatError(err.path, err.what, text.offset) from err
         except RecursionError as err:
@@ -132,38 +110,21 @@ class TextCollector:
 
     def add_ring_session(self, described: Session, dropped_events: int) -> None:
         """Add a ring's session, unless the trace has it, and the number of drops in the ring's header."""
-        session = self._sessions.get(described.session_id, described)
+        session = self.sessions.get(described.session_id, described)
         dropped_events = max(session.dropped_events, dropped_events)
-        self._sessions[session.session_id] = replace(session, dropped_events=dropped_events)
+        self.sessions[session.session_id] = replace(session, dropped_events=dropped_events)
 
-    def _session(self, text: Text) -> None:
-        session = Session.from_json(_string(text), text.path)
-        self._sessions[session.session_id] = session
-
-    def _run(self, text: Text) -> None:
-        run = Run.from_json(_string(text), text.path)
-        self._runs[run.run_id] = run
-
-    def _host_sample(self, text: Text) -> None:
-        sample = self._object(text)
-        if sample is not None:
-            self._host.append({**sample, "log_time_ns": text.log_time_ns})
-
-    def _wire_text(self, text: Text) -> None:
-        value = self._object(text)
-        if value is not None:
-            self._wire.append(value)
-
-    def _object(self, text: Text) -> JsonObject | None:
-        """Return the JSON object of a message; None, and count it, if it is not one."""
+    def _add_object(self, text: Text) -> None:
         try:
             value = parse_json(_string(text))
         except (TraceFormatError, ValueError):
             value = None
-        if isinstance(value, dict):
-            return value
-        self.unreadable[text.topic] += 1
-        return None
+        if not isinstance(value, dict):
+            self.unreadable[text.topic] += 1
+        elif text.topic == HOST_TOPIC:
+            self.host.append({**value, "log_time_ns": text.log_time_ns})
+        else:
+            self.wire.append(value)
 
 
 def _string(text: Text) -> str:
@@ -283,11 +244,11 @@ class TraceBuilder:
             self.notes.append(f"{counted(count, *_NO_JSON_OBJECT[topic])}; not used")
         return Trace(
             path=self.path,
-            sessions=self.texts.sessions,
-            runs=self.texts.runs,
+            sessions=tuple(self.texts.sessions.values()),
+            runs=tuple(self.texts.runs.values()),
             events=events,
-            host_samples=self.texts.host_samples,
-            wire=self.texts.wire,
+            host_samples=tuple(self.texts.host),
+            wire=tuple(self.texts.wire),
             truncated="; ".join(self.truncated) or None,
             ring_events=self.ring_events,
             unreadable_messages=self.unreadable,

@@ -123,9 +123,3 @@ def _make_folder(folder: Path, destination: TraceDestination) -> None:
     folder.mkdir(rights, exist_ok=True)
     if destination.fsync:
         flush_to_disk(folder.parent)
-
-
-def keep_names(destination: TraceDestination) -> None:
-    """With `fsync`, flush the names of trace and ring to the disk: content of a file without a name is lost."""
-    if destination.fsync:
-        flush_to_disk(destination.trace_path.parent)

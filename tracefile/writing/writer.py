@@ -24,7 +24,7 @@ from mcap.records import (
 )
 
 from dds_trace.base.errors import OutputError
-from dds_trace.base.files import OWNER_AND_GROUP, output_error
+from dds_trace.base.files import OWNER_AND_GROUP, flush_to_disk, output_error
 from dds_trace.base.version import __version__
 
 from ..format.bag_metadata import METADATA_NAME, TopicCount, write_metadata
@@ -32,7 +32,7 @@ from ..format.encoding import MAGIC, encode_string
 from ..format.events import SESSION_TOPIC
 from ..format.ring import Ring, ring_path
 from ..mcapfile.records import crc32
-from .destination import ClosedTrace, keep_names, make_room
+from .destination import ClosedTrace, make_room
 from .event_chunks import (
     EVENT_SCHEMA,
     EVENT_TOPICS,
@@ -303,7 +303,8 @@ class TraceFiles:
         try:
             self.writer.write_text(SESSION_TOPIC, session.to_json(), time_ns)
             self.ring = Ring(ring_path(trace), destination.ring_slots, session, mode=destination.mode)
-            keep_names(destination)
+            if destination.fsync:  # content of a file whose name is not on the disk is lost
+                flush_to_disk(trace.parent)
         except (OutputError, OSError) as err:
             self.writer.abandon()
             trace.unlink(missing_ok=True)

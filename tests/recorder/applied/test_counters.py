@@ -111,10 +111,7 @@ def test_limits_that_this_kernel_has(root):
 
 
 def test_groups_by_interface_without_those_of_every_host(root):
-    assert read_groups(root) == (
-        MulticastGroup("eth0", "ff1e::efff:1"),
-        MulticastGroup("lo", "239.255.0.1"),
-    )
+    assert read_groups(root) == (MulticastGroup("eth0", "ff1e::efff:1"), MulticastGroup("lo", "239.255.0.1"))
 
 
 def test_without_proc_nothing_is_known(tmp_path):

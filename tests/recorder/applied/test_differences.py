@@ -58,10 +58,7 @@ def test_shared_memory_that_is_not_there():
 def test_large_data_without_tcp():
     asked = Asked("fastdds", transport="large-data")
     found = only(asked, applied(sockets=(udp(7411),), memory=SHARED))
-    assert (found.setting, found.words) == (
-        Setting.LARGE_DATA,
-        "asked for LARGE_DATA, no TCP socket is open",
-    )
+    assert (found.setting, found.words) == (Setting.LARGE_DATA, "asked for LARGE_DATA, no TCP socket is open")
     assert differences(asked, applied(sockets=(udp(7411), tcp()), memory=SHARED)) == ()
 
 

@@ -188,11 +188,7 @@ def test_8_fast_dds_with_a_dev_shm_of_another_namespace_sends_in_vain(domain_id)
 def test_udp_reaches_a_side_whose_dev_shm_is_another(domain_id):
     with written_profile(requested_profile(Transport.UDP, tuned=True)) as path:
         sides = run_pair(
-            "ros2",
-            domain_id,
-            tuned=True,
-            environment=profile_environment(path, {}),
-            relay_prefix=OWN_SHM,
+            "ros2", domain_id, tuned=True, environment=profile_environment(path, {}), relay_prefix=OWN_SHM
         )
     for side in sides:
         assert side.at_end == []

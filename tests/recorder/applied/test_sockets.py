@@ -117,11 +117,7 @@ def test_an_ipv6_socket_is_found_under_its_address():
         except OSError:
             pytest.skip("no IPv6 loopback here")
         read = found(opened)
-        assert (read.family, read.local_address, read.local_port) == (
-            "ipv6",
-            "::1",
-            opened.getsockname()[1],
-        )
+        assert (read.family, read.local_address, read.local_port) == ("ipv6", "::1", opened.getsockname()[1])
 
 
 def test_sockets_of_other_processes_are_theirs(udp):

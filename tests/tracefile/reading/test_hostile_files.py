@@ -156,11 +156,7 @@ def rows(count):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [
-        ("_UNSUSPECTED_ROWS", -(10**9)),
-        ("_UNSUSPECTED_STEPS", -(10**9)),
-        ("_MOST_TOPICS", 0),
-    ],
+    [("_UNSUSPECTED_ROWS", -(10**9)), ("_UNSUSPECTED_STEPS", -(10**9)), ("_MOST_TOPICS", 0)],
 )
 def test_work_on_a_database_is_bounded(database, monkeypatch, name, value):
     path = database(TOPICS, MESSAGES, f"INSERT INTO topics VALUES {EVENT_TOPIC}", rows(1000))

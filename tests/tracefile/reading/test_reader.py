@@ -62,8 +62,7 @@ def test_a_timeline_comes_back_column_by_column(tmp_path):
     # relay's clock                       7100 T3 .. 7130 T4
     # message 1: T0 1000, T1 1004, and nothing after.
     ping, relay = write_pair(
-        tmp_path,
-        [Message(0, t0=0, t1=5, t3=7100, t4=7130, t2=250), Message(1, t0=1000, t1=1004)],
+        tmp_path, [Message(0, t0=0, t1=5, t3=7100, t4=7130, t2=250), Message(1, t0=1000, t1=1004)]
     )
     events = read_trace(ping).events
     assert events[Stage.T1].run_id.tolist() == [RUN_ID, RUN_ID]
@@ -114,12 +113,7 @@ def test_every_way_of_storing_gives_the_same_events(tmp_path, options, small_byt
     messages = [Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500 + n) for n in range(600)]
     events = ping_events(messages)
     path = write_trace(
-        tmp_path / "trace.mcap",
-        ping_session(),
-        [run()],
-        events,
-        host=[{"cpu": 0.5}],
-        **options,
+        tmp_path / "trace.mcap", ping_session(), [run()], events, host=[{"cpu": 0.5}], **options
     )
     trace = read_trace(path)
     assert all_rows(trace) == padded(events)
@@ -164,7 +158,7 @@ any_message = st.one_of(
             "chunked": st.booleans(),
             "indexed": st.booleans(),
             "chunk_bytes": st.sampled_from([200, 4000, 1 << 20]),
-        },
+        }
     ),
 )
 def test_writing_then_reading_is_identity_for_any_mix_of_messages(
@@ -350,7 +344,7 @@ class TestMessagesThatAreNoEvents:
     def test_another_schema_on_an_event_topic_is_named(self, tmp_path):
         kind = ("other_msgs/msg/TraceEvent", "uint64 x\n")
         trace = read_trace(
-            write_messages(tmp_path / "t.mcap", [RawMessage(Stage.T3.topic, self.GOOD, kind=kind)] * 4),
+            write_messages(tmp_path / "t.mcap", [RawMessage(Stage.T3.topic, self.GOOD, kind=kind)] * 4)
         )
         assert (trace.event_count, trace.unreadable_messages) == (0, 4)
         assert trace.notes == (
@@ -362,7 +356,7 @@ class TestMessagesThatAreNoEvents:
 
     def test_another_encoding_on_an_event_topic_is_named(self, tmp_path):
         trace = read_trace(
-            write_messages(tmp_path / "t.mcap", [RawMessage(Stage.T3.topic, self.GOOD, encoding="json")]),
+            write_messages(tmp_path / "t.mcap", [RawMessage(Stage.T3.topic, self.GOOD, encoding="json")])
         )
         assert (trace.event_count, trace.unreadable_messages) == (0, 1)
         assert "encoded as 'json'" in trace.notes[0]

@@ -35,11 +35,7 @@ def test_the_names_of_new_files_and_folders_are_flushed(tmp_path, monkeypatch):
     bag = Path("runs/bag")
     sink = TraceSink(TraceDestination(tmp_path / bag, fsync=True), ping_session(state="open"))
     folders = [(path.relative_to(tmp_path), names) for path, names in flushed if names is not None]
-    assert folders == [
-        (Path(), ["runs"]),
-        (Path("runs"), ["bag"]),
-        (bag, ["bag_0.mcap", "bag_0.mcap.ring"]),
-    ]
+    assert folders == [(Path(), ["runs"]), (Path("runs"), ["bag"]), (bag, ["bag_0.mcap", "bag_0.mcap.ring"])]
     flushed.clear()
     sink.close()
     assert flushed[-1] == (tmp_path / bag, ["bag_0.mcap", "bag_0.mcap.ring", "metadata.yaml"])

@@ -16,10 +16,7 @@ from dds_trace.tracefile.reading.reader import read_trace
 
 WRITER = "dds_trace.tracefile.writing.writer.os."
 FAULTS = [errno.ENOSPC, errno.EIO, errno.EROFS]
-ACTIONS = {
-    "write_run": lambda sink: sink.write_run(run(state="started")),
-    "close": lambda sink: sink.close(),
-}
+ACTIONS = {"write_run": lambda sink: sink.write_run(run(state="started")), "close": lambda sink: sink.close()}
 STRIDES = [101, pytest.param(1, marks=[pytest.mark.slow, pytest.mark.timeout(1800)])]
 """Every so many bytecodes of an action something gives way."""
 

@@ -99,13 +99,7 @@ def test_length_zero_of_an_invalidated_time_is_zero():
 
 def test_the_walk_stops_before_a_header_that_was_not_captured():
     first, second = data(1, bytes(100)), data_frag(2, 1, bytes(100), 200)
-    for seen, count in [
-        (len(first) + 36, 2),
-        (len(first) + 35, 1),
-        (len(first) + 3, 1),
-        (24, 1),
-        (23, 0),
-    ]:
+    for seen, count in [(len(first) + 36, 2), (len(first) + 35, 1), (len(first) + 3, 1), (24, 1), (23, 0)]:
         found, next_at = walk(first + second, seen)
         assert len(found) == count
         assert next_at == (0, len(first), len(first + second))[count]

@@ -36,11 +36,11 @@ class Asked:
 
     Attributes:
         transport: `default`, `udp`, `shm`, `large-data` or `tcp`; for a profile file, what its transports amount to.
-        receive_buffer_bytes: receive buffer that sockets are set to, 0 for the system's default.
+        receive_buffer_bytes, send_buffer_bytes: that sockets are set to, 0 for the system's default.
         shared_memory: requested on or off, None if the vendor decides.
-        congestion_control: TCP congestion control, empty for the system's.
         interface: the one interface that a configuration names, empty if it names none or several.
         profile: file name of the user's own profile, empty if there is none.
+        congestion_control: TCP congestion control, empty for the system's.
     """
 
     vendor: str
@@ -156,9 +156,8 @@ class ProfileRequest:
     """What the default participant of a Fast DDS profile file requests.
 
     Attributes:
-        protocols: `udp`, `tcp` and `shm` of its own transports, sorted; empty if it names none.
-        receive_buffer_bytes: of its UDP transports, the smallest; 0 if one leaves it out.
-        send_buffer_bytes: likewise.
+        protocols: `udp`, `tcp` and `shm` of its own transports, sorted.
+        receive_buffer_bytes, send_buffer_bytes: of its UDP transports, the smallest; 0 if one leaves it out.
         replaces_builtin: `useBuiltinTransports` is false; otherwise its transports are in addition to the built-in ones.
         interfaces: addresses or names of interfaces that its transports are restricted to, sorted.
     """

@@ -1,8 +1,7 @@
 """Which path carried the payload: shared memory or an interface, by counters against payload x messages.
 
-Counters of an interface include other programs' traffic. So a count that is too small refutes a path, while a large one
-proves nothing: if both could explain what was counted, the path is `unknown`. The bytes of an open TCP connection are its
-own and prove it; too few of them prove nothing, as another connection may have come and gone.
+Counters of an interface include other programs' traffic: too small a count refutes a path, a large one proves nothing. If
+both paths could explain the counts, the path is `unknown`. Only the bytes of the process's own open TCP connections prove.
 """
 
 from __future__ import annotations

@@ -47,14 +47,12 @@ class VendorFacts:
     Attributes:
         memory: role -> pattern of the names of its shared-memory files.
         locks_own_files: locks a file `NAME_el` for each file of its own while it uses it.
-        libraries: pattern of a library's file name -> Python distribution that may contain it, empty if none does.
+        libraries: pattern of a library's file name -> Python distribution that may contain it, or empty.
         transports: transport -> what must be seen.
         shared_memory: transport -> whether it requests shared memory or none, if a link is open either way.
-        profile_variables: environment variables that name a profile file of the user's.
-        variables: further ones that change what its RMW does.
-        files: profile files that are read from a process's working directory.
-        builtin_transports: (transport, tuned) that its RMW supports -> value of FASTDDS_BUILTIN_TRANSPORTS, None for what the
-            user has set.
+        profile_variables, files: environment variables and default files that give it the user's profile.
+        variables: further variables that change what its RMW does.
+        builtin_transports: (transport, tuned) of its RMW -> FASTDDS_BUILTIN_TRANSPORTS, None for what the user has set.
     """
 
     vendor: str

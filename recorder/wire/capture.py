@@ -71,10 +71,9 @@ class WireOptions:
         rtps_ports: UDP ports of the run's DDS domains (`domain_ports`); other RTPS is left out. Empty: all RTPS counts.
         udp_ports: of UDP that is not RTPS: the `socket` backend's, zenoh's scouting.
         tcp_ports: of the `socket` backend, of zenoh, of Fast DDS over TCP.
-        ring_bytes: kernel memory for packets on each interface. A second of 100 Mbit/s needs 12.5 MB in IP fragments and in
-            packets of several samples' fragments, and a tenth of that otherwise.
+        ring_bytes: kernel memory for packets on each interface; 100 Mbit/s may need 12.5 MB a second.
         block_timeout_ms: how long the kernel collects packets before it delivers them, and how often they are counted.
-        cpus: that the capturing process may run on, so that it avoids one reserved for a role; empty for its parent's.
+        cpus: that the capturing process may run on; empty for its parent's.
     """
 
     interfaces: tuple[str, ...]

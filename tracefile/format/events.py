@@ -74,14 +74,13 @@ class EventColumns:
     """Events of one stage as columns, in file order; all arrays are one-dimensional and equally long.
 
     Attributes:
-        run_id: uint64, the random number of the run.
-        sequence: uint64, the message's number within the run.
-        monotonic_ns: int64, CLOCK_MONOTONIC of the recording device.
-        scheduled_ns: int64, T0 on the same clock (T1 only, else 0).
-        source_ns: int64, the middleware's source time stamp, ns since 1970; 0 if unknown.
-        received_ns: int64, the middleware's reception time stamp, ns since 1970; 0 if unknown.
-        payload_bytes: uint32, application bytes of the message.
-        relay_id: uint32, the relay that handled the message; 0 on T1.
+        run_id: the random number of the run.
+        sequence: the message's number within the run.
+        monotonic_ns: CLOCK_MONOTONIC of the recording device.
+        scheduled_ns: T0 on the same clock (T1 only, else 0).
+        source_ns, received_ns: the middleware's source and reception time stamps, ns since 1970; 0 if unknown.
+        payload_bytes: application bytes of the message.
+        relay_id: the relay that handled the message; 0 on T1.
     """
 
     run_id: NDArray[np.uint64]

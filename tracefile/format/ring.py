@@ -203,15 +203,10 @@ class RingContents:
 
 
 def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
-    """Read the events that a ring has and its trace has not.
+    """Read the events that a ring (`ring_path(trace)`) has and its trace has not; None if it was killed before it was complete.
 
-    Args:
-        path: `ring_path(trace)`.
-        events_in_trace: the sum over the event topics of the highest MCAP sequence plus one, in the complete chunks of the
-            trace; a damaged chunk in the middle does not change it.
-
-    Returns:
-        None if the recorder was killed before the ring was complete; it then has no event.
+    `events_in_trace` sums, over the event topics, the highest MCAP sequence plus one in the complete chunks of the trace, which
+    a damaged chunk in the middle does not change.
 
     Raises:
         TraceFormatError: the file is not a ring, or of another version, or too large.

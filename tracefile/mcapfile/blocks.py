@@ -1,7 +1,7 @@
 """A MCAP file cut into blocks of about two megabytes, each a job that unpacks, checks and sorts its records.
 
-Every file is read the same way: record headers are walked from front to back. That needs microseconds per chunk and no
-index, which might be wrong. The summary serves only to resume after a damaged record.
+Record headers are walked from front to back, without an index, which might be wrong. The summary serves only to resume
+after a damaged record.
 """
 
 from __future__ import annotations

@@ -38,14 +38,10 @@ _OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {".mcap": McapSo
 def find_traces(
     folder: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()
 ) -> list[Path]:
-    """Find the traces in `folder` and below it: `.mcap` files and rosbag2 folders, sorted.
+    """Find the traces in `folder` and below it: `.mcap` files and rosbag2 folders, sorted, without those in `skip`.
 
     Files are found by name and not opened; `read_trace` refuses what is not a trace. A `folder` that is itself a file or a
     rosbag2 folder is the only trace. Links to folders are not followed.
-
-    Args:
-        folder: the folder to search.
-        skip: files, and folders with their content, to leave out.
 
     Raises:
         MissingEventsError: `folder` does not exist.
@@ -71,10 +67,9 @@ def find_traces(
 
 
 def storage_files(path: Path) -> list[Path]:
-    """Return the files with the messages of a trace, in the order in which they were recorded.
+    """Return the files with the messages of a trace, in the order in which they were recorded: `bag_10.mcap` after `bag_9.mcap`.
 
-    rosbag2 numbers the parts of a split bag; `bag_10.mcap` comes after `bag_9.mcap`. A file that was packed as a whole ends in
-    `.zstd`; if a player has unpacked it into the same folder it counts once.
+    A file that was packed as a whole ends in `.zstd`; if a player has unpacked it into the same folder it counts once.
 
     Raises:
         TraceFormatError: `path` is a folder that cannot be read or has no such file.

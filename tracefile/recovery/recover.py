@@ -37,11 +37,9 @@ class RecoveryReport:
     """Result of a recovery.
 
     Attributes:
-        path: the trace that was to be recovered.
         recovered: the closed trace that was written; None if `path` was closed and whole.
         originals: the cut off file and its ring, by their new names.
-        file_events: number of events in the complete chunks of the file.
-        ring_events: number of events that only the ring had.
+        file_events, ring_events: number of events in the complete chunks of the file, and of those that only the ring had.
         missing_events: number of events in neither, after a power failure or on a bad disk.
         torn_bytes: number of bytes at the file's end that were no complete record.
         damaged_chunks: number of chunks whose content is not what was written.
@@ -85,10 +83,9 @@ def recover(
     What is whole is used: only the ring if the file is gone, only the file if the ring is, and whole slots of a damaged ring.
 
     Args:
-        path: a `.mcap` file, or a rosbag2 folder of ours, that was not closed; or its ring, also if the file is gone.
-        destination: the new `.mcap` file. Without it the new file gets the old one's name, so that a folder of traces can be
-            analyzed as it is, and the old one is renamed to `NAME.mcap.killed`, its ring to `NAME.mcap.killed.ring`. A kill
-            at any moment of the recovery leaves a readable trace.
+        path: a `.mcap` file, or a rosbag2 folder of ours, that was not closed; or its ring.
+        destination: the new `.mcap` file. Without it the new file replaces the old one, which is renamed to
+            `NAME.mcap.killed`, its ring to `NAME.mcap.killed.ring`; a kill at any moment leaves a readable trace.
 
     Raises:
         TraceFormatError: `path` is not a trace of ours, or neither file nor ring has a session.
@@ -251,12 +248,9 @@ def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> Tr
 
 
 def _swap_files(trace: Path, unfinished: Path) -> tuple[Path, ...]:
-    """Give the new file the old one's name, and the old one another, so that a trace exists at every moment.
+    """Rename the old file and give its name to the new one, so that a trace exists at every moment; return the old ones' names.
 
     The ring is renamed last: to the new file, which has all its events, it adds nothing.
-
-    Returns:
-        The old file and its ring, if they exist, by their new names.
     """
     with unfinished.open("rb") as stream:
         os.fsync(stream.fileno())

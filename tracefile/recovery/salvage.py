@@ -45,13 +45,10 @@ class SalvagedText:
 
 
 class Salvage:
-    """Iterable, to be used once, of the events and texts in the complete chunks of a file.
+    """Iterable, to be used once, of the events (`SLOT_DTYPE` without tickets) and texts in the complete chunks of a file.
 
-    Events come as arrays of `SLOT_DTYPE`, whose marks have no tickets. The attributes are final after the last item.
-
-    Attributes:
+    Attributes, final after the last item:
         closed: whether the file has its footer.
-        events: number of events yielded.
         torn_bytes: number of bytes at the end that are no complete record.
         damaged_chunks: number of chunks left out because their content is not what was written.
 

@@ -24,9 +24,7 @@ class TraceDestination:
 
     Attributes:
         path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
-        force: whether existing files are overwritten.
-        fsync: whether file, folder and each chunk are on the disk, not only in the page cache; chunks are then written twice
-            as often, so that a power loss costs less than `chunk_seconds` if a flush needs up to a quarter of it.
+        fsync: whether file, folder and each chunk are on the disk, not only in the page cache.
         chunk_seconds: the longest time that an event waits in the ring.
         ring_slots: number of events (64 bytes each) in the ring before further ones are dropped.
         mode: the most rights of trace, ring and metadata; the umask may reduce them.
@@ -41,7 +39,7 @@ class TraceDestination:
 
     @property
     def flush_seconds(self) -> float:
-        """Time between chunks: with `fsync` an event waits for the end of one flush and for all of the next."""
+        """Time between chunks; half with `fsync`, as an event waits for the end of one flush and for all of the next."""
         return self.chunk_seconds / 2 if self.fsync else self.chunk_seconds
 
     @property

@@ -134,13 +134,13 @@ class EventChunkBuilder:
         written: Mapping[int, int],
         not_before_ns: int,
     ) -> Chunk:
-        """Build the chunk of `slots` in their order; its content is lost at the next call.
+        """Build the chunk of one to `max_events` slots in their order; its content is lost at the next call.
 
-        Threads may stamp in one order and get their slots in another, a few microseconds apart. The file has the order of the
-        slots; a log time that would run backwards repeats the previous one (the event's `monotonic_ns` is untouched).
+        Threads may stamp in one order and get their slots in another, microseconds apart. The file has the order of the slots; a log
+        time that would run backwards repeats the previous one (the event's `monotonic_ns` is untouched).
 
         Args:
-            slots: one to `max_events` events.
+            slots: the events.
             by_channel: their positions, from `positions_by_channel`.
             declarations: schema and channel records, at most `MESSAGES_AT` bytes.
             written: channel id -> number of messages that the file already has.

@@ -85,7 +85,7 @@ class EventPacker:
             monotonic_ns: the time stamp, on this device's monotonic clock.
             scheduled_ns: T0 on the same clock (T1 only).
             source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
-            received_ns: the middleware's reception time stamp, ns since 1970; 0 if unknown.
+            received_ns: its reception time stamp likewise.
             payload_bytes: application bytes of the message.
             relay_id: the relay that handled the message; 0 on T1.
         """

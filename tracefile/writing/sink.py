@@ -1,9 +1,8 @@
 """`TraceSink`, which stores the events of a recording node.
 
-The hot path (`EventPacker`) packs an event into a ring file (`format.ring`) and returns. A departure (T1, T4) is stamped in
-the ring as well, so that no message leaves without its event. A thread of the sink moves the ring's events to the trace, a
-chunk every `chunk_seconds` or whenever a quarter of the ring is used. A slot is reused only after its chunk is in the file,
-so an event is always in the file or in the ring, and a killed process loses none (`recovery.recover`).
+The hot path (`EventPacker`) packs events into a ring file (`format.ring`); departures (T1, T4) are stamped in it, so that
+no message leaves without its event. A thread moves them to the trace, a chunk every `chunk_seconds` or whenever a quarter
+of the ring is used. A slot is reused only after its chunk is in the file: a killed process loses no event (`recovery`).
 """
 
 from __future__ import annotations
@@ -113,11 +112,8 @@ class TraceSink(EventPacker):
     def go_on_in(self, destination: TraceDestination, **session_extra: Json) -> ClosedTrace | None:
         """Close the file with `session_extra` and continue in another one, between two events.
 
-        The new file and its ring are created first, and the rest of the old ring is written afterwards: no event waits for the
-        disk, and a kill meanwhile leaves two whole traces. The session's `part` counts its files; `followed` marks the old one.
-
-        Returns:
-            The closed file; None, and nothing changes, if events wait for the disk or the sink is closed.
+        The new files are created first and the old ring is drained afterwards: no event waits for the disk, and a kill meanwhile
+        leaves two whole traces. Return the closed file; None, and nothing changes, if events wait for the disk or the sink is closed.
 
         Raises:
             OutputExistsError: the new file exists; the recording continues in the old one.
@@ -214,8 +210,7 @@ class TraceSink(EventPacker):
 def _quick_switches(*, only_if: bool) -> Iterator[None]:
     """Shorten the interpreter's switch interval, so that this thread soon gets the GIL from one that fills the ring.
 
-    A busy thread releases the GIL once per switch interval (5 ms), and a chunk needs it some twenty times: 100 ms, in which
-    65536 slots fill. With 0.1 ms it is 10 ms. Under ordinary load `only_if` is false and nothing changes.
+    A busy thread releases the GIL every 5 ms, and a chunk needs it some twenty times: 65536 slots would fill meanwhile.
     """
     if not only_if:
         yield

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
     """Yield the path of a draft that replaces `path` once the block ends without an error; after an error it is removed.
 
-    A reader sees the old file or the new one, never a part. A symbolic link is replaced itself. The draft ends in `.part`, so
-    that it is not taken for a trace or a table; with `fsync` file and folder are on the disk on return.
+    A reader sees the old file or the new one, never a part; a symbolic link is replaced itself. The draft ends in `.part`, which
+    no reader takes for a trace. With `fsync` file and folder are on the disk on return.
 
     Raises:
         OSError: the draft cannot be flushed to the disk, or cannot replace `path`.

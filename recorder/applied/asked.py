@@ -77,23 +77,23 @@ def asked_settings(
     CYCLONEDDS_URI includes the recorder's own part. Without one (rmw_cyclonedds) the user's own counts.
     """
     shared_memory = vendor_facts(vendor).shared_memory.get(transport)
-    asked = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)
+    requested = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)
     if congestion_control is not None:
-        asked = replace(asked, congestion_control=congestion_control)
+        requested = replace(requested, congestion_control=congestion_control)
     if tuned:
         facts = vendor_facts(vendor).tuned
-        asked = replace(
-            asked,
+        requested = replace(
+            requested,
             transport=facts.transport if transport == "default" else transport,
             receive_buffer_bytes=facts.receive_bytes,
             send_buffer_bytes=facts.send_bytes,
         )
     if vendor == "cyclonedds":
         uri = (settings or {}).get("CYCLONEDDS_URI", (environment or {}).get("CYCLONEDDS_URI", ""))
-        return replace(asked, interface=interface_named(uri))
-    if vendor == "fastdds" and asked.transport == "default":
-        return _asked_by_environment(asked, environment or {})
-    return asked
+        return replace(requested, interface=interface_named(uri))
+    if vendor == "fastdds" and requested.transport == "default":
+        return _asked_by_environment(requested, environment or {})
+    return requested
 
 
 def interface_named(cyclonedds_uri: str) -> str:
@@ -108,13 +108,13 @@ def configuration_texts(cyclonedds_uri: str) -> list[str]:
     return [part if part.lstrip().startswith("<") else _file_text(part) for part in parts]
 
 
-def _asked_by_environment(asked: Asked, environment: Mapping[str, str]) -> Asked:
-    """Return `asked` with the transports of the user's profile file, or of FASTDDS_BUILTIN_TRANSPORTS without one."""
+def _asked_by_environment(requested: Asked, environment: Mapping[str, str]) -> Asked:
+    """Return `requested` with the transports of the user's profile file, or of FASTDDS_BUILTIN_TRANSPORTS without one."""
     path = next((environment[name] for name in PROFILE_VARIABLES if environment.get(name)), "")
     if path:
         request = read_profile_request(_file_text(path))
         return replace(
-            asked,
+            requested,
             transport=request.transport,
             receive_buffer_bytes=request.receive_buffer_bytes,
             send_buffer_bytes=request.send_buffer_bytes,
@@ -126,7 +126,7 @@ def _asked_by_environment(asked: Asked, environment: Mapping[str, str]) -> Asked
     # Fast DDS ignores the options of a transport without sockets.
     size_bytes = int(size[1]) * UNIT_BYTES.get(size[2].lower(), 0) if size and name != "SHM" else 0
     return replace(
-        asked,
+        requested,
         transport=_BUILTIN_TRANSPORTS.get(name, "default"),
         receive_buffer_bytes=size_bytes,
         send_buffer_bytes=size_bytes,

@@ -1,6 +1,6 @@
 """Sockets as the kernel reports them over netlink (sock_diag(7)).
 
-Linux answers without any privilege for the caller's network namespace. The layouts are those of <linux/inet_diag.h>,
+Linux answers without any privilege for the caller's network namespace. The layouts are in <linux/inet_diag.h>,
 <linux/sock_diag.h> and struct tcp_info of <linux/tcp.h>, to which fields are only ever appended.
 """
 

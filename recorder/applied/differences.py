@@ -64,34 +64,34 @@ class Difference:
         }
 
 
-def differences(asked: Asked, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
+def differences(requested: Asked, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
     """Return every setting that was not applied; `traffic` is between the snapshots, or was sent in vain for an echo."""
-    results = [rule(asked, applied, traffic) for rule in _RULES]
+    results = [rule(requested, applied, traffic) for rule in _RULES]
     return tuple(difference for difference in results if difference is not None)
 
 
-def _transport(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
+def _transport(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
     """Compare the sockets and the shared memory of the process with what the requested transport needs."""
-    facts = vendor_facts(asked.vendor).transports.get(asked.transport)
+    facts = vendor_facts(requested.vendor).transports.get(requested.transport)
     if facts is None:
         return None
-    used = _contradiction(facts, asked, applied, traffic)
+    used = _contradiction(facts, requested, applied, traffic)
     if used is None:
         return None
-    if asked.profile:
-        words = f"the profile {asked.profile} asks for {facts.label}, {used}"
+    if requested.profile:
+        words = f"the profile {requested.profile} asks for {facts.label}, {used}"
         if facts.shared_memory is False:
             words += " (its transports are in addition to others unless useBuiltinTransports is false; ROS 2's LOCALHOST range adds its own)"
-        return Difference(Setting.PROFILE, asked.profile, used, words)
-    setting = Setting.LARGE_DATA if asked.transport == "large-data" else Setting.TRANSPORT
-    return Difference(setting, asked.transport, used, f"asked for {facts.label}, {used}")
+        return Difference(Setting.PROFILE, requested.profile, used, words)
+    setting = Setting.LARGE_DATA if requested.transport == "large-data" else Setting.TRANSPORT
+    return Difference(setting, requested.transport, used, f"asked for {facts.label}, {used}")
 
 
 def _contradiction(
-    facts: TransportFacts, asked: Asked, applied: Applied, traffic: Traffic | None
+    facts: TransportFacts, requested: Asked, applied: Applied, traffic: Traffic | None
 ) -> str | None:
     """Return in words what the process uses that its transport does not, or lacks; None if nothing."""
-    memory, sockets = _memory_of(asked, applied), applied.latest.sockets
+    memory, sockets = _memory_of(requested, applied), applied.latest.sockets
     has_memory = applied.latest.memory is not None
     if facts.shared_memory is False and memory:
         if traffic is not None and payload_path(applied, traffic) == SHARED_MEMORY:
@@ -108,10 +108,10 @@ def _contradiction(
     return None
 
 
-def _receive_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
+def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
     """Compare the smallest receive buffer of the domain's UDP sockets with the requested one."""
     sockets = _udp_sockets(applied)
-    ports = domain_port_range(asked.domain_id)
+    ports = domain_port_range(requested.domain_id)
     kernels_port = applied.latest.limits.get("net.ipv4.ip_local_port_range.min", KERNELS_PORT)
     in_domain = [read for read in sockets if read.local_port in ports and read.local_port < kernels_port]
     # A socket that only sends is not enlarged, and has a port that the kernel chose. If no port identifies the receiving
@@ -120,14 +120,20 @@ def _receive_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) ->
         max((read.receive_buffer_bytes for read in sockets), default=0)
     ]
     return _buffer(
-        "receive", "net.core.rmem_max", asked.receive_buffer_bytes, min(buffers) if sockets else None, applied
+        "receive",
+        "net.core.rmem_max",
+        requested.receive_buffer_bytes,
+        min(buffers) if sockets else None,
+        applied,
     )
 
 
-def _send_buffer(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
+def _send_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
     """Compare the largest send buffer of the UDP sockets with the requested one."""
     buffers = [read.send_buffer_bytes for read in _udp_sockets(applied)]
-    return _buffer("send", "net.core.wmem_max", asked.send_buffer_bytes, max(buffers, default=None), applied)
+    return _buffer(
+        "send", "net.core.wmem_max", requested.send_buffer_bytes, max(buffers, default=None), applied
+    )
 
 
 def _buffer(
@@ -151,35 +157,35 @@ def _buffer(
     return Difference(Setting.TUNED, str(expected_bytes), str(granted_bytes), words)
 
 
-def _interface(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
+def _interface(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
     """Compare what the named interface counted with the payload."""
-    if not asked.interface or traffic is None or not is_excluded(applied, asked.interface, traffic):
+    if not requested.interface or traffic is None or not is_excluded(applied, requested.interface, traffic):
         return None
     path = payload_path(applied, traffic)
     way = {UNKNOWN: "another way", SHARED_MEMORY: "through shared memory"}.get(path, f"through {path}")
     return Difference(
         Setting.INTERFACE,
-        asked.interface,
+        requested.interface,
         path,
-        f"asked for the interface {asked.interface}, the bytes went {way}",
+        f"asked for the interface {requested.interface}, the bytes went {way}",
     )
 
 
-def _shared_memory(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
+def _shared_memory(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
     """Compare the mapped shared memory, and the path of the payload, with shared memory requested on or off."""
-    if asked.shared_memory is None or applied.latest.memory is None:
+    if requested.shared_memory is None or applied.latest.memory is None:
         return None
-    memory = _memory_of(asked, applied)
+    memory = _memory_of(requested, applied)
     path = UNKNOWN if traffic is None else payload_path(applied, traffic)
-    if not asked.shared_memory and memory:
+    if not requested.shared_memory and memory:
         used = (
             "the bytes went through it" if path == SHARED_MEMORY else f"it is mapped ({_described(memory)})"
         )
         return Difference(Setting.SHARED_MEMORY, "off", used, f"asked for no shared memory, {used}")
-    if asked.shared_memory and not memory:
+    if requested.shared_memory and not memory:
         used = "none is mapped"
         return Difference(Setting.SHARED_MEMORY, "on", used, f"asked for shared memory, {used}")
-    if asked.shared_memory and path not in (UNKNOWN, SHARED_MEMORY):
+    if requested.shared_memory and path not in (UNKNOWN, SHARED_MEMORY):
         return Difference(
             Setting.MEMORY_NAMESPACE,
             "on",
@@ -190,14 +196,14 @@ def _shared_memory(asked: Asked, applied: Applied, traffic: Traffic | None) -> D
     return None
 
 
-def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
+def _memory_namespace(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
     """Find shared memory that the other side cannot see."""
-    memory = _memory_of(asked, applied)
+    memory = _memory_of(requested, applied)
     elsewhere = [file.name for file in memory if not file.is_here]
     if elsewhere:
         return Difference(
             Setting.MEMORY_NAMESPACE,
-            asked.transport,
+            requested.transport,
             elsewhere[0],
             f"{elsewhere[0]} is mapped, but it is not the file of that name in this process's /dev/shm",
         )
@@ -205,12 +211,12 @@ def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -
     # serves that one: the receiver serves the file of that name in its own mount namespace. Ports from 7000 on belong to all
     # domains of a machine, so only the domain's own ports count. A segment whose owner has died may be the receiver's.
     in_vain = traffic is not None and traffic.sent > 0 and traffic.received == 0
-    ports = domain_port_range(asked.domain_id)
+    ports = domain_port_range(requested.domain_id)
     unserved = [file.name for file in memory if file.is_unserved_port and file.port_number in ports]
     if in_vain and unserved and not any(file.is_foreign_segment and not file.is_served for file in memory):
         return Difference(
             Setting.MEMORY_NAMESPACE,
-            asked.transport,
+            requested.transport,
             unserved[0],
             f"messages for a receiver on this host go to {unserved[0]} in /dev/shm, where nobody reads them: "
             "the other side has a /dev/shm of its own (a container?), or has just left; share it, or ask for UDP",
@@ -218,24 +224,24 @@ def _memory_namespace(asked: Asked, applied: Applied, traffic: Traffic | None) -
     return None
 
 
-def _congestion_control(asked: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
+def _congestion_control(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
     """Compare the congestion control of the domain's TCP connections with the requested one."""
-    ports = domain_port_range(asked.domain_id)
+    ports = domain_port_range(requested.domain_id)
     used = {
         read.tcp.congestion_control
         for read in applied.latest.sockets or ()
         if read.tcp is not None and (read.local_port in ports or read.remote_port in ports)
     }
-    others = sorted(used - {asked.congestion_control, ""})
-    if not asked.congestion_control or not others:
+    others = sorted(used - {requested.congestion_control, ""})
+    if not requested.congestion_control or not others:
         return None
-    words = f"asked for TCP by {asked.congestion_control}, a connection goes by {others[0]}"
-    return Difference(Setting.CONGESTION_CONTROL, asked.congestion_control, others[0], words)
+    words = f"asked for TCP by {requested.congestion_control}, a connection goes by {others[0]}"
+    return Difference(Setting.CONGESTION_CONTROL, requested.congestion_control, others[0], words)
 
 
-def _memory_of(asked: Asked, applied: Applied) -> list[SharedMemory]:
+def _memory_of(requested: Asked, applied: Applied) -> list[SharedMemory]:
     memory = applied.latest.memory or ()
-    return [file for file in memory if file.middleware == asked.vendor and file.is_in_use]
+    return [file for file in memory if file.middleware == requested.vendor and file.is_in_use]
 
 
 def _udp_sockets(applied: Applied) -> list[Socket]:

@@ -152,15 +152,15 @@ def _shared_memory(
         size_bytes=file.st_size if file is not None and is_the_file else mapped.size_bytes,
         owner_uid=file.st_uid if file is not None and is_the_file else None,
         is_own=name + _LOCK in opened if has_locks else None,
-        is_served=_Lock.HELD in locks or (None if _Lock.UNKNOWN in locks or not locks else False),
-        is_abandoned=_Lock.FREE in locks and _Lock.HELD not in locks,
+        is_served=_Lock.LOCKED in locks or (None if _Lock.UNKNOWN in locks or not locks else False),
+        is_abandoned=_Lock.FREE in locks and _Lock.LOCKED not in locks,
         is_deleted=mapped.is_deleted,
         is_here=is_the_file or mapped.is_deleted or name.startswith("SYSV"),
     )
 
 
 class _Lock(Enum):
-    HELD = "held"
+    LOCKED = "locked"
     FREE = "free"
     ABSENT = "absent"
     UNKNOWN = "unknown"
@@ -181,7 +181,7 @@ def _lock_state(path: Path, lock: int) -> _Lock:
         fcntl.flock(descriptor, lock | fcntl.LOCK_NB)
         fcntl.flock(descriptor, fcntl.LOCK_UN)  # closing is not enough while a forked child has it too
     except BlockingIOError:
-        return _Lock.HELD
+        return _Lock.LOCKED
     except OSError:  # a file system without locks
         return _Lock.UNKNOWN
     finally:

@@ -134,7 +134,7 @@ VENDORS: Mapping[str, VendorFacts] = {
         VendorFacts(
             "socket",
             transports={"default": TransportFacts("TCP", "tcp"), "udp": UDP},
-            # Only buffers of UDP sockets are compared; the kernel sizes those of TCP itself.
+            # Only buffers of UDP sockets are compared; the kernel sizes TCP buffers itself.
             tuned=TunedFacts(BUFFER_BYTES, BUFFER_BYTES),
         ),
     )

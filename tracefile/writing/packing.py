@@ -187,7 +187,7 @@ class EventPacker:
     ) -> int:
         """Store the arrival of a message and stamp its departure: `record`, then `stamp`, in one step; arguments as for `record`.
 
-        `stages` are those of arrival and departure; the three times are the arrival's. Return the departure's time stamp.
+        `stages` are of arrival and departure; the three times are the arrival's. Return the departure's time stamp.
         """
         now = self._clock_ns
         with self._packing:

@@ -69,6 +69,24 @@ def record_ends(path) -> list[tuple[int, int]]:
     return ends
 
 
+def chunk_starts(path) -> list[int]:
+    """Offset of every chunk behind another record of a whole file."""
+    pairs = itertools.pairwise(record_ends(path))
+    return [start for (_, start), (opcode, _) in pairs if opcode == Opcode.CHUNK]
+
+
+def write_number(path, offset: int, number: int) -> None:
+    """Put a number of eight bytes in place of what is there."""
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<Q", data, offset, number)
+    path.write_bytes(data)
+
+
+def assert_no_wrong_event(trace):
+    for stage in Stage:
+        assert set(rows(trace.events[stage])) <= set(EVENTS.get(stage, []))
+
+
 class TestTruncated:
     @shapes
     def test_anywhere_all_that_was_complete_before_is_used(self, tmp_path, options):
@@ -170,16 +188,12 @@ class TestDamaged:
         claimed = [note for note in trace.notes if "the statistics claim" in note]
         assert claimed
         assert lost <= 5
-        for stage in Stage:
-            assert set(rows(trace.events[stage])) <= set(EVENTS.get(stage, []))
+        assert_no_wrong_event(trace)
 
     def test_behind_a_damaged_record_reading_goes_on_where_the_index_says(self, tmp_path):
         path = small_trace(tmp_path)
-        ends = record_ends(path)
-        chunks = [start for (_, start), (opcode, _) in itertools.pairwise(ends) if opcode == Opcode.CHUNK]
-        data = bytearray(path.read_bytes())
-        struct.pack_into("<Q", data, chunks[3] + 1, 1 << 60)  # the chunk's length
-        path.write_bytes(data)
+        chunks = chunk_starts(path)
+        write_number(path, chunks[3] + 1, 1 << 60)  # the chunk's length
         trace = read_trace(path)
         assert trace.truncated is None
         assert trace.notes[0] == (
@@ -223,8 +237,7 @@ class TestDamaged:
         path.write_bytes(data)
         trace = read_trace(path)
         assert "bytes in it are no records" in trace.notes[0]
-        for stage in Stage:
-            assert set(rows(trace.events[stage])) <= set(EVENTS.get(stage, []))
+        assert_no_wrong_event(trace)
 
     def test_a_channel_that_changes_its_topic_is_an_error(self, tmp_path):
         whole = small_trace(tmp_path, compression="none", crcs=False).read_bytes()
@@ -269,11 +282,8 @@ class TestClaims:
     @pytest.mark.parametrize("claim", [1 << 40, (64 << 20) + 1, (1 << 64) - 1])
     def test_a_chunk_that_claims_a_terabyte(self, tmp_path, compression, claim):
         path = small_trace(tmp_path, compression=compression)
-        ends = record_ends(path)
-        start = [start for (_, start), (opcode, _) in itertools.pairwise(ends) if opcode == Opcode.CHUNK][4]
-        data = bytearray(path.read_bytes())
-        struct.pack_into("<Q", data, start + 9 + 16, claim)
-        path.write_bytes(data)
+        start = chunk_starts(path)[4]
+        write_number(path, start + 9 + 16, claim)
         said = read_in_little_memory(path, "t.event_count, t.notes[0]")
         assert f"the chunk at byte {start} is damaged and left out: it claims {claim} bytes" in said
 
@@ -281,32 +291,23 @@ class TestClaims:
     @pytest.mark.parametrize("claim", [0, 1, 63 << 20])
     def test_a_chunk_that_claims_a_little_more_or_less(self, tmp_path, compression, claim):
         path = small_trace(tmp_path, compression=compression, crcs=False)
-        ends = record_ends(path)
-        start = [start for (_, start), (opcode, _) in itertools.pairwise(ends) if opcode == Opcode.CHUNK][4]
-        data = bytearray(path.read_bytes())
-        struct.pack_into("<Q", data, start + 9 + 16, claim)
-        path.write_bytes(data)
+        start = chunk_starts(path)[4]
+        write_number(path, start + 9 + 16, claim)
         trace = read_trace(path)
         assert trace.notes
-        for stage in Stage:
-            assert set(rows(trace.events[stage])) <= set(EVENTS.get(stage, []))
+        assert_no_wrong_event(trace)
 
     def test_statistics_that_claim_more_events_than_there_is_memory(self, tmp_path):
         path = small_trace(tmp_path, crcs=False)
-        data = bytearray(path.read_bytes())
-        at = data.rindex(struct.pack("<HQ", 4, 12))  # channel 4 is T1: 12 messages
-        struct.pack_into("<Q", data, at + 2, 1 << 62)
-        path.write_bytes(data)
+        at = path.read_bytes().rindex(struct.pack("<HQ", 4, 12))  # channel 4 is T1: 12 messages
+        write_number(path, at + 2, 1 << 62)
         said = read_in_little_memory(path, "t.event_count, t.notes")
         assert said.startswith("24 (")
         assert f"the statistics claim {1 << 62} messages of /dds_trace/t1, 12 were found" in said
 
     def test_statistics_that_claim_fewer_events_than_there_are(self, tmp_path):
         path = small_trace(tmp_path, crcs=False)
-        data = bytearray(path.read_bytes())
-        at = data.rindex(struct.pack("<HQ", 4, 12))
-        struct.pack_into("<Q", data, at + 2, 1)
-        path.write_bytes(data)
+        write_number(path, path.read_bytes().rindex(struct.pack("<HQ", 4, 12)) + 2, 1)
         trace = read_trace(path)
         assert {stage: rows(trace.events[stage]) for stage in EVENTS} == EVENTS
         assert trace.notes == ("the statistics claim 1 message of /dds_trace/t1, 12 were found",)
@@ -321,11 +322,7 @@ class TestClaims:
         # 20,000 chunk indexes, each naming a place that holds no record: each is tried once.
         path = small_trace(tmp_path, crcs=False)
         data = path.read_bytes()
-        chunk = next(
-            start
-            for (_, start), (opcode, _) in itertools.pairwise(record_ends(path))
-            if opcode == Opcode.CHUNK
-        )
+        chunk = chunk_starts(path)[0]
         index = struct.Struct("<BQQQQQIQIQQ")
         body = index.size - 9
         filler = bytes(20_000)

@@ -31,12 +31,7 @@ _MS, _MB = 1e6, 1e6
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What the marks of a figure show.
-
-    Attributes:
-        title: of the vertical axis, with the unit.
-        of: group -> its value in that unit.
-    """
+    """What the marks of a figure show: the title of the axis, the value of a group in its unit, and the text of a value."""
 
     title: str
     of: Callable[[int], float | None]

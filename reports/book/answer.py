@@ -39,15 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Conclusion:
-    """Headline and sentences of a report.
-
-    Attributes:
-        metric: metric of the remarks: latency, or the next one that was measured.
-        verdicts: one per kind of data; empty if no setups could be compared.
-        remarks: the range of medians, the cost of bridges and the losses.
-        rule: definition of `clearly`; empty if nothing was compared.
-        points: the sentences after the headline: who is fastest, what not to use, what bridges cost, where.
-    """
+    """Headline and sentences of a report; `points` follow the headline, `remarks` are numbers, `rule` defines `clearly`."""
 
     headline: str
     metric: str

@@ -142,13 +142,7 @@ def _frozen(ends: Mapping[str, Mapping[str, list[int | None]]]) -> Ends:
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Curves of all groups (`report_values`).
-
-    Attributes:
-        levels: shares of messages, ascending from 0 to 1.
-        values_ns: metric -> for each group the times at the first levels, as far as the sample supports them.
-        shares: for each group the received share of the messages that were due; None where none was.
-    """
+    """Curves of all groups (`report_values`): metric -> for each group the times at the first levels; `shares` were received."""
 
     levels: tuple[float, ...]
     values_ns: Mapping[str, tuple[tuple[int, ...], ...]]

@@ -1,7 +1,4 @@
-"""The table below the headline: size by setup for each device pair and link, with p50, p99 and losses.
-
-A lost message is infinitely late, and a time is marked as best only where the analyzer's verdict says so.
-"""
+"""The table below the headline: size by setup for each device pair and link, with p50, p99 and losses."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ if TYPE_CHECKING:
     """Values of `CASE_COLUMNS`, the conditions, then values of `CONTENDER_COLUMNS`: one setup with one message."""
 
 HOW_TO_READ = (
-    "Latency, median / p99, from three runs on of a typical run; a lost message counts as infinitely late. Bold: clearly the "
+    "Latency, median / p99, of a typical run where there are three or more; a lost message is infinitely late. Bold: clearly the "
     "lowest of its row and domain, by a test of the runs. A dash: too few messages for this percentile."
 )
 

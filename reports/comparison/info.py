@@ -49,13 +49,7 @@ WORST_FIRST = (
 
 @dataclass(frozen=True, slots=True)
 class ComparedGroup:
-    """One matched group with its rows of the frames of `Comparison`.
-
-    Attributes:
-        verdict: one of `WORST_FIRST`.
-        where: the statistics that became slower or faster.
-        unlike: how the environments differ; empty if they do not, or that is unknown.
-    """
+    """One matched group with its rows of the frames of `Comparison`; `verdict` is one of `WORST_FIRST`, `where` its statistics."""
 
     label: str
     verdict: str

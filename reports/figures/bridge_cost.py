@@ -20,12 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Difference of one statistic in ns and its ratio, with their intervals.
-
-    Attributes:
-        received: shares received in the same domain and through the bridge, as in `100 % → 98.5 %`.
-        runs: what the interval rests on, as in `5 and 5` or `1 and 1, within one run`.
-    """
+    """Difference of one statistic in ns and its ratio, with their intervals and what these rest on."""
 
     difference_ns: int
     low_ns: int | None

@@ -41,12 +41,7 @@ class GroupTimeline:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Groups with at least one message.
-
-    Attributes:
-        decimated: whether messages were left out for drawing; extremes and losses never are.
-        outages: group -> (start, end) of its longest `MOST_OUTAGES` outages.
-    """
+    """Groups with at least one message, and the longest outages (start, end) of each."""
 
     groups: tuple[GroupTimeline, ...]
     decimated: bool

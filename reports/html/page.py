@@ -1,7 +1,4 @@
-"""HTML report: one self-contained file that opens offline.
-
-It contains every number once, as packed JSON, from which `assets/*.js` draw. Equal input gives equal bytes.
-"""
+"""HTML report: one self-contained file that opens offline. Equal input gives equal bytes."""
 
 from __future__ import annotations
 

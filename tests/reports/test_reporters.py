@@ -6,12 +6,12 @@ import re
 import unicodedata
 from dataclasses import fields, replace
 from functools import cache
-from pathlib import Path
 
 import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS, HOSTILE, MS, Measured, make_analysis
 from jsonschema import Draft202012Validator
+from report_schemas import REPORT, closed
 
 from dds_trace import Details, parse_job
 from dds_trace.analyzer.analysis import DETAIL_FRAMES
@@ -26,10 +26,6 @@ from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Figure
 from dds_trace.reports.html.packing import unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter, write_reports
-
-SCHEMA = json.loads(
-    (Path(__file__).parents[2] / "reports" / "report.schema.json").read_text(encoding="utf-8")
-)
 
 
 @cache
@@ -83,22 +79,11 @@ def test_the_page_and_markdown_say_what_the_tail_of_the_latency_is_not(kind):
 # JSON
 
 
-def closed(schema):
-    """The schema with no room for a field that it does not describe, but in what traces may extend as they like."""
-    if isinstance(schema, list):
-        return [closed(each) for each in schema]
-    if not isinstance(schema, dict):
-        return schema
-    held = {name: closed(each) for name, each in schema.items()}
-    is_object = "properties" in held and isinstance(held["properties"], dict) and "type" in held
-    return held | {"additionalProperties": False} if is_object else held
-
-
 def test_the_json_report_follows_its_schema_which_describes_every_field(name):
-    Draft202012Validator.check_schema(SCHEMA)
-    schema = closed(SCHEMA)
+    Draft202012Validator.check_schema(REPORT)
+    schema = closed(REPORT)
     for field in ("sessions", "runs"):
-        schema["properties"][field] = SCHEMA["properties"][field]
+        schema["properties"][field] = REPORT["properties"][field]
     Draft202012Validator(schema).validate(json.loads(rendered(name, "json")))
 
 
@@ -109,7 +94,7 @@ def test_the_json_report_has_every_frame_of_the_details():
         held = getattr(analysis.details, field.name)
         if isinstance(held, pl.DataFrame):
             assert len(report[field.name]) == held.height
-            described = SCHEMA["properties"][field.name]["items"]["required"]
+            described = REPORT["properties"][field.name]["items"]["required"]
             assert described == held.columns, field.name
             assert all(list(row) == held.columns for row in report[field.name])
     assert [answer["clarity"] for answer in report["answers"]] == [
@@ -126,7 +111,7 @@ def test_the_json_report_of_an_analysis_without_details_has_null_for_them():
         document.render(Book(replace(EVERY_ANALYSIS["one message"](), details=details_not_requested())))
     )
     assert all(report[name] is None for name in (*DETAIL_FRAMES, "answers", "recommendation"))
-    Draft202012Validator(SCHEMA).validate(report)
+    Draft202012Validator(REPORT).validate(report)
 
 
 def test_a_recommendation_is_in_the_json_report():
@@ -136,7 +121,7 @@ def test_a_recommendation_is_in_the_json_report():
         analysis.details, recommendation=recommend_settings(analysis.load_roundtrips(), job)
     )
     report = json.loads(document.render(Book(replace(analysis, details=recommended))))
-    Draft202012Validator(closed(SCHEMA)["properties"]["recommendation"]).validate(report["recommendation"])
+    Draft202012Validator(closed(REPORT)["properties"]["recommendation"]).validate(report["recommendation"])
     assert report["recommendation"]["job"]["deadline_ns"] == 50 * MS
     assert {candidate["fit"] for candidate in report["recommendation"]["candidates"]} <= {
         "meets",
@@ -149,7 +134,7 @@ def test_a_recommendation_is_in_the_json_report():
 def test_the_schema_is_strict_enough_to_miss_a_column():
     report = json.loads(rendered("one message", "json"))
     del report["groups"][0]["latency_p50_ns"]
-    assert not Draft202012Validator(SCHEMA).is_valid(report)
+    assert not Draft202012Validator(REPORT).is_valid(report)
 
 
 def test_the_json_report_keeps_strings_whole_and_numbers_exact():

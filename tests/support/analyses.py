@@ -96,6 +96,16 @@ TIMELINE = {
     "outcome": pl.String,
 }
 
+ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
+BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
+MIXED = random.Random(1).sample(range(20), 20)
+"""0 to 19 in an order in which neighbours are no more alike than others, so that 20 messages count as 20."""
+
+
+def around(typical_ns):
+    """20 times from `typical_ns` on, 1 µs apart."""
+    return [typical_ns + n * 1000 for n in MIXED]
+
 
 @dataclass(frozen=True)
 class Measured:

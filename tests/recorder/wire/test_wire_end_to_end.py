@@ -14,6 +14,7 @@ from jsonschema import Draft202012Validator
 from lossy_link import lossy_link, running_session, wait_for
 from namespaces import needs_namespaces
 from record_reader import records_of
+from report_schemas import REPORT
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
@@ -22,8 +23,6 @@ from dds_trace.reports.figures.wire import first_message_info, sent_again_info, 
 from dds_trace.reports.reporters import render_report
 from dds_trace.tracefile.format.wire import rows_of_text
 from dds_trace.tracefile.reading.reader import read_trace
-
-SCHEMA = Path(__file__).parents[3] / "reports" / "report.schema.json"
 
 pytestmark = [
     pytest.mark.middleware,
@@ -114,7 +113,7 @@ def test_the_figures_have_data_and_the_report_follows_its_schema(analysis):
     assert first_message_info(book).times_ns[0] > 0
     page = render_report(analysis, "html")
     assert "What a message costs" in page
-    Draft202012Validator(json.loads(SCHEMA.read_text())).validate(json.loads(render_report(analysis, "json")))
+    Draft202012Validator(REPORT).validate(json.loads(render_report(analysis, "json")))
 
 
 def test_a_sweep_captures_each_cell_in_its_namespaces(tmp_path):

@@ -1,8 +1,7 @@
-import random
 from dataclasses import replace
 
 import polars as pl
-from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
+from analyses import BRIDGED, EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
 from paired_by_hand import paired
 from roundtrip_frames import rows_by_group
 
@@ -15,12 +14,8 @@ from dds_trace.reports.book.overview import Fact
 from dds_trace.reports.book.verdicts import DataVerdict, WinCount
 from dds_trace.reports.reporters import load_reporter
 
-# 0 to 19 in an order in which neighbours are no more alike than others, so that 20 messages count as 20.
-MIXED = random.Random(1).sample(range(20), 20)
-SLOW = [10 * MS + n * 1000 for n in MIXED]
-FAST = [1 * MS + n * 1000 for n in MIXED]
-ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
-BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
+SLOW = around(10 * MS)
+FAST = around(MS)
 
 
 def test_a_clear_winner_is_named(sentences):

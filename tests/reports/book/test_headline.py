@@ -1,23 +1,14 @@
 """The first sentences, each with numbers drawn by hand."""
 
-import random
 from dataclasses import replace
 
 import pytest
-from analyses import MS, Measured, make_analysis
+from analyses import BRIDGED, MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS
 
 from dds_trace import Finding, Severity
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
-
-MIXED = random.Random(1).sample(range(20), 20)
-ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
-BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
-
-
-def around(typical_ns):
-    return [typical_ns + n * 1000 for n in MIXED]
 
 
 def said(*measured, findings=()):

@@ -1,11 +1,10 @@
 """The table below the headline: its numbers, what is bold and red in it, and the deadline's outcome."""
 
-import random
 from dataclasses import replace
 
 import polars as pl
 import pytest
-from analyses import MS, Measured, make_analysis
+from analyses import BRIDGED, MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS
 from paired_by_hand import paired
 
@@ -13,14 +12,6 @@ from dds_trace.analyzer.groups.freshness import freshness_frame
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.sizes import SizeCell, Threshold
 from dds_trace.reports.reporters import load_reporter
-
-MIXED = random.Random(1).sample(range(20), 20)
-ZENOH = {"vendor": "zenoh", "relay_vendor": "zenoh"}
-BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
-
-
-def around(typical_ns):
-    return [typical_ns + n * 1000 for n in MIXED]
 
 
 def test_a_row_has_both_domains_and_bold_is_where_the_verdict_holds():

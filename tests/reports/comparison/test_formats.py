@@ -6,12 +6,12 @@ import html
 import json
 from functools import cache
 from html.parser import HTMLParser
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import polars as pl
 import pytest
 from jsonschema import Draft202012Validator
+from report_schemas import COMPARISON, closed
 from roundtrip_frames import MS, in_runs, steady
 
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
@@ -21,9 +21,6 @@ from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.ignoring import match_without
 from dds_trace.reports.comparison import document, junit, markdown, page, terminal
 from dds_trace.reports.comparison.info import comparison_info
-
-SCHEMA_FILE = Path(__file__).parents[3] / "reports" / "comparison" / "comparison.schema.json"
-SCHEMA = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
 GATES = [
@@ -151,16 +148,6 @@ def test_junit_counts_and_names():
     assert ET.fromstring(junit.render(comparison_info(compared()[0]))).get("tests") == "0"
 
 
-def closed(schema):
-    """The schema with no room for a field that it does not describe."""
-    if isinstance(schema, list):
-        return [closed(each) for each in schema]
-    if not isinstance(schema, dict):
-        return schema
-    held = {name: closed(each) for name, each in schema.items()}
-    return held | {"additionalProperties": False} if held.get("type") == "object" else held
-
-
 @pytest.mark.parametrize("case", ["many", "lost", "ignored", "nothing"])
 def test_json_follows_its_schema_to_the_last_field(case):
     lossy = [5 * MS if n % 5 else None for n in range(200)]
@@ -176,9 +163,9 @@ def test_json_follows_its_schema_to_the_last_field(case):
         ),
         "nothing": lambda: _with_info(compare_roundtrips(steady([MS]), steady([MS], vendor="zenoh"))),
     }[case]()
-    Draft202012Validator.check_schema(SCHEMA)
+    Draft202012Validator.check_schema(COMPARISON)
     told = json.loads(document.render(info, found))
-    Draft202012Validator(closed(SCHEMA)).validate(told)
+    Draft202012Validator(closed(COMPARISON)).validate(told)
     assert [group["label"] for group in told["groups"]] == [group.label for group in info.groups]
     if case == "lost":
         (group,) = told["groups"]
@@ -195,7 +182,7 @@ def test_json_follows_its_schema_to_the_last_field(case):
     if case == "nothing":
         assert told["ignore"] == ["vendor"]
         del told["said"]
-        assert not Draft202012Validator(SCHEMA).is_valid(told)
+        assert not Draft202012Validator(COMPARISON).is_valid(told)
 
 
 def _with_info(found):

@@ -2,7 +2,7 @@ import random
 from dataclasses import replace
 
 import pytest
-from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
+from analyses import BRIDGED, EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.reports.book.book import Book
@@ -31,8 +31,6 @@ from dds_trace.reports.figures.lines import (
 )
 from dds_trace.reports.figures.timeline import GroupTimeline, Timeline, timeline_info
 from dds_trace.reports.html.packing import json_island
-
-BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
 
 
 @pytest.fixture

@@ -1,7 +1,4 @@
-"""`dds-analyze runs/`: a folder of traces becomes tables, reports and Parquet files.
-
-The first argument may be a command of `COMMANDS`; a folder of that name is written `./compare`.
-"""
+"""`dds-analyze runs/`: a folder of traces becomes tables, reports and Parquet files."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def expand_paths(texts: Sequence[str]) -> list[Path]:
-    """Return the paths that exist, that are in object storage, or that match a pattern.
+    """Return the paths that exist or match a pattern.
 
     Raises:
         OptionError: a text cannot be a path.
@@ -55,7 +52,7 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
 
 
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-"""One of these is set on a desktop; without one, `webbrowser` may start a text browser in this terminal."""
+"""One of these is set on a desktop."""
 
 
 def open_page(page: Path) -> None:
@@ -288,7 +285,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def _reading_bar() -> Iterator[Callable[[int, int, Path], None] | None]:
-    """Show a bar on stderr during the block; yield its update, or None where stderr is not a terminal."""
+    """Yield the update of a bar on stderr, None where that is not a terminal."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -129,7 +129,7 @@ def _list(*, as_json: bool) -> None:
 
 
 def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
-    """Print the configuration to stdout; where two processes would run, print to stderr which one each text is for."""
+    """Print the configuration; name the halves on stderr."""
     from dds_trace.recorder.bridges.base import split_halves
 
     parts = split_halves(bridge, options)

@@ -1,8 +1,4 @@
-"""Defaults of options from `dds-trace.toml`.
-
-First an option counts, then a variable of ROS 2, then the file in the working directory or above it, then the user's own file,
-then the default of `--help`.
-"""
+"""Defaults of options from `dds-trace.toml`; an option on the command line and a variable of ROS 2 count more."""
 
 from __future__ import annotations
 
@@ -58,12 +54,12 @@ def find_files() -> list[Path]:
 
 
 def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]) -> dict[str, Default]:
-    """Return name of an option -> its default, for one command.
+    """Return option -> its default, for one command.
 
     Args:
         files: the first one counts most.
         table: the command's table.
-        options: name of each option without dashes -> whether it is repeatable.
+        options: name without dashes -> whether it is repeatable.
 
     Raises:
         OptionError: a file cannot be read, belongs to another user, or has an unknown key.
@@ -109,7 +105,7 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
 
 
 def _folders() -> Iterator[Path]:
-    """Yield the working directory and those above it up to the repository or home; outside of both only itself."""
+    """Yield the working directory and those above it, up to the repository or home."""
     here = Path.cwd()
     home = Path(_home())
     above = []
@@ -135,13 +131,13 @@ def _home() -> str:
 
 
 class DefaultedCommand(TyperCommand):
-    """A command that looks into the files of defaults before it reads its arguments.
+    """A command with defaults in `dds-trace.toml`.
 
     Attributes:
-        table: its table in `dds-trace.toml`; empty for a command without defaults.
-        overridden: takes the values of a call, returns name of a parameter -> why its default in the file does not count.
-        defaults: name of a parameter -> its default, where the parser does not know it.
-        in_file: name of a parameter -> its default in a file.
+        table: its table; empty for none.
+        overridden: returns, for the values of a call, parameter -> why its configured default does not count.
+        defaults: parameter -> its default, where the parser does not know it.
+        in_file: parameter -> its configured default.
     """
 
     table = ""
@@ -167,11 +163,7 @@ class DefaultedCommand(TyperCommand):
         return super().make_context(info_name, args, parent, **extra)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the arguments; print which defaults are in force, or with `--print-config` all values, and end.
-
-        Raises:
-            OptionError: a default of a file is not what its option takes.
-        """
+        """Read the arguments; print which defaults are in force, or with `--print-config` all values."""
         prints_config = "--print-config" in args and self._prints_config
         # Nothing will be done, so nothing may be missing.
         ctx.resilient_parsing = ctx.resilient_parsing or prints_config

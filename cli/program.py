@@ -1,7 +1,4 @@
-"""A program of several commands: the first word chooses one, or belongs to the command without a name.
-
-A shell that completes a line calls the program with the words in its environment; a command among them is taken out.
-"""
+"""A program of several commands, also as the shell completes it: the first word chooses one."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ CLOSE_ENOUGH = 0.7
 def run_program(
     name: str, app: typer.Typer, commands: Mapping[str, typer.Typer], arguments: Sequence[str] | None
 ) -> None:
-    """Run the command that the first word names, or the one without a name; `arguments` None are those of the process."""
+    """Run the command that the first word names, or the one without a name."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     completed = _take_completed_command(name, app, commands)
     if completed is not None:
@@ -79,7 +76,7 @@ _TOO_LARGE = "not enough memory; request smaller or fewer messages, or give a pa
 
 
 def run_command(command: Callable[[], object]) -> None:
-    """Call a command's app; end the process with one line at an error that a user can act on."""
+    """Call a command's app; end the process with one line at a user's error."""
     # Escape what the terminal's encoding lacks.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):

@@ -20,7 +20,7 @@ _Record = TypeVar("_Record")
 def with_options(
     names: Iterable[str], *, in_panels: bool
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the decorator that makes rows of the table, in their panels or not, parameters of a command that takes `**values`."""
+    """Return the decorator that makes rows parameters of a command that takes `**values`."""
     order = list(Panel)
     options = [
         _parameter(name, in_panels) for name in sorted(names, key=lambda n: order.index(OPTIONS[n].panel))

@@ -1,7 +1,6 @@
-"""numpy's sorts on AMD's Zen 4, which are five times slower with AVX-512 than with AVX2.
+"""numpy's sorts on AMD's Zen 4, five times slower with AVX-512 than with AVX2.
 
-They use `vpcompress` into memory, microcode there (https://github.com/numpy/x86-simd-sort/issues/6; "Software Optimization Guide
-for the AMD Zen4 Microarchitecture", 2.11.2). numpy reads the choice from the environment when it is imported.
+https://github.com/numpy/x86-simd-sort/issues/6. numpy reads the choice from the environment when it is imported.
 """
 
 from __future__ import annotations

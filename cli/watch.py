@@ -64,10 +64,7 @@ def watch_command(
 
 
 class _CtrlC:
-    """Ctrl-C ends a wait at once and an analysis after its end, or at once if pressed twice.
-
-    Raised during an analysis, KeyboardInterrupt might meet a callback that swallows it.
-    """
+    """Ctrl-C ends a wait at once, and an analysis after its end or if pressed twice."""
 
     def __init__(self) -> None:
         self.pressed = False

@@ -1,7 +1,6 @@
 """Ports of a DDS domain on this machine, and the participants that use them.
 
-The discovery port is 7400 + 250 * domain + 10 + 2 * participant (DDSI-RTPS 2.5, section 9.6.2.3). That of participant 120 is
-the first port of the next domain.
+Discovery of a participant: 7400 + 250 * domain + 10 + 2 * participant (DDSI-RTPS 2.5, section 9.6.2.3).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
     """Return warnings about joining a domain now.
 
     Raises:
-        OptionError: there is no such domain, or one more participant would use the next domain's ports.
+        OptionError: there is no such domain, or no port left in it.
     """
     check_domain_id(domain_id)
     ports = bound_udp_ports(proc)

@@ -1,4 +1,4 @@
-"""One row of the table of options, which is the metadata of a field of a record of options."""
+"""A row of the table of options: the metadata of a field."""
 
 from __future__ import annotations
 
@@ -37,12 +37,10 @@ class Panel(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """How an option is a key of `[axes]` in a plan.
+    """An option as a key of `[axes]`; what is empty is that of the option.
 
     Attributes:
         for_relay: whether the relay is started with it too.
-        meaning: for the reference and editors; by default the help.
-        default: by default that of the option; likewise `kind`.
     """
 
     for_relay: bool = True
@@ -57,13 +55,12 @@ class Option:
     """One option of `dds-record`.
 
     Attributes:
-        metavar: name of the value in the help; empty for a flag.
+        metavar: name of the value; empty for a flag.
         kind: type on the command line; an Enum's values are the choices.
-        limit: validator of the field's value.
         parse: makes the field's value of the text, or of all texts of a repeatable option.
         default: the default in words, where `field_default` does not say it.
         role: the only role that takes it.
-        in_key: whether it is a setting: results with different values are not mixed.
+        in_key: whether results with different values are not mixed.
         variables: variables of ROS 2 that override a configured default.
     """
 
@@ -116,10 +113,7 @@ def option(
     axis: Axis | None = None,
     variables: tuple[str, ...] = (),
 ) -> _T:
-    """Return a dataclass field that is an option; `name` has the metavar after a space, `help` may end with a default in words.
-
-    The type on the command line is by default that of the field's default or of the limit.
-    """
+    """Return a field that is an option; `name` includes the metavar, `help` the default in words."""
     if kind is None and isinstance(default, NoneType | tuple | dict):
         kind = str if parse is not None else {Whole: int, Real: float}.get(type(limit), str)
     name, _, metavar = name.partition(" ")
@@ -148,7 +142,7 @@ def option(
 
 
 def detail(default: _T, name: str, panel: Panel, help: str, **row: Any) -> _T:  # noqa: A002 - typer's word
-    """Return a field that is an option and no setting: the trace has it elsewhere, or it does not change what is measured."""
+    """Return a field that is an option and no setting."""
     return option(default, name, panel, help, in_key=False, **row)
 
 

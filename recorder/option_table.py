@@ -148,7 +148,7 @@ OPTIONS: Mapping[str, Option] = {
 
 
 _TABLES = {"--backend": BACKEND_MODULES, "--bridge": BRIDGE_MODULES}
-"""Option -> the table whose keys are its values; an entry that is added later is a value, too."""
+"""Option -> table of its values, read at each call."""
 
 
 def choices_of(row: Option) -> list[str]:
@@ -163,7 +163,7 @@ def choices_of(row: Option) -> list[str]:
 
 
 def help_of(row: Option) -> str:
-    """Return the help of an option: its text, its choices where that ends with a colon, and its default."""
+    """Return the help of an option, with choices and default."""
     text, default = row.help, row.default
     if text.endswith(":"):
         *others, last = (name for name in choices_of(row) if name != "none")

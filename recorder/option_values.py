@@ -81,7 +81,7 @@ class Rotation:
 
 @dataclass(frozen=True, slots=True)
 class KeepFree:
-    """The free space that a recording leaves on its disk: a share of it (0 to 1) or `most_bytes`, whichever is less."""
+    """The free space to leave on the disk: a share of it (0 to 1) or `most_bytes`, whichever is less."""
 
     share: float = 0.05
     most_bytes: int | None = 1_000_000_000

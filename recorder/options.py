@@ -1,7 +1,6 @@
-"""The options of a recording. Each field with `option(...)`, here or in `NodeOptions`, is an option of `dds-record`.
+"""The options of a recording: each field with `option(...)` or `detail(...)` is one of `dds-record`.
 
-A new option is such a field and the line that uses its value; command, help, checks, `dds-trace.toml`, axes of plans and reference
-are made of the fields.
+A new option is such a field, here or in `NodeOptions`, and the line that uses its value.
 """
 
 from __future__ import annotations
@@ -302,7 +301,7 @@ def check_fields(record: object) -> None:
 
 
 def side_settings(options: RecordOptions, connectivity: str) -> dict[str, Json]:
-    """Return the settings of a session, without the discovery that is usual for its link (loopback: localhost)."""
+    """Return the settings of a session, without the usual discovery of its link."""
     settings = dict(changed_settings(options))
     usual = Discovery.LOCALHOST if connectivity == "loopback" else Discovery.SUBNET
     settings.pop("discovery", None)
@@ -320,7 +319,7 @@ def run_settings(options: PingOptions) -> dict[str, Json]:
 
 
 def changed_settings(record: object) -> Iterator[tuple[str, Json]]:
-    """Yield name and value of each setting that is not its default, of a record and the records in it."""
+    """Yield name and value of each setting that is not its default."""
     assert is_dataclass(record)
     for column in fields(record):
         value = getattr(record, column.name)

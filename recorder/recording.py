@@ -61,9 +61,7 @@ WIRE_LOOKS = 4
 QUIET_LOOKS = 10
 """Checks without a message after which a relay collects garbage."""
 HOPELESS_S = 2.6
-"""Wait for an echo after which QoS that can never match ends it.
-
-Chosen not to coincide with Fast DDS's 3 s retry, which reopens unreachable ports."""
+"""Wait for an echo after which QoS that can never match ends it; not in step with Fast DDS's 3 s retry."""
 ALL_RELAYS_S = 3.0
 """Longest wait for further discovered relays after the first one has answered."""
 
@@ -73,8 +71,8 @@ class Recorded:
     """The result of a recording.
 
     Attributes:
-        trace: the closed trace; None for a ping that was stopped before its echo.
-        error: why a run ended early or without a relay, or why a relay recorded nothing for a while.
+        trace: None for a ping that was stopped before its echo.
+        error: why a run ended early, or a relay recorded nothing for a while.
     """
 
     trace: ClosedTrace | None
@@ -89,12 +87,10 @@ def record(
 ) -> Recorded:
     """Record as a ping or as a relay until it is done or `stop` is set; `watch` receives notes and progress.
 
-    A rehearsal opens everything and closes it again before the first message.
-
     Raises:
         OptionError: an option makes no sense, or not on this machine.
         BackendUnavailableError: the middleware or the bridge is not on this machine.
-        NoEchoError: no relay answered; nothing is written.
+        NoEchoError: no relay answered.
         NotAppliedError: the middleware does not use a requested setting, under `strict`.
         OutputExistsError: there is a trace already.
         OutputError: the trace cannot be written.
@@ -314,7 +310,7 @@ class _Recording:
     def _run(
         self, ping: AnyPing, node: Node, upkeep: Upkeep, bridge: RunningBridge | None
     ) -> tuple[Run, BridgeError | RelayLostError | OutputError | None]:
-        """Run the ping on its own thread and check it now and then; return the run, and why it ended early, if it did."""
+        """Run the ping on its own thread; return the run, and why it ended early."""
         end_ns, enough, hopeless = self._end_ns(), threading.Event(), threading.Event()
         error: BridgeError | RelayLostError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:

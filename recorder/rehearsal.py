@@ -26,10 +26,9 @@ if TYPE_CHECKING:
 
 
 def rehearse(options: RecordOptions, watch: Watch) -> None:
-    """Start a recording and end it before its first message; its trace is removed. Errors are those of `record`.
+    """Start a recording and end it before its first message; errors are those of `record`.
 
-    All that a recording needs of this machine is opened: data, capture, node, bridge, privileges. The other side, the network
-    and the disk are not tested.
+    The other side, the network and the disk are not tested.
     """
     check_options(options)
     with tempfile.TemporaryDirectory(prefix="dds-trace-rehearsal-") as folder:
@@ -38,7 +37,7 @@ def rehearse(options: RecordOptions, watch: Watch) -> None:
 
 
 def check_options(options: RecordOptions) -> None:
-    """Check the options of a recording, and that its data exists, without opening a node or making a payload.
+    """Check the options of a recording, and that its data exists, without opening a node.
 
     Raises:
         OptionError: an option makes no sense, or not with the others.

@@ -1,7 +1,4 @@
-"""`dds-record`: record one role of a measurement, as a ping or as a relay, into a trace.
-
-Its options are the rows of `recorder/option_table.py`.
-"""
+"""`dds-record`: record as a ping or as a relay into a trace."""
 
 from __future__ import annotations
 

@@ -91,14 +91,7 @@ def record_until_stopped(options: RecordOptions) -> Recorded:
 
 
 def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | None = None) -> None:
-    """Print the result of a recording, and raise its error.
-
-    Raises:
-        OutputError: not all of the trace could be written.
-        BridgeError: the bridge died during the run.
-        RelayLostError: the relay did.
-        LossesError: the share of lost messages is above `fail_if_lost`.
-    """
+    """Print the result of a recording, and raise its error: `LossesError` above `fail_if_lost`."""
     trace = recorded.trace
     error = _error_of(recorded, fail_if_lost)
     if as_json:

@@ -29,7 +29,7 @@ def recover_trace(path: Path) -> None:
 
 
 def check_start(options: RecordOptions) -> None:
-    """Start a recording and end it before its first message; print that it can begin. Errors are those of recording."""
+    """Start a recording and end it before its first message."""
     rehearse(options, _Notes())
     print(f"{'a relay' if options.ping is None else 'a ping'} can begin")
 
@@ -46,10 +46,7 @@ class _Notes:
 
 
 def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> None:
-    """Print the recorder's own cost, and the client library's floor if its middleware is installed.
-
-    The trace of the measurement is for a moment in the folder of `out`, since its disk may matter.
-    """
+    """Print the recorder's own cost, on the disk of `out`, and the client library's floor if there is one."""
     # The nearest existing folder is on the same disk.
     folder = None if out is None else next(folder for folder in out.absolute().parents if folder.is_dir())
     cost = measure_recorder_cost(folder)

@@ -25,14 +25,7 @@ SAME = "SAME"
 
 @dataclass(frozen=True, slots=True)
 class NewSide:
-    """The new side.
-
-    Attributes:
-        name: its part of the folder's name.
-        plan: what it records.
-        command: its `dds-record`, None for the one of this installation.
-        is_same: whether it is the base again.
-    """
+    """The new side; `command` is its `dds-record`, None for the one of this installation."""
 
     name: str
     plan: Plan
@@ -70,7 +63,7 @@ def new_side(
 
 
 def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str]]:
-    """Return the runs of both sides in their order and their duration, as a JSON object and as lines."""
+    """Return the runs of both sides and their duration, as a JSON object and as lines."""
     from dds_trace.recorder.sweep.against import against_seconds, interleave
 
     turns = [(turn.side, turn.group.cells[0].name) for turn in interleave(base, other.plan)]
@@ -97,7 +90,7 @@ def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path
 
 
 def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
-    """Record both sides, print how to compare them, and for equal sides the false alarms; return the exit code."""
+    """Record both sides and print how to compare them; return the exit code."""
     from rich.console import Console
 
     from dds_trace.recorder.sweep.against import run_against

@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 
 
 def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
-    """Return the precision at which a sweep ends: `text` has a statistic and half a width, such as `latency_p99:5%`.
-
-    Raises:
-        OptionError: the text is wrong, or the plan has more repeats than `max_passes`.
-    """
+    """Return the precision at which a sweep ends, of a text like `latency_p99:5%`."""
     from dds_trace.analyzer.verdicts.false_alarms import check_statistic
     from dds_trace.recorder.sweep.plan.plan_file import check_runs
     from dds_trace.recorder.sweep.sweep import DEFAULT_MAX_PASSES, Until, parse_target

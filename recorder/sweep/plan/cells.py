@@ -29,9 +29,7 @@ class Key:
     """One key of a plan.
 
     Attributes:
-        meaning: for the reference and editors.
-        default_words: the default in words, where `default` does not say it.
-        kind: type of the value; a float may be a whole number.
+        default_words: the default, where `default` does not say it.
         takes_list: whether a list of values is allowed.
     """
 
@@ -55,11 +53,10 @@ def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default
 
 @dataclass(frozen=True, slots=True)
 class PlanAxis(Key):
-    """A key of `[axes]`, which takes one value or a list of them.
+    """A key of `[axes]`, of one value or a list.
 
     Attributes:
-        option: name in the arguments of `dds-record`, if it is there.
-        for_relay: whether the relay is started with it too.
+        option: name in the arguments of `dds-record`.
         row: option with the same choices.
     """
 
@@ -121,7 +118,7 @@ _Class = TypeVar("_Class")
 
 
 def _with_all_axes(cell: type[_Class]) -> type[_Class]:
-    """Make every axis a field; the class declares those that the sweep reads by name."""
+    """Make every axis a field; the class has those that are read by name."""
     for name, default in DEFAULTS.items():
         cell.__annotations__.setdefault(name, "object")
         setattr(cell, name, default)

@@ -19,7 +19,7 @@ PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 """Label with the number of the pass, for comparisons pass by pass."""
 
 AGAINST_LABEL = "against"
-"""Label with the name of the cell of the other plan that it alternates with, for comparisons cell by cell."""
+"""Label with the cell of the other plan, for comparisons cell by cell."""
 
 
 def relay_arguments(plan: Plan, need: Cell, number: int = 1) -> list[str]:
@@ -32,7 +32,7 @@ def relay_arguments(plan: Plan, need: Cell, number: int = 1) -> list[str]:
 
 
 def half_arguments(plan: Plan, group: CellGroup) -> list[str]:
-    """Return the arguments of `dds-bridge` for the half next to the relay, which waits for the half of each ping."""
+    """Return the arguments of `dds-bridge` for the half next to the relay."""
     assert group.bridge is not None
     need = group.need
     interface = "127.0.0.1" if plan.discovery == "localhost" else "0.0.0.0"  # noqa: S104 - the other device is outside

@@ -108,14 +108,7 @@ ForwarderReport: TypeAlias = "dict[str, dict[str, float | None]]"
 
 
 class LinkReport(TypedDict):
-    """Work of the link since the report before, as written to the trace.
-
-    Attributes:
-        link: the emulated values, null for a bare veth.
-        applied_by: parts of the system that emulate them, joined by `+`.
-        commands: the commands of `tc`.
-        forwarder: report of the user-space wire, null if the kernel did it all.
-    """
+    """The report of the link in the trace: its values, what emulates them, and its work since the last report."""
 
     monotonic_ns: int
     link: dict[str, str | float] | None

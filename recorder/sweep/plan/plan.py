@@ -156,7 +156,7 @@ class DeviceSettings:
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """A rule that leaves out the cells whose every named axis has one of its values; `--dry-run` shows the reason."""
+    """A rule that excludes the cells whose every named axis has one of its values."""
 
     values: Mapping[str, tuple[object, ...]]
     reason: str = ""
@@ -217,12 +217,10 @@ class Plan:
 
     Attributes:
         name: folder below `--out`.
-        cells: in the listed order, first repeat only, exclusions applied.
+        cells: of the first repeat, in the listed order.
         excluded: excluded cells, with the reason.
-        namespaces: whether each side runs in its own network namespace.
-        link: emulated link between the namespaces.
-        connectivity: the sessions' `connectivity`; None lets each device detect it.
-        by_hand: whether a person starts the relay on another device.
+        connectivity: the sessions'; None lets each device detect it.
+        by_hand: whether a person starts the relay.
         partners: cell without pass -> cell of the other plan that it alternates with.
     """
 
@@ -257,7 +255,7 @@ class Plan:
         return connects_to_relay(cell.backend) or self.runs_halves(cell)
 
     def runs_halves(self, cell: Cell) -> bool:
-        """Return whether half of the cell's bridge runs next to the relay; else the ping's `dds-record` runs all of it."""
+        """Return whether half of the cell's bridge runs next to the relay."""
         return (
             self.has_two_devices and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS
         )

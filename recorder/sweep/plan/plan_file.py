@@ -42,12 +42,9 @@ _PASS_NAME = re.compile(r"(.+)_r([1-9][0-9]{0,6})")
 
 
 def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
-    """Read a plan.
+    """Read a plan; `by_hand` if a person starts the relay.
 
-    Args:
-        path: path of the file.
-        installed: returns (backend, rmw) of every middleware of this machine; called only if the plan needs it.
-        by_hand: whether a person starts the relay on another device.
+    `installed` returns (backend, rmw) of every middleware of this machine.
 
     Raises:
         OptionError: the file cannot be read, or has a wrong key or value.
@@ -147,7 +144,7 @@ def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
 
 
 def _folder_name(root: TomlTable, stem: str) -> str:
-    """Return the name of the sweep's folder, by default the `stem` of the file; it cannot leave `--out`."""
+    """Return the folder's name, by default that of the file; it cannot leave `--out`."""
     name = root.take("name", str, stem)
     limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
     return name
@@ -177,7 +174,7 @@ def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell],
 
 
 def _check_names(cells: list[Cell], where: str, passes: int) -> None:
-    """Raise an `OptionError` if two cells of two passes have the same file name, or a name is too long."""
+    """Raise an `OptionError` for two cells of one name, or a name that is too long."""
     seen: set[str] = set()
     for cell in cells:
         if cell.name in seen:

@@ -29,13 +29,7 @@ RELAY_OVERHEAD_S = 1.5
 
 @dataclass(frozen=True, slots=True)
 class CellGroup:
-    """Cells that one relay serves without a restart.
-
-    Attributes:
-        number: 1, 2 ...
-        need: parameters of the relay.
-        bridge: bridge of which half runs next to the relay.
-    """
+    """Cells that one relay serves; `bridge` is one of which half runs next to it."""
 
     number: int
     need: Cell
@@ -44,7 +38,7 @@ class CellGroup:
 
 
 def schedule(plan: Plan) -> list[CellGroup]:
-    """Return all cells of all passes in groups of one relay; an interrupted sweep has the same order."""
+    """Return all cells of all passes in groups of one relay, in an order that only depends on the plan."""
     groups = [
         group
         for number in range(1, plan.run.repeats + 1)
@@ -59,7 +53,7 @@ def number_groups(groups: Iterable[CellGroup], first: int = 1) -> list[CellGroup
 
 
 def schedule_pass(plan: Plan, cells: Iterable[Cell], number: int) -> list[CellGroup]:
-    """Return these cells of pass `number` (1, 2 ...) in the plan's order, in groups of one relay."""
+    """Return these cells of pass `number` (1, 2 ...) in groups of one relay."""
     groups = group_by_relay(plan, [replace(cell, repeat=number) for cell in cells])
     return _ORDERS[plan.run.order](groups, plan.run.seed, number)
 
@@ -76,10 +70,7 @@ def _shuffled(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup
 
 
 def _alternating(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
-    """Shuffle an odd pass; run an even one backwards, so that a linear drift gives every cell the same mean.
-
-    Each pair of passes has its own order: else each cell would have the same neighbours in every pass.
-    """
+    """Shuffle an odd pass; run an even one backwards, so that a linear drift gives every cell the same mean."""
     shuffled = _shuffled(groups, seed, (number + 1) // 2)
     if number % 2:
         return shuffled
@@ -144,7 +135,7 @@ class Estimate:
 
 
 def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | None = None) -> Remaining:
-    """Return the expected time of the plan, by default with its own passes and starts of a relay."""
+    """Return the expected time of the plan."""
     passes = plan.run.repeats if passes is None else passes
     first_s = Estimate(plan).remaining(list(plan.cells)).seconds
     measuring = min(passes, plan.run.own_cost_passes or passes)

@@ -1,6 +1,6 @@
 """The tables of a plan and their keys, and the JSON schema with which editors complete them.
 
-The schema refuses nothing that the parser accepts. It cannot say all: NaN, huge integers, missing data, rules of several keys.
+The schema accepts more than the parser: NaN, huge integers, missing data, faults of several keys.
 """
 
 from __future__ import annotations

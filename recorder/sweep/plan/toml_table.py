@@ -40,12 +40,7 @@ _KIND_NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class TomlTable:
-    """One table of a TOML file.
-
-    Attributes:
-        key: dotted key of the table, empty for the root.
-        validators: table of the file -> its keys -> their limits.
-    """
+    """One table of a TOML file, with its dotted key and the limits of all tables."""
 
     values: Mapping[str, object]
     path: str
@@ -56,11 +51,7 @@ class TomlTable:
     def parse(
         cls, text: str, path: str, validators: Mapping[str, Mapping[str, Limit]] | None = None
     ) -> TomlTable:
-        """Return the root table of a TOML text.
-
-        Raises:
-            OptionError: `text` is not TOML, or cannot be parsed here.
-        """
+        """Return the root table of a TOML text."""
         try:
             return cls(tomllib.loads(text), path, validators=validators or {})
         except RecursionError as err:
@@ -95,11 +86,7 @@ class TomlTable:
         return self.check(key, self.values[key], kind) if key in self.values else default
 
     def check(self, key: str, value: object, kind: type[_T]) -> _T:
-        """Return `value` as a `kind`; a whole number passes as a float, but a bool is no number.
-
-        Raises:
-            OptionError: it has another type or is beyond its limit.
-        """
+        """Return the checked value as a `kind`; a whole number passes as a float, but a bool is no number."""
         is_number = kind is float and isinstance(value, int)
         if not (is_number or isinstance(value, kind)) or (kind is not bool and isinstance(value, bool)):
             raise OptionError(f"{self.where}: {key} is {limits.shown(value)}, not {_KIND_NAMES[kind]}")
@@ -127,8 +114,7 @@ class TomlTable:
     def fill(self, defaults: _Record, *others: str) -> _Record:
         """Return a dataclass with the table's values, and with those of `defaults` where a key is missing.
 
-        A value has the type of its default: an Enum takes its values, a tuple one text or a list of texts, None a text. Keys of
-        `others` are allowed, too.
+        Values have the type of their default; None is for a text, a tuple for one or several texts. `others` are allowed, too.
         """
         names = [field.name for field in fields(defaults)]
         self.allow(*names, *others)

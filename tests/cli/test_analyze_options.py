@@ -62,7 +62,7 @@ def test_topics_of_any_recording(runs, capsys):
     assert run_main(runs, "--topics") == 0
     shown = capsys.readouterr().out
     assert "/dds_trace/t1" in shown
-    assert "Gaps: intervals of more than two typical ones" in shown
+    assert "Gaps: intervals longer than two typical ones" in shown
     assert max(len(line) for line in shown.splitlines() if ".mcap" not in line) <= 80
     assert not (runs / "analysis").exists()
 
@@ -114,7 +114,7 @@ def freshness(folder, capsys, *arguments):
         (
             "1.5ms metric=outbound",
             (1_500_000, 0, 0, 120),
-            "for the way out: 0 of 0 messages missed it. Of 120 more",
+            "for the way out: 0 of 0 messages missed it. 120 more",
         ),
         ("3ms metric=return", (3 * MS, 120, 0, 0), "for the way back: 0 of 120"),
     ],
@@ -168,5 +168,5 @@ def test_a_recommendation_is_printed_once_in_80_columns(runs, capsys):
     for kinds in ([], ["--report", "md"], ["--report", "terminal", "--report", "html"]):
         assert run_main(runs, "--recommend", job, *kinds) == 0
         shown = capsys.readouterr().out.splitlines()
-        assert sum("Asked:" in line for line in shown) == 1
+        assert sum("Job:" in line for line in shown) == 1
         assert [line for line in shown if len(line) > 80 and not line.startswith(("Wrote", "file:"))] == []

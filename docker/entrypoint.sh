@@ -1,5 +1,5 @@
 #!/bin/bash
-# Become the given command with ROS 2's environment. `-u` would stumble over ROS's own script.
+# Run the given command in ROS 2's environment. No `-u`: ROS's own script uses unset variables.
 set -eo pipefail
 . "/opt/ros/${ROS_DISTRO}/setup.bash"
 exec "$@"

@@ -58,7 +58,7 @@ class SystemClock:
         return ClockAnchor(wall_ns, monotonic_ns)
 
     def wait_until(self, monotonic_ns: int, stop: threading.Event) -> bool:
-        """Sleep without a final spin, which would delay T2 of the last message; a late send costs no latency."""
+        """Sleep without a final spin, which would delay T2; a late send costs no latency."""
         while (left_ns := monotonic_ns - time.monotonic_ns()) > 0:
             if stop.is_set():
                 return False
@@ -69,17 +69,17 @@ class SystemClock:
 
 
 def sharpen_sleep() -> None:
-    """Remove the 50 us that the kernel may add to the calling thread's sleeps."""
+    """Remove the kernel's 50 us of slack from the calling thread's sleeps."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def read_monotonic_pair() -> tuple[int, int]:
-    """Return CLOCK_MONOTONIC and CLOCK_MONOTONIC_RAW, which NTP does not slew, at one instant, ns."""
+    """Return CLOCK_MONOTONIC and the unslewed CLOCK_MONOTONIC_RAW at one instant, ns."""
     return _read_together(lambda: time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW), _PAIR_READINGS)
 
 
 def _read_together(read_other: Callable[[], int], readings: int) -> tuple[int, int]:
-    """Return CLOCK_MONOTONIC and another clock, from the narrowest reading: a preemption widens one."""
+    """Return the narrowest of some readings: a preemption widens one."""
     narrowest: tuple[int, int, int] | None = None
     for _ in range(readings):
         before_ns, other_ns, after_ns = time.monotonic_ns(), read_other(), time.monotonic_ns()
@@ -90,7 +90,7 @@ def _read_together(read_other: Callable[[], int], readings: int) -> tuple[int, i
 
 
 class _Timex(ctypes.Structure):
-    """`struct timex` of adjtimex(2); `rest` is for the fields that are not read."""
+    """`struct timex` of adjtimex(2)."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),

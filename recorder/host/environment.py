@@ -16,7 +16,7 @@ _INLINE_STARTS = ("<", "{", "str://")
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationVariable:
-    """An environment variable with the configuration of a middleware, in several entries if it has a separator."""
+    """An environment variable with one entry, or several with a separator."""
 
     name: str
     separator: str | None = None
@@ -60,7 +60,7 @@ class MiddlewareEnvironment:
 
 
 def join_environments(environments: Iterable[MiddlewareEnvironment]) -> MiddlewareEnvironment:
-    """Return one environment with the variables and files of all, each once."""
+    """Return all variables and files in one environment."""
     every = list(environments)
     return MiddlewareEnvironment(
         settings=tuple(dict.fromkeys(name for one in every for name in one.settings)),

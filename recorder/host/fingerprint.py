@@ -63,7 +63,7 @@ def host_fingerprint(
 
 
 def read_text(path: str | Path) -> str | None:
-    """Return a file's text without surrounding blanks and NULs, None if it cannot be read."""
+    """Return a file's stripped text, None if it cannot be read."""
     try:
         return Path(path).read_text(errors="replace").strip("\0 \n")
     except OSError:
@@ -77,7 +77,7 @@ def read_mhz(path: str) -> float | None:
 
 
 def read_boot_id() -> str | None:
-    """Return the kernel's random id of this boot: sessions of one boot share CLOCK_MONOTONIC."""
+    """Return the kernel's id of this boot, within which CLOCK_MONOTONIC is one."""
     return read_text("/proc/sys/kernel/random/boot_id") or None
 
 

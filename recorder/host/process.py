@@ -62,7 +62,7 @@ def apply_privileges(
 
 
 def parse_cpus(text: str) -> list[int]:
-    """Return the CPU numbers in `0,2-3`, sorted; raise an OptionError for other text."""
+    """Return the CPU numbers in `0,2-3`, sorted."""
     limits.check(limits.CPUS, text, "--cpu-affinity")
     cpus: set[int] = set()
     for part in text.split(","):
@@ -90,7 +90,7 @@ def _pin_cpus(text: str) -> list[int]:
 
 
 def set_realtime(priority: int) -> None:
-    """Run the calling thread, and the ones it starts, under SCHED_FIFO; raise an OptionError if that is refused."""
+    """Run the calling thread, and later its children, under SCHED_FIFO."""
     limits.check(limits.REALTIME_PRIORITY, priority, "--realtime")
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -101,7 +101,7 @@ def set_realtime(priority: int) -> None:
 
 
 def _lock_memory() -> None:
-    """Keep every page of this process in memory, so that no page fault delays a stamp."""
+    """Keep every page in memory, so that no page fault delays a stamp."""
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         reason = os.strerror(ctypes.get_errno())

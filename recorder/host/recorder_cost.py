@@ -55,7 +55,7 @@ class RecorderCost:
 
 
 def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> RecorderCost:
-    """Measure the cost of recording with a trace in `folder` (by default a temporary one) that is deleted again."""
+    """Measure with a trace in `folder` (by default a temporary one) that is deleted again."""
     count = max(int(seconds * 1e9) // PACE_NS, STALL_EVENTS)
     try:
         scratch = tempfile.TemporaryDirectory(prefix="dds-trace-cost-", dir=folder)
@@ -95,7 +95,7 @@ def measure_cold_timer_ns(readings: int) -> float:
 
 
 def time_paced_events(record: Record | None, count: int) -> NDArray[np.float64]:
-    """Return the time in ns of each of `count` calls of `record`, or of none, and one reading of the clock, at 1 kHz."""
+    """Return the time in ns of each call of `record` (None: no call) and one reading of the clock, at 1 kHz."""
     now = time.monotonic_ns
     times = np.zeros(count)
     planned_ns = now()

@@ -41,7 +41,7 @@ class RelayView:
 
 
 def look_for_relays(node: Node, data_type: DataType) -> RelayView:
-    """Return the endpoints of relays of `data_type` that `node` sees now."""
+    """Return the relays' endpoints that a node sees now."""
     there, back = node.look_at(data_type.topic), node.look_at(data_type.relay_topic)
     own = node.options.name
     return RelayView(

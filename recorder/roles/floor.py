@@ -36,10 +36,7 @@ COLDEST_GAP_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class FloorCost:
-    """The time from publish to callback within one process: client library, middleware and interpreter.
-
-    Caches are the colder the lower the rate.
-    """
+    """The time from publish to callback within one process; caches are colder at a lower rate."""
 
     median_ns: float
     p99_ns: float
@@ -48,7 +45,7 @@ class FloorCost:
 
 
 def measured_cost() -> dict[str, Json]:
-    """Return the session's field `recorder_cost`, times in ns; empty where nothing can be written."""
+    """Return the session's field `recorder_cost`, ns; empty where nothing can be written."""
     try:
         cost = measure_recorder_cost(seconds=BRIEF_S)
     except TraceError:
@@ -57,10 +54,7 @@ def measured_cost() -> dict[str, Json]:
 
 
 def measured_floor(backend: str, options: NodeOptions, rate_hz: float | None = None) -> dict[str, Json]:
-    """Return the session's field `client_library_floor`, times in ns; empty where it cannot be measured.
-
-    A relay does not know the rate.
-    """
+    """Return the session's field `client_library_floor`, ns; empty where it cannot be measured."""
     try:
         floor = measure_floor(backend, options, BRIEF_FLOOR_MESSAGES, BRIEF_FLOOR_PATIENCE_S, rate_hz)
     except TraceError:

@@ -21,7 +21,7 @@ ReceivedT = TypeVar("ReceivedT")
 
 @dataclass(frozen=True, slots=True)
 class Lane(Generic[SentT, ReceivedT]):
-    """One form of messages on a node; `form_of` raises an OptionError for a data type that does not have it."""
+    """One form of messages on a node; `form_of` refuses data types without it."""
 
     form_of: Callable[[DataType], Form[SentT, ReceivedT]]
     message_of: Callable[[DataType, Message], SentT]
@@ -30,7 +30,7 @@ class Lane(Generic[SentT, ReceivedT]):
 
 
 def raw_lane(node: Node) -> Lane[bytearray, RawMessage]:
-    """Return the lane of serialized messages, which every node has; stamps are patched in the payload's buffers."""
+    """Return the lane of serialized messages; stamps are patched in the payload's buffers."""
     return Lane(
         lambda data_type: data_type.raw,
         lambda _data_type, message: message.data,
@@ -40,11 +40,7 @@ def raw_lane(node: Node) -> Lane[bytearray, RawMessage]:
 
 
 def object_lane(node: Node) -> Lane[RosMessage, RosMessage]:
-    """Return the lane of message objects.
-
-    Raises:
-        OptionError: the node's backend carries serialized messages only.
-    """
+    """Return the lane of message objects; raise an OptionError if the backend has none."""
     objects = message_objects_of(node)
     return Lane(
         lambda data_type: data_type.object_form(),

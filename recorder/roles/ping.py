@@ -72,7 +72,7 @@ def open_ping(node: Node, plan: RunPlan, clock: Clock | None = None) -> AnyPing:
 
 
 class Ping(Generic[SentT, ReceivedT]):
-    """One run on one node: `wait_for_echo`, then `run`, then `close`; the node's thread calls `_receive`."""
+    """One run: `wait_for_echo`, `run`, `close`; the node's thread calls `_receive`."""
 
     def __init__(self, lane: Lane[SentT, ReceivedT], plan: RunPlan, clock: Clock | None = None) -> None:
         self.plan = plan
@@ -121,7 +121,7 @@ class Ping(Generic[SentT, ReceivedT]):
         replies.note(sequence, relay_id, receive_ns)
 
     def wait_for_echo(self, timeout_s: float, stop: threading.Event, relays: int = 1) -> bool:
-        """Send probes until `relays` relays have sent one back and echoes have ceased; return whether that happened."""
+        """Send probes until enough relays echo and echoes have ceased; return whether that happened."""
         began_ns = next_ns = self._now()
         message, nonce, sent = self._messages[0], secrets.randbits(63), 0
         while not stop.is_set():
@@ -166,7 +166,7 @@ class Ping(Generic[SentT, ReceivedT]):
         return len(self._echoes)
 
     def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
-        """Send the plan on this thread and return the finished run; `stop` ends the sending, `hopeless` the wait for replies."""
+        """Send the plan and return the finished run; `stop` ends the sending, `hopeless` the wait for replies."""
         description = self.plan.describe(self.run_id)
         sink.write_run(description)
         self._record = sink.record

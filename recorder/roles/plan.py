@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """The messages of one run of a ping and their schedule; no statistic counts `warmup`, the first ones."""
+    """The messages of a run and their schedule; no statistic counts the first ones, `warmup`."""
 
     payload: Payload
     rate_hz: float
@@ -43,7 +43,7 @@ class RunPlan:
         return self.warmup + self.messages
 
     def scheduled_ns(self, start_ns: int, sequence: int) -> int:
-        """Return T0 of message `sequence`, which is fixed before the run."""
+        """Return T0 of a message, which is fixed before the run."""
         return start_ns + round(sequence * SECOND_NS / self.rate_hz)
 
     def describe(self, run_id: int) -> Run:
@@ -67,7 +67,7 @@ class RunPlan:
 def plan_run(
     options: RecordOptions, ping: PingOptions, payload: Payload, *, session_id: int, seed: int
 ) -> RunPlan:
-    """Return the run of these options with this payload; raise an OptionError if it cannot be sent like this."""
+    """Return the run of these options with this payload."""
     check_serialization([payload.data_type], options.serialization)
     check_rate(ping, is_live=payload.feed is not None)
     rate_hz = ping.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
@@ -90,7 +90,7 @@ def plan_run(
 
 
 def count_messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
-    """Return the requested number of messages, or the number that fits the duration after the warm-up."""
+    """Return the requested number of messages, or what fits the duration."""
     if messages is not None:
         return messages
     if duration_s is None:
@@ -101,13 +101,13 @@ def count_messages(messages: int | None, duration_s: float | None, rate_hz: floa
 
 
 def check_rate(ping: PingOptions, *, is_live: bool) -> None:
-    """Raise an OptionError if there is a rate for data that arrives on a live topic."""
+    """Refuse a rate for a live topic."""
     if is_live and ping.rate_hz is not None:
         raise OptionError("--rate cannot be given with topic:/NAME, whose messages are the schedule")
 
 
 def check_serialization(data_types: Iterable[DataType], serialization: Serialization) -> None:
-    """Raise an OptionError for a data type without message objects, if they are requested."""
+    """Refuse message objects of a data type that has none."""
     if serialization is Serialization.TYPED:
         for data_type in data_types:
             data_type.object_form()

@@ -43,7 +43,7 @@ class PingProgress:
 
 @dataclass(frozen=True, slots=True)
 class RelayProgress:
-    """Messages that a relay has sent back (no probes), their runs, and ignored messages without our stamp."""
+    """Relayed messages (no probes), their runs, and messages without our stamp."""
 
     relayed: int
     runs: int
@@ -51,7 +51,7 @@ class RelayProgress:
 
 
 class Watch(Protocol):
-    """An observer of a recording, called twice a second from the thread that called `record`."""
+    """An observer of a recording, called twice a second."""
 
     def note(self, text: str) -> None:
         """Take a line that the user should read now."""
@@ -76,7 +76,7 @@ class Silence:
 
     @property
     def is_lasting(self) -> bool:
-        """Whether it is longer, in time and messages, than losses at the rate before it explain."""
+        """Whether the losses before do not explain it."""
         if self.duration_ns < SILENCE_NS or self.messages <= 0:
             return False
         loss = (self.before - self.answered + 1) / (self.before + 2)  # Laplace's rule of succession
@@ -119,7 +119,7 @@ class Replies:
         self._counts: dict[int, int] = {}  # relay -> messages that it has answered
 
     def note(self, sequence: int, relay_id: int, receive_ns: int) -> None:
-        """Count the reply of `relay_id` to message `sequence`, once for each relay and message."""
+        """Count a reply, once for each relay and message."""
         answered = self._answered.get(relay_id)
         if answered is None:
             answered = self._answered[relay_id] = bytearray(len(self.publish_ns))
@@ -135,16 +135,16 @@ class Replies:
         self.last_ns = receive_ns
 
     def are_complete(self, published: int) -> bool:
-        """Return whether every relay that has answered at all has answered all `published` messages."""
+        """Return whether every answering relay has answered all messages."""
         counts = list(self._counts.values())
         return published == 0 or (bool(counts) and min(counts) >= published)
 
     def received_before(self, sequence: int) -> int:
-        """Return the number of messages before `sequence` with at least one reply."""
+        """Return how many of the first messages have a reply."""
         return sum(map(bool, self._rtt_ns[:sequence]))
 
     def percentiles_ns(self) -> tuple[int | None, int | None]:
-        """Return p50 and p99 of the round trips so far, in ns; None before the first reply."""
+        """Return p50 and p99 of the round trips so far, ns."""
         values = np.frombuffer(self._rtt_ns, np.int64)
         values = values[:: len(values) // PERCENTILE_SAMPLES + 1]
         values = np.sort(values[values > 0])

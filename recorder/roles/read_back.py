@@ -54,20 +54,20 @@ class ReadBack:
         self._reported: set[tuple[Setting, str]] = set()
 
     def read_begin(self) -> None:
-        """Read what the process uses before the first message, on any thread, once."""
+        """Read once before the first message, on any thread."""
         if self._applied is None:
             applied = read_applied()
             self._own = differences(self.requested, applied)
             self._applied = applied
 
     def read_end(self, traffic: Traffic) -> None:
-        """Read what the process uses after the last message; `traffic` counts from `read_begin`."""
+        """Read after the last message; `traffic` counts from `read_begin`."""
         if self._applied is not None:
             self._applied = with_path(read_applied(self._applied), traffic)
             self._own = differences(self.requested, self._applied, traffic)
 
     def note_bridge(self, not_applied: tuple[Difference, ...]) -> None:
-        """Replace the differences of the bridge's programs, for `report` and `fields`."""
+        """Replace the differences of the bridge's programs."""
         self._bridge = not_applied
 
     @property
@@ -114,11 +114,11 @@ class ReadBack:
             self._note(f"not applied: {difference.words}; no answer will use this recording")
 
     def explain(self, traffic: Traffic) -> tuple[Difference, ...]:
-        """Return the settings that may keep messages from arriving, after `traffic` without a reply."""
+        """Return the settings that may explain `traffic` without a reply."""
         return differences(self.requested, read_applied(), traffic)
 
     def fields(self) -> JsonObject:
-        """Return the session's field `asked` and, after `read_begin`, `applied` and `not_applied`."""
+        """Return the session's fields `asked`, `applied` and `not_applied`."""
         requested: JsonObject = {"asked": self.requested.to_json()}
         if self._applied is None:
             return requested

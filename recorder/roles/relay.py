@@ -36,15 +36,7 @@ RECENT_RUNS = 1000
 class Relay:
     """The relay of `data_types` on a node, whose thread does all the work.
 
-    Args:
-        node: node that subscribes and publishes.
-        sink: trace for the events.
-        relay_id: number in every reply, not 0.
-        data_types: data types whose topics are served.
-        qos: quality of service of both ways.
-        serialization: form in which the messages pass the client library.
-        clock: time of this device.
-        on_probe: called after the reply to each readiness probe.
+    `relay_id` is in every reply and not 0; `on_probe` is called after the reply to each readiness probe.
     """
 
     def __init__(
@@ -138,7 +130,7 @@ class Relay:
         return receive
 
     def _forecaster(self, form: Form[SentT, ReceivedT]) -> Callable[[Any, int, int, int], _Forecast | None]:
-        """Return a function that prepares the next message of a run, by the size of this one."""
+        """Return a function that prepares the next message of a run."""
         sizing_bytes_of = form.sizing_bytes_of
         if sizing_bytes_of is None:
             return lambda *_: None
@@ -155,7 +147,7 @@ class Relay:
         return forecast_of
 
     def _note_run(self, run_id: int) -> None:
-        """Count a run that is new, and forget the one with the oldest last message."""
+        """Count a new run, and forget the one with the oldest last message."""
         self._last_run = run_id
         if not self._recent_runs.pop(run_id, False):
             self._runs += 1

@@ -64,7 +64,7 @@ def describe_session(
 
 
 def default_connectivity(discovery: Discovery, root: Path = Path("/")) -> str:
-    """Return `loopback`, or `wireless` or `wired` by the interface of the default route."""
+    """Return `loopback`, else `wireless` or `wired` by the default route."""
     if discovery is Discovery.LOCALHOST:
         return "loopback"
     try:

@@ -1,4 +1,4 @@
-"""The capture of a role's interfaces; counts and records are written to the trace after a run, never during it."""
+"""The capture of a role's interfaces; nothing is written during a run."""
 
 from __future__ import annotations
 
@@ -26,10 +26,7 @@ if TYPE_CHECKING:
 def open_wire(
     *, enabled: bool, discovery: Discovery, domain_ids: Iterable[int], note: Callable[[str], None]
 ) -> Iterator[WireRecord]:
-    """Open the capture of a role, before its node: the first announcement of a participant counts.
-
-    The interfaces depend on the discovery, the ports on the domains.
-    """
+    """Open the capture of a role, before its node: the first announcement of a participant counts."""
     if not enabled:
         yield WireRecord(None, note)
         return
@@ -46,7 +43,7 @@ def open_wire(
 
 
 class WireRecord:
-    """Writes the counts of a role's capture into the trace; does nothing without a capture, or after it ended by itself."""
+    """Writes the counts of a role's capture into the trace, while there is one."""
 
     def __init__(self, capture: WireCapture | None, note: Callable[[str], None]) -> None:
         self._capture = capture
@@ -55,11 +52,11 @@ class WireRecord:
 
     @property
     def processes(self) -> Mapping[str, int]:
-        """Name and id of the capturing process, for the samples of the host's load."""
+        """The capturing process, for the samples of the host's load."""
         return {} if self._capture is None else {"wire": self._capture.pid}
 
     def begin(self, run_id: int | None = None) -> None:
-        """Restart counting (0.25 s), with records of one run's messages, or of all (a relay)."""
+        """Restart counting (0.25 s), with records of one run or all."""
         if self._capture is None:
             return
         try:
@@ -68,7 +65,7 @@ class WireRecord:
             self._give_up(err)
 
     def write_run(self, run: Run, sink: TraceSink) -> Run:
-        """Write the counts of a finished run into its description, then its records; return the description."""
+        """Write the counts into a finished run, then its records; return the run."""
         result = self._take()
         if result is None:
             return run
@@ -78,7 +75,7 @@ class WireRecord:
         return described
 
     def write_relay(self, relayed: int, session_id: int, sink: TraceSink, *, go_on: bool = False) -> None:
-        """Write the counts of a relay's capture if it has relayed messages since the preceding call, and `go_on` counting."""
+        """Write the counts if the relay has new messages, and `go_on` counting."""
         if relayed == self._relayed:
             return
         result = self._take()

@@ -35,10 +35,7 @@ _NUMBERED = re.compile(rf"(?P<stem>.+)\.(?P<number>\d{{{DIGITS},}})\.mcap(?P<rin
 
 
 class RotatedFiles:
-    """The files `NAME.00001.mcap`, `NAME.00002.mcap` ... of one recording, whose `--out` is `NAME.mcap`.
-
-    Numbers continue after the highest existing one: no file is ever overwritten.
-    """
+    """The files `NAME.00001.mcap` ... of a recording; numbers follow the highest existing one, so none is overwritten."""
 
     def __init__(self, destination: TraceDestination, session_id: int) -> None:
         self._destination = destination
@@ -52,7 +49,7 @@ class RotatedFiles:
         return replace(self._destination, path=folder / f"{self._stem}.{number:0{DIGITS}d}.mcap", force=False)
 
     def drop_oldest(self, keep: int) -> list[Path]:
-        """Delete all but the newest `keep` files of this session, except files with a ring; return the deleted paths."""
+        """Delete all but the newest `keep` files, except files with a ring; return the deleted paths."""
         folder = self._destination.path.parent
         matches = sorted((m for m in self._matches() if not m["ring"]), key=lambda m: int(m["number"]))
         own = [path for m in matches if _is_of_session(path := folder / m.string, self._session_id)]
@@ -72,7 +69,7 @@ class RotatedFiles:
 
 
 def later_files(path: Path, session_id: int) -> list[Path]:
-    """Return the files that a rotating recording wrote after `path`, in order."""
+    """Return the recording's files after `path`, in order."""
     matched = _NUMBERED.fullmatch(path.name)
     if matched is None:
         return []

@@ -83,7 +83,7 @@ class Listed:
 
 
 def runtime_folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder for this process's entry: the service's, else the user's, else a temporary one."""
+    """Return the folder of the service, else of the user, else a temporary one."""
     service = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
     if service:
         return Path(service)
@@ -102,7 +102,7 @@ def runtime_folders(environment: Mapping[str, str] = os.environ) -> list[Path]:
 
 
 class RunningRecording:
-    """The entry of this process in `folder`, until `close`; where none can be made, every method does nothing."""
+    """The entry of this process until `close`, where one can be made."""
 
     def __init__(self, session: Session, path: Path, folder: Path | None = None) -> None:
         folder = runtime_folder() if folder is None else folder
@@ -169,7 +169,7 @@ class RunningRecording:
 
 
 def list_recordings(folders: Iterable[Path] | None = None) -> list[Listed]:
-    """Return the recordings of this machine, running ones first, then by their start."""
+    """Return the recordings of this machine, running ones first."""
     recordings: list[Listed] = []
     for folder in runtime_folders() if folders is None else folders:
         with suppress(OSError):
@@ -195,7 +195,7 @@ def _read_entry(path: Path) -> Listed | None:
 
 
 def _waiting_trace(path: Path, session_id: int) -> Path | None:
-    """Return the file whose ring was left: the entry's, or a later one of a process killed before its update."""
+    """Return the file whose ring was left: the entry's, or one after its last update."""
     return next((file for file in (path, *later_files(path, session_id)) if ring_path(file).exists()), None)
 
 
@@ -217,7 +217,7 @@ def _is_locked(descriptor: int) -> bool:
 
 
 def _start_of(pid: int) -> int | None:
-    """Return the start time of a process in clock ticks since boot."""
+    """Return a process's start time in clock ticks since boot."""
     try:
         return int(Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[19])
     except (OSError, ValueError, IndexError):
@@ -225,7 +225,7 @@ def _start_of(pid: int) -> int | None:
 
 
 def _is_own(folder: Path) -> bool:
-    """Return whether only this user may write to a folder, whose parent may be writable by everybody."""
+    """Return whether only this user may write to a folder."""
     status = folder.lstat()
     return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
 

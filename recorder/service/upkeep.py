@@ -63,7 +63,7 @@ class ServiceManager:
             self._socket.setblocking(False)  # a stuck manager must not block the recording
 
     def notify(self, status: str) -> None:
-        """Feed the watchdog; report readiness at the first call, and the status every `STATUS_PERIOD_S`."""
+        """Feed the watchdog; report readiness once, and now and then the status."""
         if self._socket is None:
             return
         assignments = ["WATCHDOG=1"] if self._is_watched else []
@@ -157,13 +157,13 @@ class Upkeep:
         self._manager.notify(f"{counted(messages, 'message')}, {activity}")
 
     def close_trace(self, **described: Json) -> ClosedTrace:
-        """Close the trace of a relay with these fields of its session, and why it stopped recording."""
+        """Close a relay's trace with these fields, and why it stopped recording."""
         self._blame_disk()
         stopped: JsonObject = {} if self.shortage is None else {"stopped": str(self.shortage)}
         return self.sink.close(**described, **stopped)
 
     def _blame_disk(self) -> None:
-        """Set `shortage` once the short disk has dropped events or ends a ping's run."""
+        """Set `shortage` once events were dropped or a ping's run ends."""
         if self._options.ping is not None or self.sink.dropped_events > self._dropped:
             self.shortage = self.shortage or self._short
 
@@ -208,7 +208,7 @@ class Upkeep:
         self._note(f"the recording continues in {self.destination.path.name}{deleted}")
 
     def _go_on(self, described: JsonObject) -> TraceDestination | None:
-        """Switch to the next file; return its destination, None if events wait for the disk."""
+        """Switch to the next file; return None if events wait for the disk."""
         while True:
             destination = self._files.next()
             try:

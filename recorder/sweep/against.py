@@ -32,7 +32,7 @@ BASE, NEW = "base", "new"
 
 @dataclass(frozen=True, slots=True)
 class InterleavedRun:
-    """One cell of one side, `base` or `new`: a group with a relay of its own."""
+    """One cell of one side, with a relay of its own."""
 
     side: str
     group: CellGroup
@@ -85,14 +85,9 @@ def run_against(
     *,
     commands: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
 ) -> AgainstOutcome:
-    """Record every cell of both sides, interleaved; order and repeats are the base's.
+    """Record every cell of both sides, interleaved, in the folders `base` and `new`; order and repeats are the base's.
 
-    Args:
-        base: plan of the base.
-        new: plan of the other side.
-        folder: folder for the folders `base` and `new`.
-        progress: receiver of every step.
-        commands: `dds-record` of each side; None for the installed one.
+    `commands` are the `dds-record` of each side, None for the installed one.
     """
     runs = interleave(base, new)
     partners = {
@@ -127,7 +122,7 @@ def run_against(
 
 
 class _SideProgress(SweepProgress):
-    """Hands the steps of one side on, with its name."""
+    """Names the side in each step."""
 
     def __init__(self, progress: SweepProgress, side: str) -> None:
         self._progress = progress
@@ -138,7 +133,7 @@ class _SideProgress(SweepProgress):
         self._progress.relay(f"{self._side} {name}")
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Hand on the cell; the other side has as much time left."""
+        """Hand on the cell; the other side needs as much time."""
         self._progress.cell(f"{self._side} {name}", Remaining(2 * remaining.seconds))
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:

@@ -75,7 +75,7 @@ def _try_lock(lock: int) -> bool:
 
 
 def make_parts(folder: Path) -> Path:
-    """Make the folder for unfinished traces; raise an OutputError if it is a link, which would lead elsewhere."""
+    """Make the folder for unfinished traces; refuse a link, which would lead elsewhere."""
     parts = folder / PARTS
     try:
         parts.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def clear_parts(parts: Path) -> list[str]:
 
 
 def remove_files(folder: Path, name: str, endings: Collection[str]) -> None:
-    """Remove the files NAME + ENDING in a folder; a folder of that name stays."""
+    """Remove the files NAME + ENDING; a folder of that name stays."""
     for ending in endings:
         path = folder / f"{name}{ending}"
         if path.is_symlink() or path.is_file():
@@ -116,7 +116,7 @@ def log_path(folder: Path, segment: str) -> Path:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replace a file so that a reader, or a reboot, sees either the old or the new text."""
+    """Replace a file so that a reader, or a reboot, sees one text or the other."""
     try:
         with replacing(path, fsync=True) as draft, create_file(draft) as file:
             file.write(text.encode())

@@ -1,4 +1,4 @@
-"""The rehearsal of a plan: reports the cells that cannot be recorded, before any of them is."""
+"""The rehearsal of a plan: which cells cannot be recorded."""
 
 from __future__ import annotations
 
@@ -41,17 +41,10 @@ def rehearse_plan(
     note: Callable[[str], None],
     command: Sequence[str] | None = None,
 ) -> dict[str, str]:
-    """Return each cell of a plan that cannot be recorded here, of all repeats, with the reason.
+    """Return each cell that cannot be recorded here, of all repeats, with the reason; `folder` is not made.
 
     All arguments are checked. Of cells that differ only in size and rate, one ping starts and ends before its first message,
     and so does each relay on its device, with namespaces, bridges and middleware; network and disk space stay untested.
-
-    Args:
-        plan: the plan.
-        folder: folder of the sweep, which is not made.
-        check_arguments: raises what `dds-record` would.
-        note: takes a line about what could not be rehearsed.
-        command: `dds-record` on this machine; the installed one by default.
     """
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
@@ -71,7 +64,6 @@ def rehearse_plan(
 
 
 def _check_folder(plan: Plan, folder: Path) -> None:
-    """Raise if the sweep's folder cannot be written, or has another sweep."""
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
         raise OutputError(f"{nearest}: not a folder that can be written; give another --out")
@@ -96,7 +88,7 @@ class _Rehearsal:
         self._too_old: set[str] = set()  # environments
 
     def refused_cells(self, group: CellGroup) -> dict[Cell, str]:
-        """Rehearse a relay and its pings; return the cells that cannot be recorded, with the reason."""
+        """Rehearse a relay and its pings; return refused cells with the reason."""
         reasons = {cell: self._refusal(self._ping_arguments(cell)) for cell in group.cells}
         accepted = [cell for cell, reason in reasons.items() if reason is None]
         relay_reason = self._rehearse_relay(group) if accepted else None
@@ -133,7 +125,7 @@ class _Rehearsal:
         return None
 
     def _unless_old(self, environment: str, reason: str | None) -> str | None:
-        """Return the reason, or None with a note if the environment's dds-trace is too old for a rehearsal."""
+        """Return the reason, or None with a note if the environment has no `--check`."""
         if reason is None or not environment or _TOO_OLD not in reason:
             return reason
         if environment not in self._too_old:

@@ -65,7 +65,7 @@ class TrialFailedError(Exception):
 
 
 class Knee(NamedTuple):
-    """The end of a bisection: the highest sustained rate, and why `failing_hz`, the lowest other one, is not."""
+    """The highest sustained rate, and the lowest that is not (`failing_hz`) with the reason."""
 
     answer: RateAnswer
     rate_hz: float
@@ -75,7 +75,7 @@ class Knee(NamedTuple):
 
 @dataclass(slots=True)
 class Bisection:
-    """A search between two rates; `trial` runs the n-th trial at a rate and returns why it was not sustained."""
+    """A search; `trial` runs the n-th trial at a rate and returns why it was not sustained."""
 
     search: Search
     trial: Callable[[float, int], str]
@@ -100,7 +100,7 @@ class Bisection:
         return self._settle(low, high, why)
 
     def _settle(self, low: float, high: float, reason: str) -> Knee:
-        """Repeat the trials at the knee; move it where the majority contradicts the single trial."""
+        """Repeat the trials at the knee; a majority against the single trial moves it."""
         for _ in range(KNEE_STEPS):
             if why := self._majority(low):
                 high, reason = low, why
@@ -116,7 +116,6 @@ class Bisection:
         return Knee(RateAnswer.FOUND, low, high, reason)
 
     def _majority(self, rate_hz: float) -> str:
-        """Return why most repeats did not sustain this rate, if so."""
         repeats = self.search.knee_repeats
         reasons = []
         for number in range(1, repeats + 1):
@@ -135,7 +134,7 @@ def round_rate(rate_hz: float) -> float:
 
 
 def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str:
-    """Return why a run did not sustain the requested rate, or an empty text."""
+    """Return why a run did not sustain its rate, or an empty text."""
     achieved_hz = result.achieved_rate_hz or 0.0
     percentile = f"p{search.percentile:g}"
     response_ms = result.response_ms[percentile] if result.response_ms else math.inf
@@ -156,7 +155,7 @@ def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str
 
 
 def search_plan(plan: Plan) -> Plan:
-    """Return a plan with one cell for all rates of a cell, in runs long enough for the percentile."""
+    """Return a plan of one cell for all rates, in runs long enough for the percentile."""
     cells = dict.fromkeys(replace(cell, rate=plan.search.max_rate) for cell in plan.cells)
     return replace(
         plan,
@@ -174,7 +173,7 @@ def messages_needed(search: Search) -> int:
 
 
 def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:
-    """Yield the answer for each cell of a `search_plan`; complete trials are not run again."""
+    """Yield the answer for each cell; complete trials are not run again."""
     for group in group_by_relay(plan, plan.cells):
         knees: list[tuple[Cell, Knee]] = []
         with runner.relay(group) as relay:

@@ -59,7 +59,7 @@ class Until:
 
 
 def parse_target(text: str) -> tuple[str, float]:
-    """Return statistic and percent of a text such as `latency_p99:5%`; raise an OptionError for another text."""
+    """Return statistic and percent of a text such as `latency_p99:5%`."""
     match = _TARGET.fullmatch(text)
     try:
         percent = float(match[2]) if match else 0.0
@@ -130,7 +130,7 @@ def run_sweep(
 def _run_further_passes(
     plan: Plan, runner: Runner, until: Until, note: Callable[[str], None]
 ) -> tuple[list[Cell], dict[str, float]]:
-    """Repeat cells that are too wide until none is or the passes are used up; return the new and the too wide cells."""
+    """Repeat too wide cells as long as there are passes; return the new and the too wide cells."""
     cells: list[Cell] = []
     measured: RunIds = {}
     widths: Mapping[str, float] = {}
@@ -170,7 +170,7 @@ def run_search(
     *,
     command: Sequence[str] | None = None,
 ) -> tuple[Path, list[MaxRate]]:
-    """Search the highest rate of each cell, ignoring the plan's rates; return the folder of the trials and the answers."""
+    """Search the highest rate of each cell; return the folder of the trials and the answers."""
     plan = search_plan(plan)
     folder = out / plan.name
     with (

@@ -1,4 +1,4 @@
-"""The progress of a sweep, for a person (rich, on a terminal) or a log (plain lines)."""
+"""The progress of a sweep, for a terminal or a log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class SweepProgress:
     """Receiver of the steps of a sweep; ignores them."""
 
     def begin(self, cells: int, done: int) -> None:
-        """Start with the number of cells, 0 if it is open, and how many of them are complete."""
+        """Start with the number of cells, 0 if it is open, and of complete ones."""
 
     def relay(self, name: str) -> None:
         """Show that a relay starts."""
@@ -27,7 +27,7 @@ class SweepProgress:
         """Show that a cell starts, and the time left."""
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        """Show the end of a cell: its result in words, or the reason of its failure."""
+        """Show a cell's result, or the reason of its failure."""
 
     def note(self, text: str) -> None:
         """Show a line."""
@@ -60,12 +60,12 @@ class PlainProgress(SweepProgress):
         self.note(f"[{self._done}{total}] {name}: {outcome}")
 
     def note(self, text: str) -> None:
-        """Print a line without markup: it may contain output of a program."""
+        """Print a line without markup, as it may be a program's."""
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 class RichProgress(PlainProgress):
-    """The same lines above a bar with the running cell and the time left."""
+    """The same lines above a bar."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(console)
@@ -102,5 +102,5 @@ class RichProgress(PlainProgress):
 
 
 def make_progress(console: Console) -> SweepProgress:
-    """Return a bar for a terminal, and plain lines for anything else."""
+    """Return a bar for a terminal, else plain lines."""
     return RichProgress(console) if console.is_terminal else PlainProgress(console)

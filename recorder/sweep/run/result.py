@@ -1,4 +1,4 @@
-"""The result of one cell, for progress, state file and search of rates; the analyzer's figures are the ones to publish."""
+"""The result of one cell, for progress, state file and search; publish the analyzer's figures."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class CellResult:
 
 
 def read_result(path: Path) -> CellResult:
-    """Return the result of a ping's trace, which must have exactly one run, finished."""
+    """Return the result of a trace with exactly one run, finished."""
     trace = read_trace(path)
     if len(trace.runs) != 1:
         raise TraceFormatError(path, f"has {counted(len(trace.runs), 'run')} where a cell has one")

@@ -52,7 +52,7 @@ HOPELESS_EXIT_CODES = {OptionError.exit_code, BackendUnavailableError.exit_code}
 
 
 class CellFailedError(Exception):
-    """Failure of one attempt at a cell; `hopeless` if another one would fail alike."""
+    """Failure of an attempt; `hopeless` if another one would fail alike."""
 
     def __init__(self, reason: str, *, hopeless: bool = False) -> None:
         super().__init__(reason)
@@ -60,7 +60,7 @@ class CellFailedError(Exception):
 
 
 class GroupRelay:
-    """The relay of a group of cells and its half of a bridge (if any); restarted in a new segment if one ended by itself."""
+    """The relay of a group of cells with its half of a bridge (if any); after an end by itself a new segment follows."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class GroupRelay:
         self._hopeless: CellFailedError | None = None
 
     def serve(self) -> str:
-        """Start the relay unless it runs, and return the name of its segment."""
+        """Start the relay unless it runs, and return its segment."""
         if self._hopeless is not None:
             raise self._hopeless
         if not self._running:
@@ -90,7 +90,7 @@ class GroupRelay:
         return self._segments[-1]
 
     def check(self) -> None:
-        """Raise a `CellFailedError` if a program has ended by itself; `serve` then starts both again."""
+        """Raise a `CellFailedError` if a program has ended by itself."""
         ended = next((name for name, program in self._running.items() if program.failure is not None), None)
         if ended is None:
             return
@@ -124,7 +124,7 @@ class Runner:
         self._estimate = Estimate(plan)
 
     def run(self, groups: list[CellGroup]) -> None:
-        """Run every cell that is not complete; `reasons` then names those that still are not."""
+        """Run every cell that is not complete."""
         cells = [cell for group in groups for cell in group.cells]
         self.resume()
         done = sum(self.state[cell.name].done for cell in cells)
@@ -139,7 +139,7 @@ class Runner:
             self._progress.end()
 
     def prepare(self) -> None:
-        """Clean up after an interrupted sweep, and check that relays can start."""
+        """Resume, and check that relays can start."""
         self.resume()
         self._prepare_device()
 
@@ -156,7 +156,7 @@ class Runner:
         }
 
     def resume(self) -> None:
-        """Split the segments of an interrupted sweep, and delete its unfinished cells."""
+        """Split the segments of an interrupted sweep; delete its unfinished cells."""
         for segment in self.state.segments:
             self._collect(segment)
         if foreign := clear_parts(self._parts):
@@ -165,7 +165,7 @@ class Runner:
             )
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
-        """Run the cells of a group that are not complete; the time left counts `all_cells`."""
+        """Run the incomplete cells of a group; the time left counts `all_cells`."""
         waiting = [cell for cell in group.cells if not self.state[cell.name].done]
         if not waiting:
             return
@@ -179,7 +179,7 @@ class Runner:
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
-        """Yield the relay of a group; after the block each cell has its relay trace."""
+        """Yield the relay of a group; its cells' relay traces follow."""
         relay = GroupRelay(
             self._station.within(group.need.environment).device,
             relay_arguments(self.plan, group.need, group.cells[0].repeat),
@@ -332,6 +332,5 @@ class Runner:
         return self.folder / f"{name}.relay.mcap"
 
     def _segment_names(self, group: CellGroup) -> Iterator[str]:
-        """Return names, with the group's number, that no earlier sweep in this folder has used."""
         began_ms = time.time_ns() // 1_000_000
         return (f"{group.number}-{began_ms}-{start}.mcap" for start in itertools.count(1))

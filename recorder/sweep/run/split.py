@@ -35,7 +35,7 @@ _SAMPLE_MARGIN_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class CellPart:
-    """The part of a relay's trace for one cell; `link`, the emulated link's counters, is written as a host sample."""
+    """The part for one cell; the link's counters become a host sample."""
 
     run_id: int
     path: Path
@@ -65,7 +65,7 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
 
 
 def wire_of_run(trace: Trace, run_id: int) -> list[JsonObject]:
-    """Return a run's records of the wire, and the relay's counts while it served only that run."""
+    """Return a run's records, and the relay's counts while it served only that run."""
     name = f"{run_id:016x}"
     return [text for text in trace.wire if name == text.get("run_id") or text.get("run_ids") == [name]]
 

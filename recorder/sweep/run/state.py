@@ -88,12 +88,12 @@ class SweepState:
         self._save()
 
     def in_segment(self, segment: str) -> dict[str, CellState]:
-        """Return the cells whose part is still in this segment, by name."""
+        """Return the cells of this segment, by name."""
         return {name: cell for name, cell in self._cells.items() if cell.segment == segment}
 
     @property
     def segments(self) -> list[str]:
-        """Names of the relay traces that still contain parts of cells, oldest first."""
+        """Relay traces that still contain parts of cells, oldest first."""
         return list(dict.fromkeys(cell.segment for cell in self._cells.values() if cell.segment))
 
     def _load(self) -> None:
@@ -148,7 +148,7 @@ class SweepState:
 
 
 def _check_names(name: str, cell: CellState) -> None:
-    """Raise a ValueError for a name that is not a sweep's: names become paths, and the file may be somebody else's."""
+    """Raise a ValueError for a foreign name: names become paths, and the file may be somebody else's."""
     if not re.fullmatch(r"[\w+-][\w.+-]*", name):
         raise ValueError(f"{name!r} is not the name of a cell")
     if cell.segment and not is_segment_name(cell.segment):

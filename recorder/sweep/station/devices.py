@@ -18,7 +18,7 @@ class StartedProgram(Protocol):
 
     @property
     def failure(self) -> str | None:
-        """Reason of its end that it printed, None while it runs."""
+        """Reason of its end, None while it runs."""
 
     @property
     def exit_code(self) -> int | None:
@@ -29,20 +29,20 @@ class StartedProgram(Protocol):
 
 
 class RelayDevice:
-    """A device that starts relays and hands over their traces; each kind overrides what it needs."""
+    """A device for relays; each kind overrides what it needs."""
 
     keeps_traces = False
     """Whether the traces stay on the device until a person copies them."""
 
     def check(self) -> None:
-        """Check that relays can start on the device, and that its version is this one's."""
+        """Check that relays of this version can start there."""
 
     def rehearse(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002 - the signature of all devices
-        """Start a relay that ends before its first message; return why it cannot start."""
+        """Start a relay with `--check`; return why it cannot start."""
         return None
 
     def rehearse_half(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002
-        """Look for the program of a half of a bridge; return why it cannot start."""
+        """Look for the program of a half; return why it cannot start."""
         return None
 
     def prepare(self) -> None:
@@ -57,18 +57,18 @@ class RelayDevice:
         raise NotImplementedError
 
     def collect(self, segment: str) -> Path | None:  # noqa: ARG002
-        """Bring a trace to this machine and return its path, None if the device has none."""
+        """Bring a trace to this machine and return its path, if there is one."""
         return None
 
     def discard(self, segment: str) -> None:
         """Remove the trace `segment` after it is split."""
 
     def clear(self, keep: Collection[str]) -> None:
-        """Remove what an interrupted sweep left on the device, except these segments."""
+        """Remove traces of an interrupted sweep, except these segments."""
 
 
 class LocalDevice(RelayDevice):
-    """This machine, whose pings run both halves of a bridge; `command` is `dds-record` with the words before it."""
+    """This machine, whose pings run both halves of a bridge."""
 
     def __init__(self, folder: Path, command: Sequence[str], lock: int | None = None) -> None:
         self._folder = folder
@@ -95,7 +95,7 @@ class LocalDevice(RelayDevice):
 
 
 class PrintedDevice(RelayDevice):
-    """A device whose person starts each relay by a printed command, while the pings wait."""
+    """A device whose person starts each relay by a printed command."""
 
     keeps_traces = True
 
@@ -119,7 +119,7 @@ class PrintedDevice(RelayDevice):
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
-    """Return the command line of a group's relay, without the device's defaults."""
+    """Return the command of a group's relay, without the device's defaults."""
     return f"{DEFAULTS_VARIABLE}= dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
 
 

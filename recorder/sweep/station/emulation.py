@@ -56,7 +56,7 @@ def _system(program: str, *arguments: str) -> str:
 
 
 def count_traffic(namespace: str) -> EndCounters:
-    """Return the traffic of one end of the link since it was made."""
+    """Return the traffic of one end of the link so far."""
     shown = json.loads(ip("-n", namespace, "-s", "-j", "link", "show", "dev", INTERFACE))
     sent = shown[0]["stats64"]["tx"]
     disciplines = json.loads(tc("-n", namespace, "-s", "-j", "qdisc", "show", "dev", INTERFACE) or "[]")
@@ -68,7 +68,7 @@ def count_traffic(namespace: str) -> EndCounters:
 
 
 def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
-    """Return the words after `tc qdisc add dev DEVICE`: a token bucket, and netem unless the forwarder does the rest."""
+    """Return words for `tc qdisc add`: a token bucket, and netem unless the forwarder does the rest."""
     disciplines: list[list[str]] = []
     parent = ["root"]
     if link.rate_mbit_s:
@@ -88,7 +88,7 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
 
 
 def open_tap(name: str, namespace: str) -> int:
-    """Open a TAP device, move it into a namespace as `INTERFACE`, and return its non-blocking descriptor."""
+    """Open a TAP device as `INTERFACE` of a namespace; return its non-blocking descriptor."""
     try:
         descriptor = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
         fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), _IFF_TAP | _IFF_NO_PI))
@@ -102,7 +102,7 @@ def open_tap(name: str, namespace: str) -> int:
 
 
 def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
-    """Start the process that carries frames between the two TAP devices."""
+    """Start `tap_forwarder.py`."""
     program = Path(__file__).with_name("tap_forwarder.py")
     # -I -S: only the standard library, which starts fastest.
     return subprocess.Popen(

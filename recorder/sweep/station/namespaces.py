@@ -1,4 +1,4 @@
-"""Two network namespaces on this machine in place of two devices, joined by a link until the sweep ends."""
+"""Two network namespaces in place of two devices, joined by a link."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Side:
 
 
 class NamespacePair:
-    """A context manager: the namespaces `ping` and `relay` and the link between them, by default a bare veth."""
+    """A context manager: two namespaces and the link between them, by default a bare veth."""
 
     def __init__(self, link: Link | None) -> None:
         self.link = link
@@ -93,7 +93,7 @@ class NamespacePair:
         self._remove()
 
     def report(self) -> LinkReport:
-        """Return the work of the link since the preceding call, as written to the trace."""
+        """Return the work of the link since the preceding call."""
         return {
             "monotonic_ns": time.monotonic_ns(),
             "link": self.link.to_dict() if self.link else None,

@@ -61,10 +61,7 @@ def environment_program(folder: Path, name: str) -> tuple[str, ...]:
 
 
 class Program:
-    """One running program; its output goes to a log file.
-
-    A program on another device `stops_by_input`: it ends when its standard input closes.
-    """
+    """One running program with a log file; on another device it `stops_by_input`, when its standard input closes."""
 
     def __init__(
         self,
@@ -107,7 +104,7 @@ class Program:
         return None if self.exit_code is None else self.last_words()
 
     def wait(self, timeout_s: float) -> int | None:
-        """Return the exit code, or None if it still runs after `timeout_s`."""
+        """Return the exit code, None if it still runs."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             return self._process.wait(timeout_s)
         return None
@@ -125,7 +122,7 @@ class Program:
         return self._process.wait()
 
     def last_words(self) -> str:
-        """Return the signal that killed it, or its last output: our programs print their name, a colon and the reason."""
+        """Return the signal that killed it, or its last output after `PROGRAM: `."""
         with self.log.open("rb") as file:
             file.seek(max(0, self.log.stat().st_size - LAST_WORDS_BYTES))
             text = file.read().decode(errors="replace").replace("\r", "\n")
@@ -137,7 +134,7 @@ class Program:
 
 
 def rehearse_program(command: Sequence[str], folder: Path) -> str | None:
-    """Run a `dds-record` with `--check`, which ends before its first message; return why it cannot start."""
+    """Run a `dds-record` with `--check`; return why it cannot start."""
     trace = folder / "rehearsal.mcap"
     try:
         program = Program([*command, "--out", str(trace), "--check"], folder / "rehearsal.log")

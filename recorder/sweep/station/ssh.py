@@ -130,7 +130,7 @@ class SshDevice(RelayDevice):
         return self._folder / segment if "" in fetched else None
 
     def _fetch(self, name: str) -> bool:
-        """Copy one file here with its rights, replacing a file of its name; return whether the device has it."""
+        """Copy one file with its rights; return whether the device has it."""
         quoted = f"{self._remote}/{shlex.quote(name)}"
         rights = self._run(f"test ! -f {quoted} || stat -c %a {quoted}").strip()
         if not re.fullmatch(r"[0-7]{1,4}", rights, re.ASCII):
@@ -147,7 +147,7 @@ class SshDevice(RelayDevice):
         remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
 
     def clear(self, keep: Collection[str]) -> None:
-        """Remove the traces there that no cell needs, after the relays of a killed sweep have ended."""
+        """Remove traces that no cell needs, after the relays there have ended."""
         names = " ".join(shlex.quote(name) for name in keep) or "''"
         ended = _WAIT_FOR_END.format(pid='"$pid"')
         self._run(
@@ -196,7 +196,7 @@ class SshDevice(RelayDevice):
 
 
 def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int) -> str | None:
-    """Copy what a program prints; return why copying stopped before its end, or None."""
+    """Copy what a program prints; return why that stopped before its end."""
     deadline_s, copied = time.monotonic() + SSH_TIMEOUT_S, 0
     os.set_blocking(source.fileno(), False)
     while (left_s := deadline_s - time.monotonic()) > 0:
@@ -213,7 +213,7 @@ def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int
 
 
 def folder_there(plan: str, folder: Path) -> str:
-    """Return the name of a sweep's folder on the device, with a hash of this machine and folder: plans may share a name."""
+    """Return a sweep's folder on the device, with a hash of this machine and folder: plans may share a name."""
     id_file = Path("/etc/machine-id")
     machine = id_file.read_text() if id_file.is_file() else platform.node()
     mark = hashlib.sha256(f"{machine}\0{folder.resolve()}".encode(errors="surrogateescape")).hexdigest()[:8]

@@ -48,7 +48,7 @@ class Station:
     environments: Mapping[str, tuple[Sequence[str], RelayDevice]] = field(default_factory=dict)
 
     def within(self, environment: str) -> Station:
-        """Return this station with the `dds-record` of a Python environment; empty means this process's."""
+        """Return this station with the `dds-record` of another Python environment, if one is given."""
         if not environment:
             return self
         ping_command, device = self.environments[environment]
@@ -66,12 +66,7 @@ def open_station(
 ) -> Iterator[Station]:
     """Yield the station of a plan; namespaces and link are removed after the block.
 
-    Args:
-        plan: the plan, which names the devices and the link.
-        folder: folder of the sweep.
-        lock: file descriptor of its lock, None for a rehearsal.
-        show: prints a line, such as a command for a person.
-        command: `dds-record` on this machine; the installed one by default.
+    `lock` is the folder's, None for a rehearsal; `show` prints a line for a person; `command` is `dds-record`.
     """
     own = list(command or local_program("dds-record"))
     parts = make_parts(folder)

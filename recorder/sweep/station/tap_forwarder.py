@@ -33,7 +33,7 @@ WIRE_PRIORITY = 10
 
 
 class Wire:
-    """One direction of the link, between non-blocking descriptors of two TAP devices; outages count from `started_ns`."""
+    """One direction between two TAP devices; outages count from `started_ns`."""
 
     def __init__(self, source: int, sink: int, link: dict[str, float], started_ns: int) -> None:
         self.source = source
@@ -51,7 +51,7 @@ class Wire:
         self._counts: Counter[str] = Counter()
 
     def take(self) -> None:
-        """Read the waiting frames, drop the lost ones and queue the others."""
+        """Read waiting frames, drop the lost ones, queue the others."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 frame = os.read(self.source, FRAME_BYTES)
@@ -86,11 +86,11 @@ class Wire:
 
     @property
     def due_ns(self) -> int | None:
-        """Time at which the next frame is due, None if the wire is empty."""
+        """Time of the next frame."""
         return self._in_flight[0][0] if self._in_flight else None
 
     def report(self) -> dict[str, float | None]:
-        """Return the frames by fate and the lateness of the carried ones, since the preceding report."""
+        """Return frames by fate and the lateness of carried ones, since the preceding report."""
         report: dict[str, float | None] = {
             **{fate: self._counts[fate] for fate in ("carried", "lost", "in_outage", "overflow", "refused")},
             "lateness_p50_us": quantile(self._lateness_us, 0.50),
@@ -103,7 +103,7 @@ class Wire:
 
 
 def quantile(counts: Counter[int], share: float) -> int | None:
-    """Return the smallest value that at least this share of the counted values does not exceed."""
+    """Return the smallest value that this share of the values does not exceed."""
     rank = share * counts.total()
     reached = 0
     for value in sorted(counts):
@@ -114,7 +114,7 @@ def quantile(counts: Counter[int], share: float) -> int | None:
 
 
 def run_ahead_of_others() -> None:
-    """Take real-time priority and no timer slack; without permission the reported lateness grows."""
+    """Take real-time priority and no timer slack, if permitted."""
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WIRE_PRIORITY))

@@ -73,8 +73,7 @@ def asked_settings(
 ) -> Asked:
     """Return what the options of a recording and the user's configuration request.
 
-    `environment` is as the user set it, without what the recorder adds; `settings` are the node's (`Middleware.settings`), whose
-    CYCLONEDDS_URI includes the recorder's own part. Without one (rmw_cyclonedds) the user's own counts.
+    `environment` is as the user set it; `settings` are the node's (`Middleware.settings`), with the recorder's part.
     """
     shared_memory = vendor_facts(vendor).shared_memory.get(transport)
     requested = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)
@@ -156,10 +155,8 @@ class ProfileRequest:
     """What the default participant of a Fast DDS profile file requests.
 
     Attributes:
-        protocols: `udp`, `tcp` and `shm` of its own transports, sorted.
         receive_buffer_bytes, send_buffer_bytes: of its UDP transports, the smallest; 0 if one leaves it out.
         replaces_builtin: `useBuiltinTransports` is false; otherwise its transports are in addition to the built-in ones.
-        interfaces: addresses or names of interfaces that its transports are restricted to, sorted.
     """
 
     protocols: tuple[str, ...] = ()

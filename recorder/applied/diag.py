@@ -50,7 +50,6 @@ class DiagSocket:
 
     Attributes:
         state: number of its TCP state (1 established, 7 closed or not connected, 10 listening).
-        inode: number of its inode, as in the links of `/proc/PID/fd`.
         cookie: number that differs from a later socket with the same ports.
     """
 

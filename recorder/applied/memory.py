@@ -37,9 +37,7 @@ class SharedMemory:
     """One shared-memory file of a middleware that the process maps.
 
     Attributes:
-        role: `segment` (payloads) or `port` (queue of one receiver).
         size_bytes: size of the file; of the mapping if the file is gone.
-        owner_uid: user who owns the file, None if it is gone.
         is_own: this process created it, None if the middleware leaves no sign of that.
         is_served: some process holds its lock, None if there is none or it cannot be tested.
         is_abandoned: its lock exists and nobody holds it: the process that served it was killed.

@@ -1,4 +1,4 @@
-"""All facts about a vendor, in two tables: the middlewares (what each leaves in a process), and the ROS 2 RMWs on top.
+"""All facts about a vendor, in two tables: the middlewares, and the ROS 2 RMWs on top.
 
 Determined with Fast DDS 2.14.5 (rmw_fastrtps of Jazzy), Cyclone DDS 11.0.1 and zenoh 1.10; Fast DDS 3 differs only in
 file names (`fastdds_` for `fastrtps_`). Connext was not tried (no licence), so nothing is expected of it.
@@ -51,7 +51,6 @@ class VendorFacts:
         transports: transport -> what must be seen.
         shared_memory: transport -> whether it requests shared memory or none, if a link is open either way.
         profile_variables, files: environment variables and default files that give it the user's profile.
-        variables: further variables that change what its RMW does.
         builtin_transports: (transport, tuned) of its RMW -> FASTDDS_BUILTIN_TRANSPORTS, None for what the user has set.
     """
 

@@ -50,13 +50,7 @@ class Beginnings:
 
 @dataclass(slots=True)
 class RunTally:
-    """Counters that restart with each run; frames of other domains are only in `foreign_packets`.
-
-    Attributes:
-        unseen_headers: packets in which a submessage header was not captured.
-        requests: ACKNACK and NACK_FRAG that requested something again.
-        heartbeat_gaps_ns: between two heartbeats of a writer that came without data.
-    """
+    """Counters that restart with each run; frames of other domains are only in `foreign_packets`."""
 
     classes: defaultdict[tuple[WireClass, Direction], ClassTally] = field(
         default_factory=lambda: defaultdict(ClassTally)
@@ -192,9 +186,6 @@ class WireCounts:
     """Counts of one run on the wire, seen from one side; times are CLOCK_MONOTONIC ns of this device.
 
     Attributes:
-        run_id: 16 hex digits; empty if all runs were counted.
-        classes: traffic by class and direction; those that did not occur are left out.
-        repeats: messages that this side sent, by how often they were sent again.
         messages, sample_bytes: number of messages with a row, both directions, and their serialized lengths in total.
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
         first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
@@ -205,7 +196,6 @@ class WireCounts:
             likewise. On the receiving side of a lossy link that is the link's loss.
         late_repeats: repeats of samples that were no longer remembered; they are in `classes` and in no row.
         kernel_drops, kernel_freezes: packets that found no room in the ring, and how often it was full.
-        cpu_s: CPU time of the capturing process.
     """
 
     run_id: str = ""

@@ -58,7 +58,6 @@ class SentSample:
         first_copies: (fragment, destination) -> time of its first copy.
         repeats: fragment -> how often it was sent again.
         resent_after_ns: from the first copy of the fragment that was repeated first to its repetition.
-        heartbeats_before: of its writer, up to its first copy.
         waited_heartbeats: of its writer, from its first copy to its first repetition.
     """
 

@@ -1,13 +1,11 @@
-"""The capturing process: `python -m dds_trace.recorder.wire.process OPTIONS`, driven by lines on its standard input.
+"""The capturing process: `python -m dds_trace.recorder.wire.process OPTIONS`, which never delays the one that stamps messages.
 
-It is a process of its own so that its Python never delays the one that stamps messages. Each line on standard input is
-a JSON object and is answered by one on standard output:
+It answers each line of JSON on standard input by one on standard output, and ends when standard input closes:
 
     {"ask": "begin", "run_id": "16 hex digits, or empty"}  ->  {}
     {"ask": "take"}  ->  the run's `WireCounts`, with `row_bytes`, followed by that many bytes of MESSAGE_ROW
 
-First it writes `{}`, or `{"error": "..."}` and ends. It ends when standard input closes, which the kernel does even when
-the recorder is killed.
+First it writes `{}`, or `{"error": "..."}` and ends.
 """
 
 from __future__ import annotations

@@ -116,8 +116,6 @@ class Ring:
 
     Attributes:
         memory: the mapped file, to pack into (0.1 us faster than a memoryview of it).
-        slots_at: offset of the first slot.
-        slots: array of `SLOT_DTYPE`.
         words: the slots as int64 words (little-endian on every ROS 2 machine), each stored in a third of the time of a `struct`.
 
     Raises:
@@ -188,11 +186,8 @@ class RingContents:
     """Content of a ring file that its trace does not have.
 
     Attributes:
-        session: the recording process, as described at its start.
         slots: array of `SLOT_DTYPE` by ticket.
         missing_events: tickets in neither file before the ring's last; only a power failure loses any.
-        dropped_events: number of events that found no free slot.
-        recording: whether the recording process is still alive.
     """
 
     session: Session

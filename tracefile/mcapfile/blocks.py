@@ -96,7 +96,6 @@ class BlockJobs:
     Attributes:
         summary: its summary; without one nothing after a damaged record is read.
         notes: one line for each damage between the blocks; complete after the last block.
-        truncated: the reason why the file ends early, or None; known after the last block.
     """
 
     file: RecordFile

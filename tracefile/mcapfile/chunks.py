@@ -38,8 +38,6 @@ class PackedChunk:
     """A chunk as its own header describes it.
 
     Attributes:
-        offset: offset of the chunk record in the file.
-        data_offset: offset of its packed records in the file.
         unpacked_bytes: claimed length of the unpacked records.
         crc: CRC-32 of the unpacked records; 0 if the writer made none.
     """

@@ -176,8 +176,6 @@ class Summary:
 
     Attributes:
         data_end: offset in the file at which the data section ends and `data` begins.
-        data: the summary's bytes.
-        records: (opcode, byte offset of the content in `data`, its length) of each record.
     """
 
     data_end: int

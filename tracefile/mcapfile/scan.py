@@ -1,8 +1,7 @@
 """Events in a buffer of MCAP records, found and copied as arrays without a Python step per event.
 
-Every event is a record of the same length (`docs/trace-format.md`), so a stretch of events is an array of records.
-Opcode, length and CDR header are checked at every stride; at the first mismatch the record there is stepped over by its
-own length, and the next stretch begins after it.
+Every event is a record of the same length (`docs/trace-format.md`), so a stretch of events is an array of records. At the
+first mismatch of opcode, length or CDR header the record there is stepped over by its own length.
 """
 
 from __future__ import annotations

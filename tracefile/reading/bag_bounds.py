@@ -43,11 +43,7 @@ class _Budget:
             raise ValueError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
 
     def unpack(self, decompressor: _Decompressor, packed: bytes, weight: int = 1) -> bytes:
-        """Return what one stream unpacks to.
-
-        Raises:
-            ValueError: it is longer than a record may be, or the bag unpacks to too much.
-        """
+        """Return what one stream unpacks to."""
         unpacked = decompressor.decompress(packed, MAX_RECORD_BYTES + 1)
         if len(unpacked) > MAX_RECORD_BYTES:
             raise ValueError(f"a piece of it unpacks to more than {MAX_RECORD_BYTES >> 20} MiB")

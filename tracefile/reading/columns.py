@@ -48,13 +48,7 @@ class ColumnsMemory:
 
 
 class ColumnsBuilder:
-    """Events of all stages, each batch copied into its place.
-
-    Args:
-        expected: number of events expected of each stage; memory is reserved for them, and used when they come.
-        most_events: events of all stages that make it full.
-        memory: of earlier builders; None for fresh memory.
-    """
+    """Events of all stages, each batch copied into memory reserved for the `expected` number; full at `most_events`."""
 
     def __init__(
         self,
@@ -95,9 +89,7 @@ class _StageColumns:
         self._memory = memory
         try:
             self._reserve(expected)
-        except (
-            MemoryError
-        ):  # the number is a claim of the file and may be wrong; the columns grow as events come
+        except MemoryError:  # the claim of the file may be wrong; the columns grow as events come
             self._reserve(0)
 
     def append(self, records: Records) -> None:

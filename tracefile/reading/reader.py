@@ -45,18 +45,10 @@ def read_trace(path: str | os.PathLike[str]) -> Trace:
 
 
 def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
-    """Read a trace whose events are not all in memory at once.
+    """Read a trace whose events are not all in memory at once, and return it without them; errors as for `read_trace`.
 
-    Args:
-        path: as for `read_trace`.
-        take: called at least once, in file order, with up to `PIECE_EVENTS` events of all stages (a stage may be empty).
-            Their memory is reused when nothing refers to them.
-
-    Returns:
-        The trace without its events.
-
-    Raises:
-        TraceFormatError: as for `read_trace`, perhaps after some pieces.
+    `take` is called at least once, in file order, with up to `PIECE_EVENTS` events of all stages (a stage may be empty). Their
+    memory is reused when nothing refers to them.
     """
     return _read(path, take, PIECE_EVENTS)
 
@@ -88,9 +80,6 @@ def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, Ev
 
     Memory follows the size of a chunk, not of the file. Descriptions, notes and the number of unreadable messages come
     from `read_trace`.
-
-    Raises:
-        TraceFormatError: as for `read_trace`, as soon as the fault is met.
     """
     path = Path(path)
     builder = TraceBuilder(path)

@@ -47,9 +47,6 @@ class Batch:
 
     Attributes:
         events: (stage, contiguous array of `EVENT_DTYPE`) pairs; each stage's events are in file order.
-        texts: the messages of our other topics, in file order.
-        unreadable: number of messages on event topics that are not events.
-        notes: one line for each fact that a reader of the numbers should know.
         truncated: the reason why the source ends early, in its last batch; else None.
     """
 

@@ -1,4 +1,4 @@
-"""Recovery: a closed trace is made of what a killed recorder left, a file that may be cut off and its ring."""
+"""Recovery: a closed trace from a file that a killed recorder left and its ring."""
 
 from __future__ import annotations
 

@@ -133,11 +133,7 @@ class Salvage:
                         self._stages[channel_id] = _NUMBER_OF_STAGE[channel.stage]
 
     def _take_steps(self, steps: int) -> None:
-        """Count work.
-
-        Raises:
-            TraceFormatError: it is more than a recorder's file of this size needs.
-        """
+        """Count work."""
         self._steps_left -= steps
         if self._steps_left < 0:
             raise self._suspected("it has more small records than a recorder writes into so few bytes")

@@ -81,13 +81,7 @@ Index: TypeAlias = "NDArray[np.uint64]"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chunk:
-    """Uncompressed content of a chunk.
-
-    Attributes:
-        content: schema, channel and message records.
-        start_ns, end_ns: earliest and latest log time, ns since 1970.
-        index: channel id -> index of its messages.
-    """
+    """Uncompressed content of a chunk, its earliest and latest log time (ns since 1970), and channel id -> index of its messages."""
 
     content: memoryview
     start_ns: int

@@ -285,8 +285,6 @@ class TraceFiles:
     """A new trace file with its session's description, and its empty ring.
 
     Attributes:
-        writer: the file.
-        ring: the ring; its tickets count from 0.
         drained: number of events in the file; all tickets below.
 
     Raises:

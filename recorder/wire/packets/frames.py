@@ -25,10 +25,8 @@ class FrameBatch:
     """Frames in the ring's memory, in the order of their capture; one row each, valid until the ring's `release`.
 
     Attributes:
-        position: index of the frame's first byte in `memory`.
         wire_bytes: the frame's length, with its Ethernet header.
         wall_ns: CLOCK_REALTIME at the capture, ns since 1970.
-        packet_type: PACKET_HOST (0), PACKET_OUTGOING (4) and so on.
     """
 
     memory: NDArray[np.uint8]
@@ -47,9 +45,7 @@ class Headers:
     """Headers of frames, one row each; a field of a header that the frame does not have is 0.
 
     Attributes:
-        protocol: of IP, 0 for a frame that is not IPv4 or too short.
         ip_id: the identification that the fragments of a datagram share.
-        fragment_offset: bytes of the datagram before this frame's.
         transport: index in the batch's memory of the first byte after the IP header.
         transport_end: end index of the frame's IP packet, captured or not.
         seen_end: end index of what was captured, `transport_end` at most.

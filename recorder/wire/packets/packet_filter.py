@@ -1,8 +1,7 @@
-"""The program that the kernel runs over each frame: which ones a capture gets, and how much of them.
+"""The classic BPF program that the kernel runs over each frame (SO_ATTACH_FILTER): which ones a capture gets, and how much.
 
-A classic BPF program, attached with SO_ATTACH_FILTER. It captures an RTPS packet up to the header of its last submessage,
-following the submessages' lengths, and only the headers of other UDP and of TCP. Payload is thus not copied, except between
-two submessages of one packet and in later IP fragments, where further headers may begin; only headers are read there.
+It captures an RTPS packet up to the header of its last submessage, following their lengths, and only the headers of other
+UDP and of TCP; later IP fragments, where further headers may begin, are captured whole.
 """
 
 from __future__ import annotations

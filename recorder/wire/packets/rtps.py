@@ -28,7 +28,6 @@ class Submessage(NamedTuple):
     """One submessage.
 
     Attributes:
-        writer: entity id of the writer that it comes from or goes to, 0 if it names none.
         sequence: number of the sample; of an ACKNACK the first number not received.
         fragment: number of its first fragment, from 1; 0 for a sample that is not fragmented.
         asks: whether it requests something again (ACKNACK, NACK_FRAG).

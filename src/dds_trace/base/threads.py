@@ -109,8 +109,8 @@ class InlineExecutor(Executor):
 class FastLock:
     """A lock that is fast when caches are cold and no other thread has it, as is usual when a message arrives.
 
-    A `threading.Lock` then takes 6 to 9 us, this takes 2 (`docs/explanation/performance.md`): it is a token in a list, which
-    one thread has at a time. Where each microsecond counts, write
+    A `threading.Lock` then takes 6 to 9 us, this takes 2 (`docs/explanation/performance.md`): it is a token in a list. Where
+    each microsecond counts, write
 
         try:
             take()  # lock.take
@@ -123,13 +123,8 @@ class FastLock:
             if lock.is_awaited:
                 lock.wake()
 
-    and everywhere else `with lock:`. A signal handler must not raise in a thread that uses it: between `take` and `try`
-    the token would be lost.
-
-    Attributes:
-        take: takes the token, or raises `IndexError` if another thread has it.
-        give: gives it back; its argument is None.
-        is_awaited: whether a thread waits for it; `wake` then wakes that thread.
+    and everywhere else `with lock:`. A signal handler must not raise in a thread that uses it: between `take` and `try` the
+    token would be lost.
     """
 
     __slots__ = ("_queue", "_released", "give", "is_awaited", "take", "wake")

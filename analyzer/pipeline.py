@@ -24,7 +24,7 @@ from .loading.place import Place
 from .pairing.exchanges import find_exchanges
 from .pairing.parquet import write_summary
 from .pairing.provenance import provenance
-from .pairing.rows import RowStore
+from .pairing.rows import RowWriter
 from .verdicts.cases import UnbarredRows
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Run
 
-    from .engines.batches import BatchResult, WorkedBatch
     from .engines.local import Engine
+    from .engines.process import BatchOutput, BatchResult
     from .loading.campaign import Campaign, Progress
     from .loading.place import Paths
     from .pairing.exchanges import Exchanges
@@ -122,9 +122,10 @@ def _analyze(
     grouping = group_exchanges(exchanges.held)
     batches = plan_batches(grouping, options)
     origin = provenance(campaign, exchanges)
-    with RowStore(outputs.get("roundtrips"), origin) as rows:
-        results = _keep_rows(engine.work(batches, campaign.events), rows)
+    with RowWriter(outputs.get("roundtrips"), origin) as writer:
+        results = _write_rows(engine.process(batches, campaign.events), writer)
         merged = merge_results(results, grouping, sketch=not options.rows)
+    rows = writer.store()
     rows.locate(merged.summary.frame)
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
@@ -167,12 +168,12 @@ def _analyze(
     )
 
 
-def _keep_rows(batches: Iterable[WorkedBatch], rows: RowStore) -> Iterator[BatchResult]:
-    """Store the rows of every batch, then wait for its result: a large batch is measured meanwhile."""
-    for batch in batches:
-        rows.add(batch.rows)
-        result = batch.result()
-        del batch  # its rows are written
+def _write_rows(outputs: Iterable[BatchOutput], writer: RowWriter) -> Iterator[BatchResult]:
+    """Write the rows of every batch, and then wait for its result: a large batch is measured meanwhile."""
+    for output in outputs:
+        writer.write(output.tables())
+        result = output.result()
+        del output  # its rows are written
         yield result
 
 

@@ -1,18 +1,17 @@
-"""The cache of read traces, and of what was made of them: in the user's own cache folder, sealed with a key that only this user has.
+"""The cache folder of the user: traces and results under keys and seals that only this user can make.
 
-    $XDG_CACHE_HOME/dds-trace/traces/KEY.trace    events (`analyzer/cache/events.py`), then their trace without them as JSON
-                                                  (`analyzer/cache/entries.py`), its seal and its size
-    $XDG_CACHE_HOME/dds-trace/traces/KEY.details  sealed frames (`analyzer/engines/cached_details.py`)
-    $XDG_CACHE_HOME/dds-trace/traces/KEY.rows     sealed rows (`analyzer/engines/cached_batches.py`), or what is known of rows in
-    $XDG_CACHE_HOME/dds-trace/traces/KEY.table    rows as they are, a Parquet file (`analyzer/engines/cached_parts.py`)
-    $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.trace    events, then the trace without them as JSON, its seal and its size
+                                                  (`cache/events.py`, `cache/entries.py`)
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.details  a seal, then frames (`engines/result_cache.py`)
+    $XDG_CACHE_HOME/dds-trace/traces/KEY.rows     a seal, then paired rows (`engines/packed_rows.py`)
+    $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes: the secret
 
-KEY is the HMAC-SHA-256 of the trace's content, or of all that the frames are made of. A seal is the HMAC of KEY and of what it
-stands before, or behind; the JSON holds the HMACs of the events, a sealed file those of tables. So an entry that somebody else
-wrote, or that was written for another trace, or that a disk has damaged, is not used: the trace is read again. The key is not kept beside the entries, because caches are copied (a CI server restores
-them) and what comes with a copy must not vouch for it.
+KEY is the HMAC-SHA-256 of the trace's content, or of everything that a result is computed from. A seal is the HMAC of KEY and the
+sealed bytes; the JSON of a trace contains the HMACs of its events. So an entry that another user wrote, that belongs to another
+trace, or that a disk has damaged is ignored. The secret is not in the cache folder: caches are copied (a CI server restores them),
+and a copy must not bring the key that vouches for it.
 
-Only regular files that are named as entries are removed, and only from this folder, never through a link.
+Only regular files with the name of an entry are removed, only from this folder, and never through a link.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import hmac
+import mmap
 import os
 import re
 import secrets
@@ -27,7 +27,7 @@ import shutil
 import stat
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -48,26 +48,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_BYTES = 8 << 30
-"""Size of the whole cache after an analysis, if a tenth of its disk is not less; entries that were not used for the longest
-time are removed."""
+"""Size of the whole cache after an analysis, or a tenth of its disk if that is less; the least recently used entries go first."""
 
 MOST_TEXT_BYTES = 256 << 20
-"""Largest JSON of an entry; a trace with more descriptions than that is read anew each time."""
+"""Largest JSON of a trace; a trace with more descriptions is not cached."""
 
-_OLD = ("json", "events")  # in which a trace was kept before
-_NAME = re.compile(rf"([0-9a-f]{{64}})\.(trace|details|rows|table|{'|'.join(_OLD)})(\.[0-9a-f]{{8}}\.part)?")
+SEAL_BYTES = 64
+"""Hexadecimal digits of a seal."""
+
+_OUTDATED = ("json", "events", "table")
+_NAME = re.compile(rf"([0-9a-f]{{64}})\.(trace|details|rows|{'|'.join(_OUTDATED)})(\.[0-9a-f]{{8}}\.part)?")
 """Names of entries, and of their drafts."""
 
-_TRACE, _TABLE = "trace", "table"
-
+_TRACE = "trace"
 _KEY_BYTES = 32
-_SEAL_BYTES = 64  # hexadecimal digits
-_SIZE_BYTES = 16  # hexadecimal digits, too
-_END_BYTES = 32 << 10  # what is read of the end of an entry at first
+_SIZE_BYTES = 16  # hexadecimal digits
+_END_BYTES = 32 << 10  # first read at the end of a trace's entry
 _BLOCK_BYTES = 4 << 20
-_ROOM_BYTES = 1 << 20  # a file up to here is read into memory that is kept
+_BUFFER_BYTES = 1 << 20  # smaller files are read into a buffer that is reused
 _of_thread = threading.local()
-_DIGEST = "sha256"  # the quickest of hashlib on machines whose processor has instructions for it
+_DIGEST = "sha256"  # the quickest of hashlib where the processor has instructions for it
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,20 +81,41 @@ class Sealer:
     secret: bytes = field(repr=False)
 
     def hash(self, purpose: bytes) -> hmac.HMAC:
-        """Return an HMAC that has begun with its purpose."""
+        """Return an HMAC that starts with its purpose."""
         return hmac.new(self.secret, purpose + b"\0", _DIGEST)
 
-    def seal_events(self, columns: Iterable[NDArray[Any]], behind: hmac.HMAC | None = None) -> hmac.HMAC:
-        """Seal the columns in the entry of a trace; the JSON, which has a seal itself, says the others.
-
-        Args:
-            columns: the columns.
-            behind: the seal of those before them, which is extended.
-        """
-        seal = self.hash(b"events") if behind is None else behind
+    def seal_events(self, columns: Iterable[NDArray[Any]], previous: hmac.HMAC | None = None) -> hmac.HMAC:
+        """Seal columns of events, or extend the seal of the columns before them."""
+        seal = self.hash(b"events") if previous is None else previous
         for column in columns:
             seal.update(np.ascontiguousarray(column).data)
         return seal
+
+
+class SealedStream:
+    """Writes an entry and computes its seal."""
+
+    closed = False
+
+    def __init__(self, file: BinaryIO, digest: hmac.HMAC) -> None:
+        self._file = file
+        self._digest = digest
+
+    def write(self, content: bytes | memoryview) -> int:
+        """Append bytes.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        self._digest.update(content)
+        return self._file.write(content)
+
+    def tell(self) -> int:
+        """Return the number of bytes of the entry so far."""
+        return self._file.tell() - SEAL_BYTES
+
+    def close(self) -> None:
+        """Do nothing: Arrow closes the streams that it writes to, and the seal is still to be written."""
 
 
 class TraceCache:
@@ -117,13 +138,13 @@ class TraceCache:
         """Open the cache, made if it is missing.
 
         Returns:
-            None where there can be none: no home folder, no right to write, or a folder that is a link or somebody else's.
+            None where there can be none: no home folder, no right to write, or a folder that is a link or another user's.
         """
         try:
-            above = _own_folder(_base("XDG_CACHE_HOME", ".cache") / "dds-trace")
-            os.close(above)
+            parent = _base("XDG_CACHE_HOME", ".cache") / "dds-trace"
+            os.close(_own_folder(parent))
             secret = _own_secret(_base("XDG_STATE_HOME", ".local/state") / "dds-trace")
-            folder = _base("XDG_CACHE_HOME", ".cache") / "dds-trace" / "traces"
+            folder = parent / "traces"
             descriptor = _own_folder(folder)
         except (OSError, RuntimeError):  # RuntimeError: this user has no home
             return None
@@ -132,7 +153,7 @@ class TraceCache:
         return cls(folder, descriptor, secret)
 
     def key_of(self, path: Path) -> str:
-        """Return the key of a trace's content: its file and the ring beside it, or the files of a rosbag2 folder.
+        """Return the key of a trace's content: its file and the ring next to it, or the files of a rosbag2 folder.
 
         Raises:
             TraceFormatError: it cannot be read.
@@ -146,16 +167,16 @@ class TraceCache:
                 if file.is_file():
                     with open_regular(file) as stream:
                         size = os.fstat(stream.fileno()).st_size
-                        # Behind the trace's own name, so that one that was moved or renamed is known.
+                        # Only what follows the trace's own name: a trace that was moved or renamed keeps its key.
                         digest.update(os.fsencode(file)[len(os.fsencode(path)) :] + b"\0%d\0" % size)
-                        for of_block in self._block_digests(stream.fileno(), size):
-                            digest.update(of_block)
+                        for block in self._block_digests(stream.fileno(), size):
+                            digest.update(block)
         except OSError as err:
             raise TraceFormatError(path, f"cannot be read ({err.strerror})") from err
         return digest.hexdigest()
 
     def key_of_text(self, purpose: str, text: str) -> str:
-        """Return the key of what follows from a text alone."""
+        """Return the key of a result that follows from a text."""
         digest = self.sealer.hash(purpose.encode())
         digest.update(text.encode())
         return digest.hexdigest()
@@ -164,106 +185,87 @@ class TraceCache:
         """Return the path of an entry."""
         return self.folder / f"{key}.{ending}"
 
-    def write(
-        self, key: str, ending: str, *parts: bytes | memoryview, most_bytes: int = MOST_TEXT_BYTES
-    ) -> Path:
-        """Write a sealed entry, part by part.
-
-        Returns:
-            Its path.
+    @contextmanager
+    def writing(self, key: str, ending: str) -> Iterator[SealedStream]:
+        """Write a sealed entry; it is there once the block ends without an error.
 
         Raises:
-            OSError: it cannot be written, or is too large.
+            OSError: it cannot be written.
         """
-        _check_size(sum(map(len, parts)), most_bytes)
-        path = self.path(key, ending)
-        with replacing(path) as draft, draft.open("wb") as stream:
-            stream.writelines((self._seal(key, *parts), *parts))
-        return path
+        with replacing(self.path(key, ending)) as draft, draft.open("wb") as file:
+            file.seek(SEAL_BYTES)
+            digest = self._entry_digest(key)
+            yield SealedStream(file, digest)
+            file.seek(0)
+            file.write(digest.hexdigest().encode())
 
-    def read(self, key: str, ending: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
-        """Return what was written into a sealed entry, and note that it was used.
+    def read(self, key: str, ending: str) -> memoryview:
+        """Return the content of a sealed entry, mapped into memory, and mark the entry as used.
 
         Raises:
             OSError: there is no such entry.
-            ValueError: this user did not write it, or not so, or for another key.
+            ValueError: this user did not write it, or wrote something else, or for another key.
         """
-        with open_regular(self.path(key, ending), follow_links=False) as stream:
-            if os.fstat(stream.fileno()).st_size > _SEAL_BYTES + most_bytes:
-                raise ValueError("larger than an entry is")
-            seal, content = stream.read(_SEAL_BYTES), stream.read(most_bytes)
-            if not hmac.compare_digest(seal, self._seal(key, content)):
+        with open_regular(self.path(key, ending), follow_links=False) as file:
+            entry = memoryview(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
+            seal, content = entry[:SEAL_BYTES], entry[SEAL_BYTES:]
+            digest = self._entry_digest(key)
+            digest.update(content)
+            if not hmac.compare_digest(seal, digest.hexdigest().encode()):
                 raise ValueError("not sealed by this user")
-            os.utime(stream.fileno())
+            os.utime(file.fileno())
         return content
 
     def write_end(self, key: str, stream: BinaryIO, text: bytes) -> None:
-        """Write the end of the entry of a trace, whose events are in the stream already: its JSON, sealed.
+        """Complete the entry of a trace, whose events are in the stream already, with its sealed JSON.
 
         Raises:
             OSError: it cannot be written, or is too large.
         """
-        _check_size(len(text), MOST_TEXT_BYTES)
-        stream.writelines((text, self._seal(key, text), b"%0*x" % (_SIZE_BYTES, len(text))))
+        if len(text) > MOST_TEXT_BYTES:
+            raise OSError(f"{len(text)} bytes are too many to cache")
+        digest = self._entry_digest(key)
+        digest.update(text)
+        stream.writelines((text, digest.hexdigest().encode(), b"%0*x" % (_SIZE_BYTES, len(text))))
 
     def read_end(self, key: str) -> tuple[bytes, int]:
-        """Return the JSON of the entry of a trace and the number of bytes before it, and note that the entry was used.
+        """Return the JSON of a trace and the number of bytes before it, and mark the entry as used.
 
         Raises:
             OSError: there is no such entry.
-            ValueError: this user did not write it, or not so, or for another key.
+            ValueError: this user did not write it, or wrote something else, or for another key.
         """
         with open_regular(self.path(key, _TRACE), follow_links=False) as stream:
             size = os.fstat(stream.fileno()).st_size
             end = _read_end(stream, size, _END_BYTES)
             text_bytes = int(end[-_SIZE_BYTES:], 16)
-            behind = _SEAL_BYTES + _SIZE_BYTES
-            before = size - text_bytes - behind
-            if text_bytes > MOST_TEXT_BYTES or before < 0:
-                raise ValueError("another size than an entry has")
-            if text_bytes + behind > len(end):
-                end = _read_end(stream, size, text_bytes + behind)
-            text, seal = end[-text_bytes - behind : -behind], end[-behind:-_SIZE_BYTES]
-            if not hmac.compare_digest(seal, self._seal(key, text)):
+            after_text = SEAL_BYTES + _SIZE_BYTES
+            before_text = size - text_bytes - after_text
+            if text_bytes > MOST_TEXT_BYTES or before_text < 0:
+                raise ValueError("not the size of an entry")
+            if text_bytes + after_text > len(end):
+                end = _read_end(stream, size, text_bytes + after_text)
+            text, seal = end[-text_bytes - after_text : -after_text], end[-after_text:-_SIZE_BYTES]
+            digest = self._entry_digest(key)
+            digest.update(text)
+            if not hmac.compare_digest(seal, digest.hexdigest().encode()):
                 raise ValueError("not sealed by this user")
             os.utime(stream.fileno())
-        return text, before
-
-    def store(self, key: str, content: memoryview) -> str:
-        """Write a table, whose readers know no seal, as it is.
-
-        Returns:
-            Its seal, for a sealed file (`holds`).
-
-        Raises:
-            OSError: it cannot be written.
-        """
-        with replacing(self.path(key, _TABLE)) as draft, draft.open("wb") as stream:
-            stream.write(content)
-        return self._table_seal(key, [content])
-
-    def holds(self, key: str, seal: str) -> bool:
-        """Return whether a table is there as it was stored, and note that it was used."""
-        with suppress(OSError), open_regular(self.path(key, _TABLE), follow_links=False) as stream:
-            os.utime(stream.fileno())
-            room = _room_of_thread()
-            blocks = (room[:size] for size in iter(lambda: os.readv(stream.fileno(), [room]), 0))
-            return hmac.compare_digest(seal, self._table_seal(key, blocks))
-        return False
+        return text, before_text
 
     def close(self) -> None:
-        """Close the cache; unless another analysis has it open, remove what is too much."""
+        """Close the cache; unless another analysis has it open, remove what exceeds its size."""
         self._pool.shutdown()
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._shrink()
         except OSError:
-            pass  # another analysis reads entries: the last to close removes
+            pass  # another analysis reads entries: the last one to close removes
         finally:
             os.close(self._descriptor)
 
     def _shrink(self) -> None:
-        """Remove drafts, what no version of ours reads now, and entries beyond the size of the cache, those used last being kept."""
+        """Remove drafts, outdated files, and the least recently used entries beyond the size of the cache."""
         entries: dict[str, os.stat_result] = {}
         for name in os.listdir(self._descriptor):  # noqa: PTH208 - a path might lead elsewhere by now
             matched = _NAME.fullmatch(name)
@@ -272,7 +274,7 @@ class TraceCache:
             status = os.stat(name, dir_fd=self._descriptor, follow_symlinks=False)
             if not stat.S_ISREG(status.st_mode):
                 continue
-            if matched[3] or matched[2] in _OLD:
+            if matched[3] or matched[2] in _OUTDATED:
                 os.unlink(name, dir_fd=self._descriptor)
             else:
                 entries[name] = status
@@ -283,10 +285,10 @@ class TraceCache:
                 os.unlink(name, dir_fd=self._descriptor)
 
     def _block_digests(self, descriptor: int, size: int) -> Iterator[bytes]:
-        """Yield the SHA-256 of each block of a file; those of a large one are made on all cores."""
-        if 0 < size <= _ROOM_BYTES:
-            room = _room_of_thread()
-            return iter([hashlib.sha256(room[: os.preadv(descriptor, [room], 0)]).digest()])
+        """Yield the SHA-256 of each block of a file, those of a large file made on all cores."""
+        if 0 < size <= _BUFFER_BYTES:
+            buffer = _buffer_of_thread()
+            return iter([hashlib.sha256(buffer[: os.preadv(descriptor, [buffer], 0)]).digest()])
 
         def digest_of(offset: int) -> bytes:
             return hashlib.sha256(os.pread(descriptor, _BLOCK_BYTES, offset)).digest()
@@ -294,41 +296,26 @@ class TraceCache:
         offsets = range(0, size, _BLOCK_BYTES)
         return map(digest_of, offsets) if len(offsets) < 2 else self._pool.map(digest_of, offsets)
 
-    def _table_seal(self, key: str, blocks: Iterable[memoryview]) -> str:
-        digest = self.sealer.hash(b"table")
-        digest.update(key.encode() + b"\0")
-        for block in blocks:
-            digest.update(block)
-        return digest.hexdigest()
-
-    def _seal(self, key: str, *parts: bytes | memoryview) -> bytes:
+    def _entry_digest(self, key: str) -> hmac.HMAC:
         digest = self.sealer.hash(b"entry")
         digest.update(key.encode() + b"\0")
-        for part in parts:
-            digest.update(part)
-        return digest.hexdigest().encode()
-
-
-def _check_size(size: int, most_bytes: int) -> None:
-    if size > most_bytes:
-        raise OSError(f"{size} bytes are too many to keep")
+        return digest
 
 
 def _read_end(stream: BufferedReader, size: int, count: int) -> bytes:
-    """Return so many of the last bytes of a file of this size, or all."""
     return os.pread(stream.fileno(), count, max(0, size - count))
 
 
-def _room_of_thread() -> memoryview:
-    """Return this thread's own room for a small file: of thousands, fresh memory would take longer to touch than to digest."""
-    if not hasattr(_of_thread, "room"):
-        _of_thread.room = memoryview(bytearray(_ROOM_BYTES))
-    room: memoryview = _of_thread.room
-    return room
+def _buffer_of_thread() -> memoryview:
+    """Return this thread's buffer for small files: for thousands of them, fresh memory costs more than the digest."""
+    if not hasattr(_of_thread, "buffer"):
+        _of_thread.buffer = memoryview(bytearray(_BUFFER_BYTES))
+    buffer: memoryview = _of_thread.buffer
+    return buffer
 
 
 def _base(variable: str, default: str) -> Path:
-    """Return a base folder of the XDG specification; a relative path in the variable is ignored, as it demands.
+    """Return a base folder of the XDG specification, which demands to ignore a relative path in the variable.
 
     Raises:
         RuntimeError: this user has no home.
@@ -338,10 +325,10 @@ def _base(variable: str, default: str) -> Path:
 
 
 def _own_folder(folder: Path) -> int:
-    """Return a descriptor of a folder that is this user's alone, made if it is missing.
+    """Return a descriptor of a folder that only this user can read, made if it is missing.
 
     Raises:
-        OSError: it is a link, somebody else's, or cannot be made.
+        OSError: it is a link, another user's, or cannot be made.
     """
     with suppress(FileExistsError):
         folder.parent.mkdir(parents=True, exist_ok=True)

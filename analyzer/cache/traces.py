@@ -1,8 +1,4 @@
-"""Events of traces, kept until their batch is worked at: in memory, or in files of our own.
-
-Read traces are put into the user's cache by what is in them (`cache.py`, `entries.py`), so that the next analysis reads only
-new ones.
-"""
+"""Loads traces; their events wait for their batch in memory, in the user's cache, or in temporary files."""
 
 from __future__ import annotations
 
@@ -29,99 +25,98 @@ if TYPE_CHECKING:
     from .entries import Fill, StoredParts
     from .store import TraceCache
 
-MOST_HELD_EVENTS = 12_000_000
-"""Events that stay in memory, 56 bytes each; those of further traces wait in files."""
+MOST_EVENTS_IN_MEMORY = 12_000_000
+"""Events that stay in memory, 56 bytes each; the events of further traces wait in files."""
 
-LARGEST_HELD_EVENTS = 4_000_000
-"""Events of the largest trace that stays in memory: while a batch is worked at, only its own part of a larger one is there."""
+LARGEST_TRACE_IN_MEMORY = 4_000_000
+"""Events of the largest trace that stays in memory; of a larger one, a batch reads only its own events."""
 
 
-class TraceShelf:
-    """Reads traces and keeps their events.
+class TraceLoader:
+    """Loads traces from the cache or from their files.
 
     Args:
-        cache: the open cache that keeps events for the next analysis, closed with the shelf; None keeps nothing.
-        folder: takes temporary files; None: one of its own, removed with the shelf.
+        cache: the open cache, closed with the loader; None caches nothing.
+        folder: takes temporary files; None makes a folder, removed with the loader.
 
     Attributes:
-        keys: position of a trace that was loaded -> its key in the cache; empty without one.
+        keys: position of a loaded trace -> its key in the cache; empty without one.
     """
 
     def __init__(self, cache: TraceCache | None = None, folder: Path | None = None) -> None:
         self._cache = cache
         self._folder = folder
         self.keys: dict[int, str] = {}
-        self._left = MOST_HELD_EVENTS
+        self._left = MOST_EVENTS_IN_MEMORY
         self._own_folder: tempfile.TemporaryDirectory[str] | None = None
         # Writes while the next piece, or the next trace, is read.
-        self._keeping = ThreadPoolExecutor(1, thread_name_prefix="keep")
+        self._writing = ThreadPoolExecutor(1, thread_name_prefix="keep")
 
-    def hold_no_more(self) -> None:
+    def use_files(self) -> None:
         """Put the events of all further traces into files."""
         self._left = 0
 
     def load_all(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
-        """Load traces, positions counted without what is none; of such a file the error is yielded."""
+        """Load traces; for a file that is not a trace, which has no position, yield the error."""
         position = 0
         for path in paths:
-            found = loaded_or_error(self.load, path, position)
-            position += isinstance(found, LoadedTrace)
-            yield found
+            loaded = loaded_or_error(self.load, path, position)
+            position += isinstance(loaded, LoadedTrace)
+            yield loaded
 
     def load(self, path: Path, position: int) -> LoadedTrace:
-        """Load one trace, from the cache if it is there.
+        """Load one trace.
 
         Raises:
-            TraceFormatError: it is no trace.
+            TraceFormatError: it is not a trace.
         """
-        known = self._known(path, position)
-        if known is not None:
-            return known
+        cached = self._cached(path, position)
+        if cached is not None:
+            return cached
         if not self._left:
-            return self._stored(path, position)
+            return self._store_in_pieces(path, position)
         loaded = load_trace(path, position)
-        if loaded.events > min(self._left, LARGEST_HELD_EVENTS):
-            return self._put_away(path, position, partial(_add_loaded, loaded))
+        if loaded.events > min(self._left, LARGEST_TRACE_IN_MEMORY):
+            return self._store(path, position, partial(_add_loaded, loaded))
         self._left -= loaded.events
         if self._cache:
-            self._keeping.submit(
-                _keep_if_it_can, self._cache, self.keys[position], position, partial(_add_loaded, loaded)
-            )
+            fill = partial(_add_loaded, loaded)
+            self._writing.submit(_write_if_possible, self._cache, self.keys[position], position, fill)
         return loaded
 
     def store(self, path: Path, position: int) -> LoadedTrace:
-        """Load one trace, its events not in memory but in a file: another process can have them.
+        """Load one trace, its events in a file that another process can read.
 
         Raises:
-            TraceFormatError: it is no trace.
-            OutputError: events cannot be kept.
+            TraceFormatError: it is not a trace.
+            OutputError: the events cannot be written.
         """
-        return self._known(path, position) or self._stored(path, position)
+        return self._cached(path, position) or self._store_in_pieces(path, position)
 
     def close(self) -> None:
         """Remove temporary files and close the cache."""
-        self._keeping.shutdown(cancel_futures=True)
+        self._writing.shutdown(cancel_futures=True)
         if self._own_folder is not None:
             self._own_folder.cleanup()
         if self._cache is not None:
             self._cache.close()
 
-    def _known(self, path: Path, position: int) -> LoadedTrace | None:
-        """Return the trace from the cache, if it is there; its key is known then in any case."""
+    def _cached(self, path: Path, position: int) -> LoadedTrace | None:
+        """Return the trace from the cache, if it is there; with a cache, its key is in `keys` afterwards."""
         if self._cache is None:
             return None
         key = self.keys[position] = self._cache.key_of(path)
         return read_entry(self._cache, key, path, position)
 
-    def _stored(self, path: Path, position: int) -> LoadedTrace:
-        return self._put_away(path, position, partial(self._add_pieces, path, position))
+    def _store_in_pieces(self, path: Path, position: int) -> LoadedTrace:
+        return self._store(path, position, partial(self._add_pieces, path, position))
 
-    def _put_away(self, path: Path, position: int, fill: Fill) -> LoadedTrace:
+    def _store(self, path: Path, position: int, fill: Fill) -> LoadedTrace:
         """Put the events of a trace into the cache, or, without one, into a temporary file."""
         if self._cache:
-            kept = _keep_if_it_can(self._cache, self.keys[position], position, fill)
-            if kept is not None:
-                return kept
+            cached = _write_if_possible(self._cache, self.keys[position], position, fill)
+            if cached is not None:
+                return cached
         try:
             if self._folder is None:
                 self._own_folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
@@ -129,34 +124,34 @@ class TraceShelf:
             return store_parts(self._folder / f"{position}.events", position, fill)
         except OSError as err:
             raise OutputError(
-                f"events of {path} cannot be kept ({err}); give a larger folder with TMPDIR"
+                f"events of {path} cannot be written to a temporary file ({err}); give a larger folder with TMPDIR"
             ) from err
 
     def _add_pieces(self, path: Path, position: int, stored: StoredParts) -> Trace:
-        """Read a trace and add its events; a piece is put away while the next ones are read.
+        """Read a trace and add its events; a piece is written while the next one is read.
 
         Raises:
-            OSError: they cannot be put away.
-            TraceFormatError: it is no trace.
+            OSError: events cannot be written.
+            TraceFormatError: it is not a trace.
         """
-        adding: list[Future[None]] = []
+        writing: list[Future[None]] = []
         last: list[Mapping[Stage, EventColumns]] = []
 
         def add(events: Mapping[Stage, EventColumns]) -> None:
             stored.add(split_trace(events, position))
 
         def take(events: Mapping[Stage, EventColumns]) -> None:
-            if last and not any(each.exception() for each in adding):  # waits for the piece before it
-                adding[:] = [self._keeping.submit(add, last.pop())]
+            if last and not any(future.exception() for future in writing):  # waits for the previous piece
+                writing[:] = [self._writing.submit(add, last.pop())]
             last[:] = [events]
 
         try:
             trace = read_in_pieces(path, take)
         finally:
-            wait(adding)
-        for each in adding:
-            each.result()
-        for events in last:  # that of a small trace is its only one, which needs no other thread
+            wait(writing)
+        for future in writing:
+            future.result()
+        for events in last:  # the only piece of a small trace needs no other thread
             add(events)
         return trace
 
@@ -166,8 +161,8 @@ def _add_loaded(loaded: LoadedTrace, stored: StoredParts) -> Trace:
     return loaded.trace
 
 
-def _keep_if_it_can(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace | None:
-    """Write an entry; None where it cannot be written: a full disk costs the cache, not the analysis."""
+def _write_if_possible(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace | None:
+    """Write an entry; None if that fails: a full disk costs the cache, not the analysis."""
     with suppress(OSError):
         return write_entry(cache, key, position, fill)
     return None

@@ -1,8 +1,8 @@
-"""A Dask cluster as an `Engine`: each trace is read by one worker, each batch worked at by one.
+"""A Dask cluster as an `Engine`: one worker reads a trace, one worker processes a batch.
 
-Events stay with the workers that read them; what a batch needs of them goes to the worker that has it. The scheduler
-knows how every result was made, so what is lost with a worker is made again from the traces. Workers read the traces
-themselves: from a folder that all machines see under the same path, or from object storage.
+Events stay with the workers that read them, and go to the worker whose batch needs them. The scheduler computes again from the
+traces what is lost with a worker. Workers read the traces themselves: from a folder that all machines see under the same path, or
+from object storage.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from dds_trace.tracefile.format.events import EventColumns
 from ..cache.loaded import LoadedTrace, load_trace
 from ..cache.remote import find_anywhere
 from ..loading.campaign import campaign_of, skipped_source
-from .batches import keep_freed_memory, work_at
+from .batches import keep_freed_memory
+from .process import process
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -29,12 +30,12 @@ if TYPE_CHECKING:
     from ..loading.campaign import Campaign, Progress
     from ..loading.place import Place
     from ..model.finding import Source
-    from .batches import WorkedBatch
+    from .process import BatchOutput
 
 _TIMEOUT_S = 30
 
-_PIECES = 64
-"""Parts, about, in which workers do what is mapped: the scheduler takes some milliseconds for each."""
+_CHUNKS = 64
+"""Chunks of mapped items: the scheduler needs some milliseconds for each."""
 
 Result_co = TypeVar("Result_co", covariant=True)
 Result = TypeVar("Result")
@@ -63,7 +64,7 @@ class _Client(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemoteEvents:
-    """Events of one key of the event index, held by a worker."""
+    """Events of one key of the event index, in the memory of a worker."""
 
     client: _Client
     loaded: _Future[LoadedTrace | str]
@@ -75,10 +76,10 @@ class RemoteEvents:
 
 
 class ClusterEngine:
-    """The workers behind a Dask scheduler.
+    """The workers of a Dask scheduler.
 
     Args:
-        address: of the scheduler, `tcp://host:8786`.
+        address: the scheduler's, `tcp://host:8786`.
 
     Raises:
         BackendUnavailableError: Dask is not installed, or no scheduler answers.
@@ -92,7 +93,7 @@ class ClusterEngine:
                 "--cluster needs Dask: install the extra with `pip install 'dds-trace[cluster]'`"
             ) from err
         try:
-            # Rows come straight from the workers, where these can be reached; else, as Dask does, by way of the scheduler.
+            # Rows come straight from the workers where these can be reached, else through the scheduler.
             self._client: _Client = distributed.Client(
                 address, timeout=_TIMEOUT_S, set_as_default=False, direct_to_workers=True
             )
@@ -104,23 +105,25 @@ class ClusterEngine:
 
     def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Read every trace of a place, each on a worker; only the descriptions come here."""
-        here, *places = (
+        folder, *roots = (
             path if ":" in os.fspath(path) else path.resolve() for path in (place.folder, *place.parts)
         )
-        closed = [folder.resolve() for folder in skip]
-        candidates = sorted({trace for part in places for trace in find_anywhere(part, closed)})
+        skipped_folders = [folder.resolve() for folder in skip]
+        candidates = sorted({trace for root in roots for trace in find_anywhere(root, skipped_folders)})
         loads = [self._client.submit(_load, os.fspath(c), pure=False) for c in candidates]
-        said = [self._client.submit(_describe, load, pure=False) for load in loads]
+        descriptions = [self._client.submit(_describe, load, pure=False) for load in loads]
         loaded: list[LoadedTrace] = []
         skipped: list[Source] = []
-        for number, (candidate, load, description) in enumerate(zip(candidates, loads, said, strict=True)):
+        for number, (candidate, load, pending) in enumerate(
+            zip(candidates, loads, descriptions, strict=True)
+        ):
             if progress is not None:
                 progress(number, len(candidates), candidate)
-            described = description.result()
+            described = pending.result()
             if isinstance(described, str):
-                if candidates == [here]:
+                if candidates == [folder]:
                     raise TraceFormatError(candidate, described)
-                skipped.append(skipped_source(candidate, here, described))
+                skipped.append(skipped_source(candidate, folder, described))
                 continue
             parts = {
                 key: replace(part, trace=len(loaded), events=RemoteEvents(self._client, load, key))
@@ -128,45 +131,45 @@ class ClusterEngine:
             }
             loaded.append(LoadedTrace(described.trace, parts))
             self._loaded.append(load)
-        return campaign_of(here, loaded, skipped)
+        return campaign_of(folder, loaded, skipped)
 
-    def work(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[WorkedBatch]:
-        """Submit all batches at once, and yield what becomes of them in order."""
+    def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
+        """Submit all batches at once, and yield their rows and results in order."""
         pending = [self._submit(batch, index) for batch in batches]
         pending.reverse()
         while pending:
             yield pending.pop().result()
 
     def has_workers_with(self, file: Path) -> bool:
-        """Return whether there are workers, all of which find this file where it is here."""
+        """Return whether there are workers, and all of them see this file under this path."""
         try:
-            told = self._client.run(_size_and_time, os.fspath(file))
+            seen = self._client.run(_size_and_time, os.fspath(file))
         except OSError:  # one was lost just now
             return False
-        return set(told.values()) == {_size_and_time(os.fspath(file))}
+        return set(seen.values()) == {_size_and_time(os.fspath(file))}
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterable[Result]:
         """Return the function's results in the order of the items, by the workers."""
-        size = max(1, len(items) // _PIECES)
-        pieces = [
+        size = max(1, len(items) // _CHUNKS)
+        chunks = [
             self._client.submit(_map, function, items[first : first + size], pure=False)
             for first in range(0, len(items), size)
         ]
-        return [result for piece in pieces for result in piece.result()]
+        return [result for chunk in chunks for result in chunk.result()]
 
-    def _submit(self, batch: Batch, index: EventIndex) -> _Future[WorkedBatch]:
-        of_trace: dict[int, list[EventKey]] = {}
+    def _submit(self, batch: Batch, index: EventIndex) -> _Future[BatchOutput]:
+        keys_by_trace: dict[int, list[EventKey]] = {}
         for key in batch.event_keys():
             for part in index.get(key, ()):
-                of_trace.setdefault(part.trace, []).append(key)
+                keys_by_trace.setdefault(part.trace, []).append(key)
         selected = [
             self._client.submit(_select, self._loaded[trace], trace, keys, pure=False)
-            for trace, keys in of_trace.items()
+            for trace, keys in keys_by_trace.items()
         ]
-        return self._client.submit(_work, batch, selected, pure=False)
+        return self._client.submit(_process, batch, selected, pure=False)
 
     def close(self) -> None:
-        """Release the events that workers hold."""
+        """Release the events that workers have in memory."""
         self._loaded.clear()
         self._client.close()
 
@@ -175,7 +178,7 @@ def _load(path: str) -> LoadedTrace | str:
     """Read one trace, on a worker.
 
     Returns:
-        The trace, or why the file is no trace.
+        The trace, or why the file is not a trace.
     """
     try:
         return load_trace(Path(path), 0)
@@ -215,12 +218,13 @@ def _events(loaded: LoadedTrace, key: EventKey) -> EventColumns:
     return loaded.parts[key].load()
 
 
-def _work(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> WorkedBatch:
-    """Work at one batch, on a worker."""
-    parts: dict[EventKey, tuple[EventPart, ...]] = {}
-    for of_trace in selected:
-        for key, part in of_trace.items():
-            parts[key] = (*parts.get(key, ()), part)
-    in_order = {key: sorted(held, key=lambda part: part.trace) for key, held in parts.items()}
+def _process(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> BatchOutput:
+    """Process one batch, on a worker."""
+    parts: dict[EventKey, list[EventPart]] = {}
+    for parts_of_trace in selected:
+        for key, part in parts_of_trace.items():
+            parts.setdefault(key, []).append(part)
+    for parts_of_key in parts.values():
+        parts_of_key.sort(key=lambda part: part.trace)
     keep_freed_memory()
-    return work_at(batch, in_order).encoded()
+    return process(batch, parts).packed(None)

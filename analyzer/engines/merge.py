@@ -1,24 +1,35 @@
-"""Merge the results of batches: exact where they brought values, by histograms where they did not."""
+"""Merge the results of batches: statistics are exact where a batch has whole groups or brings the values of its part.
+
+A sketch merges log-linear histograms (`analyzer/statistics/histogram.py`) instead: counts of equal buckets add up, and a percentile
+is off by half a bucket at most, `RELATIVE_ERROR` of its value. Counts, mean, standard deviation and extremes merge without that
+error (Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances", 1979).
+"""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from ..groups.frames import concatenate_frames
-from ..groups.summary import Statistics, summarize_groups
-from .oversized import ValueSpool, merge_sketches
+from ..groups.summary import Statistics, measure_groups, summarize_groups
+from ..model.metrics import METRICS
+from ..statistics.percentiles import PERCENTILES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
+
+    from numpy.typing import NDArray
 
     from ..cache.event_index import Copies, EventKey
     from ..groups.batch import Grouping
     from ..groups.frames import Frames
     from ..groups.summary import Summary
-    from .batches import BatchResult
+    from .process import BatchResult
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +39,7 @@ class Merged:
     Attributes:
         summary: counts and statistics.
         frames: by name, see `groups/frames.py`.
-        copies: events that were left out because another trace holds them.
+        copies: events that were left out because another trace has them.
     """
 
     summary: Summary
@@ -42,51 +53,137 @@ def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch:
     Args:
         results: in the order of groups; of a part of a group with its values, unless it is a sketch.
         grouping: the groups of the campaign.
-        sketch: take percentiles from histograms, also of groups that were held whole.
+        sketch: take percentiles from histograms, also for whole groups.
     """
     frames: list[Frames] = []
     counts: list[pl.DataFrame] = []
     copies: dict[EventKey, tuple[Copies, ...]] = {}  # by key: T1 of a run may be in several batches
-    statistics = _StatisticsInOrder()
+    statistics: list[Statistics] = []
+    spool: _ValueSpool | None = None
     for result in results:
         frames.append(result.frames)
         counts.append(result.counts)
         copies |= result.copies
-        statistics.add(result)
-    merged = Statistics.concatenate(statistics.finish())
+        group = int(result.statistics.frame["group"][0])
+        if spool and (result.values is None or spool.group != group):
+            statistics.append(spool.measure())
+            spool = None
+        if result.values is None:
+            statistics.append(result.statistics)
+        else:
+            spool = spool or _ValueSpool(group)
+            spool.add(result.values)
+    if spool:
+        statistics.append(spool.measure())
+    merged = Statistics.concatenate(statistics)
     return Merged(
         summary=summarize_groups(grouping, pl.concat(counts), merge_sketches(merged) if sketch else merged),
         frames=concatenate_frames(frames),
-        copies=tuple(copied for of_key in copies.values() for copied in of_key),
+        copies=tuple(copied for copies_of_key in copies.values() for copied in copies_of_key),
     )
 
 
-class _StatisticsInOrder:
-    """Statistics of batches in the order of groups; values of a group that comes in parts are spooled."""
+class _ValueSpool:
+    """The values of a group that comes in parts: a file for each metric, of which one at a time is in memory."""
 
-    def __init__(self) -> None:
-        self._done: list[Statistics] = []
-        self._spool: tuple[int, ValueSpool] | None = None
+    def __init__(self, group: int) -> None:
+        self.group = group
+        self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
 
-    def add(self, result: BatchResult) -> None:
-        """Take the statistics, or the values, of the next batch."""
-        group = int(result.statistics.frame["group"][0])
-        if self._spool and (result.values is None or self._spool[0] != group):
-            self._unspool()
-        if result.values is None:
-            self._done.append(result.statistics)
-            return
-        if self._spool is None:
-            self._spool = group, ValueSpool()
-        self._spool[1].add(result.values)
+    def add(self, values: Mapping[str, NDArray[np.int64]]) -> None:
+        """Append the values of one part of the group, by metric."""
+        for metric, values_of_part in values.items():
+            with self._file(metric).open("ab") as stream:
+                stream.write(np.ascontiguousarray(values_of_part).data)
 
-    def finish(self) -> list[Statistics]:
-        """Return the statistics of all groups."""
-        self._unspool()
-        return self._done
+    def measure(self) -> Statistics:
+        """Return exact statistics of the group, and remove the files."""
+        with self._folder:
+            return measure_groups((self.group, metric, self._sorted(metric)) for metric in METRICS)
 
-    def _unspool(self) -> None:
-        if self._spool:
-            group, spool = self._spool
-            self._done.append(spool.measure(group))
-            self._spool = None
+    def _sorted(self, metric: str) -> NDArray[np.int64]:
+        values = np.fromfile(self._file(metric), np.int64)
+        values.sort()  # in place: there may be hundreds of megabytes
+        return values
+
+    def _file(self, metric: str) -> Path:
+        return Path(self._folder.name) / metric
+
+
+def merge_sketches(parts: Statistics) -> Statistics:
+    """Merge statistics of parts of groups, any number of each group in any order: percentiles by histogram, the rest exactly."""
+    moments = {
+        key: merge_moments(frame)
+        for key, frame in parts.frame.partition_by(
+            "group", "metric", as_dict=True, maintain_order=True
+        ).items()
+    }
+    distributions = (
+        parts.distributions.group_by("group", "metric", "value_ns", maintain_order=True)
+        .agg(pl.col("count").sum())
+        .sort("value_ns")
+    )
+    histograms = distributions.partition_by("group", "metric", as_dict=True)
+    rows = []
+    order = {metric: number for number, metric in enumerate(METRICS)}
+    for group, metric in sorted(moments, key=lambda key: (key[0], order[key[1]])):
+        row = {"group": group, "metric": metric, **moments[group, metric]}
+        histogram = histograms.get((group, metric))
+        if histogram is not None:
+            value_ns, count = histogram["value_ns"].to_numpy(), histogram["count"].to_numpy()
+            row |= {
+                p.name: _within(histogram_percentile(value_ns, count, p.quantile), row)
+                for p in PERCENTILES
+                if count.sum() >= p.needs
+            }
+        rows.append(row)
+    return Statistics(
+        pl.DataFrame(rows, schema=parts.frame.schema),
+        distributions.sort("group", pl.col("metric").replace_strict(order), "value_ns"),
+    )
+
+
+def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
+    """Merge samples, mean, standard deviation, least and largest value of the parts of one group and metric."""
+    samples, mean, squares = 0, 0.0, 0.0
+    for n, mean_of_part, std in (
+        parts.filter(pl.col("samples") > 0).select("samples", "mean", "std").iter_rows()
+    ):
+        difference = mean_of_part - mean
+        squares += (std or 0.0) ** 2 * (n - 1) + difference**2 * samples * n / (samples + n)
+        mean += difference * n / (samples + n)
+        samples += n
+    return {
+        "samples": samples,
+        "mean": mean if samples else None,
+        "std": (squares / (samples - 1)) ** 0.5 if samples > 1 else None,
+        "min": parts["min"].min(),  # type: ignore[dict-item]
+        "max": parts["max"].max(),  # type: ignore[dict-item]
+    }
+
+
+def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64], quantile: float) -> float:
+    """Interpolate a percentile of counted values, each taken to be the centre of its bucket.
+
+    Args:
+        value_ns: centres of the buckets, ascending.
+        count: values in each bucket, at least one in all.
+        quantile: 0 to 1.
+    """
+    cumulative = np.cumsum(count.astype(np.int64))
+    last = int(cumulative[-1]) - 1
+    position = quantile * last
+    below = int(position)
+    low, high = (
+        float(value_ns[np.searchsorted(cumulative, min(rank, last), side="right")])
+        for rank in (below, below + 1)
+    )
+    return low + (high - low) * (position - below)
+
+
+def _within(value_ns: float, row: Mapping[str, float | str | int | None]) -> float:
+    """Limit a percentile to the range of the values: the centre of a bucket may be outside."""
+    low, high = row["min"], row["max"]
+    assert isinstance(low, float)
+    assert isinstance(high, float)
+    return min(max(value_ns, low), high)

@@ -1,8 +1,8 @@
-"""Worker processes of this machine: what is Python between short arrays takes one core in threads, however many there are.
+"""Worker processes of this machine: where arrays are short, Python between them keeps threads on one core.
 
-A worker reads traces, puts their events into files (the user's cache, or temporary ones), and works at batches whose events
-it reads from there. Rows of another process come in files, too, encoded as they will be in their Parquet file; descriptions,
-batches and all other results through pipes. One worker is the process of the analysis itself.
+A worker reads traces, puts their events into files (the user's cache, or temporary ones), and processes batches whose events it
+reads from there. It returns rows in files, too; descriptions, batches and results go through pipes. One worker is the process of
+the analysis itself.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from dds_trace.base.errors import TraceError
 
 from ..cache.loaded import loaded_or_error
 from ..cache.store import TraceCache
-from ..cache.traces import TraceShelf
+from ..cache.traces import TraceLoader
 from .batches import keep_freed_memory
-from .cached_batches import encoded_batch
-from .cached_details import KnownDetails
 from .gc_tuning import tune_gc
+from .process import process
+from .result_cache import ResultCache
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -39,28 +39,28 @@ if TYPE_CHECKING:
     from ..cache.event_index import EventKey, EventPart
     from ..cache.loaded import LoadedTrace
     from ..groups.batch import Batch
-    from .batches import WorkedBatch
+    from .process import BatchOutput
 
     Stored = tuple[str, LoadedTrace | TraceFormatError]
-    """Key in the cache, "" without one, and the trace, or why the file is none."""
+    """Key in the cache, "" without one, and the trace, or why the file is not a trace."""
 
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-_PIECES_OF_WORKER = 8
-"""Parts that each worker does of what is mapped: so few that little travels, so many that none waits long for another."""
+_CHUNKS_PER_WORKER = 8
+"""Chunks of mapped items for each worker: few enough to send little, enough that no worker waits long for another."""
 
 
 class Workers:
-    """The workers of one analysis: processes, and this one; closed at the end.
+    """The workers of one analysis: other processes, and this one; closed at the end.
 
-    A job goes to whichever is free first. This process is one of them because it has imported everything already, which takes
-    another one a third of a second of a core, and has little else to do meanwhile: what the others do reaches it encoded.
+    Whichever is free first takes the next job. This process is a worker because it has imported everything already (a third of a
+    second of a core) and has little else to do.
 
     Args:
         count: number of workers, at least two.
-        cache: whether they keep events and details in the user's cache.
+        cache: whether they use the user's cache.
     """
 
     def __init__(self, count: int, *, cache: bool) -> None:
@@ -69,31 +69,33 @@ class Workers:
         folder = Path(self._folder.name)
         self._pool = start_workers(count - 1, folder, cache=cache)
         self._here = Worker(folder, TraceCache.open() if cache else None, is_here=True)
-        # One thread for each worker: it does what this process does, or waits for what another one does.
-        self._places = iter([self._here.do, *[self._do_elsewhere] * (count - 1)])
+        # One thread for each worker: it does the work of this process, or waits for another one.
+        self._callers = iter([self._here.do, *[self._do_elsewhere] * (count - 1)])
         self._of_thread = threading.local()
-        self._threads = ThreadPoolExecutor(count, thread_name_prefix="worker", initializer=self._take_place)
+        self._threads = ThreadPoolExecutor(
+            count, thread_name_prefix="worker", initializer=self._assign_worker
+        )
 
     def store(self, paths: Sequence[Path], first: int) -> Future[list[Stored]]:
         """Let a worker load traces; see `Worker.store`."""
         return self._submit(Worker.store, paths, first)
 
-    def work(
+    def process(
         self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
-    ) -> Future[WorkedBatch]:
-        """Let a worker pair and measure a batch; see `Worker.work`."""
-        return self._submit(Worker.work, batch, parts, keys)
+    ) -> Future[BatchOutput]:
+        """Let a worker process a batch; see `Worker.process`."""
+        return self._submit(Worker.process, batch, parts, keys)
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
         """Return the function's results in the order of the items."""
-        at_once = max(1, len(items) // (self.count * _PIECES_OF_WORKER))
-        pieces = [items[first : first + at_once] for first in range(0, len(items), at_once)]
-        with self.telling():
-            begun = [self._submit(Worker.map, function, piece) for piece in pieces]
-            return [result for piece in begun for result in piece.result()]
+        size = max(1, len(items) // (self.count * _CHUNKS_PER_WORKER))
+        chunks = [items[first : first + size] for first in range(0, len(items), size)]
+        with self.explaining_kills():
+            pending = [self._submit(Worker.map, function, chunk) for chunk in chunks]
+            return [result for chunk in pending for result in chunk.result()]
 
     @contextmanager
-    def telling(self) -> Iterator[None]:
+    def explaining_kills(self) -> Iterator[None]:
         """Turn the end of a process into an error that says what may have ended it."""
         try:
             yield
@@ -112,8 +114,8 @@ class Workers:
     def _submit(self, job: Callable[..., R], *arguments: object) -> Future[R]:
         return self._threads.submit(self._do, job, *arguments)
 
-    def _take_place(self) -> None:
-        self._of_thread.do = next(self._places)
+    def _assign_worker(self) -> None:
+        self._of_thread.do = next(self._callers)
 
     def _do(self, job: Callable[..., R], *arguments: object) -> R:
         result: R = self._of_thread.do(job, *arguments)
@@ -124,18 +126,19 @@ class Workers:
 
 
 class Worker:
-    """What does the jobs of one process.
+    """Does the jobs of one process.
 
     Args:
         folder: takes temporary files.
-        cache: the open cache, which is closed with the worker; None keeps nothing.
-        is_here: whether it works in the process of the analysis, which then has rows of new batches in memory.
+        cache: the open cache, closed with the worker; None caches nothing.
+        is_here: whether it is in the process of the analysis, which can take rows in memory.
     """
 
     def __init__(self, folder: Path, cache: TraceCache | None, *, is_here: bool = False) -> None:
-        self._rows_folder = None if is_here else folder
+        self._folder = folder
+        self._is_here = is_here
         self._cache = cache
-        self._shelf = TraceShelf(cache, folder)
+        self._loader = TraceLoader(cache, folder)
 
     def do(self, job: Callable[..., R], *arguments: object) -> R:
         """Do a job: one of the methods below."""
@@ -146,32 +149,31 @@ class Worker:
 
         Args:
             paths: files or folders.
-            first: a number for the first one, as no other call has for any.
+            first: a number for the first one; no two calls may share numbers.
 
         Raises:
-            OutputError: events could not be kept.
+            OutputError: events cannot be written.
         """
         loaded = [
-            loaded_or_error(self._shelf.store, path, number) for number, path in enumerate(paths, first)
+            loaded_or_error(self._loader.store, path, number) for number, path in enumerate(paths, first)
         ]
-        return [(self._shelf.keys.pop(number, ""), found) for number, found in enumerate(loaded, first)]
+        return [(self._loader.keys.pop(number, ""), trace) for number, trace in enumerate(loaded, first)]
 
-    def work(
+    def process(
         self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
-    ) -> WorkedBatch:
-        """Pair and measure a batch, its rows encoded; see `cached_batches.encoded_batch`.
+    ) -> BatchOutput:
+        """Pair and measure a batch.
 
         Args:
             batch: the batch.
-            parts: of its `event_keys` the rows of the event index, events in files.
-            keys: of its traces, by position, the key in the cache.
+            parts: for each of its `event_keys` the rows of the event index, events in files.
+            keys: position of a trace -> its key in the cache.
 
         Raises:
-            OutputError: the rows could not be kept.
+            OutputError: the rows cannot be written.
         """
-        return encoded_batch(
-            batch, parts, KnownDetails(self._cache, keys) if self._cache else None, self._rows_folder
-        )
+        output = process(batch, parts, ResultCache(self._cache, keys) if self._cache else None)
+        return output if self._is_here else output.packed(self._folder)
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> list[R]:
         """Return the function's results."""
@@ -179,11 +181,11 @@ class Worker:
 
     def close(self) -> None:
         """Close the cache."""
-        self._shelf.close()
+        self._loader.close()
 
 
 def can_start_workers() -> bool:
-    """Return whether this process may have others: one of `multiprocessing` that ends with its own caller may not."""
+    """Return whether this process may start others: a daemon of `multiprocessing` may not."""
     return not multiprocessing.current_process().daemon
 
 
@@ -192,14 +194,13 @@ def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecut
 
     Args:
         count: number of processes.
-        folder: takes temporary files; the caller removes it behind the workers' end.
-        cache: whether they keep events and details in the user's cache.
+        folder: takes temporary files; the caller removes it after the workers have ended.
+        cache: whether they use the user's cache.
     """
-    context = multiprocessing.get_context(
-        "spawn"
-    )  # a fork would copy the locks of other threads, of polars too
+    # A fork would copy locks that other threads, also those of polars, are holding.
+    context = multiprocessing.get_context("spawn")
     workers = ProcessPoolExecutor(count, context, _begin, (os.fspath(folder), cache))
-    with _without_main(), _without_interrupts(), _with_one_thread_of_blas():
+    with _without_main(), _without_interrupts(), _with_one_blas_thread():
         for _ in range(count):
             workers.submit(os.getpid)  # each starts one
     return workers
@@ -216,7 +217,7 @@ _worker: Worker | None = None
 
 def _begin(folder: str, has_cache: bool) -> None:
     """Make this process a worker."""
-    global _worker  # noqa: PLW0603 - what a process has from its beginning
+    global _worker  # noqa: PLW0603 - set once, when the process starts
     keep_freed_memory()
     tune_gc()
     threading.Thread(target=_end_with_caller, daemon=True).start()
@@ -224,7 +225,7 @@ def _begin(folder: str, has_cache: bool) -> None:
 
 
 def _end_with_caller() -> None:
-    """End this process where the caller was killed: its end of the pipe, which others hold too, would stay open."""
+    """End this process when the caller was killed: its end of the pipe, which other workers share, would stay open."""
     caller = multiprocessing.parent_process()
     assert caller is not None
     wait([caller.sentinel])
@@ -233,7 +234,7 @@ def _end_with_caller() -> None:
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Hide the program that called us: a process that is started would run it again, from which `analyze` may be called."""
+    """Hide the calling program: a spawned process would run it again, and `analyze` in it."""
     main = sys.modules["__main__"]
     hidden = {name: getattr(main, name, None) for name in ("__file__", "__spec__")}
     try:
@@ -246,8 +247,8 @@ def _without_main() -> Iterator[None]:
 
 
 @contextmanager
-def _with_one_thread_of_blas() -> Iterator[None]:
-    """Let processes that are started multiply their small matrices alone: a second thread takes a core from another one."""
+def _with_one_blas_thread() -> Iterator[None]:
+    """Let spawned processes multiply their small matrices on one core: others are busy."""
     name = "OPENBLAS_NUM_THREADS"
     if name in os.environ:  # the user's own
         yield
@@ -261,9 +262,9 @@ def _with_one_thread_of_blas() -> Iterator[None]:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Hold Ctrl-C back from processes that are started, for good: it is the caller's, who ends them."""
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Block Ctrl-C in spawned processes for good: the caller gets it and ends them."""
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous)

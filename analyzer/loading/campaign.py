@@ -13,7 +13,7 @@ from dds_trace.tracefile.reading.trace import FOREIGN_HINT
 
 from ..cache.event_index import Copies, EventIndex, index_events
 from ..cache.remote import find_anywhere
-from ..cache.traces import TraceShelf
+from ..cache.traces import TraceLoader
 from ..model.finding import Source
 from .place import Place
 
@@ -103,7 +103,7 @@ def load_campaign(
     place = place if isinstance(place, Place) else Place.of(place)
     path = place.folder
     candidates = sorted({trace for part in place.parts for trace in find_anywhere(part, skip)})
-    found = (load_all or TraceShelf().load_all)(candidates)
+    found = (load_all or TraceLoader().load_all)(candidates)
     loaded: list[LoadedTrace] = []
     skipped: list[Source] = []
     for number, candidate in enumerate(candidates):

@@ -22,7 +22,7 @@ from .unsent import count_unsent, settled
 from .utc import utc_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from concurrent.futures import Executor
 
     from numpy.typing import DTypeLike, NDArray
@@ -58,6 +58,9 @@ RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.value
 
 STAMP_NAMES = tuple(name for names in MIDDLEWARE_STAMPS.values() for name in names)
 
+ROWS_PER_FRAME = 1 << 20
+"""Rows that are in one frame of `PairedRows.frames`, and in one row group of the Parquet file."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairedRows(ABC):
@@ -84,6 +87,13 @@ class PairedRows(ABC):
     @abstractmethod
     def column(self, name: str) -> pl.Series:
         """Return `sequence`, a column of `columns.MEASURED_COLUMNS` but `outcome`, or one of `stamp_names`."""
+
+    @abstractmethod
+    def frames(self) -> Iterator[pl.DataFrame]:
+        """Yield the rows in frames of `ROWS_PER_FRAME`, at least one.
+
+        Columns are `sequence`, those of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`; `outcome` is u8, an index of `pair.OUTCOMES`.
+        """
 
     def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Repeat a value of each exchange for each of its rows."""
@@ -118,6 +128,12 @@ class RoundTrips(PairedRows):
         """Return a column of `measured`, or one of `stamps`."""
         held = [series for series in self.stamps if series.name == name]
         return held[0] if held else self.measured[name]
+
+    def frames(self) -> Iterator[pl.DataFrame]:
+        """Yield slices of the rows, as `PairedRows.frames` describes them."""
+        for first in range(0, len(self.outcome) or 1, ROWS_PER_FRAME):
+            outcome = pl.Series("outcome", self.outcome[first : first + ROWS_PER_FRAME])
+            yield self.measured[first : first + ROWS_PER_FRAME].with_columns(outcome)
 
     def part(self, begin: int, end: int) -> RoundTrips:
         """Return exchanges `begin` to `end` (not included): views of their rows."""
@@ -184,7 +200,7 @@ def pair_exchanges(
     fitting = pool.submit(fit_exchanges, exchanges, bounds, stamps) if details else None
     in_time = pl.DataFrame({"sequence": columns["sequence"]}).with_columns(
         *(_null_where_missing(name, values) for name, values in stamps.items()),
-        _outcome_names(columns["outcome"]),
+        outcome_names(columns["outcome"]),
         pl.Series("duplicates", columns["duplicates"]),
         pl.Series("reordered", columns["reordered"]),
     )
@@ -245,6 +261,12 @@ def _null_where_missing(name: str, values: NDArray[np.int64]) -> pl.Series:
     return series.set(pl.Series(missing), None) if missing.any() else series
 
 
-def _outcome_names(codes: NDArray[np.uint8]) -> pl.Series:
+def bounds_of(counts: pl.DataFrame) -> NDArray[np.int64]:
+    """Return `PairedRows.bounds` from the counts of the exchanges."""
+    return np.concatenate([[0], np.cumsum(counts["published"].to_numpy())]).astype(np.int64)
+
+
+def outcome_names(codes: NDArray[np.uint8]) -> pl.Series:
+    """Return the column `outcome` as Enum from indices of `pair.OUTCOMES`."""
     names = [outcome.value for outcome in OUTCOMES]
     return pl.Series("outcome", names, pl.Enum(names)).gather(codes.astype(np.uint32))

@@ -1,10 +1,11 @@
-"""The rows of `roundtrips`: taken batch by batch, then in memory where they are few, else in their Parquet file."""
+"""The rows of `roundtrips`: written table by table, then read from memory where they are few, else from their Parquet file."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
 import weakref
+from abc import ABC, abstractmethod
 from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING
 import polars as pl
 import pyarrow as pa
 
-from ..cache.parquet_join import RowPart
 from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.metrics import schema_of
 from ..model.parameters import PARAMETER_NAMES
@@ -25,114 +25,48 @@ if TYPE_CHECKING:
 
 ROUNDTRIP_NAMES = tuple(column.name for column in ROUNDTRIP_COLUMNS)
 
-MOST_HELD_ROWS = 1_000_000
-"""Rows that are kept in memory, some hundred bytes each; of more, only what is asked for is read from the file."""
+MOST_ROWS_IN_MEMORY = 1_000_000
+"""Rows that stay in memory, some hundred bytes each."""
 
 
-class RowStore:
-    """Takes the rows of a campaign batch by batch, writes them, and gives them back whole, in part or by group.
-
-    Entered, it takes rows; left, it gives them. Left with an error, a file that was there before stays as it was.
-
-    Args:
-        path: `roundtrips.parquet`; None writes a temporary file, and that only of many rows.
-        provenance: metadata of that file.
+class RowStore(ABC):
+    """The rows of a campaign: all of them, some columns, or those of some groups.
 
     Attributes:
-        groups: once they are located, a row per group: `group` u32, the parameter columns, and `first` and
-            `published` i64: its rows are those from `first` on.
-
-    Raises:
-        OutputError: the file cannot be written.
+        groups: one row per group: `group` u32, the parameter columns, and `first` and `published` i64, the first of its rows and
+            their number; empty before `locate`.
     """
 
-    def __init__(self, path: Path | None = None, provenance: Mapping[str, str] | None = None) -> None:
+    def __init__(self) -> None:
         self.groups = pl.DataFrame()
-        self._path = path
-        self._provenance = provenance
-        self._held: pl.DataFrame | list[pa.Table] | None = []
-        self._rows = 0
-        self._stack = ExitStack()
-        self._write: Callable[[pa.Table | RowPart], None] | None = None
 
-    @classmethod
-    def of(cls, rows: pl.DataFrame | Path, summary: pl.DataFrame | None = None) -> RowStore:
-        """Return a store of rows that are there already.
-
-        Args:
-            rows: a frame, or a Parquet file.
-            summary: the frame `summary` of these rows, for `groups`.
-        """
-        store = cls(rows if isinstance(rows, Path) else None)
-        store._held = None if isinstance(rows, Path) else rows
+    @staticmethod
+    def of(rows: pl.DataFrame | Path, summary: pl.DataFrame | None = None) -> RowStore:
+        """Return a store of a frame or a Parquet file; the frame `summary` of these rows gives its `groups`."""
+        store = RowsInFile(rows) if isinstance(rows, Path) else RowsInMemory(rows)
         if summary is not None:
             store.locate(summary)
         return store
 
     @property
+    @abstractmethod
     def file(self) -> Path | None:
-        """The absolute path of the file of the rows, if there is one, whether or not they are in memory, too."""
-        return None if self._path is None else self._path.resolve()
+        """Absolute path of the file of the rows, if there is one."""
+
+    @abstractmethod
+    def load(self) -> pl.DataFrame:
+        """Return all rows; rows in a file are read at every call."""
+
+    @abstractmethod
+    def scan(self) -> pl.LazyFrame:
+        """Return all rows, of which `collect` reads what it needs."""
 
     def in_file(self) -> RowStore:
-        """Return the same rows, all of them to be read from their file: what another process is sent is small then."""
+        """Return the same rows, read from their file: small to send to another process."""
         assert self.file is not None
-        store = RowStore.of(self.file)
+        store = RowsInFile(self.file)
         store.groups = self.groups
         return store
-
-    def __enter__(self) -> RowStore:  # noqa: PYI034 - `Self` is Python 3.11's
-        """Begin the file, if one is asked for."""
-        if self._path is not None:
-            self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
-        return self
-
-    def add(self, rows: Iterable[pa.Table | RowPart] | RowPart) -> None:
-        """Take the next rows, as `parquet.tables_of` or `parquet.encode_rows` makes them."""
-        for some in [rows] if isinstance(rows, RowPart) else rows:
-            if isinstance(some, RowPart) and self._write is not None:
-                self._held = None  # what others have encoded, and a file has, is not decoded to be held
-            self._rows += some.num_rows
-            if isinstance(self._held, list):
-                self._held.append(some.load() if isinstance(some, RowPart) else some)
-            if self._write is not None:
-                self._write(some)
-            if isinstance(self._held, list) and self._rows > MOST_HELD_ROWS:
-                self._release(self._held)
-
-    def _release(self, held: list[pa.Table]) -> None:
-        """Leave all rows to the file, which is begun if there is none yet."""
-        if self._write is None:
-            folder = Path(tempfile.mkdtemp(prefix="dds-analyze-"))
-            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
-            self._path = folder / "roundtrips.parquet"
-            self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
-            for table in held:
-                self._write(table)
-        self._held = None
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Complete the file, or leave what was there before."""
-        self._stack.__exit__(kind, error, trace)
-
-    def load(self) -> pl.DataFrame:
-        """Return all rows; those in a file are read anew at every call."""
-        if self._held is None:
-            assert self._path is not None
-            return pl.read_parquet(self._path)
-        if isinstance(self._held, list):
-            self._held = _frame_of(self._held)
-        return self._held
-
-    def scan(self) -> pl.LazyFrame:
-        """Return all rows, to be read when they are collected, and only the columns and rows that it takes."""
-        if self._held is not None:
-            return self.load().lazy()
-        assert self._path is not None
-        written = self._path.stat()
-        return _scan(self._path, written.st_size, written.st_mtime_ns)
 
     def locate(self, summary: pl.DataFrame) -> None:
         """Make `groups` from the frame `summary`, one row per group in the order of the rows."""
@@ -146,7 +80,7 @@ class RowStore:
 
     @property
     def has_rows(self) -> bool:
-        """Whether there are rows; False of a sketch, which has groups only."""
+        """Whether there are rows; False of a sketch, which has only groups."""
         return not self.scan().head(1).collect().is_empty()
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ROUNDTRIP_NAMES) -> pl.DataFrame:
@@ -156,10 +90,124 @@ class RowStore:
         return (pl.concat(spans) if spans else rows.head(0)).collect()
 
 
+class RowsInMemory(RowStore):
+    """Rows in memory, perhaps in a file as well."""
+
+    def __init__(self, rows: pl.DataFrame, path: Path | None = None) -> None:
+        super().__init__()
+        self._rows = rows
+        self._path = path
+
+    @property
+    def file(self) -> Path | None:
+        """Absolute path of the file of the rows, if there is one."""
+        return None if self._path is None else self._path.resolve()
+
+    def load(self) -> pl.DataFrame:
+        """Return all rows."""
+        return self._rows
+
+    def scan(self) -> pl.LazyFrame:
+        """Return all rows."""
+        return self._rows.lazy()
+
+
+class _TemporaryFolder:
+    """A folder that is removed with the last object that refers to it, unless it is gone already."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="dds-analyze-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
+class RowsInFile(RowStore):
+    """Rows in a Parquet file, which may be in a temporary folder."""
+
+    def __init__(self, path: Path, folder: _TemporaryFolder | None = None) -> None:
+        super().__init__()
+        self._path = path
+        self._folder = folder
+
+    @property
+    def file(self) -> Path:
+        """Absolute path of the file."""
+        return self._path.resolve()
+
+    def load(self) -> pl.DataFrame:
+        """Read all rows."""
+        return pl.read_parquet(self._path)
+
+    def scan(self) -> pl.LazyFrame:
+        """Return all rows, of which `collect` reads what it needs."""
+        written = self._path.stat()
+        return _scan(self._path, written.st_size, written.st_mtime_ns)
+
+
 @lru_cache(maxsize=4)
-def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG001 - which file it is, not its name alone
-    """Return the rows of a file, whose footer is read once for all that is collected of them."""
+def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG001 - they tell versions of the file apart
+    """Return the rows of a file, whose footer is read once."""
     return pl.scan_parquet(path)
+
+
+class RowWriter:
+    """Writes the rows of a campaign; on an error, a file that was there before stays as it was.
+
+    Args:
+        path: `roundtrips.parquet`; None writes a temporary file, and only if there are many rows.
+        provenance: metadata of that file.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path | None = None, provenance: Mapping[str, str] | None = None) -> None:
+        self._path = path
+        self._provenance = provenance
+        self._tables: list[pa.Table] | None = []  # None once there are too many rows
+        self._rows = 0
+        self._folder: _TemporaryFolder | None = None
+        self._stack = ExitStack()
+        self._write: Callable[[pa.Table], None] | None = None
+
+    def __enter__(self) -> RowWriter:  # noqa: PYI034 - `Self` is Python 3.11's
+        """Start the file, if a path is given."""
+        if self._path is not None:
+            self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Complete the file, or leave the file that was there before."""
+        self._stack.__exit__(kind, error, trace)
+
+    def write(self, tables: Iterable[pa.Table]) -> None:
+        """Append tables of `parquet.tables_of`."""
+        for table in tables:
+            self._rows += len(table)
+            if self._write is not None:
+                self._write(table)
+            if self._tables is None:
+                continue
+            self._tables.append(table)
+            if self._rows > MOST_ROWS_IN_MEMORY:
+                if self._write is None:
+                    self._move_to_temporary_file(self._tables)
+                self._tables = None
+
+    def store(self) -> RowStore:
+        """Return the rows, once all are written."""
+        if self._tables is not None:
+            return RowsInMemory(_frame_of(self._tables), self._path)
+        assert self._path is not None
+        return RowsInFile(self._path, self._folder)
+
+    def _move_to_temporary_file(self, tables: list[pa.Table]) -> None:
+        self._folder = _TemporaryFolder()
+        self._path = self._folder.path / "roundtrips.parquet"
+        self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
+        for table in tables:
+            self._write(table)
 
 
 def _frame_of(tables: Sequence[pa.Table]) -> pl.DataFrame:

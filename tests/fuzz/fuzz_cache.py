@@ -12,7 +12,7 @@ from trace_files import Message, ping_events, ping_session, run, write_trace
 
 from dds_trace.analyzer.cache.loaded import load_trace
 from dds_trace.analyzer.cache.store import TraceCache
-from dds_trace.analyzer.cache.traces import TraceShelf
+from dds_trace.analyzer.cache.traces import TraceLoader
 from dds_trace.base.errors import TraceError
 
 if TYPE_CHECKING:
@@ -98,12 +98,12 @@ class Target:
         return True
 
 
-def opened() -> tuple[TraceShelf, TraceCache]:
+def opened() -> tuple[TraceLoader, TraceCache]:
     """Return a shelf with the cache, open."""
     cache = TraceCache.open()
     if cache is None:
         raise OSError("no cache can be opened")
-    return TraceShelf(cache), cache
+    return TraceLoader(cache), cache
 
 
 def content_of(loaded: LoadedTrace) -> tuple[str, dict[str, list[int]]]:

@@ -37,11 +37,10 @@ import numpy as np
 import zstandard
 from campaigns import MANY_GROUPS, SHAPES, SHORT_RUNS, Shape, write_campaign, write_new_run
 from commands import Ran, run_command
-from timing import packed_chunks, seconds, unpack_job
+from timing import packed_chunks, read_rows, seconds, unpack_job
 
-from dds_trace.analyzer.cache.parquet_join import read_rows
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
-from dds_trace.analyzer.pairing.parquet import encode_rows
+from dds_trace.analyzer.pairing.parquet import roundtrips_writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -49,7 +48,7 @@ if TYPE_CHECKING:
 ROUNDS = 3
 QUICK_PART = 0.1
 MOST_TIMES_FLOOR = 2.5
-MOST_SHARE_AGAIN = 0.5
+MOST_SHARE_AGAIN = 0.6
 MOST_RSS_BYTES, MOST_RSS_OF_HUGE_BYTES = 2e9, 3e9
 MOST_CLOCK_MS = 15.0
 MOST_TIMES_LINEAR = 1.25
@@ -96,9 +95,8 @@ def floor_job(traces: Sequence[Path], rows: Path, again: Path) -> Callable[[], N
     unpack_all = unpack_job(chunks, lambda packed, size: decompress(packed, max_output_size=size))
 
     def write() -> None:
-        part = encode_rows([table], again.parent)
-        assert isinstance(part.content, Path)
-        part.content.replace(again)
+        with roundtrips_writer(again) as write_table:
+            write_table(table)
 
     write()
     sizes = [path.stat().st_size for path in (rows, again)]

@@ -29,10 +29,9 @@ import pyarrow.parquet as pq
 import zstandard
 from commands import Ran, run_command
 from event_traces import write_event_trace
-from timing import packed_chunks, seconds, unpack_job
+from timing import packed_chunks, read_rows, seconds, unpack_job
 
-from dds_trace.analyzer.cache.parquet_join import read_rows
-from dds_trace.analyzer.pairing.parquet import encode_rows
+from dds_trace.analyzer.pairing.parquet import roundtrips_writer
 
 EVENTS, EVENTS_OF_FILE = 1_000_000_000, 10_000_000
 RUNS_OF_FILE, GROUPS = 20, 50
@@ -100,7 +99,8 @@ def measure_floor(folder: Path, events: int) -> Floor:
     table = read_rows(rows)
 
     def write() -> None:
-        encode_rows([table], folder).remove()
+        with roundtrips_writer(folder / "again.parquet") as write_table:
+            write_table(table)
 
     decompress = zstandard.ZstdDecompressor().decompress
     chunks = [chunk for trace in traces for chunk in packed_chunks(trace)]

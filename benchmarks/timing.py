@@ -6,6 +6,8 @@ import ctypes
 import time
 from typing import TYPE_CHECKING
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 
@@ -22,6 +24,13 @@ def seconds(job: Callable[[], object]) -> float:
     start = time.perf_counter()
     job()
     return time.perf_counter() - start
+
+
+def read_rows(path: Path) -> pa.Table:
+    """Return the rows of a Parquet file as the analysis writes them: texts are dictionaries."""
+    texts = [field.name for field in pq.read_schema(path) if field.type == "string"]
+    # `pq.read_table` would import pandas where it is installed.
+    return pq.ParquetFile(path, read_dictionary=texts).read()
 
 
 def keep_freed_memory() -> None:

@@ -1,4 +1,4 @@
-"""A trace whose events are in a file of ours: how they come there, and what the cache keeps of it for the next analysis."""
+"""A trace as one file: its events, and, in the cache, its description as JSON after them."""
 
 from __future__ import annotations
 
@@ -34,16 +34,15 @@ if TYPE_CHECKING:
     """Adds all events of a trace and returns the trace without them."""
 
 _FORMAT = 4
-"""Version of an entry; an entry of another version, or without a field of this one, is not used. 1: the first; 2: seals of the
-events; 3: events in pieces; 4: one file."""
+"""Version of an entry; another version is ignored. 2: seals of the events; 3: events in pieces; 4: one file."""
 
 
 class StoredParts:
-    """The events of one trace on their way into a file, piece by piece.
+    """Writes the events of one trace into a stream, piece by piece.
 
     Args:
-        stream: takes them.
-        sealer: makes a seal of the events of each stage, run and relay; None makes none.
+        stream: the stream.
+        sealer: seals the events of each stage, run and relay; None seals nothing.
     """
 
     def __init__(self, stream: BinaryIO, sealer: Sealer | None) -> None:
@@ -53,10 +52,10 @@ class StoredParts:
         self._seals: dict[EventKey, hmac.HMAC] = {}
 
     def add(self, parts: Mapping[EventKey, EventPart]) -> None:
-        """Append events to those of the same stage, run and relay.
+        """Append events.
 
         Raises:
-            OSError: they cannot be written.
+            OSError: the events cannot be written.
         """
         for key, part in parts.items():
             events = part.load()
@@ -66,10 +65,10 @@ class StoredParts:
                 self._seals[key] = self._sealer.seal_events(piece.arrays(events), self._seals.get(key))
 
     def index(self, file: Path, position: int) -> dict[EventKey, EventPart]:
-        """Return the event index of the trace, whose events are in `file`."""
+        """Return the event index of a trace whose events are in `file`."""
         index = {}
-        for key, held in self._pieces.items():
-            firsts_ns, lasts_ns, pieces = zip(*held, strict=True)
+        for key, written in self._pieces.items():
+            firsts_ns, lasts_ns, pieces = zip(*written, strict=True)
             stored = StoredEvents(file, pieces)
             index[key] = EventPart(position, stored.count, min(firsts_ns), max(lasts_ns), stored)
         return index
@@ -81,11 +80,11 @@ class StoredParts:
 
 
 def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
-    """Put the events of a trace into a file, which replaces `file` once it is complete.
+    """Write the events of a trace into a file, which replaces `file` once it is complete.
 
     Args:
         file: the file.
-        position: of the trace in its campaign.
+        position: position of the trace in its campaign.
         fill: adds the events and returns the trace without them.
 
     Raises:
@@ -97,13 +96,7 @@ def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
 
 
 def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace:
-    """Write an entry: as `store_parts`, the description behind the events.
-
-    Args:
-        cache: the open cache.
-        key: of the trace's content.
-        position: of the trace in its campaign.
-        fill: as for `store_parts`.
+    """Write an entry of the cache, as `store_parts` with the description after the events; `key` is that of the trace's content.
 
     Raises:
         OSError: it cannot be written.
@@ -119,14 +112,13 @@ def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> Loade
 def _store(
     stream: BinaryIO, file: Path, position: int, fill: Fill, sealer: Sealer | None
 ) -> tuple[LoadedTrace, list[str]]:
-    """Put the events of a trace into the stream of what will be `file`; return the trace, and the seals of its parts."""
     stored = StoredParts(stream, sealer)
     trace = fill(stored)
     return LoadedTrace(trace, stored.index(file, position)), stored.seals
 
 
 def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrace | None:
-    """Return the entry of this content; None if the cache has none that can be used."""
+    """Return the trace of this key, None if the cache has no usable entry."""
     try:
         text, events_bytes = cache.read_end(key)
         entry: _Entry = json.loads(text)
@@ -140,12 +132,12 @@ def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> Loaded
 
 
 @dataclass(frozen=True, slots=True)
-class _KeptEvents:
-    """Events of one stage, run and relay in the cache; read from their trace again where it no longer has them as written.
+class _CachedEvents:
+    """Events of one stage, run and relay in the cache; read from their trace if the cache no longer has them as written.
 
     Attributes:
-        stored: their place.
-        check: what makes their seal, and the seal that they are to have; None where this analysis has put them there.
+        stored: the events in the cache.
+        check: a sealer and the expected seal; None where this analysis wrote the events.
         label: stage, run and relay.
         trace: path of their trace.
     """
@@ -159,7 +151,7 @@ class _KeptEvents:
         """Read the events.
 
         Raises:
-            TraceFormatError: they are gone, and the trace no longer has them.
+            TraceFormatError: neither the cache nor the trace has them any more.
         """
         with suppress(OSError):
             events = self.stored.load()
@@ -175,9 +167,8 @@ class _KeptEvents:
 
 
 def _in_cache(loaded: LoadedTrace, checks: Sequence[tuple[Sealer, str] | None]) -> LoadedTrace:
-    """Return the trace with events that are read where they are stored, each with its check (`_KeptEvents`)."""
     parts = {
-        label: replace(part, events=_KeptEvents(part.events, check, label, loaded.trace.path))
+        label: replace(part, events=_CachedEvents(part.events, check, label, loaded.trace.path))
         for (label, part), check in zip(loaded.parts.items(), checks, strict=True)
         if isinstance(part.events, StoredEvents)
     }
@@ -185,7 +176,7 @@ def _in_cache(loaded: LoadedTrace, checks: Sequence[tuple[Sealer, str] | None]) 
 
 
 class _Entry(TypedDict):
-    """The JSON of an entry: a trace without its events, and the places of these before it."""
+    """The JSON of an entry: a trace without its events, and where these are in the file."""
 
     format: int
     seals: list[str]
@@ -198,7 +189,7 @@ class _Entry(TypedDict):
     unreadable_messages: int
     notes: list[str]
     parts: list[tuple[str, int, int, int, int, list[tuple[int, dict[str, Column]]]]]
-    """Stage, run, relay, first and last instant in ns, and of each piece its number of events and its columns."""
+    """Stage, run, relay, first and last instant in ns; number of events and columns of each piece."""
 
 
 def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:
@@ -231,10 +222,10 @@ def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:
 
 def _from_dict(entry: _Entry, file: Path, events_bytes: int, path: Path, position: int) -> LoadedTrace:
     parts = {}
-    for stage, run_id, relay_id, first_ns, last_ns, places in entry["parts"]:
+    for stage, run_id, relay_id, first_ns, last_ns, descriptions in entry["parts"]:
         pieces = (
             StoredPiece(count, {name: (how, value) for name, (how, value) in columns.items()})
-            for count, columns in places
+            for count, columns in descriptions
         )
         events = StoredEvents(file, tuple(pieces))
         events.check(events_bytes)

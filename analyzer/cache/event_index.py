@@ -1,4 +1,4 @@
-"""The event index: how many events of each stage, run and relay a trace holds, and where they are to be fetched."""
+"""The event index: how many events of each stage, run and relay a trace has, and where they are."""
 
 from __future__ import annotations
 
@@ -44,27 +44,27 @@ class EventPart:
     events: EventColumns | EventsElsewhere
 
     def __sizeof__(self) -> int:
-        # Dask weighs by it whether to move the events or the work; without it it moves whole traces.
-        held = len(self.events) if isinstance(self.events, EventColumns) else 0
-        return object.__sizeof__(self) + held * EVENT_DTYPE.itemsize
+        # Dask decides by it whether to move the events or the work.
+        in_memory = len(self.events) if isinstance(self.events, EventColumns) else 0
+        return object.__sizeof__(self) + in_memory * EVENT_DTYPE.itemsize
 
     def load(self) -> EventColumns:
-        """Return the events themselves, fetched if they are elsewhere."""
+        """Return the events, fetched if they are elsewhere."""
         return self.events if isinstance(self.events, EventColumns) else self.events.load()
 
 
 EventIndex = Mapping[EventKey, tuple[EventPart, ...]]
-"""The event index by key, traces in rising order; a key without events is absent."""
+"""The event index by key, traces in ascending order; a key without events is absent."""
 
 
 @dataclass(frozen=True, slots=True)
 class Copies:
-    """Events of one trace that an earlier one holds as well.
+    """Events of one trace that an earlier trace has as well.
 
     Attributes:
         trace: position of the trace.
-        events: number of its events that were left out for that reason.
-        others: positions of the traces that hold them.
+        events: number of its events that are left out.
+        others: positions of the traces that have them.
     """
 
     trace: int
@@ -72,17 +72,17 @@ class Copies:
     others: tuple[int, ...]
 
 
-def index_events(of_traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
-    """Return the index of a campaign from those of its traces, in their order."""
+def index_events(traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
+    """Return the index of a campaign from the indices of its traces, in their order."""
     index: dict[EventKey, tuple[EventPart, ...]] = {}
-    for parts in of_traces:
+    for parts in traces:
         for key, part in parts.items():
             index[key] = (*index.get(key, ()), part)
     return index
 
 
 def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[EventKey, EventPart]:
-    """Return the index of the events of one trace, or of a piece of it, which are in memory."""
+    """Return the index of the events in memory of one trace, or of a piece of it."""
     return {
         (stage, *key): EventPart(
             position, len(columns), int(columns.monotonic_ns.min()), int(columns.monotonic_ns.max()), columns
@@ -93,7 +93,7 @@ def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[Eve
 
 
 def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, int], EventColumns]:
-    """Split events by (run_id, relay_id), in file order; views where a run's events stand together in the file.
+    """Split events by (run_id, relay_id), in file order; views where a run's events are adjacent.
 
     Args:
         columns: events of one stage.
@@ -128,10 +128,10 @@ def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, in
 
 
 def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies, ...]]:
-    """Return the events of one stage, run and relay, each once, and what was left out as a copy.
+    """Return the events of one stage, run and relay, each once, and the copies that were left out.
 
-    Two events are the same if stage, run, relay, sequence and instant agree: that holds for a copied file, for its
-    `ros2 bag convert`, for a copy taken before the recording ended, and for no two recorded events.
+    Events are copies if stage, run, relay, sequence and instant agree: true of a copied file, of its `ros2 bag convert`, and of a
+    copy taken before the recording ended; never of two recorded events.
     """
     if not parts:
         return EventColumns.empty(), ()
@@ -139,7 +139,7 @@ def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies,
     if len(parts) == 1:
         return loaded[0], ()
     columns = EventColumns.concatenate(loaded)
-    owner = np.repeat([part.trace for part in parts], [len(held) for held in loaded])
+    owner = np.repeat([part.trace for part in parts], [len(events) for events in loaded])
     order = np.lexsort((owner, columns.monotonic_ns, columns.sequence))
     sequence, instant_ns, owner = columns.sequence[order], columns.monotonic_ns[order], owner[order]
     new = np.ones(len(order), np.bool_)

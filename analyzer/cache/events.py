@@ -1,7 +1,7 @@
-"""Events in a file of our own: the columns of each stage, run and relay, written piece by piece, read back one part at a time.
+"""Events in a file of our own: the columns of each stage, run and relay, written piece by piece.
 
-A column that is one value throughout (run, relay, payload size), or that counts upwards by one (sequence numbers of
-a whole run), is kept as that; the others as they are in memory. That is a third of the bytes of the events.
+A column of one value (run, relay, payload size), or one that counts up by one (sequence numbers), is described; other columns are
+written as they are in memory. That is a third of the bytes of the events.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Column = tuple[str, int]
-    """How a column is kept (`constant`, `counting`, `array`), and its value, first value, or offset in the file."""
+    """Kind of a column (`constant`, `counting`, `array`), and its value, first value, or offset in the file."""
 
 _FIELDS = EVENT_DTYPE.names or ()
 
-_KEPT: Mapping[str, Callable[[np.dtype[Any], int, int], tuple[int, int]]] = {
+_LIMITS: Mapping[str, Callable[[np.dtype[Any], int, int], tuple[int, int]]] = {
     "constant": lambda dtype, _count, _file_bytes: (np.iinfo(dtype).min, np.iinfo(dtype).max),
     "counting": lambda dtype, count, _file_bytes: (np.iinfo(dtype).min, np.iinfo(dtype).max - count + 1),
     "array": lambda dtype, count, file_bytes: (0, file_bytes - count * dtype.itemsize),
 }
-"""How a column is kept -> function of its dtype, the number of events and the bytes of the file that returns the least and
-the greatest value (or offset in the file) that it may have."""
+"""Kind of a column -> function of its dtype, the number of events and the bytes of the file that returns the least and the greatest
+value (or offset) that it may have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class StoredPiece:
 
     Attributes:
         count: number of events.
-        columns: field of the event -> how and where it is kept.
+        columns: field of the event -> its column.
     """
 
     count: int
@@ -61,20 +61,20 @@ class StoredPiece:
         if type(self.count) is not int or self.count <= 0:  # True is an int
             raise ValueError(f"{self.count!r} events")
         for name in _FIELDS:
-            how, value = self.columns[name]
+            kind, value = self.columns[name]
             if type(value) is not int:
-                raise TypeError(f"{name} is kept at {value!r}")
+                raise TypeError(f"{name} has {value!r}")
             dtype = EVENT_DTYPE[name]
-            low, high = _KEPT[how](dtype, self.count, file_bytes)
+            low, high = _LIMITS[kind](dtype, self.count, file_bytes)
             if not low <= value <= high:
-                raise ValueError(f"{name} is kept as {how} {value}, which is not from {low} to {high}")
+                raise ValueError(f"{name} is {kind} {value}, which is not from {low} to {high}")
 
     def arrays(self, events: EventColumns, first: int = 0) -> list[NDArray[np.integer]]:
-        """Return the columns that are in the file; `columns` says all of the others.
+        """Return the columns that are in the file.
 
         Args:
-            events: the events of this piece, and others perhaps.
-            first: position of its first event among them.
+            events: the events of this piece, perhaps among others.
+            first: index of its first event.
         """
         return [
             getattr(events, name)[first : first + self.count]
@@ -85,7 +85,7 @@ class StoredPiece:
 
 @dataclass(frozen=True, slots=True)
 class StoredEvents:
-    """The places in a file of the events of one stage, run and relay.
+    """Where the events of one stage, run and relay are in a file.
 
     Attributes:
         file: the file.
@@ -104,7 +104,7 @@ class StoredEvents:
         """Check every piece; see `StoredPiece.check`.
 
         Raises:
-            ValueError, TypeError, LookupError: there is none, or one is not as `EventsFile` describes it.
+            ValueError, TypeError, LookupError: there is no piece, or one is not as `EventsFile` describes it.
         """
         if not self.pieces:
             raise ValueError("no events")
@@ -131,11 +131,7 @@ class StoredEvents:
 
 
 class EventsFile:
-    """Writes events into a file.
-
-    Args:
-        stream: takes them.
-    """
+    """Writes events into a stream."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
@@ -144,13 +140,13 @@ class EventsFile:
         """Write events, of which there is at least one.
 
         Raises:
-            OSError: they cannot be written.
+            OSError: the events cannot be written.
         """
         columns = {name: self._write_column(getattr(events, name)) for name in _FIELDS}
         return StoredPiece(len(events), columns)
 
     def _write_column(self, values: NDArray[np.integer]) -> Column:
-        first, last = int(values[0]), int(values[-1])  # which tell of most columns that they are neither
+        first, last = int(values[0]), int(values[-1])  # rule out both kinds for most columns
         if first == last and (values == values[0]).all():
             return "constant", first
         if last - first == len(values) - 1 and (np.diff(values) == 1).all():
@@ -164,18 +160,18 @@ def _read_column(stream: BufferedReader, name: str, pieces: Sequence[StoredPiece
     """Read a column of pieces; one that is a single value throughout takes no memory."""
     dtype = EVENT_DTYPE[name]
     count = sum(piece.count for piece in pieces)
-    kept = {piece.columns[name] for piece in pieces}
-    if len(kept) == 1 and pieces[0].columns[name][0] == "constant":
+    columns = {piece.columns[name] for piece in pieces}
+    if len(columns) == 1 and pieces[0].columns[name][0] == "constant":
         return np.broadcast_to(np.array(pieces[0].columns[name][1], dtype), count)
     values = np.empty(count, dtype)
     start = 0
     for piece in pieces:
-        how, value = piece.columns[name]
+        kind, value = piece.columns[name]
         part = values[start : start + piece.count]
         start += piece.count
-        if how == "constant":
+        if kind == "constant":
             part[:] = value
-        elif how == "counting":
+        elif kind == "counting":
             part[:] = np.arange(piece.count, dtype=dtype)
             part += np.array(value, dtype)
         else:

@@ -1,4 +1,4 @@
-"""One trace, read: what it says, and the index of its events, which are in memory or go into a file piece by piece."""
+"""Read one trace: its description, and the index of its events, in memory or taken piece by piece."""
 
 from __future__ import annotations
 
@@ -53,19 +53,15 @@ def load_trace(path: Path, position: int) -> LoadedTrace:
     """Read one trace, events in memory.
 
     Raises:
-        TraceFormatError: it is no trace, cannot be read, or nothing was ever written into it.
+        TraceFormatError: it is not a trace, cannot be read, or is empty.
     """
     trace = _read(path, read_trace)
-    _check_holds_something(trace, trace.event_count)
+    _check_is_not_empty(trace, trace.event_count)
     return LoadedTrace(replace(trace, events={}), split_trace(trace.events, position))
 
 
 def read_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
-    """Read one trace whose events somebody else keeps.
-
-    Args:
-        path: the trace.
-        take: called with its events piece by piece; see `tracefile.read_trace_in_pieces`.
+    """Read one trace; `take` gets its events piece by piece (`tracefile.read_trace_in_pieces`).
 
     Returns:
         The trace without its events.
@@ -81,14 +77,14 @@ def read_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], ob
         take(piece)
 
     trace = _read(path, lambda local: read_trace_in_pieces(local, take_and_count))
-    _check_holds_something(trace, events)
+    _check_is_not_empty(trace, events)
     return trace
 
 
 def loaded_or_error(
     load: Callable[[Path, int], LoadedTrace], path: Path, position: int
 ) -> LoadedTrace | TraceFormatError:
-    """Load one trace, or return why it is none."""
+    """Load one trace, or return why it is not a trace."""
     try:
         return load(path, position)
     except TraceFormatError as err:
@@ -105,8 +101,8 @@ def _read(path: Path, read: Callable[[Path], Trace]) -> Trace:
             raise TraceFormatError(path, err.what) from err
 
 
-def _check_holds_something(trace: Trace, events: int) -> None:
+def _check_is_not_empty(trace: Trace, events: int) -> None:
     if not (trace.sessions or trace.runs or events):
         raise TraceFormatError(
-            trace.path, f"holds nothing of a trace ({trace.truncated or 'it is complete'})"
+            trace.path, f"contains nothing of a trace ({trace.truncated or 'it is complete'})"
         )

@@ -1,6 +1,6 @@
-"""Traces in object storage (`s3://bucket/runs`, and whatever else fsspec knows): found there, copied here to be read.
+"""Traces in object storage (`s3://bucket/runs`, or any scheme of fsspec): found there, copied here to be read.
 
-A path keeps its scheme; `pathlib` makes `s3:/bucket/runs` of it, and `_url` takes that back.
+A path keeps its scheme; `pathlib` turns it into `s3:/bucket/runs`, and `_url` undoes that.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class _Storage(Protocol):
     """The part of `fsspec.AbstractFileSystem` that is used here; names are texts without the scheme."""
 
     def isdir(self, path: str) -> bool:
-        """Tell whether the name is a folder."""
+        """Return whether the name is a folder."""
 
     def find(self, path: str) -> list[str]:
         """List the files below a folder, or the one file."""
@@ -43,7 +43,7 @@ class _Storage(Protocol):
 
 
 def is_remote(path: Path) -> bool:
-    """Tell whether the path names a scheme, as `s3://` does."""
+    """Return whether the path names a scheme, as `s3://` does."""
     return _SCHEME.match(os.fspath(path)) is not None
 
 
@@ -59,11 +59,11 @@ def find_anywhere(path: Path, skip: Collection[Path]) -> list[Path]:
     with _storage(path) as (files, root):
         names = [PurePosixPath(name) for name in files.find(root)]
     if not names:
-        raise MissingEventsError(f"{_url(path)}: nothing is there")
+        raise MissingEventsError(f"{_url(path)}: nothing there")
     bags = {name.parent for name in names if name.name == "metadata.yaml"}
-    alone = {name for name in names if name.suffix == ".mcap" and not bags.intersection(name.parents)}
+    files_only = {name for name in names if name.suffix == ".mcap" and not bags.intersection(name.parents)}
     start = PurePosixPath(root)
-    return sorted(path if name == start else path / name.relative_to(start) for name in bags | alone)
+    return sorted(path if name == start else path / name.relative_to(start) for name in bags | files_only)
 
 
 @contextmanager
@@ -94,18 +94,18 @@ def remote_key(path: Path) -> str:
 
 
 def _files_of(files: _Storage, root: str) -> list[str]:
-    """List a trace's files: all in a folder, or the one and those beside it that begin with its name (a ring)."""
+    """List a trace's files: all in a folder, or the file and those next to it that start with its name (a ring)."""
     if files.isdir(root):
         return sorted(files.find(root))
-    beside = files.ls(os.fspath(PurePosixPath(root).parent), detail=False)
-    return sorted(name for name in beside if name.startswith(root))
+    names = files.ls(os.fspath(PurePosixPath(root).parent), detail=False)
+    return sorted(name for name in names if name.startswith(root))
 
 
 @contextmanager
 def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
     """Yield the storage and the name in it; translate its errors into ours."""
     try:
-        fsspec = import_module("fsspec")  # an extra: only who names a scheme needs it
+        fsspec = import_module("fsspec")  # an extra: needed only for a scheme
         files, root = fsspec.core.url_to_fs(_url(path))
         files.invalidate_cache()
         yield files, root.rstrip("/")
@@ -117,7 +117,7 @@ def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
         raise MissingEventsError(f"{_url(path)}: no such object or folder") from err
     except TraceError:
         raise
-    except Exception as err:  # no credentials, an unknown scheme: each kind of storage has errors of its own
+    except Exception as err:  # no credentials, an unknown scheme: each storage has its own errors
         raise TraceFormatError(_url(path), f"cannot be read ({printable(err)})") from err
 
 

@@ -1,6 +1,6 @@
 """Paired rows outside of memory: in the user's cache, in a temporary file, or on their way from another machine.
 
-They are three Arrow streams: `counts`, `clock_knots`, and the columns of the rows in batches of `ROWS_PER_FRAME`.
+They are three Arrow streams: `counts`, `clock_knots`, and the columns of the rows a batch for each of `PairedRows.frames`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import pyarrow as pa
 from dds_trace.base.errors import OutputError
 
 from ..pairing.roundtrips import (
-    ROWS_PER_FRAME,
     STAMP_NAMES,
     PairedRows,
     RoundTrips,
@@ -48,15 +47,15 @@ def pack_rows(rows: RoundTrips, sink: pa.NativeFile) -> int:
     _write_frames(sink, iter([rows.counts]))
     _write_frames(sink, iter([rows.clock_knots]))
     offset: int = sink.tell()
-    firsts = range(0, len(rows.outcome) or 1, ROWS_PER_FRAME)
-    _write_frames(
-        sink,
-        (
-            frame.hstack([stamps.slice(first, len(frame)) for stamps in rows.stamps])
-            for first, frame in zip(firsts, rows.frames(), strict=True)
-        ),
-    )
+    _write_frames(sink, _frames_with_stamps(rows))
     return offset
+
+
+def _frames_with_stamps(rows: RoundTrips) -> Iterator[pl.DataFrame]:
+    first = 0
+    for frame in rows.frames():
+        yield frame.hstack([stamps.slice(first, len(frame)) for stamps in rows.stamps])
+        first += len(frame)
 
 
 def _write_frames(sink: pa.NativeFile, frames: Iterator[pl.DataFrame]) -> None:

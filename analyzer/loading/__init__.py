@@ -1,1 +1,1 @@
-"""Traces of all devices in one campaign of events, read once and kept."""
+"""The traces of a folder as one campaign (`campaign`), and the paths where they are (`place`)."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     """Yields each trace at its position among those that are one, or why a file is none."""
 
 _FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
-"""Files that `dds-sweep` writes beside its traces; they are not listed as skipped."""
+"""Files that `dds-sweep` writes next to its traces; they are not listed as skipped."""
 
 _NAMED_AT_MOST = 5
 """Files that an error message names."""
@@ -43,16 +43,16 @@ class Campaign:
     """The content of the traces of a folder, events by their index.
 
     Attributes:
-        folder: the folder, or the one file, that was looked at.
-        sources: every file that was looked at; before `with_copies` without the copies of events.
-        traces: the traces read, without their events; positions are those of `events`.
+        folder: the folder, or the only file.
+        sources: every file in it; before `with_copies` without the copies of events.
+        traces: the traces, without their events, by position.
         sessions: session_id -> latest description.
         runs: run_id -> latest description.
         session_traces: session_id -> positions of the traces that name it.
         run_traces: run_id -> positions of the traces that describe it.
         events: the event index.
         event_counts: number of events in each trace.
-        copies: the events of each trace that another trace holds as well.
+        copies: the events of each trace that another trace has as well.
     """
 
     folder: Path
@@ -67,13 +67,13 @@ class Campaign:
     copies: tuple[Copies, ...] = ()
 
     def with_copies(self, copies: tuple[Copies, ...]) -> Campaign:
-        """Return the campaign with its copies, and with sources that tell them."""
+        """Return the campaign with its copies, and with sources that report them."""
         skipped = [source for source in self.sources if source.status == "skipped"]
         sources = [*_read_sources(self.folder, self.traces, self.event_counts, copies), *skipped]
         return replace(self, copies=copies, sources=tuple(sorted(sources, key=lambda source: source.path)))
 
     def name(self, trace: int) -> str:
-        """Return the name of the trace at this position, as findings tell it."""
+        """Return the name of the trace at this position for findings."""
         return _relative(self.traces[trace].path, self.folder)
 
     def names(self, traces: Iterable[int]) -> str:
@@ -92,52 +92,52 @@ def load_campaign(
 
     Args:
         place: a folder, a trace file, or a rosbag2 folder; or several.
-        skip: folders that are not looked into (where results are written).
+        skip: folders to leave out (where results are written).
         progress: called before each trace is read.
-        load_all: reads the traces and keeps their events; by default in memory and in temporary files.
+        load_all: loads the traces; the default has their events in memory and in temporary files.
 
     Raises:
-        MissingEventsError: there is nothing at a path, or no trace among it.
-        TraceFormatError: `place` is one file or rosbag2 folder, and it is no trace.
+        MissingEventsError: there is nothing at a path, or no trace in it.
+        TraceFormatError: `place` is one file or rosbag2 folder, and it is not a trace.
     """
     place = place if isinstance(place, Place) else Place.of(place)
     path = place.folder
     candidates = sorted({trace for part in place.parts for trace in find_anywhere(part, skip)})
-    found = (load_all or TraceLoader().load_all)(candidates)
+    results = (load_all or TraceLoader().load_all)(candidates)
     loaded: list[LoadedTrace] = []
     skipped: list[Source] = []
     for number, candidate in enumerate(candidates):
         if progress is not None:
             progress(number, len(candidates), candidate)
-        one = next(found)
-        if not isinstance(one, TraceFormatError):
-            loaded.append(one)
+        trace = next(results)
+        if not isinstance(trace, TraceFormatError):
+            loaded.append(trace)
         elif candidates == [path]:
-            raise one
+            raise trace
         else:
-            skipped.append(skipped_source(candidate, path, one.what))
+            skipped.append(skipped_source(candidate, path, trace.what))
     if candidates != [path]:
         skipped += [
             skipped_source(other, path, "neither an .mcap file nor a rosbag2 folder")
             for other in sorted(
-                {each for part in place.parts for each in _other_files(part, candidates, skip)}
+                {file for part in place.parts for file in _other_files(part, candidates, skip)}
             )
         ]
     return campaign_of(path, loaded, skipped)
 
 
 def skipped_source(candidate: Path, folder: Path, why: str) -> Source:
-    """Return the source of a file that is no trace."""
+    """Return the source of a file that is not a trace."""
     return Source(_relative(candidate, folder), "skipped", why, 0)
 
 
 def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Source]) -> Campaign:
-    """Put the traces found at `path` together.
+    """Return the campaign of some traces.
 
     Args:
-        path: the folder, or the one file, that was looked at.
-        loaded: the traces; the position of each is that in its index.
-        skipped: files that are no trace.
+        path: the folder, or the only file.
+        loaded: the traces by position.
+        skipped: files that are not traces.
 
     Raises:
         MissingEventsError: `loaded` is empty.
@@ -148,35 +148,35 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
     runs: dict[int, Run] = {}
     session_traces: dict[int, tuple[int, ...]] = {}
     run_traces: dict[int, tuple[int, ...]] = {}
-    for position, held in enumerate(loaded):
-        for session in held.trace.sessions:
-            known = sessions.setdefault(session.session_id, session)
-            sessions[session.session_id] = max(known, session, key=_session_age)
+    for position, one in enumerate(loaded):
+        for session in one.trace.sessions:
+            earlier = sessions.setdefault(session.session_id, session)
+            sessions[session.session_id] = max(earlier, session, key=_session_age)
             session_traces[session.session_id] = (*session_traces.get(session.session_id, ()), position)
-        for run in held.trace.runs:
+        for run in one.trace.runs:
             runs[run.run_id] = max(runs.setdefault(run.run_id, run), run, key=_run_age)
             run_traces[run.run_id] = (*run_traces.get(run.run_id, ()), position)
     campaign = Campaign(
         folder=path,
         sources=tuple(skipped),
-        traces=tuple(held.trace for held in loaded),
+        traces=tuple(one.trace for one in loaded),
         sessions=sessions,
         runs=runs,
         session_traces=session_traces,
         run_traces=run_traces,
-        events=index_events(held.parts for held in loaded),
-        event_counts=tuple(held.events for held in loaded),
+        events=index_events(one.parts for one in loaded),
+        event_counts=tuple(one.events for one in loaded),
     )
     return campaign.with_copies(())
 
 
 def _session_age(session: Session) -> tuple[int, bool, int]:
-    """Return a key that is greater of the later of two descriptions of one session: of a later file, then closed."""
+    """Return a key that is greater for the later description of a session: in a later file, then closed."""
     return part_of(session), session.state == "closed", session.dropped_events
 
 
 def part_of(session: Session) -> int:
-    """Return the number of a description's file among those of its recording (`--rotate`), 1 of an only one."""
+    """Return the number of a description's file within its recording (`--rotate`), 1 for a single file."""
     part = session.extra.get("part")
     return part if isinstance(part, int) else 1
 
@@ -188,34 +188,36 @@ def _run_age(run: Run) -> tuple[bool, int]:
 def _read_sources(
     folder: Path, traces: Sequence[Trace], counts: Sequence[int], copies: Iterable[Copies]
 ) -> Iterator[Source]:
-    of_trace = {copy.trace: copy for copy in copies}
-    for position, (trace, held) in enumerate(zip(traces, counts, strict=True)):
+    copies_by_trace = {copy.trace: copy for copy in copies}
+    for position, (trace, events) in enumerate(zip(traces, counts, strict=True)):
         name = _relative(trace.path, folder)
         status, detail = ("truncated", trace.truncated) if trace.truncated else ("read", "")
-        copied = of_trace[position].events if position in of_trace else 0
+        copied = copies_by_trace[position].events if position in copies_by_trace else 0
         if copied:
-            others = ", ".join(_relative(traces[other].path, folder) for other in of_trace[position].others)
-            remark = f"{copied} of its {counted(held, 'event')} {'is' if copied == 1 else 'are'} also in {others or 'itself'} and counted once"
+            others = ", ".join(
+                _relative(traces[other].path, folder) for other in copies_by_trace[position].others
+            )
+            remark = f"{copied} of its {counted(events, 'event')} {'is' if copied == 1 else 'are'} also in {others or 'itself'} and counted once"
             detail = f"{detail}; {remark}" if detail else remark
-            status = "duplicate" if copied == held else status
-        yield Source(name, status, detail, held - copied)
+            status = "duplicate" if copied == events else status
+        yield Source(name, status, detail, events - copied)
 
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:
-    """Yield files that are no trace; files that belong to a trace or a sweep, and hidden ones, are left out."""
-    closed = {entry.resolve() for entry in (*traces, *skip) if entry.is_dir()}
+    """Yield files that are not traces; files of a trace or a sweep, and hidden files, are left out."""
+    skipped = {entry.resolve() for entry in (*traces, *skip) if entry.is_dir()}
     stems = {os.fspath(entry) for entry in traces}
-    lengths = {len(stem) for stem in stems}  # few, where one look at each of thousands of stems would be many
+    lengths = {len(stem) for stem in stems}  # few, where there may be thousands of stems
     for where, folders, files in os.walk(folder):
         folders[:] = sorted(
             name
             for name in folders
-            if not name.startswith(".") and (Path(where) / name).resolve() not in closed
+            if not name.startswith(".") and (Path(where) / name).resolve() not in skipped
         )
         for name in sorted(files):
             path = Path(where) / name
-            known = name.startswith(".") or name in _FILES_OF_A_SWEEP
-            if not known and not any(os.fspath(path)[:length] in stems for length in lengths):
+            is_ours = name.startswith(".") or name in _FILES_OF_A_SWEEP
+            if not is_ours and not any(os.fspath(path)[:length] in stems for length in lengths):
                 yield path
 
 
@@ -228,11 +230,11 @@ def _relative(path: Path, folder: Path) -> str:
 
 def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
     foreign = any(source.detail.endswith(FOREIGN_HINT) for source in skipped)
-    looked_at = [
+    named_files = [
         f"{source.path} ({source.detail.removesuffix(FOREIGN_HINT)})" for source in skipped[:_NAMED_AT_MOST]
     ]
-    more = len(skipped) - len(looked_at)
-    named = "; ".join(looked_at) + (f"; and {more} more" if more > 0 else "")
+    more = len(skipped) - len(named_files)
+    named = "; ".join(named_files) + (f"; and {more} more" if more > 0 else "")
     named += FOREIGN_HINT if foreign else ""
     return f"{path}: no trace here" + (
         f": looked at {named}"

@@ -1,4 +1,4 @@
-"""The place of the traces of an analysis: one path, or several and the folder that they have in common."""
+"""Where the traces of an analysis are: one path, or several and their common folder."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ OUTPUT_FOLDER = "analysis"
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where traces are looked for.
+    """Where the traces of an analysis are.
 
     Attributes:
-        folder: the folder below which every name is told; of one path, the path itself.
-        parts: what is looked at, at or below `folder`.
+        folder: names of traces are relative to it; for one path, the path itself.
+        parts: the paths, at or below `folder`.
     """
 
     folder: Path
@@ -48,21 +48,23 @@ class Place:
         if len(parts) == 1:
             return cls(parts[0], parts)
         if any(map(is_remote, parts)):
-            raise OptionError("of object storage one path is read; give the folder that holds all of them")
+            raise OptionError(
+                "only one path in object storage can be read; give the folder that contains all of them"
+            )
         if any(part.is_absolute() for part in parts):
             parts = tuple(part.absolute() for part in parts)
         return cls(Path(os.path.commonpath(parts)), parts)
 
     @property
     def default_output(self) -> Path:
-        """Folder for the results: `analysis/` in the folder, beside it if it is a trace, here if it is remote.
+        """Folder for the results: `analysis/` in the folder, next to a trace, in the working directory for a remote path.
 
         Raises:
-            OptionError: several paths have the root of the file system alone in common.
+            OptionError: several paths have only the root of the file system in common.
         """
         if self._is_scattered:
             raise OptionError(
-                f"the {len(self.parts)} paths have no folder in common; say with --out where files go"
+                f"the {len(self.parts)} paths have no folder in common; give a folder for the results with --out"
             )
         if is_remote(self.folder):
             return Path(OUTPUT_FOLDER)
@@ -71,11 +73,11 @@ class Place:
 
     @property
     def own_folders(self) -> set[Path]:
-        """Folders of results by default, of all parts together and of each, which are not looked into."""
-        of_parts = {Place.of(part).default_output for part in self.parts}
-        return of_parts if self._is_scattered else of_parts | {self.default_output}
+        """Default folders of results, of all parts together and of each; they are not searched for traces."""
+        default_outputs = {Place.of(part).default_output for part in self.parts}
+        return default_outputs if self._is_scattered else default_outputs | {self.default_output}
 
     @property
     def _is_scattered(self) -> bool:
-        """Whether several paths have the root of the file system alone in common."""
+        """Whether several paths have only the root of the file system in common."""
         return len(self.parts) > 1 and os.fspath(self.folder) == self.folder.anchor

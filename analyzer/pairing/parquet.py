@@ -16,7 +16,6 @@ from dds_trace.base.files import replacing
 
 from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .pair import OUTCOMES
-from .roundtrips import ROWS_PER_FRAME
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -86,7 +85,7 @@ def roundtrips_writer(
 
         def write(table: pa.Table) -> None:
             with _output_errors(path):
-                writer.write_table(table, row_group_size=ROWS_PER_FRAME)
+                writer.write_table(table, row_group_size=max(len(table), 1))
 
         yield write
         with _output_errors(path):

@@ -243,7 +243,7 @@ def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a
     tmp_path, monkeypatch, held_rows
 ):
     write_campaign(tmp_path)
-    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", held_rows)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_ROWS_IN_MEMORY", held_rows)
     analysis = analyze(tmp_path)
     details, rows = analysis.details, analysis.load_roundtrips()
     assert details.answers == find_answers(rows_by_group(rows))

@@ -21,18 +21,13 @@ CORE = {
         ("analyzer/cache/events.py", "analyzer/cache/entries.py", "analyzer/cache/store.py"),
         ("tests/analyzer/cache",),
     ),
-    "known": Part(
+    "results": Part(
         (
-            "analyzer/engines/cached_details.py",
-            "analyzer/engines/cached_batches.py",
-            "analyzer/engines/cached_parts.py",
-            "analyzer/engines/large_batches.py",
+            "analyzer/engines/process.py",
+            "analyzer/engines/result_cache.py",
+            "analyzer/engines/packed_rows.py",
         ),
-        (
-            "tests/analyzer/engines/test_cached_details.py",
-            "tests/analyzer/engines/test_cached_batches.py",
-            "tests/analyzer/engines/test_large_batches.py",
-        ),
+        ("tests/analyzer/engines/test_result_cache.py", "tests/analyzer/engines/test_packed_rows.py"),
     ),
     "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),
     "statistics": Part(

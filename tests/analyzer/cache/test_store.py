@@ -153,17 +153,17 @@ def test_the_key_follows_from_every_part_of_a_file(tmp_path, own_base_folders):
 
 
 def test_events_that_are_gone_in_the_middle_are_read_from_their_trace(runs, traces, files_read):
-    first = dds_trace.analyzer.cache.traces.TraceShelf(TraceCache.open())
+    first = dds_trace.analyzer.cache.traces.TraceLoader(TraceCache.open())
     first.load(runs / "ping0.mcap", 0)
     first.close()
-    shelf = dds_trace.analyzer.cache.traces.TraceShelf(TraceCache.open())
-    known = shelf.load(runs / "ping0.mcap", 0)
+    loader = dds_trace.analyzer.cache.traces.TraceLoader(TraceCache.open())
+    known = loader.load(runs / "ping0.mcap", 0)
     files_read.clear()
     shutil.rmtree(traces)
     for part in known.parts.values():
         assert len(part.load()) == part.count
     assert set(files_read) == {"ping0.mcap"}
-    shelf.close()
+    loader.close()
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
@@ -304,49 +304,47 @@ def test_lengths_and_values_are_checked_before_they_are_used(runs, traces, files
     assert set(files_read) == {"ping0.mcap", "relay0.mcap"}
 
 
-def test_a_sealed_entry_is_read_up_to_its_largest_size(own_base_folders):
-    assert own_base_folders
-    cache, key = TraceCache.open(), "ab" * 32
-    cache.write(key, "details", b"x" * 60, memoryview(b"y" * 40), most_bytes=100)
-    assert cache.read(key, "details", most_bytes=100) == b"x" * 60 + b"y" * 40
-    with pytest.raises(ValueError, match="larger"):
-        cache.read(key, "details", most_bytes=99)
-    with pytest.raises(OSError, match="101 bytes are too many"):
-        cache.write(key, "details", b"x" * 101, most_bytes=100)
-    cache.close()
-
-
 @pytest.fixture
-def stored(own_base_folders):
-    """An open cache, the key of a table in it, which is larger than one block, its seal and its path."""
+def sealed(own_base_folders):
+    """An open cache, the key of a sealed entry in it, and its path."""
     assert own_base_folders
     cache, key = TraceCache.open(), "ab" * 32
-    yield cache, key, cache.store(key, memoryview(b"rows" * (3 << 18))), cache.path(key, "table")
+    with cache.writing(key, "rows") as stream:
+        for part in (b"rows" * (3 << 18), memoryview(b"end")):
+            stream.write(part)
+        assert stream.tell() == 4 * (3 << 18) + 3
+    yield cache, key, cache.path(key, "rows")
     cache.close()
 
 
-def test_a_table_is_held_as_it_was_stored(stored):
-    cache, key, seal, path = stored
-    assert path.read_bytes() == b"rows" * (3 << 18)
+def test_a_sealed_entry_is_read_as_it_was_written(sealed):
+    cache, key, path = sealed
     os.utime(path, (1, 1))
-    assert cache.holds(key, seal)
+    assert cache.read(key, "rows") == b"rows" * (3 << 18) + b"end"
     assert path.stat().st_mtime > 1
-    assert not cache.holds(key, seal.replace(seal[0], "0" if seal[0] != "0" else "1"))
 
 
 @pytest.mark.parametrize("damage", [*DAMAGES, os.unlink])
-def test_a_table_that_is_damaged_or_gone_is_not_held(stored, damage):
-    cache, key, seal, path = stored
+def test_a_sealed_entry_that_is_damaged_or_gone_is_not_read(sealed, damage):
+    cache, key, path = sealed
     damage(path)
-    assert cache.holds(key, seal) is False
+    with pytest.raises((OSError, ValueError)):
+        cache.read(key, "rows")
 
 
-def test_a_table_of_another_key_is_not_held(stored):
-    cache, key, seal, path = stored
-    other = "cd" * 32
-    shutil.copy(path, cache.path(other, "table"))
-    assert not cache.holds(other, seal)
-    assert cache.holds(key, seal)
+def test_a_sealed_entry_of_another_key_is_not_read(sealed):
+    cache, _key, path = sealed
+    shutil.copy(path, cache.path("cd" * 32, "rows"))
+    with pytest.raises(ValueError, match="sealed"):
+        cache.read("cd" * 32, "rows")
+
+
+def test_an_entry_whose_writer_fails_is_not_there(sealed):
+    cache, key, path = sealed
+    before = path.read_bytes()
+    with pytest.raises(TypeError), cache.writing(key, "rows") as stream:
+        stream.write("text")
+    assert path.read_bytes() == before
 
 
 def test_a_trace_of_one_stage_alone_and_one_without_events_are_known(tmp_path, files_read):
@@ -363,7 +361,8 @@ def test_a_disk_that_is_full_costs_the_cache_and_not_the_analysis(runs, monkeypa
         raise OSError(28, "No space left on device")
 
     whole = analyze(runs)
-    monkeypatch.setattr(TraceCache, "write", full)
+    for method in ("writing", "write_end"):
+        monkeypatch.setattr(TraceCache, method, full)
     assert_same_results(analyze(runs, cache=True), whole)
 
 

@@ -15,6 +15,7 @@ from trace_files import Message, ping_events, ping_session, relay_events, relay_
 import dds_trace.analyzer.cache.traces
 import dds_trace.analyzer.engines.batches
 import dds_trace.analyzer.engines.local
+import dds_trace.analyzer.engines.process
 import dds_trace.analyzer.pairing.rows
 import dds_trace.analyzer.verdicts.cases
 import dds_trace.tracefile.mcapfile.blocks
@@ -63,10 +64,10 @@ def test_small_memory_changes_nothing(tmp_path, monkeypatch):
     write_runs(runs, range(6), groups=2)
     shutil.copy(runs / "ping2.mcap", runs / "copy.mcap")
     whole = analyze(runs, out=tmp_path / "whole")
-    monkeypatch.setattr(dds_trace.analyzer.cache.traces, "MOST_HELD_EVENTS", 100)
+    monkeypatch.setattr(dds_trace.analyzer.cache.traces, "MOST_EVENTS_IN_MEMORY", 100)
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 150)
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "WHOLE_GROUP_EVENTS", 200)
-    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", 10)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_ROWS_IN_MEMORY", 10)
     parts = analyze(runs, out=tmp_path / "parts")
     assert parts.scan_roundtrips().select("latency_ns").collect()["latency_ns"].sum() > 0
     for found in (parts, analyze(runs)):
@@ -94,9 +95,9 @@ def test_a_large_batch_measured_side_by_side_says_the_same(tmp_path, monkeypatch
         threads.add(threading.current_thread().name.partition("_")[0])
         return measure(*of_batch)
 
-    measure = dds_trace.analyzer.engines.batches.measure_batch
-    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "measure_batch", measure_batch)
-    monkeypatch.setattr(dds_trace.analyzer.engines.local, "BATCH_EVENTS", 10)
+    measure = dds_trace.analyzer.engines.process.measure_batch
+    monkeypatch.setattr(dds_trace.analyzer.engines.process, "measure_batch", measure_batch)
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 10)
     found = analyze(runs, cache=cache)
     assert threads == {"measure"}
     assert_same_results(found, whole)
@@ -110,18 +111,18 @@ def test_a_large_trace_waits_in_a_file_and_a_small_one_in_memory(tmp_path, monke
     write_runs(runs, range(2))
     in_files = []
 
-    def work_at(batch, parts, known):
+    def process(batch, parts, *options):
         in_files.extend(
             not isinstance(part.events, EventColumns) for of_key in parts.values() for part in of_key
         )
-        return dds_trace.analyzer.engines.batches.work_at(batch, parts, known)
+        return dds_trace.analyzer.engines.process.process(batch, parts, *options)
 
-    monkeypatch.setattr(dds_trace.analyzer.engines.local, "work_at", work_at)
+    monkeypatch.setattr(dds_trace.analyzer.engines.local, "process", process)
     whole = analyze(runs)
     assert in_files
     assert not any(in_files)
     in_files.clear()
-    monkeypatch.setattr(dds_trace.analyzer.cache.traces, "LARGEST_HELD_EVENTS", 1)
+    monkeypatch.setattr(dds_trace.analyzer.cache.traces, "LARGEST_TRACE_IN_MEMORY", 1)
     assert_same_results(analyze(runs, cache=cache), whole)
     assert in_files
     assert all(in_files)
@@ -203,7 +204,7 @@ def test_a_disk_that_fills_between_two_pieces(runs_in_turns, tmp_path, monkeypat
     assert_same_results(analyze(runs_in_turns, cache=True), whole)
     assert {folder.rpartition("-")[0] for folder in written} == {"", "dds-analyze"}
     full.append("dds-analyze-")
-    with pytest.raises(OutputError, match=r"\.mcap cannot be kept .*No space left on device.*TMPDIR"):
+    with pytest.raises(OutputError, match=r"\.mcap cannot be written .*No space left on device.*TMPDIR"):
         analyze(runs_in_turns, cache=True)
     assert not list(tmp_path.glob("dds-analyze-*"))
 

@@ -218,14 +218,14 @@ def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):
     alone = analyze(runs)
     from dds_trace.analyzer.engines.cluster import ClusterEngine
 
-    work = ClusterEngine.work
+    real = ClusterEngine.process
 
-    def work_after_a_kill(self, batches, events):
+    def process_after_a_kill(self, batches, events):
         workers[0].kill()  # the traces that it has read are gone with it
         workers[0].wait()
-        return work(self, batches, events)
+        return real(self, batches, events)
 
-    monkeypatch.setattr(ClusterEngine, "work", work_after_a_kill)
+    monkeypatch.setattr(ClusterEngine, "process", process_after_a_kill)
     assert_same_results(analyze(runs, cluster=address), alone)
 
 

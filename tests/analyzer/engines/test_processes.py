@@ -15,7 +15,7 @@ from campaigns import assert_same_results, write_runs
 from waiting import wait_until
 
 import dds_trace.analyzer.engines.batches
-from dds_trace.analyzer.cache import traces as shelf
+from dds_trace.analyzer.cache import traces
 from dds_trace.analyzer.engines import local, processes
 from dds_trace.analyzer.engines.processes import can_start_workers
 from dds_trace.analyzer.pipeline import analyze
@@ -34,14 +34,14 @@ def start(*arguments, **options):
     workers = started(*arguments, **options)
     submit = workers.submit
     sleep = "import os, time; os.write(1, str(os.getpid()).encode() + bytes([10])); time.sleep(300)"
-    workers.submit = lambda do, job, *more: submit(*((exec, sleep) if job is processes.Worker.work else (do, job, *more)))
+    workers.submit = lambda do, job, *more: submit(*((exec, sleep) if job is processes.Worker.process else (do, job, *more)))
     return workers
 
-def take_place(workers):
+def assign_worker(workers):
     workers._of_thread.do = workers._do_elsewhere
 
 started, processes.start_workers = processes.start_workers, start
-processes.Workers._take_place = take_place
+processes.Workers._assign_worker = assign_worker
 dds_trace.analyzer.engines.batches.BATCH_EVENTS = local.FILES_FOR_PROCESSES = 1
 local.LocalEngine._processes = 3
 from dds_trace.cli.analyze import main
@@ -71,10 +71,10 @@ def started(monkeypatch):
 def nothing_here(monkeypatch):
     """The other processes do all jobs."""
 
-    def take_place(workers):
+    def assign_worker(workers):
         workers._of_thread.do = workers._do_elsewhere
 
-    monkeypatch.setattr(processes.Workers, "_take_place", take_place)
+    monkeypatch.setattr(processes.Workers, "_assign_worker", assign_worker)
 
 
 def is_alive(process):
@@ -118,9 +118,9 @@ def test_workers_say_the_same_as_threads(runs, monkeypatch, temporary, request, 
 
 
 @pytest.mark.parametrize("cache", [False, True])
-@pytest.mark.parametrize("largest_held", [0, 1_000])
-def test_few_traces_that_take_long_are_read_here_and_worked_at_by_processes(
-    runs, monkeypatch, temporary, request, cache, largest_held
+@pytest.mark.parametrize("largest_in_memory", [0, 1_000])
+def test_few_traces_that_take_long_are_read_here_and_processed_by_workers(
+    runs, monkeypatch, temporary, request, cache, largest_in_memory
 ):
     expected = analyze(runs)
     started = request.getfixturevalue("started")
@@ -128,7 +128,7 @@ def test_few_traces_that_take_long_are_read_here_and_worked_at_by_processes(
     assert_same_results(analyze(runs), expected)
     assert not started
     monkeypatch.setattr(local, "COST_FOR_PROCESSES", 1)
-    monkeypatch.setattr(shelf, "LARGEST_HELD_EVENTS", largest_held)
+    monkeypatch.setattr(traces, "LARGEST_TRACE_IN_MEMORY", largest_in_memory)
     found = analyze(runs, cache=cache)
     assert len(started) == 2
     assert list(temporary.iterdir()) == []
@@ -138,7 +138,7 @@ def test_few_traces_that_take_long_are_read_here_and_worked_at_by_processes(
 def test_this_process_works_while_others_do(runs, monkeypatch, started):
     """The first one that is free takes a job: here there is nothing to start before."""
     done = []
-    for job in (processes.Worker.store, processes.Worker.work):
+    for job in (processes.Worker.store, processes.Worker.process):
 
         @functools.wraps(job)  # by its name, others find their own
         def noted(*arguments, job=job):
@@ -148,18 +148,18 @@ def test_this_process_works_while_others_do(runs, monkeypatch, started):
         monkeypatch.setattr(processes.Worker, job.__name__, noted)
     analyze(runs)
     assert started
-    assert {"store", "work"} <= set(done)
+    assert {"store", "process"} <= set(done)
 
 
 def test_events_of_a_large_campaign_wait_in_files(runs, monkeypatch):
     held = []
-    real = local.LocalEngine.work
+    real = local.LocalEngine.process
 
-    def work(engine, batches, index):
+    def process_batches(engine, batches, index):
         held.extend(isinstance(part.events, EventColumns) for parts in index.values() for part in parts)
         return real(engine, batches, index)
 
-    monkeypatch.setattr(local.LocalEngine, "work", work)
+    monkeypatch.setattr(local.LocalEngine, "process", process_batches)
     expected = analyze(runs)
     assert all(held)
     held.clear()
@@ -190,15 +190,15 @@ def test_what_a_worker_cannot_read_is_told_as_here(tmp_path):
 
 @pytest.mark.usefixtures("nothing_here")
 def test_a_killed_worker_is_one_line(runs, started, monkeypatch, temporary):
-    real = local.LocalEngine.work
+    real = local.LocalEngine.process
 
-    def work(self, batches, index):
+    def process_batches(self, batches, index):
         started[0].kill()
         wait_until(lambda: not is_alive(started[0]))  # it is the pool's to wait for
         return real(self, batches, index)
 
-    monkeypatch.setattr(local.LocalEngine, "work", work)
-    monkeypatch.setattr(local, "_is_large", lambda _batch: False)
+    monkeypatch.setattr(local.LocalEngine, "process", process_batches)
+    monkeypatch.setattr(local, "is_large", lambda _batch: False)
     with pytest.raises(
         TraceError, match=r"^a worker process of the analysis was killed, perhaps because memory"
     ):

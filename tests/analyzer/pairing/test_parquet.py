@@ -4,6 +4,7 @@ import json
 import os
 from types import SimpleNamespace
 
+import duckdb
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -20,8 +21,8 @@ from trace_files import (
     write_trace,
 )
 
-import dds_trace.analyzer.pairing.parquet
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from dds_trace.analyzer.pairing import roundtrips
 from dds_trace.analyzer.pairing.parquet import roundtrips_writer, write_summary
 from dds_trace.analyzer.pairing.provenance import provenance
 from dds_trace.analyzer.pipeline import analyze
@@ -169,7 +170,7 @@ def test_utc_is_told_of_each_clock_by_its_own_anchor_and_only_after_it(tmp_path)
 
 def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):
     """Also over several row groups, with relays and texts that some rows lack."""
-    monkeypatch.setattr(dds_trace.analyzer.pairing.parquet, "_ROWS_PER_GROUP", 7)
+    monkeypatch.setattr(roundtrips, "ROWS_PER_FRAME", 7)
     write_pair(tmp_path, TIMELINE)
     write_trace(
         tmp_path / "other.mcap",
@@ -180,6 +181,10 @@ def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):
     analysis = analyze(tmp_path, out=tmp_path / "out")
     assert analysis.load_roundtrips().height == 18
     assert pq.ParquetFile(analysis.outputs["roundtrips"]).num_row_groups == 3
+    third = f"SELECT sequence, outcome FROM '{analysis.outputs['roundtrips']}' OFFSET 5 LIMIT 9"
+    assert (
+        duckdb.sql(third).fetchall() == analysis.load_roundtrips()[5:14].select("sequence", "outcome").rows()
+    )
     for kind, frame in (("roundtrips", analysis.load_roundtrips()), ("summary", analysis.summary)):
         read = pl.read_parquet(analysis.outputs[kind])
         assert read.schema == frame.schema

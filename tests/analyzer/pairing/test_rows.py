@@ -10,7 +10,7 @@ from roundtrip_frames import MS, steady
 from trace_files import Message, run, write_pair
 
 import dds_trace.analyzer.pairing.rows
-from dds_trace.analyzer.pairing.rows import RowStore
+from dds_trace.analyzer.pairing.rows import RowStore, RowWriter
 from dds_trace.analyzer.pipeline import analyze
 
 
@@ -50,7 +50,7 @@ def test_a_file_gives_what_memory_gives(analysis, tmp_path):
 
 
 def test_many_rows_leave_memory_for_a_temporary_file_that_goes_away(analysis, tmp_path, monkeypatch):
-    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", 4)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_ROWS_IN_MEMORY", 4)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     again = analyze(tmp_path / "traces", details=False)
@@ -63,7 +63,7 @@ def test_many_rows_leave_memory_for_a_temporary_file_that_goes_away(analysis, tm
 
 
 def test_rows_up_to_the_bound_stay_in_memory(analysis, tmp_path, monkeypatch):
-    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", 5)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_ROWS_IN_MEMORY", 5)
     monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "tempfile", None)  # there is no other place
     again = analyze(tmp_path / "traces", details=False)
     assert_frame_equal(again.rows.load(), analysis.rows.load())
@@ -71,7 +71,7 @@ def test_rows_up_to_the_bound_stay_in_memory(analysis, tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("analysis")
 def test_a_temporary_file_may_be_gone_already(tmp_path, monkeypatch):
-    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_HELD_ROWS", 4)
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_ROWS_IN_MEMORY", 4)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     again = analyze(tmp_path / "traces", details=False)
     (folder,) = tmp_path.glob("dds-analyze-*")
@@ -83,9 +83,17 @@ def test_a_temporary_file_may_be_gone_already(tmp_path, monkeypatch):
     assert told == []
 
 
-def test_a_store_without_rows_has_their_columns():
-    with RowStore() as rows:
-        rows.add([])
+def test_a_writer_of_no_rows_gives_their_columns():
+    with RowWriter() as writer:
+        writer.write([])
+    rows = writer.store()
     assert not rows.has_rows
     assert rows.load().columns == RowStore.of(steady([MS])).load().columns
     assert isinstance(rows.scan(), pl.LazyFrame)
+
+
+def test_a_file_that_was_written_again_is_read_again(analysis, tmp_path):
+    path = tmp_path / "rows.parquet"
+    for rows in (analysis.rows.load()[:2], analysis.rows.load()):
+        rows.write_parquet(path)
+        assert RowStore.of(path).scan().collect().height == len(rows)

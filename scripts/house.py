@@ -19,7 +19,7 @@ ROOMS = ("src", "tracefile", "recorder", "analyzer", "reports", "cli")
 
 WORDS = re.compile(
     r"\b(anew|begun|behind|beside|lies|mends?|mended|of which|seldom|stands|tell|tells|that of|those of|told|unto"
-    r"|whoever|worked at|alone)\b",
+    r"|whoever|worked at|alone)\b(?!:)",  # before a colon it is the name of a field
     re.IGNORECASE,
 )
 """Words of prose for which the trade has a plainer one (behind -> after, told -> reported, alone -> only)."""

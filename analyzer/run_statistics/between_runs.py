@@ -36,7 +36,7 @@ class Units:
     """Independent observations of a statistic: one for each run, or for each few neighbouring runs.
 
     Attributes:
-        values: float64, the statistic of each unit; infinite where it is that of a lost message.
+        values: float64, the statistic of each unit; infinite where a lost message sets it.
         messages: messages of all runs.
         independent: how many independent messages they are worth within their runs.
         runs: runs in the units.
@@ -71,8 +71,8 @@ def estimates_of_runs(
 ) -> list[Estimate]:
     """Return the estimate of each statistic: from the runs if there are three or more, else within one run.
 
-    From three runs on the value is that of a typical run: the geometric mean of the runs' statistics, their mean if one is not
-    above zero, and their median if one is infinite. An end beyond a tail is None if it rests on fewer than `MIN_EPISODES`
+    From three runs on the value is of a typical run: the geometric mean of the runs' statistics, their mean if one is not above
+    zero, and their median if one is infinite. An end beyond a tail is None if it rests on fewer than `MIN_EPISODES`
     episodes. Several statistics cost less together than one by one: the runs are sorted once.
 
     Args:
@@ -136,7 +136,7 @@ def units_of(runs: Runs | Sequence[Run], statistic: Statistic, tails: list[Tail]
 
 
 def _joined_where_short(runs: Sequence[Run], needs: int) -> list[Run]:
-    """Join neighbouring runs until each has enough messages; a short rest joins the last."""
+    """Join neighbouring runs until each has enough messages."""
     groups: list[list[Run]] = [[]]
     for run in runs:
         if sum(map(len, groups[-1])) >= needs:
@@ -161,8 +161,8 @@ def _joined_to(runs: Runs, most: int) -> Runs:
 def _independent_for_mean(run: Run) -> float:
     if len(run) < 2 * COSINES or not np.isfinite(run.values).all():
         return len(run)
-    of_one, of_mean = float(run.values.var()), long_run_variance(run.values)
-    return len(run) if of_mean <= of_one else len(run) * of_one / of_mean
+    variance, long_run = float(run.values.var()), long_run_variance(run.values)
+    return len(run) if long_run <= variance else len(run) * variance / long_run
 
 
 def _interval_of_units(units: Units, statistic: Statistic, confidence: float) -> Interval:
@@ -207,7 +207,7 @@ def ends_of_units(
 ) -> tuple[float, float | None, float | None, float | None]:
     """Return the typical value of at least two units, the ends of its interval by Student's t, and `Interval.unit_spread`.
 
-    On the reciprocal scale the upper end is infinite and the lower end that of the harmonic mean, which is never above that of the
+    On the reciprocal scale the upper end is infinite, and the lower end belongs to the harmonic mean, which is never above the
     geometric mean.
     """
     scale = scale_of(values)
@@ -233,17 +233,13 @@ def student_ends(values: Float64, confidence: float) -> tuple[float, float, floa
 
 
 def _median(values: Float64) -> float:
-    """Return the median; infinite if the upper middle value is."""
     ordered = np.sort(values)
     low, high = ordered[(len(ordered) - 1) // 2], ordered[len(ordered) // 2]
     return float(low if low == high else (low + high) / 2)
 
 
 def _intervals_within(group: Runs, statistics: Sequence[Statistic], confidence: float) -> list[Interval]:
-    """Return intervals within one run, or within a few runs that are taken as one series.
-
-    The value is the summary's: the mean, or the quantile by linear interpolation (Hyndman and Fan's definition 7).
-    """
+    """Return intervals within the series of all runs; the value is the summary's (Hyndman and Fan's definition 7)."""
     if not statistics:
         return []
     joined, runs = group.joined, len(group)

@@ -60,7 +60,7 @@ def long_run_variance(series: NDArray[Any]) -> float:
 
 
 def share_inflation(indices: Indices, messages: int) -> float:
-    """Return the variance of a share of messages divided by that of as many independent ones.
+    """Return the variance of a share of messages divided by the variance of as many independent ones.
 
     It is 1 without events, with nothing but events, and in fewer than `2 * COSINES` messages. `indices` ascend, shape (events,).
     """
@@ -131,15 +131,15 @@ def cells_of(lengths: Sequence[int]) -> Cells:
 def share_inflations(cells: Cells, subsets: Sequence[tuple[Indices, Indices]]) -> list[list[float]]:
     """Return `share_inflation` of each series, for each of some subsets of their messages.
 
-    A subset is the ascending indices of its messages among those of all series, shape (events,), with the first of these in each
+    A subset is the ascending indices of its messages among all, shape (events,), with the first of these in each
     series and the number of all, shape (series + 1,).
     """
     counts = np.array([cells.counts(indices) for indices, _ in subsets], np.float64)
     offsets = np.array([offsets for _, offsets in subsets])
     shares = (offsets[:, 1:] - offsets[:, :-1])[..., None] / cells.messages
     variances = np.empty_like(shares)
-    for (series, of_series), projections in zip(cells.blocks, cells.projections, strict=True):
-        in_block = counts[:, of_series].reshape(len(subsets), len(projections), -1)
+    for (series, in_series), projections in zip(cells.blocks, cells.projections, strict=True):
+        in_block = counts[:, in_series].reshape(len(subsets), len(projections), -1)
         centred = _projections(in_block) - shares[:, series] * projections
         variances[:, series] = _variances(centred, cells.messages[series])
     independent = shares * (1 - shares)

@@ -216,14 +216,12 @@ def _change_of_reciprocals(
 
 
 def _difference(base: float | None, new: float | None) -> float | None:
-    """Return new - base; None where either is unknown or both are infinite."""
     if base is None or new is None or (math.isinf(base) and math.isinf(new)):
         return None
     return new - base
 
 
 def _change_within(base: Interval, new: Interval) -> Change:
-    """Combine the sides' own intervals: for the ratio by their logarithms."""
     before, after = _finite_ends(base), _finite_ends(new)
     difference: tuple[float | None, float | None] = (None, None)
     ratio: tuple[float | None, float | None] = (None, None)
@@ -246,7 +244,6 @@ def _change_within(base: Interval, new: Interval) -> Change:
 
 
 def _ratio(base: float | None, new: float | None) -> float | None:
-    """Return new / base; None where either is unknown or not above zero, or the base is infinite."""
     if base is None or new is None or base <= 0 or new <= 0 or math.isinf(base):
         return None
     return new / base
@@ -272,7 +269,7 @@ class DetectableChange:
         groups: groups in common.
         told: groups whose runs allow a verdict and an estimate of the smallest change.
         smallest_ratio: a group that became slower by this much or more, whichever it is and though no other did, would
-            have been called slower with a probability of at least 80 %; None if `told` is 0.
+            have been called slower with a probability of at least 80 %; None without such an estimate.
     """
 
     metric: str

@@ -34,7 +34,7 @@ class WarmUp:
 
     Attributes:
         messages: how many to leave out by MSER-5.
-        ratio: their level over that of the others (geometric means of batch medians); 2 is twice as slow.
+        ratio: their level over the others' (geometric means of batch medians); 2 is twice as slow.
         p_value: two-sided, of a difference like this between a start of that length and the rest.
     """
 
@@ -176,7 +176,7 @@ LEAST_SHARE = 0.1
 """Share of the smaller mode; percentiles describe a tail of fewer."""
 
 DEEPEST_VALLEY = 0.5
-"""Density between the modes over that of the lower one; two normal modes of equal size reach it 3.3 deviations apart."""
+"""Density between the modes over the lower one's; two normal modes of equal size reach it 3.3 deviations apart."""
 
 LEAST_VALUES = 30
 """Different values of a series: a clock that ticks once a millisecond makes modes of its ticks."""
@@ -190,13 +190,13 @@ _BINS = 256
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """The two modes of a series, as with and without a retransmission or a sleeping core.
+    """The two modes of a series, as with and without a retransmission: their peaks and their valley.
 
     Attributes:
         low: value at the peak of the lower mode.
         high: value at the peak of the higher mode.
         share: messages of the smaller one, of all.
-        valley: density between the peaks over that of the lower peak, 0 to 1.
+        valley: density between the peaks over the lower peak's, 0 to 1.
     """
 
     low: float
@@ -233,7 +233,6 @@ def find_modes(ordered: NDArray[Any], inflation: float = 1.0) -> Modes | None:
 
 @lru_cache(maxsize=64)
 def _kernel(deviation: float) -> Float64:
-    """Return a normal kernel whose deviation is given in bins."""
     reach = math.ceil(4 * deviation)
     weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / deviation))
     return np.asarray(weights / weights.sum())

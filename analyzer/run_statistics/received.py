@@ -71,7 +71,6 @@ def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> In
 
 
 def _independent(events: Sequence[Bools], share: float, n: int) -> float:
-    """Return the independent messages whose share of events varies as much."""
     variance_of_independent = share * (1 - share) / n
     if variance_of_independent == 0:
         return n

@@ -143,7 +143,7 @@ class Tail:
     Attributes:
         messages: how many.
         sizes: int64, messages of each episode.
-        inflation: variance of their share divided by that of independent messages.
+        inflation: variance of their share over the variance for independent messages.
         squared: sum of the squares of `sizes`.
         squares: mean squared size of an episode over its mean size, for as many independent messages.
         streaks: unbroken streaks of messages; None for as many as episodes.
@@ -334,7 +334,6 @@ def _merged_streaks(streaks: Streaks, longest: float, gap: float, messages: int)
 
 
 def _inside(bursts: Sequence[tuple[Float64, Float64]], beyond: Sequence[Float64]) -> int:
-    """Return the messages of a tail that are in bursts."""
     return sum(
         int((np.searchsorted(positions, last, "right") - np.searchsorted(positions, first, "left")).sum())
         for (first, last), positions in zip(bursts, beyond, strict=True)

@@ -40,7 +40,7 @@ def student_quantile(probability: float, degrees: float) -> float:
     if probability < 0.5:
         return -student_quantile(1 - probability, degrees)
     # Newton's method on the tail, which keeps its digits. Above zero the distribution is concave and its quantile
-    # lies beyond the normal's, so that every step from there stays on this side of the root.
+    # is beyond the normal's, so that every step from there stays on this side of the root.
     tail, t = 1 - probability, _NORMAL.inv_cdf(probability)
     for _ in range(_MOST_TERMS):
         step = (student_cdf(-t, degrees) - tail) / _student_density(t, degrees)
@@ -63,7 +63,7 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
     (the noncentral t of N. L. Johnson and B. L. Welch, 1940; the far side is left out). `power` is between 0.5 and 1.
     """
     threshold = student_quantile((1 + confidence) / 2, degrees)
-    # log(chi-square) on a grid wide enough that what lies outside has a probability below 1e-9.
+    # log(chi-square) on a grid wide enough that the rest has a probability below 1e-9.
     spread = 8 * math.sqrt(2 / degrees) + 8 / degrees
     logs = np.linspace(-3 * spread, spread, _POWER_STEPS)
     log_density = degrees / 2 * (logs - np.exp(logs))
@@ -72,8 +72,8 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
     roots = np.exp(logs / 2)
 
     def missing(shift: float) -> float:
-        found = [_NORMAL.cdf(shift - threshold * root) for root in roots.tolist()]
-        return float(np.dot(weights, found)) - power
+        powers = [_NORMAL.cdf(shift - threshold * root) for root in roots.tolist()]
+        return float(np.dot(weights, powers)) - power
 
     high = 2.0
     while missing(high) < 0:
@@ -143,4 +143,4 @@ def _root(rising: Callable[[float], float], low: float, high: float, halvings: i
 
 def _check_probability(probability: float) -> None:
     if not 0 < probability < 1:
-        raise ValueError("a probability lies between 0 and 1, both excluded")
+        raise ValueError("a probability must be between 0 and 1, both excluded")

@@ -36,7 +36,7 @@ class Basis(Enum):
     """What an interval has seen vary."""
 
     BETWEEN_RUNS = "between runs"  # holds for another run of the same kind
-    WITHIN_RUN = "within one run"  # holds for this run alone; no verdict follows from it
+    WITHIN_RUN = "within one run"  # holds for this run only; no verdict follows from it
 
 
 @dataclass(frozen=True, slots=True)

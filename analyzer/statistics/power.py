@@ -48,9 +48,9 @@ def benjamini_hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
 
 
 def _in_order(sorted_values: Float64, order: NDArray[np.intp]) -> Float64:
-    found = np.empty_like(sorted_values)
-    found[order] = sorted_values
-    return found
+    values = np.empty_like(sorted_values)
+    values[order] = sorted_values
+    return values
 
 
 POWER = 0.8
@@ -94,7 +94,6 @@ def runs_to_decide(
 
 
 def _fewest(is_enough: Callable[[int], bool]) -> int | None:
-    """Return the smallest number of runs that is enough, from `MIN_RUNS` on."""
     if not is_enough(MOST_RUNS):
         return None
     too_few, enough = MIN_RUNS - 1, MOST_RUNS

@@ -13,7 +13,8 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import polars as pl
 
@@ -75,7 +76,7 @@ class CaseAnswer:
         conditions: what surrounded the runs, as in `setting` (values of an emulated link, concurrent runs ...).
         basis: `between runs`, or `within one run` where a setup has fewer than three: then there is no verdict.
         fewest_runs: runs of the setup that has the fewest.
-        leader_p50: name of the setup whose median is clearly below that of each of the others; empty if none is.
+        leader_p50: name of the setup whose median is clearly below every other's; empty if none is.
         leader_p99: the same of the p99; empty also where `percentile` is p50.
     """
 
@@ -138,7 +139,7 @@ _STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
-    """What was measured of a setup: its round trips, and the estimates of `_STATISTICS`."""
+    """A setup's round trips, and its estimates of `_STATISTICS`."""
 
     setting: Setting
     group: MatchedGroup
@@ -168,7 +169,6 @@ def _answer_case(
     confidence: float,
     passes: Mapping[int, int],
 ) -> CaseAnswer:
-    """Rank the setups of one kind of message, whose groups are `case`."""
     setups: dict[str, _Setup] = {}
     for groups in partition_groups(case, CONTENDER_COLUMNS):
         setting = groups.select(CONTENDER_COLUMNS).row(0, named=True)
@@ -202,7 +202,6 @@ def _answer_case(
 
 
 def _leader(ranked: Sequence[Contender], beaten: set[str]) -> str:
-    """Return the name of the first of several setups if it beats all others; empty otherwise."""
     return ranked[0].name if len(ranked) > 1 and len(beaten) == len(ranked) - 1 else ""
 
 
@@ -214,7 +213,6 @@ def _median_order(contender: Contender) -> tuple[bool, float, str]:
 def _with_losses(
     contenders: Sequence[Contender], setups: Mapping[str, _Setup], confidence: float
 ) -> list[Contender]:
-    """Mark setups that receive significantly less than the one that receives most."""
     most = max(contenders, key=lambda one: (one.received.value or 0.0, one.name))
 
     def loses_more(one: Contender) -> bool:
@@ -288,38 +286,34 @@ class Headline:
     within_one_run: int = 0
 
 
+_HEADLINE_KEY = (
+    "connectivity",
+    "domain_mode",
+    "data_type",
+    "ping_device",
+    "relay_device",
+    "conditions",
+)
+
+
 def find_headlines(answers: Sequence[CaseAnswer]) -> tuple[Headline, ...]:
     """Summarize answers, each device pair and link for itself, in the order of the answers."""
-    by_key: dict[tuple[str | None, ...], list[CaseAnswer]] = {}
+    by_key: dict[tuple[Any, ...], list[CaseAnswer]] = {}
     for answer in answers:
-        key = (
-            answer.connectivity,
-            answer.domain_mode,
-            answer.data_type,
-            answer.ping_device,
-            answer.relay_device,
-            answer.conditions,
-        )
-        by_key.setdefault(key, []).append(answer)
-    return tuple(map(_headline, by_key.values()))
+        by_key.setdefault(attrgetter(*_HEADLINE_KEY)(answer), []).append(answer)
+    return tuple(_headline(key, cases) for key, cases in by_key.items())
 
 
-def _headline(cases: Sequence[CaseAnswer]) -> Headline:
-    """Summarize the answers of one key."""
-    first, compared = cases[0], [case for case in cases if case.clarity is not Clarity.ONLY_ONE]
+def _headline(key: tuple[Any, ...], cases: Sequence[CaseAnswer]) -> Headline:
+    compared = [case for case in cases if case.clarity is not Clarity.ONLY_ONE]
     unclear = [case for case in compared if case.clarity is Clarity.INCONCLUSIVE]
     won = Counter(case.leaders[0].name for case in compared if case.clarity is Clarity.CLEAR)
-    leads = [Lead(name, count) for name, count in won.items()]
+    leads = sorted(won.items(), key=lambda lead: (-lead[1], lead[0]))
     return Headline(
-        connectivity=first.connectivity,
-        domain_mode=first.domain_mode,
-        data_type=first.data_type,
+        **dict(zip(_HEADLINE_KEY, key, strict=True)),
         cases=len(compared),
-        leads=tuple(sorted(leads, key=lambda lead: (-lead.cases, lead.name))),
+        leads=tuple(Lead(name, count) for name, count in leads),
         inconclusive=len(unclear),
         only_one=len(cases) - len(compared),
-        ping_device=first.ping_device,
-        relay_device=first.relay_device,
-        conditions=first.conditions,
         within_one_run=sum(case.basis == Basis.WITHIN_RUN.value for case in unclear),
     )

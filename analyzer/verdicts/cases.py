@@ -122,8 +122,8 @@ class Contender:
         received: share of messages whose reply came back, with its interval.
         survivors_ns: the compared percentile of the received messages; None if they are too few.
         loses_more: whether it receives significantly less than another setup of the case.
-        p50_ns: median of a typical run, below three runs of all messages, ns; infinite if it is that of a lost message, None
-            without messages.
+        p50_ns: median of a typical run, below three runs of all messages, ns; infinite if a lost message sets it, None without
+            messages.
         p99_ns: p99, likewise; None where all messages do not support it.
     """
 

@@ -86,7 +86,7 @@ class CompareOptions:
 
     Attributes:
         metrics: columns `<metric>_ns` to compare.
-        statistics: those of `COMPARED_STATISTICS` to compare.
+        statistics: some of `COMPARED_STATISTICS`.
         match: columns that make two groups the same experiment; fewer than `MATCH_COLUMNS` pair groups that differ in the
             others, refused where that merges two groups of a side.
         confidence: of every interval.
@@ -108,9 +108,9 @@ class Comparison:
     """The groups that two sides have in common, and those that only one side has.
 
     Attributes:
-        rows: one row per matched group, metric and statistic: the match columns, then those of `ChangeRow`.
-        delivery: one row per matched group: the match columns, then those of `DeliveryRow`.
-        distributions: one row per matched group and metric: the match columns, then those of `DistributionRow`.
+        rows: one row per matched group, metric and statistic: the match columns, then the fields of `ChangeRow`.
+        delivery: one row per matched group: the match columns, then the fields of `DeliveryRow`.
+        distributions: one row per matched group and metric: the match columns, then the fields of `DistributionRow`.
         only_base: groups (match columns) that the new side does not have.
         only_new: groups that the base does not have.
         options: how the sides were compared.
@@ -201,7 +201,6 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
     )
 
     def keys_of(side: pl.DataFrame, side_names: Mapping[str, str]) -> list[Key]:
-        """Return the match columns under which groups of a side were compared."""
         renamed = with_devices(side, side_names).select(match).rows()
         keys = [partners.get(own, key) for own, key in zip(side.select(match).rows(), renamed, strict=True)]
         return [comparison.row_keys.get(key, key) for key in keys]
@@ -318,7 +317,6 @@ def _changes(
     options: CompareOptions,
     passes: Mapping[int, int],
 ) -> Iterator[tuple[DistributionRow, list[tuple[ChangeRow, Change]]]]:
-    """Yield for each metric the distributions of both sides, and the change of each statistic."""
     paired = passes_of(base.runs, new.runs, passes) if options.paired else None
     for metric in options.metrics:
         before, after = base.delivered(metric), new.delivered(metric)

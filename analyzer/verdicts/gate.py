@@ -10,7 +10,7 @@
     statistic = "mean" | "p50" | "p90" | "p95" | "p99" | "p99_9"
     unit      = "ns" | "us" | "ms" | "s"
 
-`default` stands for `DEFAULT_GATES`.
+`default` means `DEFAULT_GATES`.
 
 A gate fails where the whole confidence interval is beyond the limit, passes where none of it is, and is inconclusive in
 between, where a sample does not support the percentile, and where a requested setting was not applied: such a group did not

@@ -1,8 +1,7 @@
 """A comparison judged by gates: an outcome for each gate and group, with its reason.
 
 Among many groups some interval is beyond the limit by chance: a group is regressed only where its p value, adjusted by Holm over
-the groups of the gate, stays below half of 1 - confidence. A group that the new side does not have, or of which it received no
-replies, is regressed whatever the gates are.
+the groups of the gate, stays below half of 1 - confidence. A group that the new side lacks, or received no reply in, is regressed whatever the gates are.
 """
 
 from __future__ import annotations
@@ -84,7 +83,7 @@ class _Measured:
     smallest_drop: float | None = None
 
     def p_beyond(self, limit: float, confidence: float, *, is_ratio: bool) -> float:
-        """Return the probability of an estimate this far beyond a limit if the truth is on it."""
+        """Return the probability of an estimate this far beyond a limit that is the truth."""
         value, end = self.value, self.low if self.value is not None and self.value > limit else self.high
         if value is None or end is None:
             return (1 - confidence) / 2
@@ -140,7 +139,7 @@ def overall_outcome(results: Sequence[GateResult]) -> GateOutcome:
 
 
 def varying_columns(comparison: Comparison) -> list[str]:
-    """Return the match columns that differ between the compared groups, with those of vendor, bridge and message."""
+    """Return the match columns that differ between the compared groups, and the ones of vendor, bridge and message."""
     return varying_parameters(comparison.delivery, comparison.options.match)
 
 
@@ -196,7 +195,6 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
 
 
 def _reason(comparison: Comparison, group: _Measured, outcome: GateOutcome, by_chance_of: int) -> str:
-    """Return why a result is inconclusive and what it takes to decide; empty if it is conclusive."""
     errors = [error.text for error in comparison.errors if error.is_about(group.group)]
     if errors:
         return f"a side is not fit to be judged: {errors[0]}"
@@ -227,7 +225,6 @@ def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
 
 
 def _advice(gate: Gate, change: Change) -> str:
-    """Return how many more runs or messages it very likely takes to decide by a gate."""
     sides = [change.new] if gate.against is Against.NEW else [change.base, change.new]
     if few := _too_few_runs(sides):
         return few
@@ -288,7 +285,6 @@ def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Itera
 def _advice_on_received(
     limit: float, value: float | None, low: float | None, high: float | None, sides: Sequence[Interval]
 ) -> str:
-    """Return how many runs it very likely takes: the interval's reach falls with the root of their number."""
     if few := _too_few_runs(sides):
         return few
     if value is None or low is None or high is None or value == limit:

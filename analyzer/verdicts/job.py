@@ -105,7 +105,7 @@ def parse_job(text: str) -> Job:
         if name in words:
             raise OptionError(f"--recommend {text!r}: {name} is given twice")
         words[name] = value
-        _KEYS[name].value(words, text)  # here, so that of several errors the first one is reported
+        _KEYS[name].value(words, text)  # here, to report the first of several errors
     if words.get(_DATA.name) == "imu":
         words.setdefault(_SIZE.name, str(IMU_BYTES))
     words.setdefault(_RELIABILITY.name, DEFAULT_RELIABILITY)
@@ -127,7 +127,7 @@ def parse_job(text: str) -> Job:
 SizeAndRate = tuple[float, float]
 """Payload in bytes and rate in Hz, both above 0."""
 
-FEWEST_HELD_OUT = 3
+MIN_ERRORS = 3
 """Held-out measurements below which no guess is made: the largest of so few errors bounds nothing."""
 
 
@@ -161,7 +161,7 @@ def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Gue
     logs = {(math.log(size), math.log(rate)): math.log(value) for (size, rate), value in measured_ns.items()}
     log_value = _interpolate(logs, (math.log(at[0]), math.log(at[1])))
     errors = [abs(error) for error in _held_out_errors(logs)]
-    if log_value is None or len(errors) < FEWEST_HELD_OUT:
+    if log_value is None or len(errors) < MIN_ERRORS:
         return None
     return Guess(math.exp(log_value), math.exp(max(errors)), len(errors))
 
@@ -191,7 +191,6 @@ def _two_steps(logs: Mapping[SizeAndRate, float], first: float, second: float) -
 
 
 def _between(line: Mapping[float, float], x: float) -> float | None:
-    """Interpolate linearly between the two nearest points; None outside of them."""
     if x in line:
         return line[x]
     for low, high in pairwise(sorted(line)):

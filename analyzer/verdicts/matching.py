@@ -96,8 +96,8 @@ class MatchedGroup:
 def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]:
     """Return the name that a device of the new side takes for a comparison: column -> name on the base.
 
-    Devices are matched by name. Where each side has a single ping device and a single relay device, the new one stands for the old
-    one; a relay without a trace is no second device.
+    Devices are matched by name. Where each side has a single ping device and a single relay device, the new one takes the old
+    one's name; a relay without a trace is no second device.
     """
     names = {column: (_names(base, column), _names(new, column)) for column in DEVICE_COLUMNS}
     if any(len(side) > 1 for sides in names.values() for side in sides):
@@ -179,7 +179,6 @@ def knows_relay(key: Key, match: Sequence[str]) -> bool:
 
 
 def _agree(key: Key, other: Key, match: Sequence[str]) -> bool:
-    """Return whether two keys agree in every column, except where one of them has no relay trace."""
     is_silent = not (knows_relay(key, match) and knows_relay(other, match))
     return all(_equal(name, one, two, is_silent) for name, one, two in zip(match, key, other, strict=True))
 

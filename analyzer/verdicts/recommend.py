@@ -67,11 +67,11 @@ class Candidate:
         value_ns: the `reliability` quantile of `metric`; infinite if too many messages were lost, None if unknown.
         lower_ns: lower end of its interval (of a guess: the value divided by the largest held-out error), None if unknown.
         upper_ns: upper end of its interval (of a guess: the value times that error), None if unknown.
-        margin_ns: deadline less upper end, negative if that is later; None if it is unknown or infinite.
+        margin_ns: deadline less upper end, negative if the end is later; None if it is unknown or infinite.
         messages: published messages of the job's size and rate, 0 for a guess.
         held_out: measurements that a guess's error comes from, 0 for a measured candidate.
         metric: the job's metric.
-        tied: whether the interval overlaps that of the best candidate on the same device pair and link, under the same
+        tied: whether the interval overlaps with the best candidate on the same device pair and link, under the same
             conditions, so that these traces do not rank the two.
         reason: one sentence: why the fit is not `meets`, or what a guess rests on; empty otherwise.
         received_ratio: share of the messages whose reply came back; None for a guess.
@@ -134,11 +134,11 @@ class Recommendation:
     @property
     def is_conclusive(self) -> bool:
         """Whether at every place a single candidate is best, or every candidate surely misses the deadline."""
-        by_place = _by_place(self.candidates).values()
-        return bool(by_place) and all(
+        rankings = _alternatives(self.candidates)
+        return bool(rankings) and all(
             sum(c.fit is Fit.MEETS and c.tied for c in candidates) == 1
             or all(c.fit is Fit.MISSES and c.measured for c in candidates)
-            for candidates in by_place
+            for candidates in rankings
         )
 
 
@@ -163,8 +163,8 @@ def recommend_settings(
         if (candidate := _candidate(setting, rows, request)) is not None
     ]
     ranked: list[Candidate] = []
-    for at_place in _by_place(candidates).values():
-        ordered = sorted(_without_sockets(at_place), key=Candidate.order)
+    for alternatives in _alternatives(candidates):
+        ordered = sorted(_without_sockets(alternatives), key=Candidate.order)
         ranked += (replace(c, tied=c is ordered[0] or _is_tied(c, ordered[0])) for c in ordered)
     return Recommendation(job, tuple(sorted(ranked, key=Candidate.order)))
 
@@ -174,28 +174,25 @@ def place_of(setting: Setting) -> tuple[ParameterValue, ...]:
     return *(setting[name] for name in SITE_COLUMNS), condition_of(str(setting["setting"]))
 
 
-def _by_place(candidates: Iterable[Candidate]) -> dict[tuple[ParameterValue, ...], list[Candidate]]:
-    by_place: dict[tuple[ParameterValue, ...], list[Candidate]] = {}
+def _alternatives(candidates: Iterable[Candidate]) -> list[list[Candidate]]:
+    """Return the candidates of each place."""
+    rankings: dict[tuple[ParameterValue, ...], list[Candidate]] = {}
     for candidate in candidates:
-        by_place.setdefault(place_of(candidate.setting), []).append(candidate)
-    return by_place
+        rankings.setdefault(place_of(candidate.setting), []).append(candidate)
+    return list(rankings.values())
 
 
 def _without_sockets(candidates: list[Candidate]) -> list[Candidate]:
-    """Leave out plain sockets, which are no middleware, unless there is nothing else."""
     return [one for one in candidates if one.setting["backend"] != "socket"] or candidates
 
 
 def _is_tied(one: Candidate, best: Candidate) -> bool:
-    """Return whether the intervals of two candidates overlap, or one has fewer than three runs."""
     is_between = all(c.basis == Basis.BETWEEN_RUNS.value for c in (one, best))
     return not is_between or ranges_overlap(one.range, best.range)
 
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """A job, the confidence of intervals, and the runs that did not finish."""
-
     job: Job
     confidence: float
     unfinished: frozenset[int]
@@ -252,7 +249,6 @@ def _measure(rows: pl.DataFrame, request: _Request) -> _Measurement:
 
 
 def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
-    """Return the sent rate of a run divided by the planned one; None with fewer than two messages."""
     times = sent_ns.unique().sort()
     if len(times) < 2:
         return None
@@ -260,7 +256,6 @@ def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
 
 
 def _candidate(setting: Setting, rows: pl.DataFrame, request: _Request) -> Candidate | None:
-    """Judge a setting by its round trips; None without an estimate."""
     size_and_rate = ("payload_bytes", "rate_hz")
     parts: dict[SizeAndRate, pl.DataFrame] = {
         part.select(size_and_rate).row(0): part for _, part in parts_of(rows, size_and_rate)
@@ -297,7 +292,6 @@ def _measured(setting: Setting, measurement: _Measurement, request: _Request) ->
 
 
 def _fit_of_measurement(measurement: _Measurement, request: _Request) -> tuple[Fit, str]:
-    """Return whether a measurement meets the job, and why not."""
     deadline_ns, interval = request.job.deadline_ns, measurement.interval
     fit = _fit(interval.range, deadline_ns)
     if measurement.is_slow:
@@ -312,7 +306,6 @@ def _fit_of_measurement(measurement: _Measurement, request: _Request) -> tuple[F
 
 
 def _why_inconclusive(interval: Interval, request: _Request) -> str:
-    """Return why an interval is inconclusive, and what it takes to decide."""
     job = request.job
     inflation = interval.samples / max(1, interval.independent)
     needs = planned_messages(job.reliability, request.confidence, inflation)
@@ -376,7 +369,6 @@ def _guessed(
 
 
 def _neighbours(measured: Iterable[SizeAndRate], at: SizeAndRate) -> list[SizeAndRate]:
-    """Return the measured sizes and rates next to one; none where they do not surround it."""
     points = list(measured)
     sides = [_next_to({point[axis] for point in points}, at[axis]) for axis in (0, 1)]
     return [point for point in points if point[0] in sides[0] and point[1] in sides[1]]

@@ -110,7 +110,7 @@ def environment_of_group(group: Mapping[str, ParameterValue], differences: Diffe
 
 
 def _alike(differences: Differences, role: str, *where: ParameterValue) -> list[Recorder]:
-    """Return the recorders of a role of a group: over its link, or any where the relay names its own otherwise."""
+    """Return the recorders of a role of a group: over its link, or any where the relay names another link."""
     vendor, device, connectivity = where
     recorders = [recorder for recorder in differences if recorder[:3] == (role, vendor, device)]
     return [recorder for recorder in recorders if recorder.connectivity == connectivity] or recorders

@@ -124,7 +124,6 @@ def _column_of(rows: RowStore, group: int) -> Callable[[str], pl.Series]:
 
 
 def _run_of_row(rows: RowStore, group: int) -> NDArray[np.int64]:
-    """Return the number of the run of each row of a group, ascending."""
     run_ids = rows.frame(rows.groups[group], ["run_id"])["run_id"].to_numpy()
     return np.cumsum(np.diff(run_ids, prepend=run_ids[:1]) != 0)
 

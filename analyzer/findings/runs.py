@@ -48,7 +48,6 @@ def undescribed_sessions(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _unplaced(evidence: Evidence, reason: str, what: str) -> Iterator[Observation]:
-    """Observe events without a row for one reason, once for each relay and file."""
     alike: dict[tuple[int, tuple[int, ...]], list[Unplaced]] = defaultdict(list)
     for unplaced in evidence.exchanges.unplaced:
         if unplaced.reason == reason:

@@ -230,7 +230,6 @@ def _middleware(session: Session) -> dict[str, object]:
 
 
 def _differences(where: str, described: list[tuple[Session, dict[str, object]]]) -> Iterator[Observation]:
-    """Observe each field in which the sessions that have it differ."""
     values: dict[str, dict[str, list[Session]]] = defaultdict(lambda: defaultdict(list))
     for session, fields in described:
         for name, value in fields.items():

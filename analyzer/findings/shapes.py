@@ -199,7 +199,6 @@ def _neighbouring_sizes(evidence: Evidence) -> Iterator[_Sizes]:
 
 
 def _cause(evidence: Evidence, group: int, small_bytes: int, large_bytes: int) -> str:
-    """Name a limit between the two sizes, by the fingerprints."""
     exchange = evidence.grouping.exchanges[evidence.grouping.members()[group][0]]
     ping, relay = exchange.ping, exchange.relay
     if (

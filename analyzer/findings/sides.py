@@ -85,7 +85,6 @@ def unlike_versions(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _versions(session: Session) -> dict[str, str]:
-    """Return name -> version as recorded by a session."""
     recorded = session.host.get("versions")
     versions = (
         {name: str(version) for name, version in recorded.items()} if isinstance(recorded, dict) else {}

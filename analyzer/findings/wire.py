@@ -126,7 +126,6 @@ def retransmission_storms(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _remedy(row: _Row) -> str:
-    """Choose what to set against repeats, by what the kernels counted."""
     if row["udp_receive_buffer_full"]:
         return (
             f"{counted(row['udp_receive_buffer_full'], 'datagram')} met a full receive buffer, so give the sockets larger "

@@ -114,7 +114,6 @@ def breakdown_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
 
 
 def _is_complete(rows: PairedRows) -> Bools:
-    """Return whether each message has all parts."""
     is_complete = np.ones(int(rows.bounds[-1]), np.bool_)
     for name in _PART_COLUMNS:
         is_complete &= is_present(rows.column(name))
@@ -212,7 +211,6 @@ def _parts(messages: _Messages, deliveries: _Deliveries | None) -> Iterator[tupl
 
 
 def _percentiles(values_ns: Int64, prefix: str = "") -> dict[str, float | None]:
-    """Return `p50_ns` and `p99_ns`, which needs 100 messages."""
     ordered = np.sort(values_ns)
     p99_ns = quantile_of(ordered, 0.99) if len(ordered) >= minimum_messages(0.99) else None
     return {f"{prefix}p50_ns": quantile_of(ordered, 0.5), f"{prefix}p99_ns": p99_ns}

@@ -254,7 +254,6 @@ class _Run:
 
 
 def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
-    """Yield the number and the messages of each exchange that has any; by group, run and relay."""
     measured = roundtrips.measured
     columns = {
         **{name: measured[name].to_numpy() for name in ("sequence", "publish_ns")},
@@ -283,7 +282,6 @@ def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
 
 
 def _judged_columns(roundtrips: RoundTrips, metric: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays of `_Judged` for all rows."""
     measured = roundtrips.measured
     # A message without a schedule responds from T1 on.
     values = first_known(measured, metric, "rtt_ns") if metric == "response_ns" else measured[metric]

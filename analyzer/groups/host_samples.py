@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from ..model.foreign import number_of, object_of
 from ..model.metrics import frame_schema
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
     rows: dict[tuple[int, float], dict[str, object]] = {}
     for trace in traces:
         for sample in trace.host_samples:
-            session = _session_at(trace.sessions, _number(sample.get("log_time_ns")))
+            session = _session_at(trace.sessions, number_of(sample.get("log_time_ns")))
             row = _row(sample)
             if session is not None and row["monotonic_ns"] is None and row["wall_ns"] is not None:
                 row["monotonic_ns"] = int(
@@ -80,7 +81,6 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
 
 
 def _session_at(sessions: Sequence[Session], wall_ns: float | None) -> Session | None:
-    """Return the last session of a trace that had started."""
     if wall_ns is None:
         return None
     started = [session for session in sessions if session.wall_anchor_ns <= wall_ns] or list(sessions)[:1]
@@ -88,18 +88,18 @@ def _session_at(sessions: Sequence[Session], wall_ns: float | None) -> Session |
 
 
 def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
-    host, processes = _object(sample.get("host")), _object(sample.get("processes"))
-    node = _object(processes.get("self"))
+    host, processes = object_of(sample.get("host")), object_of(sample.get("processes"))
+    node = object_of(processes.get("self"))
     processors = host.get("cpu_percent_each")
     busy = _numbers(processors if isinstance(processors, list) else [])
-    wall_ns, monotonic_ns = _number(sample.get("log_time_ns")), _number(sample.get("monotonic_ns"))
-    raw_ns = _number(sample.get("monotonic_raw_ns"))
-    bridges = [_object(usage).get("cpu_percent") for name, usage in processes.items() if name not in _OURS]
+    wall_ns, monotonic_ns = number_of(sample.get("log_time_ns")), number_of(sample.get("monotonic_ns"))
+    raw_ns = number_of(sample.get("monotonic_raw_ns"))
+    bridges = [object_of(usage).get("cpu_percent") for name, usage in processes.items() if name not in _OURS]
     return {
         "wall_ns": None if wall_ns is None else int(wall_ns),
         "monotonic_ns": None if monotonic_ns is None else int(monotonic_ns),
         **{
-            name: _number(host.get(name))
+            name: number_of(host.get(name))
             for name in (
                 "cpu_percent",
                 "cpu_mhz",
@@ -110,30 +110,21 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
             )
         },
         "cpu_busiest_percent": max(busy, default=None),
-        "node_cpu_percent": _number(node.get("cpu_percent")),
-        "node_memory_bytes": _number(node.get("memory_bytes")),
+        "node_cpu_percent": number_of(node.get("cpu_percent")),
+        "node_memory_bytes": number_of(node.get("memory_bytes")),
         "bridge_cpu_percent": sum(_numbers(bridges)) if _numbers(bridges) else None,
         "wifi_signal_dbm": min(
-            _numbers(_object(w).get("signal_dbm") for w in _object(sample.get("wifi")).values()), default=None
+            _numbers(object_of(w).get("signal_dbm") for w in object_of(sample.get("wifi")).values()),
+            default=None,
         ),
-        "udp_receive_errors": _number(_object(sample.get("udp")).get("RcvbufErrors")),
-        "sampling_cpu_ns": _number(sample.get("sampling_cpu_ns")),
+        "udp_receive_errors": number_of(object_of(sample.get("udp")).get("RcvbufErrors")),
+        "sampling_cpu_ns": number_of(sample.get("sampling_cpu_ns")),
         "monotonic_raw_ns": None if raw_ns is None else int(raw_ns),
-        "cpu_steal_ns": _number(host.get("steal_ns")),
-        "cpu_pressure_us": _number(_object(host.get("pressure_us")).get("cpu")),
+        "cpu_steal_ns": number_of(host.get("steal_ns")),
+        "cpu_pressure_us": number_of(object_of(host.get("pressure_us")).get("cpu")),
         "cpu_free_processors": sum(100 - percent for percent in busy) / 100 if busy else None,
     }
 
 
-def _object(value: object) -> Mapping[str, object]:
-    """Return a JSON object, empty for anything else: a trace may have any JSON on this topic."""
-    return value if isinstance(value, dict) else {}
-
-
-def _number(value: object) -> float | None:
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return value if is_number and -(2.0**63) < value < 2.0**63 else None  # type: ignore[operator,return-value]  # narrowed above
-
-
 def _numbers(values: Iterable[object]) -> list[float]:
-    return [number for value in values if (number := _number(value)) is not None]
+    return [number for value in values if (number := number_of(value)) is not None]

@@ -101,7 +101,6 @@ def interval_rows(
 
 
 def _rows_of_runs(runs: Runs, spreads: Sequence[Spread], off_ns: float) -> Iterator[dict[str, object]]:
-    """Yield the columns that follow `metric`, for each percentile."""
     ordered = runs.ordered
     estimates = estimates_of_runs(runs, _STATISTICS)
     for percentile, estimate, spread in zip(PERCENTILES, estimates, spreads, strict=True):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ import polars as pl
 from dds_trace.base.units import SECOND_NS
 
 from ..model.columns import STATISTICS, SUMMARY_COLUMNS
+from ..model.foreign import number_of, object_of
 from ..model.metrics import METRICS
 from ..model.unsent import MOST_MESSAGES
 from ..pairing.pair import LOSSES
@@ -113,12 +113,8 @@ def own_cost_ns(ping: Session, relay: Session | None) -> float | None:
 
 
 def _median_ns(session: Session, part: str, name: str) -> float | None:
-    """Return a number of a session's field; None for anything else that a foreign trace may have there."""
-    fields = session.extra.get(part)
-    value = fields.get(name) if isinstance(fields, dict) else None
-    if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
-        return None
-    return float(value) if value >= 0 else None
+    value = number_of(object_of(session.extra.get(part)).get(name))
+    return float(value) if value is not None and value >= 0 else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +165,6 @@ def summarize_groups(grouping: Grouping, exchange_counts: pl.DataFrame, statisti
 
 
 def _counts_and_rates(exchange_counts: pl.DataFrame, grouping: Grouping) -> pl.DataFrame:
-    """Compute `columns.COUNT_COLUMNS` and `columns.RUN_COLUMNS`, one row per group."""
     exchanges = grouping.exchanges
     recorded = pl.Series([exchange.relay_recorded for exchange in exchanges], dtype=pl.Boolean)
     payload_bytes = pl.Series([exchange.run.payload_bytes for exchange in exchanges], dtype=pl.Int64)

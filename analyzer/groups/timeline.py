@@ -59,7 +59,6 @@ def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
 
 
 def _runs_at_once(run_times: pl.DataFrame) -> Iterator[pl.DataFrame]:
-    """Yield the runs whose round trips are read at once, by `run_id`."""
     runs = run_times.group_by("run_id").agg(pl.col("published").cast(pl.Int64).sum()).sort("run_id")
     rows_before = runs["published"].cum_sum() - runs["published"]
     yield from (part for _, part in runs.group_by(rows_before // ROWS_AT_ONCE, maintain_order=True))

@@ -16,6 +16,7 @@ import polars as pl
 
 from dds_trace.tracefile.format.wire import MESSAGE_ROW, Direction, rows_of_text
 
+from ..model.foreign import number_of, object_of, objects_of
 from ..model.metrics import frame_schema
 
 if TYPE_CHECKING:
@@ -69,8 +70,6 @@ _ROW_COLUMNS = (*_KEY, "relay_id", "rtt_ns", "latency_ns")
 
 @dataclass(slots=True)
 class _Sums:
-    """Sums over the runs of one group."""
-
     runs: int = 0
     duration_s: float = 0.0
     payload_bytes: float = 0.0
@@ -103,7 +102,7 @@ def wire_frames(
 
     Without rows (a sketch) records are in no frame.
     """
-    counts = {run_id: value for run_id, run in runs.items() if (value := _object(run.extra.get("wire")))}
+    counts = {run_id: value for run_id, run in runs.items() if (value := object_of(run.extra.get("wire")))}
     if not counts:
         return no_wire_frames()
     relay_counts = _relay_counts(traces)
@@ -147,7 +146,7 @@ def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[i
     counts: dict[tuple[Json, Json], tuple[JsonObject, frozenset[int]]] = {}
     for trace in traces:
         for text in trace.wire:
-            capture, run_ids = _object(text.get("counts")), text.get("run_ids")
+            capture, run_ids = object_of(text.get("counts")), text.get("run_ids")
             if capture and isinstance(run_ids, list):
                 served = frozenset(int(str(run_id), 16) for run_id in run_ids)
                 counts[text.get("session_id"), capture.get("begin_ns")] = capture, served
@@ -185,16 +184,16 @@ def _joined(rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
 
 def _add_ping(sums: _Sums, counts: JsonObject) -> None:
     sums.runs += 1
-    sums.duration_s += _number(counts.get("duration_s"))
-    if (match_ns := _number(counts.get("match_ns"))) > 0:
+    sums.duration_s += number_of(counts.get("duration_s")) or 0
+    if (match_ns := (number_of(counts.get("match_ns")) or 0)) > 0:
         sums.matches_ns.append(match_ns)
     for connection in _connections(counts):
-        sums.tcp_rtts_ns.append(_number(connection.get("rtt_us")) * 1000)
-        sums.tcp_windows.append(_number(connection.get("congestion_window")))
-    for traffic in _objects(counts.get("classes")):
+        sums.tcp_rtts_ns.append((number_of(connection.get("rtt_us")) or 0) * 1000)
+        sums.tcp_windows.append(number_of(connection.get("congestion_window")) or 0)
+    for traffic in objects_of(counts.get("classes")):
         name = str(traffic.get("name"))
-        sums.bytes[name] += int(_number(traffic.get("bytes")))
-        sums.packets[name] += int(_number(traffic.get("packets")))
+        sums.bytes[name] += _count(traffic.get("bytes"))
+        sums.packets[name] += _count(traffic.get("packets"))
     _add_counters(sums, counts)
 
 
@@ -203,7 +202,7 @@ def _add_relay(sums: _Sums, counts: JsonObject, *, is_shared: bool) -> None:
     if is_shared:
         sums.shared_counts += 1
     if is_shared or _is_local(counts):
-        sums.counters["kernel_drops"] += int(_number(counts.get("kernel_drops")))
+        sums.counters["kernel_drops"] += _count(counts.get("kernel_drops"))
     else:
         _add_counters(sums, counts)
 
@@ -211,26 +210,24 @@ def _add_relay(sums: _Sums, counts: JsonObject, *, is_shared: bool) -> None:
 def _is_local(counts: JsonObject) -> bool:
     """Return whether most bytes went over the loopback interface: both captures then have the same packets."""
     bytes_by_direction: Counter[str] = Counter()
-    for traffic in _objects(counts.get("classes")):
-        bytes_by_direction[str(traffic.get("direction"))] += int(_number(traffic.get("bytes")))
+    for traffic in objects_of(counts.get("classes")):
+        bytes_by_direction[str(traffic.get("direction"))] += _count(traffic.get("bytes"))
     return 2 * bytes_by_direction[Direction.LOCAL.name.lower()] > bytes_by_direction.total()
 
 
 def _add_counters(sums: _Sums, counts: JsonObject) -> None:
-    """Add the counts that each device has of its own."""
-    kernel = _object(counts.get("ip"))
+    kernel = object_of(counts.get("ip"))
     for name in ("kernel_drops", "requests", "tcp_again_bytes"):
-        sums.counters[name] += int(_number(counts.get(name)))
+        sums.counters[name] += _count(counts.get(name))
     for name in ("reassembly_failed", "udp_receive_buffer_full"):
-        sums.counters[name] += int(_number(kernel.get(name)))
+        sums.counters[name] += _count(kernel.get(name))
     sums.counters["tcp_retransmitted_segments"] += sum(
-        int(_number(connection.get("retransmitted_segments"))) for connection in _connections(counts)
+        _count(connection.get("retransmitted_segments")) for connection in _connections(counts)
     )
 
 
 def _connections(counts: JsonObject) -> list[JsonObject]:
-    """Return the TCP connections that sent payload during a run."""
-    return [tcp for tcp in _objects(counts.get("tcp")) if _number(tcp.get("bytes_sent")) > 0]
+    return [tcp for tcp in objects_of(counts.get("tcp")) if (number_of(tcp.get("bytes_sent")) or 0) > 0]
 
 
 def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
@@ -288,6 +285,10 @@ def _repeat_rows(group: int, joined: pl.DataFrame) -> pl.DataFrame:
     )
 
 
+def _count(value: Json) -> int:
+    return int(number_of(value) or 0)
+
+
 def _no_rows() -> pl.DataFrame:
     return pl.DataFrame(
         schema={
@@ -298,17 +299,3 @@ def _no_rows() -> pl.DataFrame:
             "latency_ns": pl.Int64,
         }
     )
-
-
-def _object(value: Json) -> JsonObject:
-    """Return a JSON object, empty for anything else: a trace may have any JSON here."""
-    return value if isinstance(value, dict) else {}
-
-
-def _objects(values: Json) -> list[JsonObject]:
-    return [_object(value) for value in values] if isinstance(values, list) else []
-
-
-def _number(value: Json) -> float:
-    """Return a number, 0 for anything else."""
-    return value if isinstance(value, int | float) and not isinstance(value, bool) else 0

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .foreign import object_of, objects_of
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -24,15 +26,13 @@ _LARGEST_PACKET_BYTES = 65_535
 
 def words_not_applied(session: Session) -> tuple[str, ...]:
     """Return a sentence, without a full stop, for each requested setting that was not applied."""
-    listed = session.extra.get("not_applied")
-    entries = listed if isinstance(listed, list) else []
-    words = [entry.get("words") for entry in entries if isinstance(entry, dict)]
+    words = [entry.get("words") for entry in objects_of(session.extra.get("not_applied"))]
     return tuple(dict.fromkeys(text for text in words if isinstance(text, str) and text))
 
 
 def payload_path(session: Session) -> str | None:
     """Return what carried the payload: `shm`, an interface or `unknown`; None where the session does not say."""
-    path = _object(session.extra.get("applied")).get("path")
+    path = object_of(session.extra.get("applied")).get("path")
     return path if isinstance(path, str) else None
 
 
@@ -40,13 +40,13 @@ def maps_memory(session: Session) -> bool:
     """Return whether the process had its vendor's shared memory open."""
     return any(
         segment.get("middleware") == session.vendor and segment.get("is_deleted") is False
-        for segment in _listed(_instant(session, "begin"), "memory")
+        for segment in objects_of(_instant(session, "begin").get("memory"))
     )
 
 
 def udp_receive_buffer_bytes(session: Session) -> int | None:
     """Return the largest receive buffer of the process's UDP sockets: sockets that only send keep the system's default."""
-    sockets = _listed(_instant(session, "begin"), "sockets")
+    sockets = objects_of(_instant(session, "begin").get("sockets"))
     sizes = [
         _integer(socket, "receive_buffer_bytes") for socket in sockets if socket.get("protocol") == "udp"
     ]
@@ -55,8 +55,8 @@ def udp_receive_buffer_bytes(session: Session) -> int | None:
 
 def congestion_controls(session: Session) -> tuple[str, ...]:
     """Return the congestion controls of the process's TCP connections, sorted."""
-    states = [socket.get("tcp") for socket in _listed(_instant(session, "begin"), "sockets")]
-    names = {state.get("congestion_control") for state in states if isinstance(state, dict)}
+    states = [socket.get("tcp") for socket in objects_of(_instant(session, "begin").get("sockets"))]
+    names = {object_of(state).get("congestion_control") for state in states}
     return tuple(sorted(name for name in names if isinstance(name, str) and name))
 
 
@@ -65,14 +65,18 @@ def socket_drops(session: Session) -> int | None:
     begin, end = (_instant(session, name) for name in ("begin", "end"))
     if not isinstance(begin.get("sockets"), list) or not isinstance(end.get("sockets"), list):
         return None
-    before = {socket.get("inode"): _integer(socket, "dropped") or 0 for socket in _listed(begin, "sockets")}
-    drops = [(_integer(socket, "dropped") or 0, socket.get("inode")) for socket in _listed(end, "sockets")]
+    before = {
+        socket.get("inode"): _integer(socket, "dropped") or 0 for socket in objects_of(begin.get("sockets"))
+    }
+    drops = [
+        (_integer(socket, "dropped") or 0, socket.get("inode")) for socket in objects_of(end.get("sockets"))
+    ]
     return sum(max(count - before.get(inode, 0), 0) for count, inode in drops)
 
 
 def kernel_counts(session: Session) -> dict[str, int]:
     """Return the rise of each kernel counter of the host (such as `ReasmFails`) from the first message to the end."""
-    begin, end = (_object(_instant(session, name).get("counters")) for name in ("begin", "end"))
+    begin, end = (object_of(_instant(session, name).get("counters")) for name in ("begin", "end"))
     rises = {name: (_integer(begin, name), _integer(end, name)) for name in end}
     return {
         name: now - then
@@ -86,27 +90,18 @@ def may_be_cut(session: Session, payload_bytes: int) -> bool:
     path = payload_path(session)
     if path == SHARED_MEMORY:
         return False
-    mtu_bytes = _integer(_object(session.host.get("mtu")), path) if path is not None else None
+    mtu_bytes = _integer(object_of(session.host.get("mtu")), path) if path is not None else None
     return mtu_bytes is None or min(payload_bytes + _HEADERS_BYTES, _LARGEST_PACKET_BYTES) > mtu_bytes
 
 
 def kernel_limits(session: Session) -> dict[str, int]:
     """Return the kernel's limits of buffers and reassembly (such as `net.ipv4.ipfrag_time`)."""
-    limits = _object(_instant(session, "begin").get("limits"))
+    limits = object_of(_instant(session, "begin").get("limits"))
     return {name: value for name in limits if (value := _integer(limits, name)) is not None}
 
 
 def _instant(session: Session, name: str) -> Mapping[str, object]:
-    return _object(_object(session.extra.get("applied")).get(name))
-
-
-def _listed(instant: Mapping[str, object], name: str) -> list[Mapping[str, object]]:
-    listed = instant.get(name)
-    return [_object(entry) for entry in listed] if isinstance(listed, list) else []
-
-
-def _object(value: object) -> Mapping[str, object]:
-    return value if isinstance(value, dict) else {}
+    return object_of(object_of(session.extra.get("applied")).get(name))
 
 
 def _integer(fields: Mapping[str, object], name: str) -> int | None:

@@ -65,7 +65,6 @@ class RunRows:
         return Run(value.to_numpy(), sent_ns.to_numpy())
 
     def _floats(self, name: str) -> NDArray[np.float64]:
-        """Return a column, NaN for null."""
         column: NDArray[np.float64] = self.rows[name].cast(pl.Float64).to_numpy()
         return column
 

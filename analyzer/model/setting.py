@@ -81,7 +81,6 @@ def without_relay(setting: str) -> str:
 
 
 def _side(session: Session) -> dict[str, str]:
-    """Return the requested settings of a side, defaults left out."""
     recorded = session.extra.get("settings")
     if isinstance(recorded, dict):
         settings = _texts(recorded)
@@ -121,7 +120,6 @@ def _run_settings(run: Run) -> dict[str, str]:
 def _relay_differences(
     ping: Session, ping_settings: Mapping[str, str], relay: Session
 ) -> Iterator[tuple[str, str]]:
-    """Yield the relay's settings that differ from the ping's."""
     relay_settings = _side(relay)
     compared: Collection[str] = {*relay_settings, *ping_settings}
     if not ("settings" in ping.extra and "settings" in relay.extra):

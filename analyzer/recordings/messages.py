@@ -209,7 +209,6 @@ def _connection_has_stamp(connection: Connection) -> bool:
 
 @cache
 def _stamped_types() -> frozenset[str]:
-    """Return the stock ROS 2 types whose first field is a header, for bags without definitions."""
     types = get_typestore(Stores.LATEST).fielddefs.items()
     return frozenset(
         name for name, (_, fields) in types if fields and fields[0][1][1] == "std_msgs/msg/Header"

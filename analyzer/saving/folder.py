@@ -89,7 +89,6 @@ def write_folder(folder: Path, files: Mapping[str, Callable[[Path], object]]) ->
 def _write_files(
     folder: Path, files: Mapping[str, Callable[[Path], object]], after_failure: ExitStack
 ) -> dict[str, SavedFile]:
-    """Write the files of one save; `after_failure` is to remove them."""
     mark = secrets.token_hex(4)
     written = {}
     for name, write in files.items():

@@ -93,7 +93,6 @@ def from_json(kind: type[Record], value: object) -> Record:
 
 
 def _read(hint: object, value: object, where: str) -> object:
-    """Return a value of the annotated type; `where` names the field in an error."""
     reader = _read_record if is_dataclass(hint) else _READERS.get(get_origin(hint) or _plain_type(hint))
     if reader is None:
         raise ValueError(f"{where} has no type that JSON has")

@@ -69,7 +69,7 @@ def format_count(value: float | None) -> str:
 LATENCY_MEANING = (
     "Latency is (round trip - time in the relay) / 2, each of the two measured on one device's own clock. It is the mean of a "
     "message's two ways, so its tail differs from the tail of one way: a message that was slow one way only counts with half of the delay. "
-    "Where the slow moments of the two ways do not coincide, the p99 of one way was 20 to 50 % above the p99 of the latency in simulations. "
+    "Where the slow moments of the two ways do not coincide, the p99 of the latency is 20 to 50 % below the p99 of one way in simulations. "
     "Read tails of one way from outbound and return with their clock bound, deadlines from the response."
 )
 

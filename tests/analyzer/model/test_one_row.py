@@ -9,6 +9,7 @@ from pathlib import Path
 
 import polars as pl
 import pyarrow.parquet as pq
+import pytest
 from trace_files import Message, run, write_pair
 
 from dds_trace.reports.html.packing import unpacked
@@ -17,8 +18,8 @@ ROOT = Path(__file__).resolve().parents[3]
 MS = 1_000_000
 
 
-def analyze_with(tmp_path, file, rows, runs):
-    """The outputs of `dds-analyze` in a copy of the analyzer with rows put before others in one of its files."""
+def with_rows(tmp_path, file, rows):
+    """The environment of a process with a copy of the analyzer, rows put before others in one of its files."""
     package = tmp_path / "changed" / "dds_trace"
     package.mkdir(parents=True)
     for entry in (ROOT / "src" / "dds_trace").iterdir():
@@ -31,6 +32,12 @@ def analyze_with(tmp_path, file, rows, runs):
         assert text.count(before) == 1
         text = text.replace(before, row + before)
     (package / "analyzer" / file).write_text(text, encoding="utf-8")
+    return {**os.environ, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def analyze_with(tmp_path, file, rows, runs):
+    """The outputs of `dds-analyze` in such a process."""
+    environment = with_rows(tmp_path, file, rows)
     (tmp_path / "traces").mkdir()
     for number, of_run in enumerate(runs, 1):
         messages = [
@@ -44,7 +51,7 @@ def analyze_with(tmp_path, file, rows, runs):
     reports = [option for kind in ("html", "md", "json") for option in ("--report", kind)]
     ran = subprocess.run(
         [sys.executable, "-c", command, str(tmp_path / "traces"), "--out", str(out), *reports],
-        env={**os.environ, "PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1"},
+        env=environment,
         capture_output=True,
         text=True,
         check=False,
@@ -53,9 +60,46 @@ def analyze_with(tmp_path, file, rows, runs):
     return out
 
 
+METRIC = {
+    '        Metric("response",': '        Metric("hold", "Hold in relay", (_t4 - _t3) * 2, "twice T4 - T3"),\n'
+}
+
+FOLLOWING = {
+    "tests/analyzer/findings/test_findings.py": "few_samples or fewer_samples",
+    "tests/analyzer/groups/test_summary.py": "one_group",
+    "tests/analyzer/saving/test_saved_analysis.py": "comes_back and small",
+    "tests/reports/test_reporters.py": "small and not schema",
+}
+"""Tests that once repeated the table of metrics; the schema of the report follows by `just schemas`."""
+
+
+@pytest.mark.slow
+def test_tests_of_outputs_follow_a_new_metric(tmp_path):
+    environment = with_rows(tmp_path, "model/metrics.py", METRIC)
+    options = [
+        "-q",
+        "-n",
+        "0",
+        "-m",
+        "not slow and not browser",
+        "-k",
+        " or ".join(f"({words})" for words in FOLLOWING.values()),
+        "-p",
+        "no:cacheprovider",
+    ]
+    ran = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, *FOLLOWING],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout[-3000:]
+
+
 def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
-    row = '        Metric("hold", "Hold in relay", (_t4 - _t3) * 2, "twice T4 - T3"),\n'
-    out = analyze_with(tmp_path, "model/metrics.py", {'        Metric("response",': row}, [run()])
+    out = analyze_with(tmp_path, "model/metrics.py", METRIC, [run()])
 
     assert pl.read_parquet(out / "roundtrips.parquet")["hold_ns"].to_list() == [
         2 * (200 - n) for n in range(40)

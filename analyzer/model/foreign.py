@@ -1,0 +1,24 @@
+"""Values of a trace that may have any JSON where ours have an object or a number."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dds_trace.tracefile.format.json_fields import JsonObject
+
+
+def object_of(value: object) -> JsonObject:
+    """Return a JSON object, empty for anything else."""
+    return value if isinstance(value, dict) else {}
+
+
+def objects_of(values: object) -> list[JsonObject]:
+    """Return the items of a list as objects; none for anything else."""
+    return [object_of(value) for value in values] if isinstance(values, list) else []
+
+
+def number_of(value: object) -> float | None:
+    """Return a number that fits into 64 bits; None for anything else, NaN too."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return value if is_number and -(2.0**63) < value < 2.0**63 else None  # type: ignore[operator,return-value]  # narrowed above

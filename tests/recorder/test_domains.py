@@ -48,7 +48,7 @@ def test_an_empty_domain_gives_no_warning(proc, domain_id):
 
 def test_the_119th_neighbour_still_fits_and_the_120th_does_not(proc):
     assert check_domain(5, proc(*discovery_ports(5, 119))) == []
-    with pytest.raises(OptionError, match=r"120 participants .* would use the ports of domain 6"):
+    with pytest.raises(OptionError, match=r"120 participants .* would use ports of domain 6"):
         check_domain(5, proc(*discovery_ports(5, 120)))
 
 

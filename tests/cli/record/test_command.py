@@ -382,7 +382,8 @@ def test_events_that_wait_in_the_ring_are_counted_with_the_way_to_get_them():
     ended = recorded(OutputError("x.mcap: cannot write the trace: the disk is full"))
     ended = replace(ended, trace=replace(ended.trace, ring_events=7))
     with pytest.raises(
-        OutputError, match=r"the disk is full; 7 events wait in its ring file: .*`dds-record --recover x\.mcap`$"
+        OutputError,
+        match=r"the disk is full; 7 events wait in its ring file: .*`dds-record --recover x\.mcap`$",
     ):
         print_result(ended, as_json=False)
 

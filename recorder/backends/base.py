@@ -77,8 +77,8 @@ class Backend:
         """Open a node that has joined the domain and is not started.
 
         Raises:
-            BackendUnavailableError: the middleware or its licence is not on this machine.
-            OptionError: an option has no effect in this backend.
+            BackendUnavailableError: the middleware or its licence is missing.
+            OptionError: an option has no effect here.
         """
         self.check(options)
         try:

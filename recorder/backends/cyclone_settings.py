@@ -39,8 +39,7 @@ CYCLONE_TUNED = (
 def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.environ) -> str:
     """Return the setting that keeps Cyclone DDS on the loopback interface, to precede `cyclone_settings`.
 
-    It is empty beyond this machine, and where the user's settings name that interface: named twice, Cyclone DDS does not
-    start.
+    It is empty beyond this machine, and where the user names that interface: named twice, Cyclone DDS does not start.
     """
     texts = configuration_texts(environment.get("CYCLONEDDS_URI", ""))
     if discovery is not Discovery.LOCALHOST or any(_NAMES_LOOPBACK.search(text) for text in texts):

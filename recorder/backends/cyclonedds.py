@@ -291,8 +291,7 @@ def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
     everything = SampleState.Any | ViewState.Any | InstanceState.Any
 
     def take(reader: int) -> list[tuple[bytes, Any]]:
-        # One at a time: the time stamp of a message must not wait for the copy of the next one. Not DataReader.take,
-        # which deserializes.
+        # One at a time: a time stamp must not wait for the next copy. Not DataReader.take, which deserializes.
         samples = ddspy_take(reader, everything, 1)
         if isinstance(samples, int):
             if samples == DDSException.DDS_RETCODE_ALREADY_DELETED:

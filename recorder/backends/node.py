@@ -71,7 +71,7 @@ class NodeOptions:
         None,
         "--rmw NAME",
         Panel.MIDDLEWARE,
-        "ROS middleware of the backend ros2. Default: RMW_IMPLEMENTATION, else that of ROS 2",
+        "ROS middleware of the backend ros2. Default: RMW_IMPLEMENTATION, else the default of ROS 2",
         limit=limits.RMW,
         axis=Axis(),
         variables=("RMW_IMPLEMENTATION",),
@@ -105,7 +105,7 @@ class NodeOptions:
         None,
         "--congestion-control NAME",
         Panel.MIDDLEWARE,
-        "Congestion control of TCP, for the backend socket: cubic, bbr, reno ... Default: that of the system",
+        "Congestion control of TCP, for the backend socket: cubic, bbr, reno ... Default: the system's",
         axis=Axis(),
     )
     listens: bool = field(default=False, metadata=OUTSIDE_OF_KEY)
@@ -183,7 +183,7 @@ class Subscription(Protocol):
 
 
 class Node(ABC):
-    """One participant in one domain: create the endpoints, `start`, then `close`, or use it as a context manager.
+    """One participant in one domain: create the endpoints, `start`, then `close`.
 
     Attributes:
         error: the exception that ended a thread of the node.
@@ -210,11 +210,11 @@ class Node(ABC):
 
         Args:
             topic: ROS name without the first slash.
-            type_name: message type, such as `sensor_msgs/msg/Image`.
+            type_name: such as `sensor_msgs/msg/Image`.
             qos: by default the node's.
 
         Raises:
-            OptionError: the backend has no such quality of service or does not know the type.
+            OptionError: the backend does not have this quality of service or type.
         """
 
     @abstractmethod

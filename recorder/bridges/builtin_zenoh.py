@@ -79,7 +79,7 @@ def main(configuration: Path) -> None:
             for name in side.puts
         ]
         serve([node], forwarder, f"domain {side.domain_id} and zenoh")
-        for subscriber in subscribers:  # before the node that they publish to is closed
+        for subscriber in subscribers:  # they publish to the node
             subscriber.undeclare()
 
 

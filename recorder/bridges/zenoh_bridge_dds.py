@@ -1,6 +1,6 @@
 """`zenoh-bridge-dds`: Eclipse zenoh's bridge for DDS, the paper's choice for Cyclone DDS; one half for each domain.
 
-It comes as a program, and as a plugin of zenoh's router (`zenohd`); one configuration fits both.
+It comes as a program, and as a plugin of zenoh's router (`zenohd`).
 """
 
 from __future__ import annotations

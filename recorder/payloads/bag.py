@@ -32,8 +32,7 @@ def load_payload(
     """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate.
 
     Raises:
-        StoppedError: `stop` was set.
-        OptionError: the bag, the topic or its type cannot be used, or there is too much data.
+        OptionError: the bag, the topic or its type cannot be used.
         BackendUnavailableError: rosbags is not installed.
     """
     name, topic = split_topic(where)

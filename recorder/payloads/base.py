@@ -55,7 +55,6 @@ class Payload:
     Attributes:
         payload_bytes: application bytes of the largest message.
         rate_hz: recorded rate, None if there is none.
-        source: value of `--data`; empty for random data.
         feed: live source of the messages; then `messages` are for probes.
     """
 

@@ -1,7 +1,4 @@
-"""The stamp of each message: `dt1:` run, sequence and relay in hex, 46 ASCII characters (`docs/trace-format.md`).
-
-Its length is constant, so that it can be changed in a serialized buffer.
-"""
+"""The stamp of each message: `dt1:` run, sequence and relay in hex, always 46 ASCII characters (`docs/trace-format.md`)."""
 
 from __future__ import annotations
 

@@ -40,11 +40,7 @@ def check_name(name: str) -> None:
 
 @contextmanager
 def open_payload(name: str, context: PayloadContext) -> Iterator[Payload]:
-    """Open the live payload of the topic `name`, on a node of its own: the one that stamps T2 must not be busy.
-
-    Raises:
-        OptionError: nothing is published on the topic, it is ours, or its type cannot carry the stamp.
-    """
+    """Open the live payload of the topic `name`, on a node of its own: the one that stamps T2 must not be busy."""
     check_name(name)
     topic, where = name.strip("/"), f"--data topic:{name}"
     own_types, stop = context.own_types, context.stop

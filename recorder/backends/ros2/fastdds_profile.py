@@ -109,7 +109,7 @@ _LAYOUTS = {
     Transport.SHM: ((_SHM,), ""),
     Transport.LARGE_DATA: ((_SHM, _TCP, _UDP), _LARGE_DATA_DISCOVERY),
 }
-"""Transport -> transports of the profile, and how its participants find each other (empty: through shared memory)."""
+"""Transport -> transports of the profile, and its discovery (empty: through shared memory)."""
 
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
@@ -193,11 +193,7 @@ _loaded: list[str | None] = []
 
 @contextmanager
 def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]]:
-    """Make the node of the block use the transport and the tuning of its options; yield settings for the session.
-
-    Raises:
-        OptionError: the middleware, the user's profile or an earlier node of this process does not allow it.
-    """
+    """Make the node of the block use the transport and the tuning of its options; yield settings for the session."""
     if ros_middleware(rmw).vendor != "fastdds" or options.discovery is not Discovery.LOCALHOST:
         set_transport(options, rmw)
         yield {}

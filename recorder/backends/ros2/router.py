@@ -1,7 +1,6 @@
 """The router of rmw_zenoh, without which its nodes do not find each other.
 
-A running router is used. Else a node under localhost discovery starts one and ends it when it closes; on a network the
-user has to start and connect the routers of the devices.
+A node under localhost discovery starts a router if none runs; on a network the user has to start the routers.
 """
 
 from __future__ import annotations
@@ -53,11 +52,7 @@ class Router:
 
 
 def open_router(rmw: str, discovery: Discovery, patience_s: float = PATIENCE_S) -> Router:
-    """Return the router that nodes of `rmw` need: one that listens, or under localhost discovery a new one.
-
-    Raises:
-        BackendUnavailableError: no router listens, and none can be started.
-    """
+    """Return the router that nodes of `rmw` need; raise a `BackendUnavailableError` if there is none."""
     middleware = ros_middleware(rmw)
     if not middleware.router:
         return Router()

@@ -241,7 +241,7 @@ class _TcpPeer:
                 self._writing.wake()
 
     def read(self, receivers: Receivers, delivering: FastLock) -> None:
-        """Deliver each frame until the connection ends, or something arrives that is not a frame.
+        """Deliver each frame until the connection ends or is broken.
 
         Each read expects a frame like the last one, in memory allocated beforehand: one call of the kernel and no copy.
         """

@@ -106,7 +106,7 @@ def end_all(program: subprocess.Popen[bytes], drain: Drain, patience_s: float) -
 
 
 class Drain:
-    """The reader of the program's output, which waits for its end or for the request to stop."""
+    """The reader of the program's output."""
 
     def __init__(self, program: subprocess.Popen[bytes], log: BoundedLog) -> None:
         assert program.stdout is not None

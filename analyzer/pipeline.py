@@ -119,7 +119,7 @@ def _analyze(
 
     campaign = engine.load(location, own, progress)
     exchanges = find_exchanges(campaign)
-    grouping = group_exchanges(exchanges.held)
+    grouping = group_exchanges(exchanges.placed)
     batches = plan_batches(grouping, options)
     origin = provenance(campaign, exchanges)
     with RowWriter(outputs.get("roundtrips"), origin) as writer:
@@ -179,5 +179,5 @@ def _write_rows(outputs: Iterable[BatchOutput], writer: RowWriter) -> Iterator[B
 
 def _runs_by_start(campaign: Campaign, exchanges: Exchanges) -> tuple[Run, ...]:
     """Return runs with messages in the order of their rows, then runs without."""
-    started = {exchange.run.run_id: exchange.run for exchange in exchanges.held}
+    started = {exchange.run.run_id: exchange.run for exchange in exchanges.placed}
     return (*started.values(), *(run for run_id, run in campaign.runs.items() if run_id not in started))

@@ -1,4 +1,4 @@
-"""Boots of a device, and its wall clock beside its monotonic clock, by what its sessions recorded."""
+"""Boots of a device, and its wall clock against its monotonic clock, from its sessions."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
 
 _SAME_BOOT_S = 2
-"""Seconds by which the wall clock at monotonic zero of two sessions of one boot differs at most: NTP slews it."""
+"""Largest difference of the wall clock at monotonic zero between two sessions of one boot: NTP slews it."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Boot:
-    """A boot of a device: its number, and the kernel's text for it, None where no session tells."""
+    """A boot of a device: its number, and the kernel's id of it, None if unknown."""
 
     number: int
     boot_id: str | None
 
-    def holds(self, zero_s: int, boot_id: str | None) -> bool:
-        """Return whether a session is of this boot: by the kernel's text, else by its wall clock at monotonic zero."""
+    def includes(self, zero_s: int, boot_id: str | None) -> bool:
+        """Return whether a session is of this boot: by the kernel's id, else by its wall clock at monotonic zero."""
         if boot_id is not None and self.boot_id is not None:
             return boot_id == self.boot_id
         return abs(self.number - zero_s) < _SAME_BOOT_S
 
 
 def boot_id_of(session: Session) -> str | None:
-    """Return the kernel's random text of the boot in which a session was recorded; None of an older recorder."""
+    """Return the kernel's id of the boot in which a session was recorded; None for an older recorder."""
     boot_id = session.extra.get("boot_id")
     return boot_id if isinstance(boot_id, str) and boot_id else None
 
 
 def machine_of(session: Session) -> str:
-    """Return what names the machine of a session: its boot id, or its device's name where the session tells none."""
+    """Return what identifies the machine of a session: its boot id, else the name of its device."""
     return boot_id_of(session) or session.device
 
 
@@ -48,9 +48,7 @@ def share_boot(one: Session, other: Session | None) -> bool | None:
 def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
     """Return the boot of the ping's device in which each run took place, as a number.
 
-    A device's monotonic clock starts again at every boot, so stamps of two boots must not be mixed. Sessions of one
-    device with equal boot ids are of one boot. Sessions of recorders that did not write it are of one boot if their
-    monotonic zero lies at the same wall clock time, within two seconds.
+    Stamps of two boots must not be mixed: the monotonic clock starts again at every boot.
 
     Returns:
         run_id -> wall clock at monotonic zero in whole seconds, which numbers the boot; 0 for a run that does not name
@@ -61,10 +59,10 @@ def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, in
     for session in sessions:
         zero_s, boot_id = _monotonic_zero_ns(session) // 1_000_000_000, boot_id_of(session)
         boots = boots_of_device.setdefault(session.device, [])
-        boot = next((known for known in boots if known.holds(zero_s, boot_id)), None)
+        boot = next((other for other in boots if other.includes(zero_s, boot_id)), None)
         if boot is None:
             while any(
-                known.number == zero_s for known in boots
+                other.number == zero_s for other in boots
             ):  # two machines of one name, started together
                 zero_s += 1
             boot = _Boot(zero_s, boot_id)

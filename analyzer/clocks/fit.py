@@ -6,20 +6,18 @@ way out and its way back bound theta:
     T4 - T2  <=  theta  <=  T3 - T1
 
 The interval is `rtt - intermediate` wide whatever the network does, so its middle is wrong by at most half
-of that (RFC 5905, section 8: offset and delay). Where in the interval theta lies cannot be seen from stamps:
-a link that is slower one way than the other looks like a clock that is off by half the difference.
+of that (RFC 5905, section 8: offset and delay). Stamps cannot show where in the interval theta is:
+a link that is slower one way looks like a clock that is off by half the difference.
 
 Two assumptions give a slow message the interval of its fast neighbours:
 - clocks part by at most `DRIFT_LIMIT_PPB`. A message whose interval cannot be reached from the earlier ones at
   that rate shows a step (clock set, suspend, reboot) and splits the fit;
 - within a window of `WINDOW_NS` theta is a straight line. All lines that respect every message of the window
-  are kept, and the bound is what they leave open (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms
+  remain possible, and the bound is what they leave open (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms
   for network measurements", INFOCOM 2002; S. Moon, P. Skelly, D. Towsley, INFOCOM 1999; Huygens, NSDI 2018,
   keeps the fastest messages for the same reason as NTP's clock filter, RFC 5905, section 10). A window
-  whose messages no line respects, or one half of which puts the offset outside of the window's bound, is halved until
-  that is over. A clock that bends by 100 ppm in a window leaves lines that are wrong for 24 % of the messages, and with
-  this rule for 3 % (40 simulated fits, 20 Hz, 0.1 ms and exponential 0.2 ms each way); of 840 windows of straight clocks,
-  whose fastest messages took 10 us or longer each way, one was halved.
+  whose messages no line respects, or a half of which puts the offset outside the window's bound, is halved. For a clock that
+  bends by 100 ppm in a window, that reduces wrong bounds from 24 % of the messages to 3 %.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ T = TypeVar("T", int, NDArray[np.int64])
 
 
 _BLOCK_MESSAGES = 1 << 14
-"""Messages that are worked at together."""
+"""Messages that are processed together."""
 
 
 class ClockKnot(NamedTuple):
@@ -117,12 +115,11 @@ class ClockFit:
         ping_device: name of the device of T1 and T2.
         relay_device: name of the device of T3 and T4.
         boot: number of the boot of the ping's device (`boots.ping_boots`).
-        same_clock: whether both sides are of one boot of one machine (where no boot id tells: have one name), and an
-            offset of zero agrees with every message. The segments are then a check of the method, and one-way times
-            are exact.
+        same_clock: whether both sides are of one boot of one machine (without boot ids: have one name), and an offset of zero agrees
+            with every message. One-way times are then exact.
         segments: stretches between steps, in order of time; empty without a message that has all four stamps.
         steps: jumps between the segments, one fewer than these.
-        relay_boot: the kernel's text for the boot of the relay's device; None where no session tells.
+        relay_boot: the kernel's id of the boot of the relay's device; None if unknown.
     """
 
     ping_device: str
@@ -159,7 +156,7 @@ class RelayedMessages:
         ping_device: name of the device of T1 and T2.
         relay_device: name of the device of T3 and T4.
         boot: number of the boot of the ping's device (`boots.ping_boots`).
-        relay_boot: the kernel's text for the boot of the relay's device, if known.
+        relay_boot: the kernel's id of the boot of the relay's device, if known.
         same_boot: whether both sides are of one boot of one machine (`boots.share_boot`); None lets names decide.
     """
 
@@ -180,7 +177,7 @@ class _Points:
 
     Attributes:
         points: the bounds, which `fit_windows` narrows; T1 and T2 stand for the instant halfway between them.
-        order: position of each message in the input; None where the input has the order of time.
+        order: position of each message in the input; None where the input is in order of time.
         time_origin_ns: what was subtracted from the instants.
         offset_origin_ns: what was subtracted from the bounds.
         same_clock: as in `ClockFit`.
@@ -194,23 +191,23 @@ class _Points:
 
     @classmethod
     def of(cls, messages: RelayedMessages, points: OffsetIntervals) -> _Points:
-        """Return the bounds of some messages, at least one, which are put into `points`.
+        """Return the bounds of some messages, at least one, written into `points`.
 
         Raises:
             ValueError: a message has `rtt < intermediate`.
         """
-        held = cls._in_order(messages, points, None)
-        if held is None:
+        ordered = cls._in_order(messages, points, None)
+        if ordered is None:
             at_ns = _half_way(messages.publish_ns, messages.receive_ns - messages.publish_ns)
-            held = cls._in_order(messages, points, np.argsort(at_ns, kind="stable"))
-            assert held is not None
-        return held
+            ordered = cls._in_order(messages, points, np.argsort(at_ns, kind="stable"))
+            assert ordered is not None
+        return ordered
 
     @classmethod
     def _in_order(
         cls, messages: RelayedMessages, points: OffsetIntervals, order: Int64 | None
     ) -> _Points | None:
-        """Return the bounds in this order, as `of` does; None if it is not that of time."""
+        """Return the bounds in this order, as `of` does; None if it is not the order of time."""
         first = 0 if order is None else int(order[0])
         publish_ns, receive_ns = int(messages.publish_ns[first]), int(messages.receive_ns[first])
         time_origin_ns = last_ns = _half_way(publish_ns, receive_ns - publish_ns)
@@ -246,12 +243,7 @@ class _Points:
         return cls(points, order, time_origin_ns, offset_origin_ns, same_clock)
 
     def offsets(self, offset_ns: Int64, bound_ns: Int64) -> ClockOffsets:
-        """Return the offset at each message, in the order of the input; lines have narrowed the bounds.
-
-        Args:
-            offset_ns: takes the offsets, if it can.
-            bound_ns: the bounds.
-        """
+        """Return the offset at each message, in the order of the input, if possible in these two arrays."""
         if self.same_clock:
             zero = np.zeros(len(offset_ns), np.int64)
             return ClockOffsets(zero, zero)
@@ -273,7 +265,7 @@ class _Points:
 
 
 def _blocks(messages: int) -> Iterator[slice]:
-    """Yield the messages in blocks whose arrays stay in the cache of a core: a third of the time of whole arrays."""
+    """Yield the messages in blocks whose arrays stay in the cache of a core."""
     return (slice(first, first + _BLOCK_MESSAGES) for first in range(0, messages, _BLOCK_MESSAGES))
 
 
@@ -285,84 +277,78 @@ def _half_way(publish_ns: T, rtt_ns: T) -> T:
 def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOffsets]]:
     """Fit the relay's clock against the ping's, and return each fit with the offset at each message.
 
-    The windows of all fits are worked at together (`windows.fit_windows`); no fit depends on another one.
-
-    Args:
-        fits: messages of each fit.
+    The windows of all fits are processed together (`windows.fit_windows`); no fit depends on another.
 
     Raises:
         ValueError: a message has `rtt < intermediate`.
     """
     edges = np.cumsum([0, *(len(messages.publish_ns) for messages in fits)]).tolist()
-    # In one piece, for which numpy asks for large pages where three would be too small: less time than to fill them page by page.
+    # One array: numpy asks for large pages, which are filled faster.
     points = OffsetIntervals(*np.empty((3, edges[-1])))
-    held = [
+    all_points = [
         _Points.of(messages, points.part(first, after)) if after > first else None
         for messages, (first, after) in zip(fits, pairwise(edges), strict=True)
     ]
     stretches = [
-        [(first + start, first + stop) for start, stop in find_stretches(of_fit.points)] if of_fit else []
-        for of_fit, first in zip(held, edges[:-1], strict=True)
+        [(first + start, first + stop) for start, stop in find_stretches(fit_points.points)]
+        if fit_points
+        else []
+        for fit_points, first in zip(all_points, edges[:-1], strict=True)
     ]
-    windows = fit_windows(points, [stretch for of_fit in stretches for stretch in of_fit])
-    offset_ns, bound_ns = np.empty((2, edges[-1]), np.int64)  # in one piece, too
+    windows = fit_windows(points, [stretch for fit_points in stretches for stretch in fit_points])
+    offset_ns, bound_ns = np.empty((2, edges[-1]), np.int64)
     fitted = []
-    for messages, of_fit, own, (first, after) in zip(fits, held, stretches, pairwise(edges), strict=True):
+    for messages, fit_points, own, (first, after) in zip(
+        fits, all_points, stretches, pairwise(edges), strict=True
+    ):
         names = messages.ping_device, messages.relay_device, messages.boot
-        if of_fit is None:
+        if fit_points is None:
             nothing = np.empty(0, np.int64)
             no_fit = ClockFit(*names, False, (), (), messages.relay_boot)
             fitted.append((no_fit, ClockOffsets(nothing, nothing)))
             continue
-        segments, steps = _segments(points.time, windows, own, of_fit)
-        fit = ClockFit(*names, of_fit.same_clock, segments, steps, messages.relay_boot)
-        fitted.append((fit, of_fit.offsets(offset_ns[first:after], bound_ns[first:after])))
+        segments, steps = _segments(points.time, windows, own, fit_points)
+        fit = ClockFit(*names, fit_points.same_clock, segments, steps, messages.relay_boot)
+        fitted.append((fit, fit_points.offsets(offset_ns[first:after], bound_ns[first:after])))
     return fitted
 
 
 def _segments(
-    time: Float64, windows: Windows, stretches: Sequence[tuple[int, int]], of_fit: _Points
+    time: Float64, windows: Windows, stretches: Sequence[tuple[int, int]], fit_points: _Points
 ) -> tuple[tuple[ClockSegment, ...], tuple[ClockStep, ...]]:
-    """Return the segments of one fit, and the steps between them, with the origins added again."""
+    """Return the segments of one fit, and the steps between them."""
     segments: list[ClockSegment] = []
     steps: list[ClockStep] = []
-    last, before = 0, 0  # the last window, and the message behind it
+    last, before = 0, 0  # the last window, and the message after it
     for start, stop in stretches:
         first, after = np.searchsorted(windows.start, (start, stop)).tolist()
         if first == after:  # no line at all: each of its messages keeps its own bound
             continue
         if segments:
             edge = time[[before - 1, start]]
-            steps.append(_step(edge, windows.last[last], windows.first[first], of_fit.time_origin_ns))
-        segments.append(_segment(time[start:stop], windows, slice(first, after), of_fit))
+            steps.append(_step(edge, windows.last[last], windows.first[first], fit_points.time_origin_ns))
+        segments.append(_segment(time[start:stop], windows, slice(first, after), fit_points))
         last, before = after - 1, stop
     return tuple(segments), tuple(steps)
 
 
-def _segment(time: Float64, windows: Windows, held: slice, of_fit: _Points) -> ClockSegment:
-    """Return a segment from the best instants of its windows.
-
-    Args:
-        time: of its messages.
-        windows: those of all fits.
-        held: which of them are the segment's.
-        of_fit: the messages of the fit, for its origins.
-    """
-    at, offset, bound = windows.time[held], windows.offset[held], windows.bound[held]
+def _segment(time: Float64, windows: Windows, own: slice, fit_points: _Points) -> ClockSegment:
+    """Return a segment from the best instants of its windows, `own` of all windows; `time` is of its messages."""
+    at, offset, bound = windows.time[own], windows.offset[own], windows.bound[own]
     if len(at) > 1:
         drift = (offset[-1] - offset[0]) / (at[-1] - at[0])
         drift_bound = (bound[-1] + bound[0]) / (at[-1] - at[0])
     else:
-        gentle, steep = windows.steepness[held.start]
+        gentle, steep = windows.steepness[own.start]
         drift, drift_bound = (steep + gentle) / 2, (steep - gentle) / 2
-    at_ns = (of_fit.time_origin_ns + np.rint(at).astype(np.int64)).tolist()
-    offset_ns = (of_fit.offset_origin_ns + np.rint(offset).astype(np.int64)).tolist()
+    at_ns = (fit_points.time_origin_ns + np.rint(at).astype(np.int64)).tolist()
+    offset_ns = (fit_points.offset_origin_ns + np.rint(offset).astype(np.int64)).tolist()
     bound_ns = np.ceil(bound + 0.5).astype(np.int64).tolist()
     knots = tuple(map(ClockKnot._make, zip(at_ns, offset_ns, bound_ns, strict=True)))
     best = knots[bound_ns.index(min(bound_ns))]
     return ClockSegment(
-        start_ns=of_fit.time_origin_ns + int(time[0]),
-        end_ns=of_fit.time_origin_ns + int(time[-1]),
+        start_ns=fit_points.time_origin_ns + int(time[0]),
+        end_ns=fit_points.time_origin_ns + int(time[-1]),
         messages=len(time),
         at_ns=best.at_ns,
         offset_ns=best.offset_ns,

@@ -1,7 +1,6 @@
 """Convex hulls of many windows at once: the points that all lines of a window must pass below, or above.
 
-Rows of a matrix are windows, and each step is one numpy operation over all of them: a window of ten seconds costs microseconds,
-where a loop over windows costs most of a millisecond.
+Rows of a matrix are windows; each step is one numpy operation over all of them.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ def part_edges(start: Intp, stop: Intp) -> Intp:
     """Cut windows into `CANDIDATES` parts of equal length, or one for each message of a shorter window.
 
     Args:
-        start: first message of each window, rising; no window reaches into the next.
-        stop: the message behind its last.
+        start: first message of each window, ascending; no window reaches into the next.
+        stop: the message after its last.
 
     Returns:
         Shape (windows, parts + 1): edges of the parts; a window that is shorter than others has empty parts at its end.
@@ -39,22 +38,25 @@ def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
 
     Args:
         height: of every message.
-        edges: shape (windows, parts + 1), edges of the parts, rising over all of it. An empty part takes the point before it.
+        edges: shape (windows, parts + 1), edges of the parts, ascending. An empty part takes the point before it.
 
     Returns:
         Shape (windows, parts): indices of messages.
     """
     begins = edges.ravel()
     lengths = np.diff(begins, append=max(len(height), int(begins[-1])))
-    held = lengths > 0
-    first, lengths = begins[held], lengths[held]  # what lies between two windows is a part of its own here
+    is_full = lengths > 0
+    first, lengths = (
+        begins[is_full],
+        lengths[is_full],
+    )  # messages between two windows are a part of their own here
     lowest = np.minimum.reduceat(height, first)
     at = np.flatnonzero(height[first[0] :] == np.repeat(lowest, lengths)) + first[0]
     if len(at) > len(first):  # equal points in a part
         part = np.repeat(np.arange(len(first)), lengths)[at - first[0]]
         at = at[np.diff(part, prepend=-1) > 0]
-    place = np.maximum(np.cumsum(held) - 1, 0)
-    lowest_of: Intp = at[place].reshape(edges.shape)[:, :-1]
+    index = np.maximum(np.cumsum(is_full) - 1, 0)
+    lowest_of: Intp = at[index].reshape(edges.shape)[:, :-1]
     return lowest_of
 
 

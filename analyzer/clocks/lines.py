@@ -32,7 +32,7 @@ ROUNDING_NS = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetIntervals:
-    """Bounds on theta by each message alone: between `lower` and `upper` at `time`; without origins, so floats are exact."""
+    """Bounds on theta by each message: between `lower` and `upper` at `time`; without origins, so floats are exact."""
 
     time: Float64
     lower: Float64
@@ -55,7 +55,7 @@ class Boundary:
     """The greatest heights that the lines of each window reach: straight pieces, one after another in time.
 
     Attributes:
-        slope: shape (windows, pieces), rising; a window with fewer pieces has some of them twice.
+        slope: shape (windows, pieces), ascending; a window with fewer pieces has some of them twice.
         height: of each piece at the window's centre.
         breaks: shape (windows, pieces - 1): the last message of each piece but the last; the next piece begins there, too.
     """
@@ -100,8 +100,8 @@ class Boundary:
         """
         reached = self.height[:, :1] + self.slope[:, :1] * time
         for piece in range(1, self.slope.shape[1]):
-            of_piece = slice(piece, piece + 1)
-            np.maximum(reached, self.height[:, of_piece] + self.slope[:, of_piece] * time, out=reached)
+            own = slice(piece, piece + 1)
+            np.maximum(reached, self.height[:, own] + self.slope[:, own] * time, out=reached)
         return reached
 
     def take(self, windows: Bools | Intp | slice) -> Boundary:
@@ -114,11 +114,11 @@ class Lines:
     """All lines that agree with the messages of each window, by the corners of their set.
 
     Attributes:
-        exist: whether a window has any; where it has none, all else is of no use.
+        exist: whether a window has any; else its other values have no meaning.
         centre: instant of the heights of the boundaries.
         steepness: shape (windows, 2): slope of the gentlest and of the steepest line.
         above: the greatest heights.
-        below: the least heights, upside down: heights and slopes with the other sign are those of a boundary above.
+        below: the least heights, upside down: heights and slopes with the other sign, as a boundary above.
     """
 
     exist: Bools
@@ -133,8 +133,8 @@ class Lines:
 
         Args:
             points: messages.
-            start: first message of each window, rising.
-            stop: the message behind its last; no window reaches into the next.
+            start: first message of each window, ascending.
+            stop: the message after its last; no window reaches into the next.
         """
         centre = points.time[start + (stop - start) // 2]
         edges = part_edges(start, stop)
@@ -152,7 +152,7 @@ class Lines:
         possible = high + low >= -ROUNDING_NS
         # Where rounding leaves one of the two, it is both.
         stand_in = possible[:, ::-1] & ~possible
-        steepness, high, low = (np.where(stand_in, each[:, ::-1], each) for each in (steepness, high, low))
+        steepness, high, low = (np.where(stand_in, pair[:, ::-1], pair) for pair in (steepness, high, low))
         return cls(
             possible[:, 0] | possible[:, 1],
             centre,
@@ -196,7 +196,7 @@ def least_height(time: Float64, height: Float64, slope: Float64) -> Float64:
 def _hulls(points: OffsetIntervals, edges: Intp, centre: Float64) -> Iterator[tuple[Intp, Float64, Float64]]:
     """Yield the messages of each window's lower hull, their instants from its centre, and their heights.
 
-    That of the upper ends, then that of the lower ends upside down.
+    First the hull of the upper ends, then of the lower ends upside down.
     """
     heights = points.upper, -points.lower
     lowest = [lowest_of_parts(height, edges) for height in heights]

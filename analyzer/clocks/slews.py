@@ -31,13 +31,11 @@ _BARELY = 3
 that was set jumps by many times the bound of a fast link."""
 
 _GAIN_NS = 100_000
-"""Gain on CLOCK_MONOTONIC_RAW within a window of ten seconds beyond the steady rate that is a slew. The frequency that NTP
-holds moves by well under 1 ppm at once (10 us); 0.1 ms is what the offset of a fast link is known by. Of 2000 simulated
-sessions of ten minutes, with readings that are off by 1 us and a frequency that wanders by 0.1 ppm every 16 s, none is
-taken for slewed."""
+"""Gain on CLOCK_MONOTONIC_RAW in ten seconds, beyond the steady rate, that is a slew: NTP moves its frequency by well under 1 ppm at
+once (10 us)."""
 
 _NEARLY = 0.95
-"""Share of the fastest rate that is the same slew: its begin and end lie between two knots."""
+"""Share of the fastest rate that is the same slew: its start and end are between two knots."""
 
 _MOST_KNOTS = 1000
 """Knots that the rate is sought between, evenly chosen: all pairs are compared."""
@@ -84,7 +82,7 @@ class Slew:
     Attributes:
         first: position of the stretch that its first step began.
         after: position after the stretch that its last step began.
-        start_ns: begin of the time over which the rate is known best, ping's monotonic clock.
+        start_ns: start of the time over which the rate is known best, ping's monotonic clock.
         end_ns: end of that time.
         rate_ppm: mean rate at which the relay's clock gained on the ping's in that time.
         bound_ppm: the rate is wrong by at most this.
@@ -105,25 +103,25 @@ def find_slews(
 
     A step goes on with a chain if it comes within a window of the step before it, or if it is barely more than its bound and
     the clock may have run fast since then. The chain is a slew if it has three steps, or if all of its steps are barely more
-    than their bounds and the clock surely ran fast beside one of them.
+    than their bounds and the clock surely ran fast next to one of them.
 
     Args:
         stretches: segments of a fit, in order.
-        at_ns: instant of each knot of the fit's runs, rising, int64.
+        at_ns: instant of each knot of the fit's runs, ascending, int64.
         offset_ns: relay's clock minus ping's at the knot.
         bound_ns: the offset is wrong by at most this.
     """
     for first, after in _chains(stretches):
         way = 1 if stretches[first].step_ns > 0 else -1
-        may_be_jumps = not all(each.steps_barely for each in stretches[first:after])
-        is_fast = any(each.is_fast(way) for each in stretches[first - 1 : after])
+        may_be_jumps = not all(stretch.steps_barely for stretch in stretches[first:after])
+        is_fast = any(stretch.is_fast(way) for stretch in stretches[first - 1 : after])
         if after - first < _STEPS and (may_be_jumps or not is_fast):
             continue
         begin, end = stretches[first - 1].start_ns, stretches[after - 1].end_ns
-        held = np.flatnonzero((at_ns >= begin) & (at_ns <= end))
-        held = held[:: -(-len(held) // _MOST_KNOTS) or 1]
-        if len(held) > 1:
-            yield _of_best_pair(first, after, way, at_ns[held], offset_ns[held], bound_ns[held])
+        knots = np.flatnonzero((at_ns >= begin) & (at_ns <= end))
+        knots = knots[:: -(-len(knots) // _MOST_KNOTS) or 1]
+        if len(knots) > 1:
+            yield _of_best_pair(first, after, way, at_ns[knots], offset_ns[knots], bound_ns[knots])
 
 
 def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:
@@ -150,8 +148,7 @@ def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int
     lasted_ns = np.maximum(at_ns[other] - at_ns[one], 1).astype(np.float64)
     gain_ns = (offset_ns[other] - offset_ns[one]).astype(np.float64)
     unsure_ns = (bound_ns[other] + bound_ns[one]).astype(np.float64)
-    # Over less than a window a few knots decide, and one of a bent window may be wrong by more than its bound: so not the
-    # fastest pair counts, but the longest one that is nearly as fast.
+    # Not the fastest pair but the longest that is nearly as fast: a knot of a bent window may be wrong by more than its bound.
     enough = lasted_ns >= min(WINDOW_NS, lasted_ns.max())
     proven = np.where(enough, (way * gain_ns - unsure_ns) / lasted_ns, -np.inf)
     best = int(np.argmax(np.where(proven >= _NEARLY * proven.max(), lasted_ns, 0)))
@@ -169,7 +166,7 @@ def slewed_ppm(monotonic_ns: Int64, raw_ns: Int64) -> float:
     """Return the fastest slew of a device's monotonic clock in parts per million, 0 if it ran steadily.
 
     Args:
-        monotonic_ns: CLOCK_MONOTONIC of each host sample, rising, int64.
+        monotonic_ns: CLOCK_MONOTONIC of each host sample, ascending, int64.
         raw_ns: CLOCK_MONOTONIC_RAW at the same instants.
     """
     if len(monotonic_ns) < _STEPS:
@@ -184,7 +181,7 @@ def slewed_ppm(monotonic_ns: Int64, raw_ns: Int64) -> float:
     after = np.minimum(np.searchsorted(elapsed_ns, elapsed_ns + WINDOW_NS), len(elapsed_ns) - 1)
     lasted_ns = np.maximum(elapsed_ns[after] - elapsed_ns, 1)
     beyond_ns = gain_ns[after] - gain_ns - steady * lasted_ns
-    # Samples lie a second apart, but a gap in them must not gather what a steady frequency adds.
+    # A gap between samples must not collect what a steady frequency adds.
     is_window = (lasted_ns <= 2 * WINDOW_NS) & (np.abs(beyond_ns) >= _GAIN_NS)
     if not is_window.any():
         return 0.0

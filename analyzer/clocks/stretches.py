@@ -13,19 +13,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _BLOCKS = (1 << 12, 1 << 17)
-"""Messages that are searched for a step at once: at the begin of a stretch, and at most. A clock that is slewed has steps close
-to one another."""
+"""Messages that are searched for a step at once: at the start of a stretch, where a slewed clock has the next step, and at most."""
 
 _PART = 32
-"""Messages that are looked at together first."""
+"""Messages that are first checked together."""
 
 _MESSAGES_AFTER_STEP = 64
-"""Messages after a step that tell which messages before it they cannot explain."""
+"""Messages after a step that decide which messages before it are surely older."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """What some messages say of the offset at a later instant `t`: it is from `bottom - DRIFT * t` to `top + DRIFT * t`.
+    """Limits of some messages on the offset at a later instant `t`: it is from `bottom - DRIFT * t` to `top + DRIFT * t`.
 
     Attributes:
         top: least `upper - DRIFT * time`.
@@ -59,36 +58,30 @@ def find_stretches(points: OffsetIntervals) -> Iterator[tuple[int, int]]:
 
 
 def _first_out_of_reach(points: OffsetIntervals, start: int) -> int:
-    """Return the index of the first message that no drift up to `DRIFT` reaches from those since `start`."""
-    of_parts, exact = _Limits(), _Limits()
-    looked_at = start  # up to here by `exact`: messages that a look at parts settles need it never
+    """Return the index of the first message that no drift up to `DRIFT` reaches from the messages since `start`."""
+    coarse, exact = _Limits(), _Limits()
+    checked = start  # `exact` has the messages before; those that the parts settle are never needed
     begin, size = start, _BLOCKS[0]
     while begin < len(points):
         part = points.part(begin, begin + size)
-        is_settled, of_parts = _look_at_parts(part, of_parts)
+        is_settled, coarse = _check_parts(part, coarse)
         if not is_settled:
-            exact = exact.with_messages(points.part(looked_at, begin))
+            exact = exact.with_messages(points.part(checked, begin))
             reach = DRIFT * part.time
             top = np.minimum.accumulate(np.append(exact.top, part.upper - reach))
             bottom = np.maximum.accumulate(np.append(exact.bottom, part.lower + reach))
             out = (part.lower > top[:-1] + reach) | (part.upper < bottom[:-1] - reach)
             if out.any():
                 return begin + int(out.argmax())
-            exact, looked_at = _Limits(float(top[-1]), float(bottom[-1])), begin + len(part)
+            exact, checked = _Limits(float(top[-1]), float(bottom[-1])), begin + len(part)
         begin, size = begin + size, min(2 * size, _BLOCKS[1])
     return len(points)
 
 
-def _look_at_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limits]:
-    """Return whether a look at parts tells already that drifts up to `DRIFT` reach every message, and the limits behind them.
+def _check_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limits]:
+    """Return whether parts prove that drifts up to `DRIFT` reach every message, and limits after them.
 
-    Args:
-        points: messages.
-        before: limits that the messages before them set, or tighter ones.
-
-    Returns:
-        Limits as tight as those that the messages set, or tighter: each part counts as if all of its messages were its first,
-        seen from the parts behind it.
+    Limits, also `before`, are as tight as the messages set them, or tighter: each part counts as if all its messages were its first.
     """
     first = np.arange(0, len(points), _PART)
     least, most = np.minimum.reduceat(points.upper, first), np.maximum.reduceat(points.lower, first)

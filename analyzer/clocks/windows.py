@@ -1,7 +1,7 @@
 """Windows of time in which the clocks of two devices part along a straight line.
 
-All windows of all fits of a batch are worked at together, level by level: first those of `WINDOW_NS`, then the halves of
-those that no line agrees with or that are bent, until none is left.
+All windows of all fits of a batch are processed together, level by level: windows of `WINDOW_NS`, then the halves of those that are
+bent or that no line agrees with, until none is left.
 """
 
 from __future__ import annotations
@@ -23,18 +23,17 @@ WINDOW_NS = 10_000_000_000
 """Length of a window: crystals wander by well under 0.1 ppm in ten seconds, and 10 Hz gives 100 messages to choose from."""
 
 HALF_MESSAGES = 16
-"""Messages from which on a half of a window is asked: of fewer none may have been fast both ways, and their middle is a guess."""
+"""Least messages of a half that is checked: of fewer, perhaps none was fast both ways."""
 
 _BLOCK_MESSAGES = 1 << 18
 _BLOCK_WINDOWS = 1 << 12
-"""Messages and windows that are worked at together, unless one window has more: arrays of two megabytes, which memory that was
-just freed has room for."""
+"""Messages and windows that are processed together, unless one window has more: arrays of two megabytes."""
 
 _CACHED_MESSAGES = 1 << 15
 """Messages whose bounds are narrowed together: their arrays stay in the cache of a core."""
 
 _INSTANTS = 17
-"""Instants of a window at which its bound is looked at, from its first to its last message."""
+"""Instants of a window at which its bound is computed, from its first to its last message."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +42,7 @@ class Windows:
 
     Attributes:
         start: first message.
-        stop: the message behind the last.
+        stop: the message after the last.
         time: the instant at which the lines are closest together.
         offset: middle of the lines at that instant.
         bound: half of their distance at that instant.
@@ -63,7 +62,7 @@ class Windows:
 
     @classmethod
     def of(cls, points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Windows:
-        """Look at windows whose lines are known."""
+        """Return windows from their lines."""
         begin, end = points.time[start], points.time[stop - 1]
         time = np.arange(_INSTANTS) * ((end - begin) / (_INSTANTS - 1))[:, None] + begin[:, None]
         time[:, -1] = end
@@ -101,8 +100,8 @@ def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -
     A window is at most `WINDOW_NS` long, and halved until a line agrees with it and its halves do (`_are_bent`).
 
     Args:
-        points: messages of any number of fits, one fit behind the other.
-        stretches: first message of each stretch and the message behind its last, rising; each is of one fit.
+        points: messages of any number of fits, one fit after another.
+        stretches: first message of each stretch and the message after its last, ascending; each is of one fit.
 
     Returns:
         The windows in order of their messages. Only the tightest messages shape the lines: one that no line reaches keeps its
@@ -114,9 +113,9 @@ def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -
     start, stop = _cut(points.time, stretches)
     for first, after in _blocks(start, stop, _BLOCK_MESSAGES):
         begin, end = int(start[first]), int(stop[after - 1])
-        of_block = _fit_levels(points.part(begin, end), start[first:after] - begin, stop[first:after] - begin)
-        of_block = of_block.take(np.argsort(of_block.start))
-        fitted.append(replace(of_block, start=of_block.start + begin, stop=of_block.stop + begin))
+        block = _fit_levels(points.part(begin, end), start[first:after] - begin, stop[first:after] - begin)
+        block = block.take(np.argsort(block.start))
+        fitted.append(replace(block, start=block.start + begin, stop=block.stop + begin))
     return Windows.concatenate(fitted)
 
 
@@ -137,7 +136,7 @@ def _cut(time: Float64, stretches: Sequence[tuple[int, int]]) -> tuple[Intp, Int
 
 
 def _blocks(start: Intp, stop: Intp, messages: int) -> Iterator[tuple[int, int]]:
-    """Yield first and after of windows that are worked at together, of so many messages unless one has more."""
+    """Yield first and after of windows that are processed together, of so many messages unless one has more."""
     first = 0
     while first < len(start):
         last = int(np.searchsorted(stop, start[first] + messages, side="right"))
@@ -180,38 +179,39 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
 
 
 def _ranges(start: Intp, stop: Intp) -> Intp:
-    """Return the numbers from each start to its stop (not included), one range behind the other."""
+    """Return the numbers from each start to its stop (not included), one range after another."""
     lengths = stop - start
     numbers: Intp = np.arange(lengths.sum()) + np.repeat(start - (np.cumsum(lengths) - lengths), lengths)
     return numbers
 
 
 def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Bools:
-    """Return which windows have a half that knows an offset which the window's own bound leaves out.
+    """Return which windows have a half whose offset is outside the window's own bound.
 
-    A clock that bends within the window leaves few lines that respect every message, so the window's bound gets small
-    where it is wrong. The half is asked at the instant of the message that bounds the offset best. It has fewer messages
-    to respect, so its bound is never the smaller one: halving widens.
+    A clock that bends leaves few lines that respect every message, so the bound gets small where it is wrong. The half is checked at
+    the message that bounds the offset best; with fewer messages to respect, its bound is never smaller.
     """
     middle = (start + stop) // 2
     begins, ends = np.stack([start, middle], axis=1), np.stack([middle, stop], axis=1)
-    is_asked = (ends - begins >= HALF_MESSAGES) & lines.exist[:, None]
+    is_checked = (ends - begins >= HALF_MESSAGES) & lines.exist[:, None]
     bent = np.zeros(len(start), np.bool_)
-    if not is_asked.any():
+    if not is_checked.any():
         return bent
     width = points.upper - points.lower
     tightest = begins.copy()
-    tightest[is_asked] = lowest_of_parts(width, np.stack([begins[is_asked], ends[is_asked]], axis=1))[:, 0]
+    tightest[is_checked] = lowest_of_parts(width, np.stack([begins[is_checked], ends[is_checked]], axis=1))[
+        :, 0
+    ]
     low, high = lines.range_at(points.time[tightest])
     # The middles part by at most the difference of the bounds, and the half's is at most the message's own.
-    is_asked &= width[tightest] > 2 * (high - low)
-    if not is_asked.any():
+    is_checked &= width[tightest] > 2 * (high - low)
+    if not is_checked.any():
         return bent
-    of_half = Lines.through(points, begins[is_asked], ends[is_asked])
-    lowest, highest = (side[:, 0] for side in of_half.range_at(points.time[tightest[is_asked]][:, None]))
-    low, high = low[is_asked], high[is_asked]
-    disagrees = ~of_half.exist | (np.abs((lowest + highest) - (low + high)) > high - low + 2 * ROUNDING_NS)
-    bent[np.nonzero(is_asked)[0][disagrees]] = True
+    half = Lines.through(points, begins[is_checked], ends[is_checked])
+    lowest, highest = (side[:, 0] for side in half.range_at(points.time[tightest[is_checked]][:, None]))
+    low, high = low[is_checked], high[is_checked]
+    disagrees = ~half.exist | (np.abs((lowest + highest) - (low + high)) > high - low + 2 * ROUNDING_NS)
+    bent[np.nonzero(is_checked)[0][disagrees]] = True
     return bent
 
 
@@ -226,14 +226,14 @@ def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> N
         low = _least(-points.lower[here], part.below, *edges, x)
         np.negative(low, out=low)
         high = _least(points.upper[here], part.above, *edges, x)
-        alone = low > high
-        if alone.any():
-            low[alone], high[alone] = points.lower[here][alone], points.upper[here][alone]
+        none = low > high
+        if none.any():
+            low[none], high[none] = points.lower[here][none], points.upper[here][none]
         points.lower[here], points.upper[here] = low, high
 
 
 def _least(own: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:
-    """Return the lesser of each message's own height and that of its window's boundary."""
+    """Return the lesser of each message's own height and the height of its window's boundary."""
     edges = np.concatenate([start[:, None], boundary.breaks + 1, stop[:, None], following[:, None]], axis=1)
     lengths = np.diff(edges).ravel()
     nothing = np.zeros((len(start), 1))  # a message between two windows keeps its own height

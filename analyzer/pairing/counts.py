@@ -1,4 +1,4 @@
-"""Counts of each exchange, made while it is paired: messages, losses, impossible times, spans of time."""
+"""Counts of each exchange: messages, losses, impossible times, spans of time."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
 to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
 `orphans`: T2, T3 and T4 of counted messages without T1. Of the run: `with_warmup` messages with a T1, warm-up included;
 `repeated` T1 beyond the first of their message; `least_payload_bytes`, `most_payload_bytes` as its T1 name them.
-`unsent`: messages that were due and never published. `in_flight`: messages without a row, since a killed ping does not know
-their fate (both `unsent.py`).
+`unsent`: messages that were due and never published. `in_flight`: messages without a row: the ping was killed before their
+fate was known (both `unsent.py`).
 """
 
 
@@ -98,5 +98,5 @@ def _span_ns(starts_ns: NDArray[np.int64], ends_ns: NDArray[np.int64]) -> int | 
     """Return the time from the first start to the last end, None without both."""
     if not (len(starts_ns) and len(ends_ns)):
         return None
-    # An array and not a number: stamps that are damage may be too far apart for an int64, and wrap in silence.
+    # An array, which wraps silently: damaged stamps may be too far apart for an int64.
     return int((ends_ns.max(keepdims=True) - starts_ns.min())[0])

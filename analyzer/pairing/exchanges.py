@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from ..model.finding import Source
 
     Parts = tuple[EventPart, ...]
-    """The traces that hold events of one stage, run and relay."""
+    """The traces that have events of one stage, run and relay."""
 
 NO_RELAY = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchange:
-    """One run and one relay that took part in it, or no relay (`relay_id` 0); its events are elsewhere.
+    """One run and one relay that took part in it, or no relay (`relay_id` 0).
 
     Attributes:
         run: the ping's description of the run.
@@ -45,7 +45,7 @@ class Exchange:
         end_ns: the run's last T1, likewise.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
         relays: number of relays that took part in the run.
-        flows: number of runs of the ping's machine in the middle of this one, which counts.
+        flows: number of runs of the ping's machine at the middle of this one, itself included.
         replied_ns: first and last T2 of the relay, ping's monotonic clock; None without a reply.
     """
 
@@ -102,7 +102,7 @@ class Unplaced:
         run_id: the run that they name.
         relay_id: the relay that they name, 0 for none.
         events: number of events, copies left out.
-        traces: positions of the traces that hold them.
+        traces: positions of the traces with these events.
     """
 
     reason: str
@@ -117,13 +117,13 @@ class Exchanges:
     """All exchanges of a campaign, and what could not be placed.
 
     Attributes:
-        held: the exchanges in the order of their rows: run by start, then relay.
+        placed: the exchanges in the order of their rows: run by start, then relay.
         unplaced: events that belong to no exchange.
         doubts: exchanges whose sessions are not certain.
         copies: copies among the events that belong to no exchange.
     """
 
-    held: tuple[Exchange, ...]
+    placed: tuple[Exchange, ...]
     unplaced: tuple[Unplaced, ...]
     doubts: tuple[Doubt, ...]
     copies: tuple[Copies, ...]
@@ -136,7 +136,7 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
         MissingEventsError: no published message can be placed.
     """
     published, relayed = _by_run(campaign.events)
-    held: list[Exchange] = []
+    placed: list[Exchange] = []
     unplaced: list[Unplaced] = []
     doubts: list[Doubt] = []
     for run_id in sorted({*published, *relayed}):
@@ -166,7 +166,7 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
             first_ns, last_ns = _first_ns(t1), max(part.last_ns for part in t1)
             start_ns, end_ns = ping.wall_ns(first_ns), ping.wall_ns(last_ns)
             replied_ns = (_first_ns(t2), max(part.last_ns for part in t2)) if t2 else None
-            held.append(
+            placed.append(
                 Exchange(
                     run,
                     ping,
@@ -179,14 +179,14 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
                     replied_ns=replied_ns,
                 )
             )
-    if not held:
+    if not placed:
         raise MissingEventsError(_nothing_to_pair(campaign, unplaced))
-    placed = {key for exchange in held for key in exchange.event_keys()}
-    unplaced_parts = (parts for key, parts in campaign.events.items() if key not in placed)
+    placed_keys = {key for exchange in placed for key in exchange.event_keys()}
+    unplaced_parts = (parts for key, parts in campaign.events.items() if key not in placed_keys)
     copies = (copy for parts in unplaced_parts if len(parts) > 1 for copy in merge_parts(parts)[1])
-    flows = count_flows(exchange.span() for exchange in held)
-    held = sorted((replace(each, flows=flows[each.run.run_id]) for each in held), key=_start)
-    return Exchanges(tuple(held), tuple(unplaced), tuple(doubts), tuple(copies))
+    flows = count_flows(exchange.span() for exchange in placed)
+    placed = sorted((replace(exchange, flows=flows[exchange.run.run_id]) for exchange in placed), key=_start)
+    return Exchanges(tuple(placed), tuple(unplaced), tuple(doubts), tuple(copies))
 
 
 def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, dict[Stage, Parts]]]]:
@@ -215,9 +215,9 @@ def _traces(parts: Parts) -> set[int]:
 
 
 def _unplaced(reason: str, run_id: int, relay_id: int, stages: Iterable[Parts]) -> Unplaced:
-    held = list(stages)
-    events = sum(len(merge_parts(parts)[0]) for parts in held)
-    traces = sorted({part.trace for parts in held for part in parts})
+    parts_of_stages = list(stages)
+    events = sum(len(merge_parts(parts)[0]) for parts in parts_of_stages)
+    traces = sorted({part.trace for parts in parts_of_stages for part in parts})
     return Unplaced(reason, run_id, relay_id, events, tuple(traces))
 
 
@@ -226,8 +226,8 @@ def _start(exchange: Exchange) -> tuple[int, int, int]:
 
 
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
-    """Return why no message of a campaign has a row: the file that is no trace, or what is missing."""
-    unread = [f"{each.path} was not used: {each.detail}" for each in campaign.sources if _is_unread(each)]
+    """Return why no message of a campaign has a row: a file that is not a trace, or what is missing."""
+    unread = [f"{source.path} was not used: {source.detail}" for source in campaign.sources if _is_unread(source)]
     reasons = sorted({_in_words(campaign, events) for events in unplaced}) + unread
     advice = "replace that file, or record the run again" if unread else "add the trace of the ping"
     reason = f": {'; '.join(reasons)}" if reasons else ""

@@ -1,7 +1,6 @@
-"""Runs of one machine at the same time: how many of them a run is one of, and which were each other's load.
+"""Runs of one machine at the same time: the number of flows of each run, and which runs overlap.
 
-Both answers come from the same spans, so that a run is counted among the flows of another one (`setting` of its group) only
-if the two are an overlap as well.
+Both follow from the same spans: a run that counts among the flows of another (`setting` of its group) overlaps with it.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 OVERLAP_NS = 1_000_000_000
-"""Time that two runs share at least, if neither goes on in the middle of the other: NTP slews the wall clocks by which runs
-of two sessions are laid side by side, and one late last message is no load."""
+"""Least common time of two runs of which neither goes on in the middle of the other: NTP slews the wall clocks of the two sessions,
+and one late last message is no load."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -28,7 +27,7 @@ class RunSpan:
         start_ns: the first T1, wall clock.
         end_ns: the last T1.
         run_id: the run.
-        machine: what names the machine of the ping (`boots.machine_of`).
+        machine: machine of the ping (`boots.machine_of`).
     """
 
     start_ns: int
@@ -41,7 +40,7 @@ class RunSpan:
         """Instant halfway between the first and the last T1."""
         return (self.start_ns + self.end_ns) // 2
 
-    def holds(self, instant_ns: int) -> bool:
+    def includes(self, instant_ns: int) -> bool:
         """Return whether the run went on at an instant."""
         return self.start_ns <= instant_ns <= self.end_ns
 
@@ -51,9 +50,9 @@ class Overlap:
     """Two runs of one machine that went on at the same time.
 
     Attributes:
-        one: run_id of the run that began first.
+        one: run_id of the run that started first.
         other: run_id of the other one.
-        share: time that they share over that of the shorter run, 0 to 1.
+        share: common time over the duration of the shorter run, 0 to 1.
         is_mutual: whether each went on in the middle of the other, so that the flows of both count it.
     """
 
@@ -64,25 +63,25 @@ class Overlap:
 
 
 def count_flows(spans: Iterable[RunSpan]) -> dict[int, int]:
-    """Return for each run_id the number of runs of its machine that went on in the middle of it, itself included."""
+    """Return for each run_id the number of runs of its machine at its middle, itself included."""
     flows: dict[int, int] = {}
-    for of_machine in _by_machine(spans):
-        middles = np.array([span.middle_ns for span in of_machine])
-        begun = np.sort([span.start_ns for span in of_machine]).searchsorted(middles, side="right")
-        ended = np.sort([span.end_ns for span in of_machine]).searchsorted(middles, side="left")
-        flows |= zip([span.run_id for span in of_machine], (begun - ended).tolist(), strict=True)
+    for spans_of_machine in _by_machine(spans):
+        middles = np.array([span.middle_ns for span in spans_of_machine])
+        begun = np.sort([span.start_ns for span in spans_of_machine]).searchsorted(middles, side="right")
+        ended = np.sort([span.end_ns for span in spans_of_machine]).searchsorted(middles, side="left")
+        flows |= zip([span.run_id for span in spans_of_machine], (begun - ended).tolist(), strict=True)
     return flows
 
 
 def find_overlaps(spans: Iterable[RunSpan]) -> Iterator[Overlap]:
-    """Yield each pair of runs of one machine that share a second, or of which one went on in the middle of the other."""
-    for of_machine in _by_machine(spans):
+    """Yield each pair of runs of one machine that overlap by a second, or at the middle of one of them."""
+    for spans_of_machine in _by_machine(spans):
         going_on: list[RunSpan] = []
-        for span in sorted(of_machine):
+        for span in sorted(spans_of_machine):
             going_on = [other for other in going_on if other.end_ns >= span.start_ns]
             for other in going_on:
                 common_ns = min(span.end_ns, other.end_ns) - span.start_ns
-                in_middle = other.holds(span.middle_ns), span.holds(other.middle_ns)
+                in_middle = other.includes(span.middle_ns), span.includes(other.middle_ns)
                 if common_ns >= OVERLAP_NS or any(in_middle):
                     shorter_ns = min(span.end_ns - span.start_ns, other.end_ns - other.start_ns)
                     share = common_ns / shorter_ns if shorter_ns else 1.0
@@ -95,4 +94,4 @@ def _by_machine(spans: Iterable[RunSpan]) -> Iterable[list[RunSpan]]:
     machines: dict[str, dict[int, RunSpan]] = defaultdict(dict)
     for span in spans:
         machines[span.machine][span.run_id] = span
-    return [list(of_machine.values()) for of_machine in machines.values()]
+    return [list(spans_of_machine.values()) for spans_of_machine in machines.values()]

@@ -1,8 +1,8 @@
 """One-way times of each run and relay on their own, and the clock of each pair of devices over the whole campaign.
 
-A run is fitted alone (`analyzer/clocks/fit.py`), so that its one-way times are the same whatever else is analyzed with
-it. The knots of a fit are offsets with a bound, intervals just as messages give them. So the campaign's fit of two
-devices rests on the knots of all their runs, and a step between two runs is found like one within a run.
+A run is fitted on its own (`analyzer/clocks/fit.py`), so its one-way times do not depend on what else is analyzed. The knots of a
+fit are intervals of the offset, as messages give them: the campaign's fit of two devices takes the knots of all their runs, and
+finds a step between two runs like one within a run.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class DevicePair:
 
     Attributes:
         segments: its rows of `Details.clock_fits`.
-        knots: rows of `Details.clock_knots` that it rests on, by time.
-        slews: slews that its steps are.
+        knots: its rows of `Details.clock_knots`, by time.
+        slews: slews that caused its steps.
     """
 
     segments: list[dict[str, Any]]
@@ -83,7 +83,7 @@ _FOUR_STAMPS = ("publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns")
 
 _SANE_NS = 1 << 60
 _LEAST_SANE_NS = -_SANE_NS + 2
-"""Stamps beyond (36 years of uptime) are damage; sums and differences of the others fit into an int64."""
+"""Stamps beyond (36 years of uptime) are damaged; sums and differences of the others fit into an int64."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,8 +121,8 @@ def fit_exchanges(
     """
     rows = int(bounds[-1])
     values: dict[str, NDArray[np.int64]] = {}
-    known = np.zeros(rows, np.bool_)
-    held: list[_Held] = []
+    is_fitted = np.zeros(rows, np.bool_)
+    fitted: list[_FitInput] = []
     damaged = [name for name in _FOUR_STAMPS if not _are_sane(stamps[name])]
     for number, (exchange, first, after) in enumerate(
         zip(exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
@@ -135,7 +135,7 @@ def fit_exchanges(
             at = first + np.flatnonzero(usable)
         else:
             continue
-        known[here] = usable
+        is_fitted[here] = usable
         messages = RelayedMessages(
             publish_ns=stamps["publish_ns"][at],
             relay_in_ns=stamps["relay_in_ns"][at],
@@ -146,10 +146,10 @@ def fit_exchanges(
             relay_boot=boot_id_of(exchange.relay) if exchange.relay else None,
             same_boot=share_boot(exchange.ping, exchange.relay),
         )
-        held.append(_Held(number, at, messages))
+        fitted.append(_FitInput(number, at, messages))
     fits: list[ClockFit | None] = [None] * len(exchanges)
-    for each, (fit, offsets) in zip(held, fit_clocks([each.messages for each in held]), strict=True):
-        t1, t3, t4, t2 = (getattr(each.messages, name) for name in _FOUR_STAMPS)
+    for source, (fit, offsets) in zip(fitted, fit_clocks([one.messages for one in fitted]), strict=True):
+        t1, t3, t4, t2 = (getattr(source.messages, name) for name in _FOUR_STAMPS)
         under_way = t2 - t1
         under_way -= t4
         under_way += t3
@@ -157,17 +157,17 @@ def fit_exchanges(
         outbound -= offsets.offset_ns
         np.clip(outbound, 0, under_way, out=outbound)
         under_way -= outbound
-        # The bound is a view of the offsets, too.
+        # The bound is a view of the same array.
         times_ns = zip(ONE_WAY_COLUMNS, (outbound, under_way, offsets.bound_ns.copy()), strict=True)
-        for name, of_exchange in times_ns:
-            if len(of_exchange) == rows:  # of the only exchange
-                values[name] = of_exchange
+        for name, times in times_ns:
+            if len(times) == rows:  # there is only one exchange
+                values[name] = times
             else:
                 if name not in values:
                     values[name] = np.zeros(rows, np.int64)
-                values[name][each.at] = of_exchange
-        fits[each.number] = fit
-    unknown = None if known.all() else pl.Series(~known)
+                values[name][source.at] = times
+        fits[source.number] = fit
+    unknown = None if is_fitted.all() else pl.Series(~is_fitted)
     columns = (
         pl.Series(name, values[name] if values else np.zeros(rows, np.int64)) for name in ONE_WAY_COLUMNS
     )
@@ -177,8 +177,8 @@ def fit_exchanges(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Held:
-    """The messages of an exchange that its clocks are fitted by.
+class _FitInput:
+    """The messages of an exchange that take part in its fit.
 
     Attributes:
         number: position of the exchange.
@@ -194,12 +194,12 @@ class _Held:
 def _usable(
     stamps: Mapping[str, NDArray[np.int64]], here: slice, damaged: Sequence[str]
 ) -> NDArray[np.bool_]:
-    """Return which rows have all four stamps, none of them damaged, and spent no more time in the relay than under way.
+    """Return which rows have all four stamps, none of them damaged, and less time in the relay than under way.
 
     Args:
         stamps: of all rows.
         here: the rows.
-        damaged: stamps that some row lacks, or has damaged.
+        damaged: names of stamps that are missing or damaged in some row.
     """
     t1, t3, t4, t2 = (stamps[name][here] for name in _FOUR_STAMPS)
     usable: NDArray[np.bool_] = t2 - t1 >= t4 - t3
@@ -210,7 +210,7 @@ def _usable(
 
 
 def _are_sane(stamp: NDArray[np.int64]) -> bool:
-    """Return whether no row lacks a stamp, or has it damaged; `MISSING` is far below."""
+    """Return whether every row has a sane stamp; `MISSING` is far below."""
     return not len(stamp) or bool(stamp.min() >= _LEAST_SANE_NS and stamp.max() < _SANE_NS)
 
 
@@ -229,7 +229,7 @@ KNOT_SCHEMA: dict[str, type[pl.DataType]] = {
 }
 
 
-_OF_KNOT = ("at_ns", "offset_ns", "bound_ns")
+_KNOT_COLUMNS = ("at_ns", "offset_ns", "bound_ns")
 
 
 def knots_of(
@@ -240,7 +240,7 @@ def knots_of(
     `relay_boot` is the boot id of the relay's session, and `same_boot` says whether the ping's is the same; both are null
     where a recorder did not write it.
     """
-    held = [
+    described = [
         (
             (
                 group,
@@ -258,35 +258,38 @@ def knots_of(
         if fit is not None
         for segment in fit.segments
     ]
-    of_segment = pl.DataFrame(
-        [values for values, _ in held],
-        schema={name: dtype for name, dtype in KNOT_SCHEMA.items() if name not in _OF_KNOT},
+    segments = pl.DataFrame(
+        [values for values, _ in described],
+        schema={name: dtype for name, dtype in KNOT_SCHEMA.items() if name not in _KNOT_COLUMNS},
         orient="row",
     )
-    knots = [knot for _, of_one in held for knot in of_one]
-    segment = np.repeat(np.arange(len(held)), np.array([len(of_one) for _, of_one in held], np.int64))
-    of_knot = pl.DataFrame(knots, schema=dict.fromkeys(_OF_KNOT, pl.Int64), orient="row")
-    return of_segment[segment].hstack(of_knot).select(*KNOT_SCHEMA)
+    knots = [knot for _, knots_of_segment in described for knot in knots_of_segment]
+    segment = np.repeat(
+        np.arange(len(described)),
+        np.array([len(knots_of_segment) for _, knots_of_segment in described], np.int64),
+    )
+    knot_frame = pl.DataFrame(knots, schema=dict.fromkeys(_KNOT_COLUMNS, pl.Int64), orient="row")
+    return segments[segment].hstack(knot_frame).select(*KNOT_SCHEMA)
 
 
 def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:
     """Fit the clock of each pair of devices and boots over the whole campaign, from the knots of all its runs.
 
-    A relay that was rebooted between two runs has another clock, not one with a step: its boot id tells.
+    A relay that was rebooted between two runs has another boot id, and another clock.
 
     Args:
         knots: frame of `knots_of`.
         boots: boot of each run's ping, by run_id (`boots.ping_boots`).
     """
     ids = pl.Series(list(boots), dtype=pl.UInt64)
-    of_run = pl.Series(list(boots.values()), dtype=pl.Int64)
-    boot = pl.col("run_id").replace_strict(ids, of_run, default=0) if boots else pl.lit(0, pl.Int64)
+    boot_numbers = pl.Series(list(boots.values()), dtype=pl.Int64)
+    boot = pl.col("run_id").replace_strict(ids, boot_numbers, default=0) if boots else pl.lit(0, pl.Int64)
     keys = ["ping_device", "relay_device", "boot", "relay_boot", "same_boot"]
     pairs = []
     for part in knots.with_columns(boot=boot).sort(*keys, "at_ns").partition_by(keys, maintain_order=True):
-        ping_device, relay_device, of_boot, relay_boot, same_boot = part.select(keys).row(0)
+        ping_device, relay_device, boot_number, relay_boot, same_boot = part.select(keys).row(0)
         at_ns, offset_ns, bound_ns = (part[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
-        # A knot is given as a message without duration, whose interval is that of the knot.
+        # A knot is passed as a message without duration that has the interval of the knot.
         pairs.append(
             RelayedMessages(
                 publish_ns=at_ns,
@@ -295,7 +298,7 @@ def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit
                 receive_ns=at_ns,
                 ping_device=ping_device,
                 relay_device=relay_device,
-                boot=of_boot,
+                boot=boot_number,
                 relay_boot=relay_boot,
                 same_boot=same_boot,
             )

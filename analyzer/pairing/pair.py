@@ -1,11 +1,10 @@
 """Pairing: the events T1..T4 of one exchange, each in its own arrays, become one row per published message.
 
-The index is dense, not a join: sequence numbers are 0, 1, 2 ... within a run, so a message's row is its
-sequence number less the first one counted. Only where T1 events are missing or sequence numbers are absurd is
-a row looked up by bisection instead; nothing is ever allocated by the size of a number that a file claims.
+A message's row is its sequence number minus the first one, without a join; where T1 events are missing or sequence numbers are
+absurd, rows are found by bisection. Nothing is allocated by the size of a number in a file.
 
-The result does not depend on the order of events or files: of several events for one message the earliest
-counts, and events that agree in message and instant are one event.
+The order of events or files does not matter: of several events of one message the earliest counts, and events that agree in message
+and instant are one event.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 MISSING = np.iinfo(np.int64).min
-"""Value of a missing stamp in int64 arrays, null in frames; no clock reads it."""
+"""A missing stamp in int64 arrays, null in frames."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -50,15 +49,15 @@ _CODE = {outcome: np.uint8(code) for code, outcome in enumerate(OUTCOMES)}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Published:
-    """The counted messages of a run (warm-up left out), one row each, by rising sequence number.
+    """The counted messages of a run (warm-up left out), one row each, by sequence number.
 
     Attributes:
-        sequence: uint64, strictly rising.
+        sequence: uint64, strictly ascending.
         publish_ns: int64, T1.
         scheduled_ns: int64, T0, or MISSING throughout if the run had no schedule.
         warmup_messages: messages below this sequence number are not counted.
         with_warmup: distinct messages with a T1, warm-up included.
-        repeated: T1 events beyond the first of their message, which a sound trace never has.
+        repeated: T1 events beyond the first of their message; none in a sound trace.
         payload_range_bytes: smallest and largest payload that a T1 event of the run names.
     """
 
@@ -73,13 +72,13 @@ class Published:
     def __len__(self) -> int:
         return len(self.sequence)
 
-    def take(self, kept: NDArray[np.bool_]) -> Published:
+    def take(self, mask: NDArray[np.bool_]) -> Published:
         """Return the messages of a mask; counts of the run stay."""
         return replace(
             self,
-            sequence=self.sequence[kept],
-            publish_ns=self.publish_ns[kept],
-            scheduled_ns=self.scheduled_ns[kept],
+            sequence=self.sequence[mask],
+            publish_ns=self.publish_ns[mask],
+            scheduled_ns=self.scheduled_ns[mask],
         )
 
     def rows(self, sequence: NDArray[np.uint64]) -> NDArray[np.int64]:
@@ -116,15 +115,15 @@ class PairedMessages:
     reordered: NDArray[np.bool_]
     orphans: int
 
-    def take(self, kept: NDArray[np.bool_]) -> PairedMessages:
+    def take(self, mask: NDArray[np.bool_]) -> PairedMessages:
         """Return the fates of the messages of a mask; the count of orphans stays."""
         return PairedMessages(
-            receive_ns=self.receive_ns[kept],
-            relay_in_ns=self.relay_in_ns[kept],
-            relay_out_ns=self.relay_out_ns[kept],
-            outcome=self.outcome[kept],
-            duplicates=self.duplicates[kept],
-            reordered=self.reordered[kept],
+            receive_ns=self.receive_ns[mask],
+            relay_in_ns=self.relay_in_ns[mask],
+            relay_out_ns=self.relay_out_ns[mask],
+            outcome=self.outcome[mask],
+            duplicates=self.duplicates[mask],
+            reordered=self.reordered[mask],
             orphans=self.orphans,
         )
 
@@ -137,11 +136,11 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
         warmup_messages: messages below this sequence number are not counted.
     """
     sequence, publish_ns, scheduled_ns = t1.sequence, t1.monotonic_ns, t1.scheduled_ns
-    # Two messages cannot both be planned for the boot of the device: a recorder without a schedule left zeros.
+    # Zeros of a recorder without a schedule: no two messages are planned for the boot of the device.
     if len(t1) > 1 and not scheduled_ns.any():
         scheduled_ns = np.full(len(t1), MISSING)
     repeated = 0
-    if not _strictly_rising(sequence):
+    if not _is_strictly_ascending(sequence):
         order = np.lexsort((scheduled_ns, publish_ns, sequence))
         sequence, publish_ns, scheduled_ns = sequence[order], publish_ns[order], scheduled_ns[order]
         first = _is_new(sequence)
@@ -220,7 +219,7 @@ def middleware_stamps(
     row = published.rows(events.sequence)
     paired = np.flatnonzero(row >= 0)
     paired = paired[instant_ns[row[paired]] == events.monotonic_ns[paired]]
-    paired = paired[::-1]  # of two events that are the same the first counts: it is put there last
+    paired = paired[::-1]  # the first of two equal events counts, so it is written last
     source_ns[row[paired]] = events.source_ns[paired]
     received_ns[row[paired]] = events.received_ns[paired]
     return source_ns, received_ns
@@ -253,12 +252,12 @@ def _earliest(
 
 
 def _are_its_own(published: Published, events: EventColumns) -> bool:
-    """Return whether there is one event of each message, in their order: the rule in a run that lost nothing."""
+    """Return whether there is one event of each message, in order, as in a run that lost nothing."""
     return np.array_equal(published.sequence, events.sequence)
 
 
 def _came_back_in_turn(receive_ns: NDArray[np.int64]) -> bool:
-    """Return whether there is a T2 of each message, none before that of an earlier one; `MISSING` is below all."""
+    """Return whether each message has a T2, in order; `MISSING` is below all instants."""
     return len(receive_ns) > 0 and bool(
         receive_ns[0] != MISSING and (receive_ns[1:] >= receive_ns[:-1]).all()
     )
@@ -271,7 +270,7 @@ def _outcomes(
     *,
     relay_recorded: bool,
 ) -> NDArray[np.uint8]:
-    """Judge by the last place that saw a message; a T4 without T3 (dropped by the recorder) counts."""
+    """Judge by the last stage that saw a message; a T4 without T3 (dropped by the recorder) counts."""
     unseen = Outcome.LOST_OUTBOUND if relay_recorded else Outcome.LOST_UNKNOWN
     return np.select(
         [receive_ns != MISSING, relay_out_ns != MISSING, relay_in_ns != MISSING],
@@ -281,7 +280,7 @@ def _outcomes(
 
 
 def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell whether a later sequence was received before: T2 is above the minimum of those that follow."""
+    """Return whether a later message was received before: T2 is above the minimum of the following T2."""
     received = np.where(receive_ns == MISSING, _NEVER, receive_ns)
     minimum_from_here = np.minimum.accumulate(received[::-1])[::-1]
     reordered = np.zeros(len(received), np.bool_)
@@ -290,16 +289,16 @@ def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def chosen_of(mask: NDArray[np.bool_], values: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Return the values that a mask chooses; all of them, as mostly, are not copied."""
+    """Return the values of a mask, without a copy where it is all true."""
     return values if mask.all() else values[mask]
 
 
-def _strictly_rising(values: NDArray[np.uint64]) -> bool:
+def _is_strictly_ascending(values: NDArray[np.uint64]) -> bool:
     return bool((values[1:] > values[:-1]).all())
 
 
 def _is_new(values: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """Tell whether each value differs from the one before it."""
+    """Return whether each value differs from the previous one."""
     new = np.ones(len(values), np.bool_)
     new[1:] = values[1:] != values[:-1]
     return new

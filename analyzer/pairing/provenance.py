@@ -1,6 +1,6 @@
-"""What a Parquet file says of itself: which program wrote it, by which contract, from which traces, recorded when and where.
+"""Metadata of the Parquet files: program, contract, traces, time and clocks of the recording.
 
-The keys are promised (`docs/trace-format.md`). Equal input gives equal bytes, so the time is that of the recording.
+The keys are part of the contract (`docs/trace-format.md`). Equal input gives equal bytes, so no time of the analysis is among them.
 """
 
 from __future__ import annotations
@@ -20,13 +20,15 @@ if TYPE_CHECKING:
     from .exchanges import Exchanges
 
 MOST_NAMED = 1000
-"""Traces and sessions that are listed, as a reader loads all of it with the schema; their number is always told."""
+"""Traces and sessions that are listed, as a reader loads all of it with the schema; their number is always values."""
 
 
 def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
     """Return the metadata of the files of an analysis: key -> text, JSON where it is more than one value."""
     read = sorted(source.path for source in campaign.sources if source.status != "skipped")
-    sessions = sorted(campaign.sessions.values(), key=lambda each: (each.wall_anchor_ns, each.session_id))
+    sessions = sorted(
+        campaign.sessions.values(), key=lambda session: (session.wall_anchor_ns, session.session_id)
+    )
     clocks = [
         {
             "session_id": f"{session.session_id:016x}",
@@ -38,10 +40,10 @@ def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
         for session in sessions[:MOST_NAMED]
     ]
     recorded = {
-        "first": utc_text(min(exchange.start_ns for exchange in exchanges.held)),
-        "last": utc_text(max(exchange.end_ns for exchange in exchanges.held)),
+        "first": utc_text(min(exchange.start_ns for exchange in exchanges.placed)),
+        "last": utc_text(max(exchange.end_ns for exchange in exchanges.placed)),
     }
-    told = {
+    values = {
         "sources": {"folder": campaign.folder.resolve().name, "count": len(read), "names": read[:MOST_NAMED]},
         "recorded": recorded,
         "clocks": {"count": len(sessions), "sessions": clocks},
@@ -49,5 +51,5 @@ def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
     return {
         "dds_trace.version": __version__,
         "dds_trace.contract": f"docs/trace-format.md, format {FORMAT_VERSION}",
-        **{f"dds_trace.{key}": json.dumps(value) for key, value in told.items()},
+        **{f"dds_trace.{key}": json.dumps(value) for key, value in values.items()},
     }

@@ -54,7 +54,7 @@ MIDDLEWARE_STAMPS = {
 """Columns that hold `source_ns` and `received_ns` of a row's T3 and T2: i64, ns since 1970, 0 if unknown."""
 
 RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.values())
-"""Those of reception: where no event has one of them, the others judge nothing."""
+"""Stamps of reception; without any of them the others are not used."""
 
 STAMP_NAMES = tuple(name for names in MIDDLEWARE_STAMPS.values() for name in names)
 
@@ -64,7 +64,7 @@ ROWS_PER_FRAME = 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairedRows(ABC):
-    """The rows of some exchanges, by exchange, then by sequence: a column at a time, in memory or read when it is asked for.
+    """The rows of some exchanges, by exchange, then by sequence, in memory or read column by column.
 
     Attributes:
         described: run_id, relay_id and the parameter columns, one row per exchange.
@@ -82,7 +82,7 @@ class PairedRows(ABC):
     @property
     @abstractmethod
     def stamp_names(self) -> frozenset[str]:
-        """Those of `MIDDLEWARE_STAMPS` that any event has."""
+        """Columns of `MIDDLEWARE_STAMPS` that any event has."""
 
     @abstractmethod
     def column(self, name: str) -> pl.Series:
@@ -126,8 +126,8 @@ class RoundTrips(PairedRows):
 
     def column(self, name: str) -> pl.Series:
         """Return a column of `measured`, or one of `stamps`."""
-        held = [series for series in self.stamps if series.name == name]
-        return held[0] if held else self.measured[name]
+        stamps = [series for series in self.stamps if series.name == name]
+        return stamps[0] if stamps else self.measured[name]
 
     def frames(self) -> Iterator[pl.DataFrame]:
         """Yield slices of the rows, as `PairedRows.frames` describes them."""
@@ -163,7 +163,7 @@ def pair_exchanges(
         exchanges: some exchanges.
         events: for each of their `event_keys` the events.
         details: fit clocks and keep the middleware's stamps; without, the columns of one-way times are null.
-        pool: counts messages and fits clocks beside the caller; None does all in turn.
+        pool: counts messages and fits clocks in parallel; None does everything here.
     """
     pool = pool or InlineExecutor()
     # A run's messages are the same for each of its relays.
@@ -171,19 +171,23 @@ def pair_exchanges(
         run_id: published_messages(events[exchange.event_keys()[0]], exchange.run.warmup_messages)
         for run_id, exchange in {exchange.run.run_id: exchange for exchange in exchanges}.items()
     }
-    of_run = [published[exchange.run.run_id] for exchange in exchanges]
-    kept = [
+    messages_of_exchanges = [published[exchange.run.run_id] for exchange in exchanges]
+    masks = [
         settled(exchange.run, messages, events[exchange.event_keys()[1]])
-        for exchange, messages in zip(exchanges, of_run, strict=True)
+        for exchange, messages in zip(exchanges, messages_of_exchanges, strict=True)
     ]
-    bounds = np.concatenate([[0], np.cumsum([np.count_nonzero(mask) for mask in kept])]).astype(np.int64)
+    bounds = np.concatenate([[0], np.cumsum([np.count_nonzero(mask) for mask in masks])]).astype(np.int64)
     rows = int(bounds[-1])
 
     filled, counts = _Filled(rows), []
-    for exchange, every, mask, first in zip(exchanges, of_run, kept, bounds[:-1].tolist(), strict=True):
-        of_stage = {key[0]: events[key] for key in exchange.event_keys()}
-        paired = pair_messages(every, of_stage[Stage.T2], of_stage[Stage.T3], of_stage[Stage.T4])
-        unsent, messages = count_unsent(exchange.run, every, of_stage[Stage.T2]), every
+    for exchange, every, mask, first in zip(
+        exchanges, messages_of_exchanges, masks, bounds[:-1].tolist(), strict=True
+    ):
+        events_of_stage = {key[0]: events[key] for key in exchange.event_keys()}
+        paired = pair_messages(
+            every, events_of_stage[Stage.T2], events_of_stage[Stage.T3], events_of_stage[Stage.T4]
+        )
+        unsent, messages = count_unsent(exchange.run, every, events_of_stage[Stage.T2]), every
         if not mask.all():
             messages, paired = every.take(mask), paired.take(mask)
         in_flight = len(every) - len(messages)
@@ -192,8 +196,8 @@ def pair_exchanges(
         filled.put(first, {name: getattr(paired, name) for name in _PAIRED})
         for stage, names in MIDDLEWARE_STAMPS.items() if details else ():
             instant_ns = paired.relay_in_ns if stage is Stage.T3 else paired.receive_ns
-            of_events = middleware_stamps(messages, of_stage[stage], instant_ns)
-            filled.put(first, dict(zip(names, of_events, strict=False)))  # none where no event has any
+            stamps_of_events = middleware_stamps(messages, events_of_stage[stage], instant_ns)
+            filled.put(first, dict(zip(names, stamps_of_events, strict=False)))  # none where no event has any
 
     columns = filled.columns
     stamps = {name: columns[name] for name in _STAMPS}
@@ -219,9 +223,7 @@ def pair_exchanges(
 
 
 class _Filled:
-    """Columns of all exchanges, filled exchange by exchange: their memory once, whatever the number of runs.
-
-    Those of an exchange that has every row are taken as they are: nobody may write to them.
+    """Columns of all exchanges, filled exchange by exchange; the columns of a single exchange are not copied and must not be written.
 
     Args:
         rows: of all exchanges together.
@@ -237,13 +239,13 @@ class _Filled:
 
     def put(self, first: int, values: Mapping[str, NDArray[Any]]) -> None:
         """Put the values of one exchange, whose rows begin at `first`, into their columns."""
-        for name, of_exchange in values.items():
-            if len(of_exchange) == self._rows:
-                self.columns[name] = of_exchange
-            elif len(of_exchange):
+        for name, part in values.items():
+            if len(part) == self._rows:
+                self.columns[name] = part
+            elif len(part):
                 if name not in self.columns:
-                    self.columns[name] = np.zeros(self._rows, of_exchange.dtype)
-                self.columns[name][first : first + len(of_exchange)] = of_exchange
+                    self.columns[name] = np.zeros(self._rows, part.dtype)
+                self.columns[name][first : first + len(part)] = part
 
 
 def describe(exchanges: Sequence[Exchange]) -> pl.DataFrame:

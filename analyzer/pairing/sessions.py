@@ -1,4 +1,4 @@
-"""Which recording process made the events of a run: by name where the run names it, else by the traces that hold them."""
+"""Which recording process made the events of a run: the one that the run names, else one of the traces with the events."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Doubt:
 def find_ping_session(
     campaign: Campaign, run: Run, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
-    """Return the session that the run names, else the ping session of the traces that hold the run.
+    """Return the session that the run names, else the ping session of the traces with the run.
 
     Args:
         campaign: the sessions and where they are described.
@@ -54,7 +54,7 @@ def find_ping_session(
 def find_relay_session(
     campaign: Campaign, run_id: int, relay_id: int, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
-    """Return the session of the relay in the traces that hold its events, else any that has its relay_id.
+    """Return the session of the relay in the traces with its events, else any that has its relay_id.
 
     Args:
         campaign: the sessions and where they are described.

@@ -1,4 +1,4 @@
-"""The ends of a run: messages that were due and never left, and messages that were on their way when the ping died."""
+"""The end of a run: messages that were due but never sent, and messages that were in flight when the ping died."""
 
 from __future__ import annotations
 
@@ -21,15 +21,14 @@ if TYPE_CHECKING:
 
 
 _PATIENCE_NS = 2 * SECOND_NS
-"""Time that a reply may take in a run without any: what a ping waits at its end before it gives one up."""
+"""Time that a reply may take in a run without any: a ping waits that long at its end."""
 
 
 def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
     """Return the number of counted messages whose T0 had passed when the run ended and that were never published.
 
-    The run ended when its ping stopped sending (`ended_ns` of the run); if it did not tell, at the last T1 or T2. A message
-    that was on its way when the ping died was published. Messages of a live topic have no plan: those that the ping
-    skipped never left.
+    The run ended when its ping stopped sending (`ended_ns` of the run), else at the last T1 or T2. A message in flight when the ping
+    died was published. Of a live topic, which has no plan, the skipped messages were never sent.
     """
     skipped = run.extra.get("skipped_messages")
     if isinstance(skipped, int):
@@ -39,8 +38,8 @@ def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
     first, scheduled_ns = int(published.sequence[0]), int(published.scheduled_ns[0])
     if scheduled_ns == MISSING:
         return 0
-    told = run.extra.get("ended_ns")
-    ended_ns = told if isinstance(told, int) else _last_ns(published, t2)
+    run_end = run.extra.get("ended_ns")
+    ended_ns = run_end if isinstance(run_end, int) else _last_ns(published, t2)
     planned = run.warmup_messages + run.planned_messages
     due = first + 1 + int((ended_ns - scheduled_ns) * run.rate_hz / SECOND_NS)
     left = max(int(published.sequence[-1]) + 1, run.published, run.warmup_messages)
@@ -50,20 +49,19 @@ def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
 def settled(run: Run, published: Published, t2: EventColumns) -> NDArray[np.bool_]:
     """Return for each counted message whether its fate is known.
 
-    A ping that was killed cannot tell whether the replies to its last messages would have come: a message without a reply
-    is in flight where less time is left before the last T1 or T2 than the slowest reply of the run took. So is always the
-    last one: its T1 is kept before it leaves, and the ping may have died in between.
+    In the run of a killed ping, a message without a reply is in flight if the slowest reply of the run took more time than is left
+    before the last T1 or T2. So is the last message: the ping may have died between its T1 and sending it.
     """
-    known = np.ones(len(published), np.bool_)
+    is_settled = np.ones(len(published), np.bool_)
     if run.state == "finished" or not len(published):
-        return known
+        return is_settled
     receive_ns = first_replies(published, t2)
     replied = receive_ns != MISSING
     rtts_ns = receive_ns[replied] - published.publish_ns[replied]
     longest_ns = int(rtts_ns.max()) if len(rtts_ns) else _PATIENCE_NS
-    known &= replied | (published.publish_ns <= _last_ns(published, t2) - longest_ns)
-    known[-1] = replied[-1]
-    return known
+    is_settled &= replied | (published.publish_ns <= _last_ns(published, t2) - longest_ns)
+    is_settled[-1] = replied[-1]
+    return is_settled
 
 
 def _last_ns(published: Published, t2: EventColumns) -> int:

@@ -137,7 +137,7 @@ def test_of_many_traces_and_sessions_the_first_thousand_are_named(tmp_path):
         },
     )
     exchanges = SimpleNamespace(
-        held=[SimpleNamespace(start_ns=5, end_ns=7), SimpleNamespace(start_ns=3, end_ns=9)]
+        placed=[SimpleNamespace(start_ns=5, end_ns=7), SimpleNamespace(start_ns=3, end_ns=9)]
     )
     told = provenance(campaign, exchanges)
     sources, clocks = json.loads(told["dds_trace.sources"]), json.loads(told["dds_trace.clocks"])

@@ -227,7 +227,9 @@ def _start(exchange: Exchange) -> tuple[int, int, int]:
 
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
     """Return why no message of a campaign has a row: a file that is not a trace, or what is missing."""
-    unread = [f"{source.path} was not used: {source.detail}" for source in campaign.sources if _is_unread(source)]
+    unread = [
+        f"{source.path} was not used: {source.detail}" for source in campaign.sources if _is_unread(source)
+    ]
     reasons = sorted({_in_words(campaign, events) for events in unplaced}) + unread
     advice = "replace that file, or record the run again" if unread else "add the trace of the ping"
     reason = f": {'; '.join(reasons)}" if reasons else ""

@@ -37,26 +37,23 @@ class Details:
     """Results that take longer than rows and summary. `group` is the row number in `summary`; times in ns.
 
     Attributes:
-        intervals: every percentile with its confidence interval: columns of `intervals.INTERVAL_SCHEMA`.
-        one_way: way out and way back: columns of `intervals.ONE_WAY_SCHEMA`. Asymmetry of the link within the bound cannot
-            be seen.
-        breakdown: where the time goes, a row per part in the order of time: columns of `breakdown.BREAKDOWN_SCHEMA`.
-        responses: response time against round trip time: columns of `breakdown.RESPONSE_SCHEMA`. Like `breakdown` without
-            groups that were processed in parts (`batch.WHOLE_GROUP_EVENTS`).
-        freshness: a row per run and relay: columns of `freshness.FRESHNESS_SCHEMA`.
-        outages: a row per outage: columns of `freshness.OUTAGE_SCHEMA`.
-        clock_fits: a row per pair of devices, boot and stretch without a step: columns of `one_way.SEGMENT_SCHEMA`.
-        clock_knots: offsets over time, to which the clocks are fitted: columns of `one_way.KNOT_SCHEMA`.
-        host_samples: load of the devices over time: columns of `host_samples.HOST_SAMPLE_SCHEMA`.
-        bridge_costs: different domains against the same domain for equal parameters (`bridge_cost.bridge_cost`), every
-            percentile of the latency; none for a message with more than `cases.MOST_COMPARED_ROWS` rows.
-        wire: cost of the messages on the wire, a row per group recorded with `--wire` (`groups.wire`).
+        intervals: percentiles with their confidence intervals (`intervals.INTERVAL_SCHEMA`).
+        one_way: way out and way back (`intervals.ONE_WAY_SCHEMA`); asymmetry of the link within the bound is invisible.
+        breakdown: where the time goes, a row per part (`breakdown.BREAKDOWN_SCHEMA`).
+        responses: response time against round trip time (`breakdown.RESPONSE_SCHEMA`).
+        freshness: deadlines and age of information by run and relay (`freshness.FRESHNESS_SCHEMA`).
+        outages: `freshness.OUTAGE_SCHEMA`.
+        clock_fits: by pair of devices, boot and stretch without a step (`one_way.SEGMENT_SCHEMA`).
+        clock_knots: offsets to which the clocks are fitted (`one_way.KNOT_SCHEMA`).
+        host_samples: load of the devices over time (`host_samples.HOST_SAMPLE_SCHEMA`).
+        bridge_costs: different domains against the same domain (`bridge_cost.bridge_cost`).
+        wire: cost on the wire by group recorded with `--wire` (`groups.wire`).
         wire_classes: the same by class of traffic.
-        wire_repeats: the same by number of repeats, with their times.
-        answers: the fastest setups for each message; rows as for `bridge_costs`.
-        deadline_ns: the deadline of `freshness`; None for none.
+        wire_repeats: the same by number of repeats.
+        answers: the fastest setups for each message.
+        deadline_ns: the deadline of `freshness`.
         deadline_metric: its metric.
-        recommendation: settings for the `job` of the analysis; None without a job.
+        recommendation: settings for the `job` of the analysis.
         requested: False for an analysis with `details=False`, whose frames are empty.
     """
 
@@ -82,23 +79,21 @@ class Details:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Analysis:
-    """Everything that was computed from one folder of traces, for reports to draw.
+    """Everything that was computed from one folder of traces.
 
     Attributes:
         title: name of the folder.
-        sources: the files in it.
+        sources: its files.
         sessions: the recording processes, by start.
-        runs: the runs, by start.
-        rows: one row per published message and relay; read with `load_roundtrips` and `scan_roundtrips`.
-        summary: one row per group (`docs/trace-format.md`), by its parameter columns; row i is group i wherever another
-            frame has a column `group`.
-        distributions: `group` u32, `metric` str, `value_ns` f64 (bucket centre), `count` u64: a histogram per group and
-            metric, relative error at most 0.1 %.
-        run_times: when each run of each group sent, and what came back: columns of `timeline.RUN_SCHEMA`.
+        runs: by start.
+        rows: the round trips; read with `load_roundtrips` and `scan_roundtrips`.
+        summary: one row per group (`docs/trace-format.md`); row i is group i of all frames with a column `group`.
+        distributions: `group` u32, `metric` str, `value_ns` f64 (bucket centre), `count` u64, relative error at most 0.1 %.
+        run_times: when each run of each group sent, and what came back (`timeline.RUN_SCHEMA`).
         timeline: round trips to draw (`timeline.timeline_frame`).
-        timeline_decimated: whether `timeline` leaves rows out; it has all extremes and losses.
+        timeline_decimated: whether `timeline` leaves rows out.
         findings: most severe first.
-        details: what takes longer than rows and summary.
+        details: what takes longer.
         outputs: files written, by kind (`roundtrips`, `summary`).
         unsent: run_id -> messages that were due and never left.
     """

@@ -61,14 +61,9 @@ PLOTTED_TOPICS = 12
 
 @dataclass(frozen=True, slots=True)
 class DerivedTrace:
-    """The written files and their content.
+    """The written MCAP and Foxglove layout and their content.
 
-    Attributes:
-        path: the MCAP file.
-        layout: the Foxglove layout (in Foxglove: Layouts, Import from file).
-        topics: the channels, in the order of their first message.
-        messages: number of messages.
-        without_wall_clock: runs whose ping has no clock anchor; their times count from the device's boot.
+    Times of runs `without_wall_clock`, whose ping has no clock anchor, count from the device's boot.
     """
 
     path: Path
@@ -88,9 +83,9 @@ def write_derived(
     """Write per-message latency to `path`, and the layout to `NAME.foxglove.json` in the same folder.
 
     Args:
-        roundtrips: frame of `docs/trace-format.md`; with `outbound_ns`, `return_ns`, `clock_bound_ns` where known.
+        roundtrips: frame of `docs/trace-format.md`; one-way times are optional.
         path: ends in `.mcap`.
-        ping_wall: wall clock minus monotonic clock of each run's ping, ns (`ping_wall_offsets`).
+        ping_wall: wall clock minus monotonic clock of each run's ping, ns.
         force: overwrite existing files.
 
     Raises:

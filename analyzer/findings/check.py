@@ -30,14 +30,7 @@ class Subject(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One kind of finding; calling it yields its findings.
-
-    Attributes:
-        code: as in `Finding`.
-        title: what is wrong, without figures.
-        action: what to do next; `{names}` are filled by the observation.
-        observe: yields where it holds and the figures.
-    """
+    """One kind of finding; calling it yields its findings. Observations fill the `{names}` in its action."""
 
     code: str
     severity: Severity

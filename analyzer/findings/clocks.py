@@ -75,7 +75,7 @@ def _steps(evidence: Evidence) -> Iterator[_Step]:
     """Yield the steps in `clock_fits` that no slew made.
 
     While its device is up, a monotonic clock can only stand still. So a step of a second or more during one relay process
-    is sleep: the relay's if its clock fell back, the ping's if it got ahead. (Each fit is of one boot of the ping.)
+    is sleep: the relay's if its clock fell back, the ping's if it got ahead.
     """
     for pair in evidence.device_pairs:
         slewed = {index for slew in pair.slews for index in range(slew.first, slew.after)}

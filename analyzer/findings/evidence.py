@@ -36,15 +36,7 @@ _MOST_FILES = 2
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a check saw in one place.
-
-    Attributes:
-        where: the subject's name.
-        what: one sentence with the figures.
-        groups: rows of `summary` that it concerns.
-        effect: as in `Finding`.
-        blanks: values for the `{names}` in the action of the check.
-    """
+    """What a check saw in one place; `blanks` are values for the `{names}` in the action of the check."""
 
     where: str
     what: str
@@ -57,11 +49,8 @@ class Observation:
 class Evidence:
     """The results of every step of one analysis.
 
-    Attributes:
-        in_parts: groups that no batch held whole.
-        stale_rows: file with rows of an earlier analysis that this one does not replace.
-        sending: how each run was sent (`sending.sending_frame`).
-        shapes: latency over the time of each run (`shapes.shape_frame`); empty without details.
+    `stale_rows` is a file with rows of an earlier analysis that this one does not replace; `sending` and `shapes` are the
+    frames of these names.
     """
 
     campaign: Campaign
@@ -127,11 +116,7 @@ class Evidence:
         return self.groups_by_session(lambda _session, _payload_bytes: True)
 
     def groups_by_session(self, concerns: Callable[[Session, int], bool]) -> Mapping[int, tuple[int, ...]]:
-        """Return session_id -> its groups with messages that concern it or the other side.
-
-        Args:
-            concerns: whether messages of a size concern a session.
-        """
+        """Return session_id -> its groups with messages of a size that concerns it or the other side."""
         groups: dict[int, dict[int, None]] = defaultdict(dict)
         for exchange, group in self.exchanges_by_group():
             sides = [session for session in (exchange.ping, exchange.relay) if session is not None]

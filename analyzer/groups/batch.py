@@ -39,10 +39,7 @@ WHOLE_GROUP_EVENTS = 24_000_000
 class Grouping:
     """Exchanges with equal parameters are one group; groups are sorted by their parameters, null last.
 
-    Attributes:
-        parameters: the parameter columns of each group.
-        exchanges: by group, then by start of the run, then by relay.
-        group_of_exchange: uint32, ascending: the group of each exchange.
+    The exchanges are sorted by group, start of the run and relay.
     """
 
     parameters: pl.DataFrame
@@ -96,11 +93,8 @@ class AnalysisOptions:
 class Batch:
     """Some groups, to be processed on any machine; their events are fetched by `event_keys`.
 
-    Attributes:
-        exchanges: by group, then by start of the run, then by relay.
-        group_of_exchange: uint32, ascending: the group of each exchange, a row of `summary`.
-        all_exchanges: number of exchanges of the campaign, which share the points of a drawing.
-        whole: False for a part, with whole runs, of a group larger than memory; frames that need a whole group are then empty.
+    `group_of_exchange` (uint32) ascends. `all_exchanges` is the number of the campaign's, which share the points of a drawing.
+    Not `whole` is a part, with whole runs, of a group larger than memory; frames that need a whole group are then empty.
     """
 
     exchanges: tuple[Exchange, ...]

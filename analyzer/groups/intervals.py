@@ -55,11 +55,10 @@ def interval_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Compute every percentile of every metric with its 95 % interval: between runs from three runs on, else within one.
 
     Returns:
-        Columns of `INTERVAL_SCHEMA`, five rows per group and metric with a value (`METRICS`, `outbound`, `return`).
-        `estimate_ns` is the summary's percentile; it, `low_ns` and `high_ns` are null where the sample does not support them.
-        `method` is `student_t_of_runs` or `order_statistics`, null without both ends. `typical_ns`: the percentile of a
-        typical run, whose interval this is. `independent`, `basis`, `runs`, `units`, `episodes` as in
-        `statistics.intervals.Interval`; `between`, `within` as in `run_statistics.spread.Spread`.
+        Columns of `INTERVAL_SCHEMA`, five rows per group and metric with a value. `estimate_ns` (the summary's), `low_ns` and
+        `high_ns` are null where the sample does not support them. `method` is `student_t_of_runs` or `order_statistics`, null
+        without both ends. `typical_ns` is of a typical run. Others as in `statistics.intervals.Interval` and
+        `run_statistics.spread.Spread`.
     """
     rows = [
         row
@@ -162,12 +161,7 @@ class _Sending:
 
 
 def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
-    """Summarize the way out and the way back of each group whose messages have all four stamps.
-
-    Returns:
-        Columns of `ONE_WAY_SCHEMA`, rows `outbound` and `return`: percentiles as in the summary, and the error bound of a
-        message's one-way time (`bound_p50_ns`, `bound_max_ns`; 0 on one clock).
-    """
+    """Summarize the way out and the way back of each group, with the error bound of a message's one-way time."""
     rows = [
         row for group, column in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)
     ]

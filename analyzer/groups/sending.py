@@ -83,10 +83,7 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 class StandStills:
     """The times of `STILL_NS` or longer in which a ping sent nothing though a message was due.
 
-    Attributes:
-        lasted_ns: duration of each.
-        longest_end_ns: end of the longest one, ping's monotonic clock.
-        delayed: for each message, whether it left late because of one, until the ping had caught up.
+    `delayed`: whether each message left late because of one, until the ping had caught up.
     """
 
     lasted_ns: tuple[int, ...]
@@ -111,9 +108,7 @@ def find_stand_stills(scheduled_ns: Int64, sent_ns: Int64) -> StandStills:
 def schedule_lag(sent_ns: Int64, rate_hz: float) -> tuple[int | None, int | None]:
     """Return the planned time from the first message to the last tenth, and how much later than that it was sent.
 
-    Args:
-        sent_ns: T1 of each message, in order; fewer than three have no lag.
-        rate_hz: requested rate; none without.
+    None for fewer than three messages or without a rate.
     """
     if len(sent_ns) < _LEAST_MESSAGES or rate_hz <= 0:
         return None, None

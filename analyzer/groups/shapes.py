@@ -33,12 +33,11 @@ SHAPE_SCHEMA = frame_schema(
 
 
 def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Describe the latency of each run and relay in the order of time; the round trips without the relay's trace.
+    """Describe the latency of each run and relay over time; the round trips without the relay's trace.
 
     Returns:
-        Columns of `SHAPE_SCHEMA`, null unless significant and larger than `OWN_NS`: `warm_up_messages` at the start and
-        their time `warm_up_s`, `warm_up_ratio` their level over the others' level; `trend_ratio` level at the end over the
-        level at the start; the two modes and the share of the smaller one.
+        Columns of `SHAPE_SCHEMA`, null unless significant and larger than `OWN_NS`: messages, time and level of the warm-up over
+        the others' level; `trend_ratio` level at the end over the start's; the two modes and the share of the smaller one.
     """
     rows: list[dict[str, object]] = []
     # Filled for all runs at once: per run, the conversion takes longer than the median.

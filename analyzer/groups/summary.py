@@ -42,10 +42,8 @@ _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
 class Statistics:
     """Statistics and histograms of some groups.
 
-    Attributes:
-        frame: one row per group and metric: `group` u32, `metric` str, `samples` i64, and `columns.STATISTICS`, f64 ns, null
-            where the sample does not support it.
-        distributions: `group` u32, `metric` str, `value_ns` f64, `count` u64: histograms.
+    `frame` has a row per group and metric: `samples`, and `columns.STATISTICS` in ns, null where the sample does not support
+    them; `distributions` is as in `Analysis`.
     """
 
     frame: pl.DataFrame
@@ -121,11 +119,8 @@ def _median_ns(session: Session, part: str, name: str) -> float | None:
 class Summary:
     """The round trips summarized group by group.
 
-    Attributes:
-        frame: columns of `columns.SUMMARY_COLUMNS`; row i is group i.
-        distributions: `group` u32, `metric` str, `value_ns` f64, `count` u64.
-        samples: metric -> int64, number of values of each group.
-        exchange_counts: counts and spans of every exchange, columns of `counts.COUNT_SCHEMA`.
+    `frame` and `distributions` are as in `Analysis`, `samples` counts the values of each metric by group, and
+    `exchange_counts` has the columns of `counts.COUNT_SCHEMA`.
     """
 
     frame: pl.DataFrame

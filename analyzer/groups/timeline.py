@@ -29,12 +29,10 @@ _READ = ("scheduled_ns", "publish_ns", "outcome", "latency_ns", "rtt_ns")
 
 
 def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Summarize the round trips of each run in each group.
+    """Summarize the round trips of each run in each group, in columns of `RUN_SCHEMA`.
 
-    Returns:
-        Columns of `RUN_SCHEMA`: `origin_ns` T0 (else T1) of the first message, `last_ns` T1 of the last one, ping's clock;
-        `published` and `received` messages, times the relays of the group; `p50_ns` and `max_ns` of the latency, of the round
-        trip without the relay's stamps.
+    `origin_ns` is T0 (else T1) of the first message, `last_ns` T1 of the last one, ping's clock; counts are times the relays;
+    `p50_ns` and `max_ns` are of the latency, of the round trip without the relay's stamps.
     """
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     keys = list(zip(batch.group_of_exchange.tolist(), run_ids, strict=True))
@@ -112,12 +110,8 @@ _DRAWN = ("sequence", "scheduled_ns", "publish_ns", "latency_ns", "rtt_ns", "out
 def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Choose rows to draw; all exchanges of the campaign share the points.
 
-    An exchange with more rows than points is cut into stretches of equal length. Each keeps its lowest and its highest
-    latency (round trip without the relay's trace) and the first message of every kind of loss.
-
-    Returns:
-        Columns `group` u32, `run_id` u64, `relay_id` u32, `sequence` u64, `elapsed_s` f64 (T0, else T1, since the run's first
-        counted message), `latency_ns`, `rtt_ns` i64, `outcome` str.
+    Each of equal stretches of an exchange keeps its lowest and highest latency (round trip without the relay's trace) and the
+    first message of every kind of loss. `elapsed_s` is T0 (else T1) since the run's first counted message.
     """
     recorded = np.array([exchange.relay_recorded for exchange in batch.exchanges])
     rows = _rows_to_draw(roundtrips, recorded, points_of_exchange(batch.all_exchanges))

@@ -10,11 +10,8 @@ from enum import Enum
 class Source:
     """One file or folder that was looked at.
 
-    Attributes:
-        status: `read`, `truncated` (used up to where it ends), `duplicate` (same content as another, not
-            counted again) or `skipped` (not a trace).
-        detail: why it was skipped or cut.
-        events: events used from it.
+    `status` is `read`, `truncated`, `duplicate` (same content as another, not counted again) or `skipped` (not a trace), and
+    `detail` says why.
     """
 
     path: str
@@ -33,14 +30,11 @@ class Severity(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A doubtful measurement: what is doubtful, where, and what to do about it.
+    """A doubtful measurement: where, what is doubtful, and what to do about it.
 
     Attributes:
-        code: a short stable name such as `loss`, for scripts.
-        where: name of the file, run, result or device.
-        what: one sentence with the figures.
-        action: what to do next.
-        groups: rows of `summary` that it is about, or that its recording took part in; empty for a file or device.
+        code: a stable name such as `loss`, for scripts.
+        groups: rows of `summary` that it is about, or that its recording took part in.
         count: number of findings in it; more than one only for the last of very many.
         effect: share of the messages or of the value that it affects, 0 to 1.
     """

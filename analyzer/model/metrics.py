@@ -50,11 +50,11 @@ class Metric:
     """A time of every message, in ns.
 
     Attributes:
-        name: as in columns (`<name>_ns` of each message, `<name>_<statistic>_ns` of each group) and gates.
+        name: as in columns (`<name>_ns`, `<name>_<statistic>_ns`) and gates.
         label: as in reports.
         formula: expression over the stamps, i64, null where a stamp is missing; each difference is on one clock.
         meaning: the formula in words.
-        tail: what its largest values must not be taken for; may be empty.
+        tail: what its largest values must not be taken for.
     """
 
     name: str

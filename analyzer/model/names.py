@@ -48,13 +48,7 @@ def tell_apart(
     base: Callable[[Item], str],
     parts: Iterable[tuple[Rule, Callable[[Item], str]]],
 ) -> list[str]:
-    """Name items.
-
-    Args:
-        items: what to name.
-        base: gives the start of an item's name.
-        parts: rule and word of each further part, in the order of the name.
-    """
+    """Name items: a base, and the word of each part whose rule chooses the name."""
     names = [base(item) for item in items]
     for rule, word in parts:
         words = [word(item) for item in items]
@@ -73,11 +67,7 @@ _PLAIN = frozenset({"vendor", "backend", "reliability", "durability", "connectiv
 def name_groups(parameters: pl.DataFrame) -> list[str]:
     """Name each group, as in `binary 33000 B at 10 Hz, fastdds, bridge builtin`.
 
-    Settings that are the same everywhere are left out, and so are those that follow from others: the domains' numbers
-    from the bridge, the RMW from its vendor.
-
-    Args:
-        parameters: a row per group, the columns of `PARAMETER_COLUMNS`.
+    Left out are settings that are the same everywhere or follow from others, as domains from the bridge, RMW from the vendor.
     """
     groups = parameters.to_dicts()
     others = dict.fromkeys(("domain_mode", *SERIES_COLUMNS))

@@ -113,15 +113,7 @@ class Parameters:
 def parameters_of(
     run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1
 ) -> Parameters:
-    """Return the key of the group of a run and one of its relays.
-
-    Args:
-        run: its description by the ping.
-        ping: session of the ping.
-        relay: session of the relay, None without its trace.
-        relays: number of relays that took part in the run.
-        flows: number of runs at the same time, this one included.
-    """
+    """Return the key of the group of a run and one of its relays (None without its trace)."""
     relay_domain_id = relay_domain_of(run, ping, relay)
     return Parameters(
         vendor=ping.vendor,

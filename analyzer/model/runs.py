@@ -44,8 +44,7 @@ class RunRows:
     def delivered(self, metric: str) -> Run:
         """Return a metric of every message in ns, infinite for a lost one.
 
-        A reply without the relay's stamps counts with half of its round trip: left out, it would give the lost messages
-        more weight than they have.
+        A reply without the relay's stamps counts with half of its round trip, as leaving it out would favour losses.
         """
         at_most = self._floats(f"{metric}_ns")
         if self.received.all() and not self.rows[f"{metric}_ns"].null_count():
@@ -102,10 +101,7 @@ def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
 
 
 def delivered_runs(runs: Sequence[RunRows], metric: str) -> list[Run]:
-    """Return a metric of each run with losses infinitely late (`RunRows.delivered`).
-
-    Where replies came back and none has the metric (a latency without the relay's trace), no run has a value.
-    """
+    """Return a metric of each run with losses infinitely late; no run has a value if no reply has the metric."""
     has_metric = any(run.rows[f"{metric}_ns"].null_count() < len(run.rows) for run in runs)
     if has_metric or all(run.is_lost for run in runs):
         return [run.delivered(metric) for run in runs]

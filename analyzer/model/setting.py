@@ -33,13 +33,7 @@ _BOTH_SIDES = ("reliability", "durability", "history", "depth", "serialization")
 def setting_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1) -> str:
     """Return the setting of an exchange: `key=value,...`, sorted by key, defaults left out.
 
-    Args:
-        run: its description by the ping.
-        ping: session of the ping.
-        relay: session of the relay, None without its trace. Settings that differ from the ping's are `relay.key=value`,
-            with `default` for a setting that only the ping has.
-        relays: number of relays that took part in the run.
-        flows: number of runs at the same time, this one included.
+    Settings of the relay that differ from the ping's are `relay.key=value`, `default` for one that only the ping has.
     """
     ping_settings = _side(ping)
     values = {key: value for key, value in ping_settings.items() if key not in _BOTH_SIDES}

@@ -21,14 +21,9 @@ MOST_ROWS = 1_000_000
 
 
 def with_unsent(roundtrips: pl.DataFrame, unsent: Mapping[int, int]) -> pl.DataFrame:
-    """Append a row of outcome `UNSENT` for each message that never left.
+    """Append a row of outcome `UNSENT` for each message that never left (run_id -> how many).
 
-    Args:
-        roundtrips: `run_id`, `relay_id`, `publish_ns`, `outcome`, and any metrics and parameters.
-        unsent: run_id -> how many.
-
-    Returns:
-        The rows, then the new ones: `publish_ns` of the last row of the run and relay, other times null.
+    It has `publish_ns` of the last row of its run and relay; other times are null.
     """
     last = roundtrips.filter(pl.col("run_id").is_in(list(unsent))) if unsent else roundtrips.head(0)
     if last.is_empty():

@@ -41,10 +41,7 @@ LATEST_NS = 2**63 - 1
 class Topic:
     """A topic of a recording.
 
-    Attributes:
-        message_type: such as `sensor_msgs/msg/Image`; empty if unknown.
-        encoding: `cdr`, `ros1`, `json`, `protobuf` ...
-        has_stamp: whether its messages start with a header or a time, their stamp.
+    `message_type` is empty if unknown; a topic `has_stamp` if its messages start with a header or a time.
     """
 
     name: str
@@ -55,14 +52,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMessage:
-    """One message; times in ns since 1970, or since boot if the recording has such times.
-
-    Attributes:
-        log_ns: time of recording.
-        publish_ns: time of publication by the recorder; None where the format has none.
-        stamp_ns: stamp of its header; None without a header, or if the stamp is zero.
-        payload_bytes: size as serialized.
-    """
+    """One message; times in ns since 1970, or since boot if the recording has such times; None for one it lacks."""
 
     topic: Topic
     log_ns: int

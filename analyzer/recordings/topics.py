@@ -48,17 +48,12 @@ TOPIC_SCHEMA = frame_schema(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopicReport:
-    """The topics of some recordings.
+    """The topics of some recordings, and the recordings with what was wrong with them.
 
-    Attributes:
-        topics: one row per recording and topic with messages, sorted: columns of `TOPIC_SCHEMA`. `start_ns` first log time;
-            `duration_ns` first to last; `rate_hz` = (messages - 1) / duration; `period_*_ns` of the intervals between log
-            times, `jitter_ns` their standard deviation; `gaps` intervals over `GAP_PERIODS` medians, `gap_max_ns` the longest
-            interval; `payload_*_bytes` as serialized; `age_from` `header` (log time - header stamp), `publish` (log time -
-            publish time, where any differs) or null; `age_messages` with an age, `age_negative` logged before their stamp:
-            the clocks disagree; p99 of fewer than 100 messages is null; `stamps_backwards` header stamps older than the
-            previous one. If another machine stamped, an age is wrong by the difference of the clocks.
-        sources: the recordings, and what was wrong with them.
+    `topics` has one row per recording and topic: `rate_hz` = (messages - 1) / duration; `period_*_ns` of the intervals between
+    log times, `jitter_ns` their standard deviation; `gaps` over `GAP_PERIODS` medians; `payload_*_bytes` as serialized;
+    `age_from` `header` (log time - header stamp), `publish` (log time - publish time) or null; `age_negative` logged before
+    their stamp: the clocks disagree; `stamps_backwards` header stamps older than the previous one; p99 null below 100 messages.
     """
 
     topics: pl.DataFrame

@@ -61,14 +61,10 @@ class Manifest:
 
 
 def write_folder(folder: Path, files: Mapping[str, Callable[[Path], object]]) -> None:
-    """Write files and then the manifest that names them; files of an earlier save are removed.
-
-    Args:
-        folder: a folder of its own: missing, empty, or with an earlier save.
-        files: name such as `summary.parquet` -> function that writes the file at a path.
+    """Write files (name such as `summary.parquet` -> function that writes at a path), then the manifest.
 
     Raises:
-        OutputExistsError: the folder has other files.
+        OutputExistsError: the folder has other files than an earlier save, which is replaced.
         OutputError: a file cannot be written; the earlier save stays.
     """
     try:

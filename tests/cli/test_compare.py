@@ -93,7 +93,7 @@ def test_a_gate_on_a_group_whose_setting_was_not_applied_is_inconclusive(tmp_pat
 def test_without_a_gate_it_shows_and_passes(folders, capsys):
     assert run_main("compare", folders / "base", folders / "slow") == 0
     shown = capsys.readouterr()
-    assert shown.out.startswith("Slower in 1 of 1 group, most the median of the latency: +100 %.")
+    assert shown.out.startswith("Slower in 1 of 1 result, most the median of the latency: +100 %.")
     assert shown.err == ""
 
 
@@ -114,7 +114,7 @@ def test_the_output_names_how_verdicts_and_gates_are_adjusted(folders, capsys, r
 def test_one_run_is_not_called_worse(folders, capsys):
     assert run_main("compare", folders / "base", folders / "one") == 0
     shown = printed(capsys)
-    assert shown.startswith("What changed cannot be told: it takes 3 runs a side.")
+    assert shown.startswith("No verdict is possible: it needs 3 runs a side.")
     assert "slower:" not in shown
     assert "too few" in shown
 
@@ -188,9 +188,9 @@ def test_tables_say_what_the_tails_rest_on_and_what_was_received(folders, capsys
     tails = [line for line in shown.splitlines() if "Latency p9" in line]
     medians = [line for line in shown.splitlines() if "Latency median" in line]
     assert tails
-    assert all("episode" in line for line in tails if "p99.9" not in line)
+    assert all("burst" in line for line in tails if "p99.9" not in line)
     assert medians
-    assert not any("episode" in line for line in medians)
+    assert not any("burst" in line for line in medians)
 
 
 def test_unlike_folders_are_told_apart_and_compared_without_what_they_differ_in(folders, capsys):
@@ -222,7 +222,7 @@ def test_a_page_of_both_sides(folders, capsys):
     assert f"Wrote {out}" in capsys.readouterr().out
     text = out.read_text(encoding="utf-8")
     assert "<h1>base → slow</h1>" in text
-    assert "Slower in 1 of 1 group" in text
+    assert "Slower in 1 of 1 result" in text
 
 
 def test_junit_into_a_file(folders, capsys):

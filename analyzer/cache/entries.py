@@ -96,7 +96,7 @@ def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
 
 
 def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace:
-    """Write an entry of the cache, as `store_parts` with the description after the events; `key` is that of the trace's content.
+    """Write an entry of the cache, as `store_parts` with the description after the events; `key` is the key of the trace's content.
 
     Raises:
         OSError: it cannot be written.

@@ -137,7 +137,7 @@ class EventsFile:
         self._stream = stream
 
     def write(self, events: EventColumns) -> StoredPiece:
-        """Write events, of which there is at least one.
+        """Write events, at least one.
 
         Raises:
             OSError: the events cannot be written.

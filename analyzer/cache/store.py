@@ -285,7 +285,7 @@ class TraceCache:
                 os.unlink(name, dir_fd=self._descriptor)
 
     def _block_digests(self, descriptor: int, size: int) -> Iterator[bytes]:
-        """Yield the SHA-256 of each block of a file, those of a large file made on all cores."""
+        """Yield the SHA-256 of each block of a file, computed on all cores for a large file."""
         if 0 < size <= _BUFFER_BYTES:
             buffer = _buffer_of_thread()
             return iter([hashlib.sha256(buffer[: os.preadv(descriptor, [buffer], 0)]).digest()])

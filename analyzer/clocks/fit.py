@@ -16,7 +16,7 @@ Two assumptions give a slow message the interval of its fast neighbours:
   remain possible, and the bound is what they leave open (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms
   for network measurements", INFOCOM 2002; S. Moon, P. Skelly, D. Towsley, INFOCOM 1999; Huygens, NSDI 2018,
   keeps the fastest messages for the same reason as NTP's clock filter, RFC 5905, section 10). A window
-  whose messages no line respects, or a half of which puts the offset outside the window's bound, is halved. For a clock that
+  whose messages no line respects, or with a half that puts the offset outside the window's bound, is halved. For a clock that
   bends by 100 ppm in a window, that reduces wrong bounds from 24 % of the messages to 3 %.
 """
 

@@ -89,7 +89,7 @@ def _check_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limit
     end = DRIFT * points.time[np.append(first[1:], len(points)) - 1]
     top = np.minimum.accumulate(np.append(before.top, least - end))
     bottom = np.maximum.accumulate(np.append(before.bottom, most + end))
-    # All offsets of a part overlap, and those of a later part are reached from the end of each earlier one.
+    # All offsets of a part overlap, and offsets of a later part are reached from the end of each earlier one.
     is_settled = np.all((most <= least) & (most - begin <= top[:-1]) & (least + begin >= bottom[:-1]))
     return bool(is_settled), _Limits(float(top[-1]), float(bottom[-1]))
 

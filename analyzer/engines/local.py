@@ -183,7 +183,7 @@ def _cost_of_small(batches: Sequence[Batch]) -> int:
 
 
 def _bytes_of(path: Path) -> int:
-    """Return the size of a trace, for a folder that of its files; 0 where it is unknown."""
+    """Return the size of a trace, or of the files in its folder; 0 where it is unknown."""
     with suppress(OSError):
         files = path.iterdir() if path.is_dir() else [path]
         return sum(file.stat().st_size for file in files)

@@ -84,7 +84,7 @@ def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch:
 
 
 class _ValueSpool:
-    """The values of a group that comes in parts: a file for each metric, of which one at a time is in memory."""
+    """The values of a group that comes in parts: a file for each metric, one at a time in memory."""
 
     def __init__(self, group: int) -> None:
         self.group = group

@@ -91,7 +91,7 @@ def packed(rows: RoundTrips | PackedRows, folder: Path | None) -> PackedRows:
 
 @dataclass(frozen=True, eq=False)
 class PackedRows(PairedRows):
-    """Rows of which a column, or a batch of rows, is read when it is asked for.
+    """Rows that are read on demand, column by column or batch by batch.
 
     Attributes:
         source: the streams, or the file that has them.

@@ -1,6 +1,6 @@
 """Pair and measure a batch: what the cache has of it is neither read nor computed again.
 
-A large batch is processed in parts of whole runs (`batches.parts_of`), so that a new run of a large group is paired alone.
+A large batch is processed in parts of whole runs (`batches.parts_of`), so that only the new run of a large group is paired.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class BatchResult:
     Attributes:
         frames: by name, see `groups/frames.py`.
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
-        statistics: of its groups; for a part of a group those of the part.
+        statistics: of its groups, or of the part of a group.
         copies: events that were left out because another trace has them, by key.
         values: metric -> int64 values that are not null, for a part of a group; None for whole groups.
     """
@@ -136,7 +136,7 @@ class _Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _JoinedRows(PairedRows):
-    """The rows of several parts, of which a column is in memory when it is asked for."""
+    """The rows of several parts, joined column by column."""
 
     parts: Sequence[PairedRows]
 

@@ -197,7 +197,7 @@ def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecut
         folder: takes temporary files; the caller removes it after the workers have ended.
         cache: whether they use the user's cache.
     """
-    # A fork would copy locks that other threads, also those of polars, are holding.
+    # A fork would copy locks that other threads, also in polars, are holding.
     context = multiprocessing.get_context("spawn")
     workers = ProcessPoolExecutor(count, context, _begin, (os.fspath(folder), cache))
     with _without_main(), _without_interrupts(), _with_one_blas_thread():

@@ -1,4 +1,4 @@
-"""Results of batches in the user's cache, so that the next analysis computes only those of new runs.
+"""Results of batches in the user's cache, so that the next analysis processes only new runs.
 
 A result follows from the descriptions of the exchanges, the content of the traces that have their events, the deadline, and the
 code. The HMAC of all that is its key, so no result is used for another batch.
@@ -49,7 +49,7 @@ _UNUSABLE = (OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsEr
 
 
 class ResultCache:
-    """The results of earlier analyses, and those of this one for the next.
+    """Reads results of earlier analyses and writes new ones.
 
     Args:
         cache: the open cache.

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 OVERLAP_NS = 1_000_000_000
-"""Least common time of two runs of which neither goes on in the middle of the other: NTP slews the wall clocks of the two sessions,
-and one late last message is no load."""
+"""Least common time of two runs, unless one goes on in the middle of the other: NTP slews wall clocks, and one late message is no load."""
 
 
 @dataclass(frozen=True, slots=True, order=True)

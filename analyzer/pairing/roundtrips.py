@@ -92,7 +92,7 @@ class PairedRows(ABC):
     def frames(self) -> Iterator[pl.DataFrame]:
         """Yield the rows in frames of `ROWS_PER_FRAME`, at least one.
 
-        Columns are `sequence`, those of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`; `outcome` is u8, an index of `pair.OUTCOMES`.
+        Columns are `sequence`, the columns of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`; `outcome` is u8, an index of `pair.OUTCOMES`.
         """
 
     def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:

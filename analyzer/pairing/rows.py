@@ -30,7 +30,7 @@ MOST_ROWS_IN_MEMORY = 1_000_000
 
 
 class RowStore(ABC):
-    """The rows of a campaign: all of them, some columns, or those of some groups.
+    """The rows of a campaign: all of them, some columns, or some groups.
 
     Attributes:
         groups: one row per group: `group` u32, the parameter columns, and `first` and `published` i64, the first of its rows and
@@ -59,7 +59,7 @@ class RowStore(ABC):
 
     @abstractmethod
     def scan(self) -> pl.LazyFrame:
-        """Return all rows, of which `collect` reads what it needs."""
+        """Return all rows lazily."""
 
     def in_file(self) -> RowStore:
         """Return the same rows, read from their file: small to send to another process."""
@@ -138,13 +138,13 @@ class RowsInFile(RowStore):
         return pl.read_parquet(self._path)
 
     def scan(self) -> pl.LazyFrame:
-        """Return all rows, of which `collect` reads what it needs."""
+        """Return all rows lazily."""
         written = self._path.stat()
         return _scan(self._path, written.st_size, written.st_mtime_ns)
 
 
 @lru_cache(maxsize=4)
-def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG001 - they tell versions of the file apart
+def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG001 - they distinguish versions of the file
     """Return the rows of a file, whose footer is read once."""
     return pl.scan_parquet(path)
 

@@ -43,6 +43,7 @@ def assign_worker(workers):
 started, processes.start_workers = processes.start_workers, start
 processes.Workers._assign_worker = assign_worker
 dds_trace.analyzer.engines.batches.BATCH_EVENTS = local.FILES_FOR_PROCESSES = 1
+local.is_large = lambda batch: False
 local.LocalEngine._processes = 3
 from dds_trace.cli.analyze import main
 sys.argv = ["dds-analyze", *sys.argv[1:]]
@@ -103,6 +104,7 @@ def temporary(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("cache", "batch_events"), [(False, 1_000_000), (True, 1)])
 def test_workers_say_the_same_as_threads(runs, monkeypatch, temporary, request, cache, batch_events):
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", batch_events)
+    monkeypatch.setattr(local, "is_large", lambda _batch: False)
     expected = analyze(runs)
     started = request.getfixturevalue("started")
     first = analyze(runs, cache=cache)

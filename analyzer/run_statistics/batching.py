@@ -1,7 +1,6 @@
 """Spreads of several groups at once, for speed only: each is what `spread_of_runs` returns for its group.
 
-Numpy takes as long to start on an array as to process some thousand values: the metrics of a small group cost together little
-more than one of them.
+Numpy takes as long to start on an array as to process some thousand values.
 """
 
 from __future__ import annotations

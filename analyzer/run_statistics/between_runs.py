@@ -1,9 +1,8 @@
 """The interval of a quantile or a mean of a group of runs: it holds for another run of the same kind.
 
-Runs with equal settings differ by more than the spread within each explains: a reboot, another channel, another memory layout.
-A run is therefore one observation, and the interval is Student's t on the logarithms of the runs' statistics; logarithms,
-because causes of latency multiply. A bootstrap of runs and blocks has no wider tails for few runs: of its 95 % intervals of
-p50 from three runs 83 % contain the truth, of Student's t 95 %.
+Runs with equal settings differ by more than the spread within each explains (a reboot, another memory layout). A run is therefore
+one observation, and the interval is Student's t on the logarithms of the runs' statistics, because causes of latency multiply. Of
+95 % intervals of p50 by a bootstrap of three runs 83 % contain the truth, by Student's t 95 %.
 """
 
 from __future__ import annotations
@@ -36,11 +35,11 @@ class Units:
     """Independent observations of a statistic: one for each run, or for each few neighbouring runs.
 
     Attributes:
-        values: float64, the statistic of each unit; infinite where a lost message sets it.
-        messages: messages of all runs.
+        values: float64, infinite where a lost message sets it.
+        messages: of all runs.
         independent: how many independent messages they are worth within their runs.
         runs: runs in the units.
-        episodes: episodes beyond the quantile in all runs; None for a mean, and where no value is beyond.
+        episodes: beyond the quantile in all runs; None for a mean, and where no value is beyond.
     """
 
     values: Float64
@@ -55,7 +54,7 @@ class Units:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """A statistic of a group: its interval, and the units that it comes from (None within one run)."""
+    """A statistic of a group: its interval, and the units of it (None within one run)."""
 
     interval: Interval
     units: Units | None
@@ -69,16 +68,11 @@ def interval_of_runs(runs: Runs | Sequence[Run], statistic: Statistic, confidenc
 def estimates_of_runs(
     runs: Runs | Sequence[Run], statistics: Sequence[Statistic], confidence: float = 0.95
 ) -> list[Estimate]:
-    """Return the estimate of each statistic: from the runs if there are three or more, else within one run.
+    """Return the estimate of each statistic: from the runs, in the order of time, if there are three or more, else within one run.
 
-    From three runs on the value is of a typical run: the geometric mean of the runs' statistics, their mean if one is not above
-    zero, and their median if one is infinite. An end beyond a tail is None if it rests on fewer than `MIN_EPISODES`
-    episodes. Several statistics cost less together than one by one: the runs are sorted once.
-
-    Args:
-        runs: in the order of time.
-        statistics: what is estimated.
-        confidence: between 0 and 1, both excluded.
+    From three runs on the value is the geometric mean of the runs' statistics; their mean if one is not above zero, their median if
+    one is infinite. An end beyond a tail is None if it rests on fewer than `MIN_EPISODES` episodes. Together, statistics share
+    the sorting.
     """
     group = Runs.of(runs)
     units = units_of_runs(group, statistics)
@@ -105,14 +99,8 @@ def units_of_runs(group: Runs, statistics: Sequence[Statistic]) -> list[Units | 
 def units_of(runs: Runs | Sequence[Run], statistic: Statistic, tails: list[Tail] | None = None) -> Units:
     """Return the statistic of each run, or of neighbours together where one run does not support it.
 
-    A unit needs as many messages as the statistic, and about as many episodes beyond the quantile as there are units: a tail of k
-    episodes is biased by the order of 1/k, which no number of runs averages away, while U such units have a standard error of the
-    order of 1/sqrt(k U).
-
-    Args:
-        runs: in the order of time; at least one message in all.
-        statistic: what is estimated.
-        tails: of the runs beyond its quantile; None computes them.
+    A unit needs about as many episodes beyond the quantile as there are units: a tail of k episodes is biased by the order of 1/k,
+    which no number of runs averages away, while U such units have a standard error of the order of 1/sqrt(k U).
     """
     runs = group = Runs.of(runs)
     if min(group.lengths) < statistic.needs:
@@ -136,7 +124,6 @@ def units_of(runs: Runs | Sequence[Run], statistic: Statistic, tails: list[Tail]
 
 
 def _joined_where_short(runs: Sequence[Run], needs: int) -> list[Run]:
-    """Join neighbouring runs until each has enough messages."""
     groups: list[list[Run]] = [[]]
     for run in runs:
         if sum(map(len, groups[-1])) >= needs:
@@ -149,7 +136,6 @@ def _joined_where_short(runs: Sequence[Run], needs: int) -> list[Run]:
 
 
 def _joined_to(runs: Runs, most: int) -> Runs:
-    """Join neighbouring runs into at most `most` nearly equal groups."""
     if len(runs) <= most:
         return runs
     size, larger = divmod(len(runs), most)
@@ -207,8 +193,7 @@ def ends_of_units(
 ) -> tuple[float, float | None, float | None, float | None]:
     """Return the typical value of at least two units, the ends of its interval by Student's t, and `Interval.unit_spread`.
 
-    On the reciprocal scale the upper end is infinite, and the lower end belongs to the harmonic mean, which is never above the
-    geometric mean.
+    On the reciprocal scale the lower end belongs to the harmonic mean, which is never above the geometric mean.
     """
     scale = scale_of(values)
     if scale is Scale.NONE:
@@ -225,7 +210,7 @@ def ends_of_units(
 
 
 def student_ends(values: Float64, confidence: float) -> tuple[float, float, float, float]:
-    """Return the mean of finite values, the ends of its interval (Student, 1908), and their standard deviation."""
+    """Return mean, ends of its interval (Student, 1908), and standard deviation of finite values."""
     count, (mean, variance) = len(values), mean_and_variance(values)
     deviation = math.sqrt(variance)
     reach = student_quantile((1 + confidence) / 2, count - 1) * deviation / math.sqrt(count)

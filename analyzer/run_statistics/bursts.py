@@ -1,10 +1,9 @@
 """How many independent messages a series of dependent ones is worth, and how many episodes a rare event came in.
 
-A queue delays the next message, a radio loses it, a backup lasts for seconds. The variance of a share in such a series is set
-by its slowest movements, so it is estimated from the projections of the series on the first few cosines that fit into the run
-(equal-weighted cosines: U. Mueller, Journal of Business & Economic Statistics 32, 2014; E. Lazarus, D. Lewis, J. Stock and
-M. Watson, the same journal 36, 2018). Dependence that lasts up to a twelfth of the run counts in full. The mean divided by the
-root of this estimate is Student's t with as many degrees of freedom as there are cosines.
+The variance of a share in a dependent series is set by its slowest movements, so it is estimated from the projections of the
+series on the first cosines of the run (U. Mueller, Journal of Business & Economic Statistics 32, 2014; E. Lazarus, D. Lewis,
+J. Stock and M. Watson, the same journal 36, 2018). Dependence up to a twelfth of the run counts in full. The mean divided by the
+root of this estimate is Student's t with as many degrees of freedom as cosines.
 """
 
 from __future__ import annotations
@@ -27,30 +26,26 @@ if TYPE_CHECKING:
     Indices = NDArray[np.intp]
 
 COSINES = 12
-"""Projections that the variance is estimated from. More of them narrow the interval (Student's t is 11 % above the normal
-quantile with twelve, 18 % with eight) and miss longer dependence."""
+"""More of them narrow the interval (by Student's t) and miss longer dependence."""
 
 EPISODE_GAP_SHARE = 0.05
-"""Two rare events closer than this share of their mean distance are one episode; of independent ones one in twenty is."""
+"""Two rare events closer than this share of their mean distance are one episode."""
 
 LEAST_GAP = 1.5
-"""Messages of the least gap between episodes; with 1, a sender's jitter would cut a burst in pieces."""
+"""Messages; with 1, a sender's jitter would cut a burst in pieces."""
 
 _MOST_CELLS = (
     1024  # neighbours are added up in this many cells: the shortest cosine has 170 of them in a period
 )
 
 _MANY = 20
-"""Messages a cell from which on the cells' bounds are searched among them, not the cell of each."""
+"""Messages a cell from which on a search is quicker."""
 
 
 def long_run_variance(series: NDArray[Any]) -> float:
-    """Return n times the variance of the mean of a series.
+    """Return n times the variance of the mean of at least `2 * COSINES` values in the order of time.
 
     `(2 / n) sum_j (sum_t x_t cos(pi j (t - 1/2) / n))^2 / COSINES`, j = 1 ... COSINES.
-
-    Args:
-        series: finite numbers in the order of time, at least `2 * COSINES`, shape (messages,).
     """
     n = len(series)
     cells = min(n, _MOST_CELLS)
@@ -62,7 +57,7 @@ def long_run_variance(series: NDArray[Any]) -> float:
 def share_inflation(indices: Indices, messages: int) -> float:
     """Return the variance of a share of messages divided by the variance of as many independent ones.
 
-    It is 1 without events, with nothing but events, and in fewer than `2 * COSINES` messages. `indices` ascend, shape (events,).
+    1 without events, with nothing but events, and in fewer than `2 * COSINES` messages. `indices` ascend.
     """
     if not messages:
         return 1.0
@@ -75,8 +70,8 @@ class Cells:
 
     Attributes:
         lengths: messages of each series.
-        widths: int64, messages in each cell, shape (cells,).
-        offsets: the first cell of each series and the number of all, shape (series + 1,).
+        widths: int64, messages in each cell.
+        offsets: the first cell of each series and the number of all.
     """
 
     lengths: tuple[int, ...]
@@ -131,8 +126,7 @@ def cells_of(lengths: Sequence[int]) -> Cells:
 def share_inflations(cells: Cells, subsets: Sequence[tuple[Indices, Indices]]) -> list[list[float]]:
     """Return `share_inflation` of each series, for each of some subsets of their messages.
 
-    A subset is the ascending indices of its messages among all, shape (events,), with the first of these in each
-    series and the number of all, shape (series + 1,).
+    A subset is its ascending indices among all messages, with the first of these in each series and the number of all.
     """
     counts = np.array([cells.counts(indices) for indices, _ in subsets], np.float64)
     offsets = np.array([offsets for _, offsets in subsets])
@@ -150,22 +144,18 @@ def share_inflations(cells: Cells, subsets: Sequence[tuple[Indices, Indices]]) -
 
 
 def _projections(sums: Float64) -> Float64:
-    """Return the projections of sums in cells, shape (..., cells), on the cosines, shape (..., COSINES)."""
+    """Return the projections of sums in cells, shape (..., cells), on the cosines."""
     return np.asarray(sums @ _cosines(sums.shape[-1]).T)
 
 
 def _variances(projections: Float64, messages: Int64) -> Float64:
-    """Return n times the variance of the mean of several series, shape (..., series, 1).
-
-    Projections are of centred series, shape (..., series, COSINES); messages have the shape (series, 1).
-    """
+    """Return n times the variance of the mean of series, shape (..., series, 1), from centred projections."""
     squares = np.add.reduce(projections * projections, axis=-1, keepdims=True)
     return np.asarray(2 / messages * (squares / COSINES))
 
 
 @lru_cache(maxsize=64)
 def _starts(messages: int, cells: int) -> Int64:
-    """Return the first message of each cell."""
     starts = np.arange(cells, dtype=np.int64) * messages // cells
     starts.flags.writeable = False
     return starts
@@ -180,7 +170,6 @@ def _widths(messages: int, cells: int) -> Int64:
 
 @lru_cache(maxsize=64)
 def _cosines(cells: int) -> Float64:
-    """Return the cosines at the cells' centres, shape (COSINES, cells)."""
     centres = (np.arange(cells) + 0.5) / cells
     waves = np.cos(np.pi * np.arange(1, COSINES + 1)[:, None] * centres)
     waves.flags.writeable = False
@@ -193,22 +182,19 @@ def mean_distance(sent_ns: Int64) -> float:
 
 
 def positions_of(indices: Indices, sent_ns: Int64 | None = None) -> Float64:
-    """Return when messages of a series were sent, float64, in mean distances since its first one.
-
-    `sent_ns` has all messages of the series, int64 ns, ascending; None where they are evenly spaced.
-    """
+    """Return when messages of a series were sent, float64, in mean distances; `sent_ns` None for evenly spaced ones."""
     if sent_ns is None or not len(sent_ns):
         return indices.astype(np.float64)
     return np.asarray((sent_ns[indices] - sent_ns[0]) / mean_distance(sent_ns))
 
 
 def episode_ends(positions: Float64, gaps: Float64 | float, offsets: Indices | None = None) -> Indices:
-    """Return the index in `positions` of the last event of each episode; shape (episodes,).
+    """Return the index of the last event of each episode; one ends if the next event is farther away than the gap.
 
     Args:
         positions: of the events, ascending in each series, shape (events,).
-        gaps: an episode ends if the next event is farther away; one number, or one for each event.
-        offsets: the first event of each of several series and the number of all; None for one series.
+        gaps: one number, or one for each event.
+        offsets: the first event of each of several series and the number of all.
     """
     if not len(positions):
         return np.empty(0, np.intp)
@@ -221,11 +207,10 @@ def episode_ends(positions: Float64, gaps: Float64 | float, offsets: Indices | N
 
 
 def episode_sizes(indices: Indices, messages: int, sent_ns: Int64 | None = None) -> Int64:
-    """Return the number of events in each episode of a series, in the order of time; arguments as for `positions_of`.
+    """Return the number of events in each episode of a series.
 
-    Runs declustering (R. Smith and I. Weissman, JRSS B 56, 1994): an episode ends where the next event is farther away than
-    `EPISODE_GAP_SHARE` of the events' mean distance and than `LEAST_GAP`. The intervals estimator (C. Ferro and J. Segers, JRSS B
-    65, 2003) takes one outage of 100 messages for 100 episodes.
+    Runs declustering (R. Smith and I. Weissman, JRSS B 56, 1994), with a gap of `EPISODE_GAP_SHARE`. The intervals estimator
+    (C. Ferro and J. Segers, JRSS B 65, 2003) takes one outage of 100 messages for 100 episodes.
     """
     positions = positions_of(indices, sent_ns)
     return sizes_between(episode_ends(positions, gap_of(len(indices), messages, EPISODE_GAP_SHARE)))
@@ -237,17 +222,17 @@ def gap_of(events: int, messages: int, share: float) -> float:
 
 
 def sizes_between(ends: Indices) -> Int64:
-    """Return the number of events in each episode, by the result of `episode_ends`."""
+    """Return the number of events in each episode, from `episode_ends`."""
     sizes = ends + 1
     sizes[1:] -= ends[:-1] + 1
     return sizes
 
 
 def independent_squares(events: int, messages: int, gap: float) -> float:
-    """Return the mean squared size over the mean size of the episodes that independent events form at a gap.
+    """Return the mean squared size over the mean size of the episodes of independent events.
 
-    An event is followed by another within a gap of g messages with the probability `p = 1 - (1 - share)^g`, so that sizes
-    are geometric: `(1 + p) / (1 - p)`. 1 without an event and with nothing but events.
+    An event is followed by another within a gap of g messages with `p = 1 - (1 - share)^g`, so sizes are geometric:
+    `(1 + p) / (1 - p)`.
     """
     if not 0 < events < messages:
         return 1.0
@@ -258,7 +243,7 @@ def independent_squares(events: int, messages: int, gap: float) -> float:
 def equal_episodes(events: int, squares: float) -> int | None:
     """Return how many episodes of equal size make a count vary as much; None without an event.
 
-    The number of events is a compound Poisson variable, so `(sum sizes)^2 / sum sizes^2` equal episodes have the same relative
-    error. `squares` is that sum of squares, each divided by `independent_squares`.
+    A compound Poisson count has the relative error of `(sum sizes)^2 / sum sizes^2` equal episodes; in `squares` each size is
+    divided by `independent_squares`.
     """
     return round(min(events, events**2 / squares)) if events else None

@@ -1,9 +1,8 @@
 """What changed from one side's runs to the other's: difference, ratio, their intervals, a verdict; and what would be detected.
 
-With three runs a side the runs decide: Welch's test of the logarithms of the runs' statistics, or Student's test of their
-differences repeat by repeat where a sweep measured both sides in the same repeats. With fewer runs there is an interval within
-one run, and no verdict. Pairs pay where the machine drifts: of 5 repeats with a spread of 5 % and sides that correlate by 0.5, a
-difference of 10 % is detected in 88 %, by Welch's test in 78 %.
+With three runs a side the runs decide: Welch's test of the logarithms of the runs' statistics, or Student's test repeat by repeat
+where a sweep measured both sides in the same repeats, which detects more where the machine drifts. With fewer runs the interval
+is within one run, and there is no verdict.
 """
 
 from __future__ import annotations
@@ -33,9 +32,9 @@ if TYPE_CHECKING:
 
 
 def probability_of_superiority(base: Values, new: Values) -> float | None:
-    """Return how often a value drawn from `new` is below one drawn from `base`, ties counted half; None without values.
+    """Return how often a value of `new` is below one of `base`, both ascending, ties counted half.
 
-    Both are ascending. 1 means that every new message is faster (R. McGraw and S. Wong, Psychological Bulletin 111, 1992).
+    1 means that every new message is faster (R. McGraw and S. Wong, Psychological Bulletin 111, 1992).
     """
     if not len(base) or not len(new):
         return None
@@ -62,14 +61,13 @@ class Change:
         base: interval of the statistic of the base.
         new: the same of the new side.
         basis: between runs only if both sides have three.
-        difference: new - base, with `difference_low` and `difference_high`.
-        ratio: new / base, with `ratio_low` and `ratio_high`; infinite where the new side lost too much; None where a side is not
-            above zero.
+        difference: new - base.
+        ratio: new / base, infinite where the new side lost too much; None where a side is not above zero.
         p_value: of a difference like this between equal sides; None within one run.
         smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
-        degrees: degrees of freedom of the test; None within one run.
-        pairs: repeats that were compared one by one; 0 for Welch's test.
-        pair_spread: standard deviation of their differences of logarithms; None for Welch's test.
+        degrees: degrees of freedom of the test.
+        pairs: repeats that were compared one by one.
+        pair_spread: standard deviation of their differences of logarithms.
     """
 
     base: Interval
@@ -88,7 +86,7 @@ class Change:
     pair_spread: float | None = None
 
     def verdict(self, same_within: float) -> Verdict:
-        """Return the verdict on a time: the same if the ratio is wholly within `1 +- same_within`, inconclusive within one run."""
+        """Return the verdict on a time: the same if the ratio is wholly within `1 +- same_within`."""
         if self.basis is Basis.WITHIN_RUN or self.ratio_low is None or self.ratio_high is None:
             return Verdict.INCONCLUSIVE
         if 1 - same_within <= self.ratio_low and self.ratio_high <= 1 + same_within:
@@ -111,10 +109,9 @@ def change_of_runs(
 
 
 def change_of_estimates(base: Estimate, new: Estimate, passes: Passes | None = None) -> Change:
-    """Return the change between two estimates of one statistic with the same confidence.
+    """Return the change between two estimates of one statistic; `passes` are the repeats of both sides' runs.
 
-    If a run's statistic is infinite, the reciprocals are compared; the ratio's upper end is infinite where the new side's
-    reciprocal is not surely above zero. If one is not above zero, there is a difference and no ratio. `passes` are the repeats.
+    If a run's statistic is infinite, the reciprocals are compared. If one is not above zero, there is a difference and no ratio.
     """
     if base.units is None or new.units is None:
         return _change_within(base.interval, new.interval)
@@ -161,7 +158,6 @@ def _change_of_logarithms(
 
 
 def _paired_where_possible(base: Units, new: Units, passes: Passes | None) -> StudentTest | None:
-    """Return the test repeat by repeat if every unit is one run with a partner."""
     if passes is None or any(len(side) != side.runs for side in (base, new)):
         return None
     common, base_index, new_index = np.intersect1d(*passes, return_indices=True)
@@ -194,7 +190,7 @@ def _change_of_values(
 def _change_of_reciprocals(
     base: Interval, new: Interval, base_units: Units, new_units: Units, _: object
 ) -> Change:
-    """Compare mean reciprocals: the base's over the new side's is new / base of the statistic."""
+    """Compare mean reciprocals: base over new is new / base of the statistic."""
     above, below = 1 / base_units.values, 1 / new_units.values
     if not above.any() and not below.any():  # everything is lost on both sides
         return Change(base, new, Basis.BETWEEN_RUNS)
@@ -303,7 +299,7 @@ def detectable_changes(
 def smallest_detectable_ratio(
     change: Change, tests: int, confidence: float, same_within: float
 ) -> float | None:
-    """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %; None if unknown.
+    """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %.
 
     A single slower group has the hardest test: Benjamini and Hochberg require a p value of alpha divided by the number of
     `tests`, and its interval has to leave the band of "the same".

@@ -21,21 +21,20 @@ if TYPE_CHECKING:
 BATCH = 5
 WARM_UP_MIN_MESSAGES = 40 * BATCH
 WARM_UP_P_VALUE = 1e-3
-"""Small, because MSER picks the most extreme of many starts: at most 0.7 % of simulated runs without a warm-up seem to have
-one (3.1 % with one message in twenty in bursts); twenty messages three times as slow are detected in 89 %."""
+"""Small, because MSER picks the most extreme of many starts: 0.7 % of simulated steady runs seem to have a warm-up."""
 
 HEAD_SHARE = 0.5
-"""Share of the difference that the first quarter of a warm-up must have: MSER also cuts after a later burst."""
+"""Share of the difference in the first quarter of a warm-up: MSER also cuts after a later burst."""
 
 
 @dataclass(frozen=True, slots=True)
 class WarmUp:
-    """The start of a run.
+    """The start of a run that MSER-5 leaves out.
 
     Attributes:
-        messages: how many to leave out by MSER-5.
-        ratio: their level over the others' (geometric means of batch medians); 2 is twice as slow.
-        p_value: two-sided, of a difference like this between a start of that length and the rest.
+        messages: how many.
+        ratio: their level over the others' (geometric means of batch medians).
+        p_value: two-sided.
     """
 
     messages: int
@@ -52,10 +51,9 @@ def find_warm_up(values: NDArray[Any]) -> WarmUp | None:
     """Return the warm-up of a run by MSER-5; None in less than `WARM_UP_MIN_MESSAGES` messages.
 
     The batches to leave out minimize the standard error of the mean of the rest (K. P. White, Simulation 69, 1997, with batches
-    of five as in K. P. White, M. Cobb and S. Spratt, WSC 2000). Batches are medians of logarithms here, which one late message
-    does not move. The heuristic always proposes a cut, so it is tested: the start must differ from its first quarter on, more than
-    any stretch of the rest of the same length, and (`is_sure`) by more than the long-run variance of the rest explains.
-    `values` are above zero, in the order of time, without lost messages.
+    of five as in K. P. White, M. Cobb and S. Spratt, WSC 2000); they are medians of logarithms, which one late message does not move.
+    The heuristic always proposes a cut, so it is tested: the start must differ from its first quarter on, more than any stretch of
+    the rest of the same length, and by more than the long-run variance of the rest explains.
     """
     if len(values) < WARM_UP_MIN_MESSAGES:
         return None
@@ -79,10 +77,7 @@ def find_warm_up(values: NDArray[Any]) -> WarmUp | None:
 
 
 def medians_of_five(batches: NDArray[Any]) -> NDArray[Any]:
-    """Return the median of each row of five, in a fifth of the time that `numpy.median` takes.
-
-    It is the median of the fifth value, the larger of the two least of two pairs, and the smaller of their two largest.
-    """
+    """Return the median of each row of five, in a fifth of the time that `numpy.median` takes."""
     a, b, c, d, e = batches.T
     low, high = np.maximum(np.minimum(a, b), np.minimum(c, d)), np.minimum(np.maximum(a, b), np.maximum(c, d))
     return np.asarray(np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e)))
@@ -107,8 +102,7 @@ BLOCKS = 32
 _FIRST, _SECOND = np.triu_indices(BLOCKS, 1)
 TREND_MIN_MESSAGES = 4 * BLOCKS
 TREND_P_VALUE = 0.001
-"""Small, because a campaign has hundreds of runs: at most 0.5 % of simulated runs without a trend seem to have one (1.1 % at a
-correlation of 0.99); a rise by 65 % is detected in 97 % of runs of 1000 independent messages."""
+"""Small, because a campaign has hundreds of runs: 0.5 % of simulated steady runs seem to have a trend."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +110,8 @@ class Trend:
     """How a series moves from start to end.
 
     Attributes:
-        change: end over start less one, along the line of Theil and Sen through the block medians; 0.1 is a rise by 10 %.
-        p_value: two-sided, of a movement like this without a trend.
+        change: end over start less one, along the line of Theil and Sen through the block medians.
+        p_value: two-sided.
     """
 
     change: float
@@ -134,7 +128,6 @@ def find_trend(values: NDArray[Any]) -> Trend | None:
     The medians of 32 blocks, which a burst does not move, are tested by their order (H. Mann, 1945; M. Kendall, 1948).
     The variance of the test is multiplied by (1 + r)/(1 - r), where r is the correlation of neighbouring blocks about
     the line (S. Yue and C. Wang, Water Resources Management 18, 2004), with Kendall's correction of its bias.
-    `values` are above zero, in the order of time, without lost messages.
     """
     if len(values) < TREND_MIN_MESSAGES:
         return None
@@ -173,30 +166,25 @@ def _correlation_of_neighbours(series: Float64) -> float:
 
 MODES_MIN_MESSAGES = 200
 LEAST_SHARE = 0.1
-"""Share of the smaller mode; percentiles describe a tail of fewer."""
+"""Of the smaller mode."""
 
 DEEPEST_VALLEY = 0.5
-"""Density between the modes over the lower one's; two normal modes of equal size reach it 3.3 deviations apart."""
+"""Density between the modes over the lower one's."""
 
 LEAST_VALUES = 30
-"""Different values of a series: a clock that ticks once a millisecond makes modes of its ticks."""
+"""Different values: a coarse clock makes modes of its ticks."""
 
 SURE_DEVIATIONS = 4.0
-"""No simulated run with one mode has two (1.4 % with one message in twenty in slow bursts); a share of 30 % three times as slow
-is detected in 81 % of runs of 300 messages and in all of 1000."""
+"""No simulated run with one mode has two; a share of 30 % three times as slow is detected in 81 % of runs of 300 messages."""
 
 _BINS = 256
 
 
 @dataclass(frozen=True, slots=True)
 class Modes:
-    """The two modes of a series, as with and without a retransmission: their peaks and their valley.
+    """The two modes of a series: the values of their peaks, and the `share` of the smaller one.
 
-    Attributes:
-        low: value at the peak of the lower mode.
-        high: value at the peak of the higher mode.
-        share: messages of the smaller one, of all.
-        valley: density between the peaks over the lower peak's, 0 to 1.
+    `valley` is the density between the peaks over the lower peak's.
     """
 
     low: float
@@ -206,13 +194,12 @@ class Modes:
 
 
 def find_modes(ordered: NDArray[Any], inflation: float = 1.0) -> Modes | None:
-    """Return the two modes of a series; None if it has one, or too few messages or different values.
+    """Return the two modes of ascending values above zero; None if there is one, or too few messages or different values.
 
     The density of the logarithms is estimated with a normal kernel of B. W. Silverman's width (1986, equation 3.31:
     0.9 min(deviation, interquartile range / 1.34) n^(-1/5)), with n the independent messages. Two peaks are modes if the smaller
-    one has a tenth of the messages on its side of the valley, and if the valley is at most half as high as the lower peak and
-    too low for chance by four standard deviations. `ordered` is ascending, above zero, without lost messages; `inflation` is the
-    `share_inflation` about the median.
+    has a tenth of the messages, and if the valley is at most half as high as the lower peak and too low for chance by four standard
+    deviations. `inflation` is the `share_inflation` about the median.
     """
     n = len(ordered) / max(1.0, inflation)
     if n < MODES_MIN_MESSAGES:
@@ -239,7 +226,7 @@ def _kernel(deviation: float) -> Float64:
 
 
 def _deepest(density: Float64, counts: Float64, centres: Float64, kernel_bins: float) -> Modes | None:
-    """Return the modes on the two sides of the valley that is deepest below the lower of its two peaks."""
+    """Return the modes next to the valley that is deepest below the lower of its two peaks."""
     left = np.maximum.accumulate(density)
     right = np.maximum.accumulate(density[::-1])[::-1]
     lower_peak = np.minimum(left, right)

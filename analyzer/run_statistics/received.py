@@ -1,8 +1,8 @@
 """The received ratio of a group with its interval, and its change between two sides.
 
-The rarer of losses and replies carries the information. If it came in few episodes, their number is Poisson and decides
-(F. Garwood, Biometrika 28, 1936); if in many, E. B. Wilson's interval (1927) holds for as many independent messages as the
-variance implies, measured between the runs or, for one or two, within them.
+The rarer of losses and replies decides. If it came in few episodes, their number is Poisson (F. Garwood, Biometrika 28, 1936); if
+in many, E. B. Wilson's interval (1927) holds for as many independent messages as the variance between the runs, or within one
+or two, implies.
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ LEAST_VARIANCE_SHARE = 0.25
 
 
 def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> Interval:
-    """Return the share of messages whose reply came back, with its interval.
+    """Return the share of received messages, a bool for each message of each run in the order of time, with its interval.
 
-    `episodes` counts the episodes of the rarer of losses and replies. Where nothing was lost the lower end assumes that losses come
-    singly. `received` has for each run a bool for each message in the order of time.
+    Without a loss the lower end assumes that losses come singly.
     """
     runs = [run for run in received if len(run)]
     basis = Basis.BETWEEN_RUNS if len(runs) >= MIN_RUNS else Basis.WITHIN_RUN
@@ -85,7 +84,7 @@ def _independent(events: Sequence[Bools], share: float, n: int) -> float:
 
 
 def _few_episodes(sizes: Int64, n: int, confidence: float) -> tuple[float, float]:
-    """Return the ends of the share of messages in episodes whose number is Poisson.
+    """Return the ends of the share of messages in a Poisson number of episodes.
 
     The upper end takes an episode to be as long as an average message's one, the lower end as the mean one.
     """
@@ -98,10 +97,7 @@ def _few_episodes(sizes: Int64, n: int, confidence: float) -> tuple[float, float
 
 
 def wilson_ends(share: float, independent: float, quantile: float) -> tuple[float, float]:
-    """Return the ends of the interval of a share (E. B. Wilson, JASA 22, 1927) that is worth so many independent observations.
-
-    `quantile` is the number of standard errors, the normal's or Student's quantile.
-    """
+    """Return the ends of the interval of a share (E. B. Wilson, JASA 22, 1927) of so many independent observations."""
     squared = quantile * quantile
     centre = share + squared / (2 * independent)
     reach = quantile * math.sqrt(share * (1 - share) / independent + squared / (4 * independent**2))
@@ -116,10 +112,10 @@ class DeliveryChange:
     Attributes:
         base: interval of the base's received ratio.
         new: the same of the new side.
-        difference: new - base, with `difference_low` and `difference_high`, between -1 and 1.
+        difference: new - base, between -1 and 1.
         basis: between runs only if both sides have three.
-        smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %; None within
-            one run. The reach below the difference is taken as Student's t.
+        smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %, with the reach
+            below the difference as Student's t.
     """
 
     base: Interval
@@ -131,7 +127,7 @@ class DeliveryChange:
     smallest_drop: float | None = None
 
     def verdict(self, same_within: float = 0.0) -> Verdict:
-        """Return the verdict: the same if the difference is wholly within `+- same_within`, inconclusive within one run."""
+        """Return the verdict: the same if the difference is wholly within `+- same_within`."""
         low, high = self.difference_low, self.difference_high
         if self.basis is Basis.WITHIN_RUN or low is None or high is None:
             return Verdict.INCONCLUSIVE

@@ -1,7 +1,4 @@
-"""A run, the runs of a group in shared arrays, and a statistic of a run: a quantile or the mean.
-
-A lost message counts as infinitely late: its value is infinity, and a quantile is infinite if too many were lost.
-"""
+"""A run, the runs of a group in shared arrays, and a statistic of a run. A lost message counts as infinitely late."""
 
 from __future__ import annotations
 
@@ -27,12 +24,7 @@ if TYPE_CHECKING:
 
 
 class Run:
-    """The values of one run in the order of time.
-
-    Args:
-        values: int64 or float64, infinity for a lost message, shape (messages,).
-        sent_ns: when each message was sent, int64 ns, ascending; None where messages are evenly spaced.
-    """
+    """The values of one run in the order of time, infinity for a lost message; int64 `sent_ns`, None where evenly spaced."""
 
     def __init__(self, values: Values, sent_ns: Int64 | None = None) -> None:
         self.values = values
@@ -48,12 +40,7 @@ class Run:
 
 
 class SendTimes:
-    """When the messages of several runs were sent; metrics of the same messages share one.
-
-    Args:
-        sent_ns: int64 ns, run after run, ascending in each, shape (messages,).
-        offsets: the first message of each run and the number of all, shape (runs + 1,).
-    """
+    """When the messages of several runs were sent, run after run; `offsets` as in `Runs`. Metrics of the same messages share one."""
 
     def __init__(self, sent_ns: Int64, offsets: Indices) -> None:
         self.sent_ns = sent_ns
@@ -78,7 +65,7 @@ class SendTimes:
         return np.array([mean_distance(times) if len(times) else 1.0 for times in self.by_run])
 
     def positions(self, indices: Indices, events: Indices) -> Float64:
-        """Return `bursts.positions_of` each run at once; `events` is the number of indices of each run."""
+        """Return `bursts.positions_of` each run; `events` is the number of indices of each."""
         since_first = self.sent_ns[indices] - self._first_ns.repeat(events)
         positions: Float64 = since_first / self._distances_ns.repeat(events)
         return positions
@@ -86,7 +73,7 @@ class SendTimes:
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """The levels that runs are compared at: values of a run are divided by its level, or it is subtracted."""
+    """The level of each run, by which its values are divided, or which is subtracted."""
 
     values: tuple[float, ...]
     is_ratio: bool
@@ -143,7 +130,7 @@ class Runs:
 
     @cached_property
     def times(self) -> SendTimes:
-        """When each message was sent; its number where that is not recorded."""
+        """When each message was sent, or its number."""
         times = [np.arange(len(run)) if run.sent_ns is None else run.sent_ns for run in self.runs]
         return SendTimes(np.concatenate(times), self.offsets)
 
@@ -164,7 +151,7 @@ class Runs:
 
     @cached_property
     def levels(self) -> Levels:
-        """The median of each run (infinite: the middle of the others); a ratio if all are above zero. A single run keeps its values."""
+        """The median of each run (of an infinite one the middle of the others); a single run keeps its values."""
         (medians,) = quantiles_of_runs(self, [0.5])
         is_finite = np.isfinite(medians)
         if len(self) == 1 or not is_finite.any():
@@ -204,20 +191,14 @@ class Runs:
         return Runs((joined,))
 
     def positions(self, indices: Indices, offsets: Indices) -> Float64:
-        """Return when messages were sent, in mean distances of their run's messages since its first one.
-
-        `indices` ascend; `offsets` are the first of these in each run and the number of all, shape (runs + 1,).
-        """
+        """Return when messages were sent, in mean distances of their run's messages; `offsets` are the first index of each run."""
         if len(self) == 1:
             return positions_of(indices, self.runs[0].sent_ns)
         return self.times.positions(indices, offsets[1:] - offsets[:-1])
 
 
 def joined_runs(runs: Sequence[Run]) -> Run:
-    """Return several runs as one series, one after the other; a single run as it is, and no run as an empty one.
-
-    An episode outlives its run by at most the pause between two messages.
-    """
+    """Return several runs as one series, one after the other; a single run as it is."""
     if not runs:
         return Run(np.empty(0))
     if len(runs) == 1:
@@ -228,7 +209,6 @@ def joined_runs(runs: Sequence[Run]) -> Run:
 
 
 def _steps_ns(times: Int64) -> Int64:
-    """Return the time since the previous message; for the first one the mean step."""
     if not len(times):
         return times
     step = int(times[-1] - times[0]) // max(1, len(times) - 1)
@@ -237,7 +217,7 @@ def _steps_ns(times: Int64) -> Int64:
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """What is estimated of a run: a quantile between 0 and 1, both excluded, or the mean (None)."""
+    """A quantile between 0 and 1, both excluded, or the mean (None)."""
 
     quantile: float | None
 
@@ -263,9 +243,8 @@ MEAN = Statistic(None)
 def quantiles_of_runs(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
     """Return each quantile of each run, float64 of shape (runs,), by the median-unbiased definition.
 
-    That is definition 8 of R. Hyndman and Y. Fan, American Statistician 50, 1996. The summary's definition 7 is below the truth
-    where few messages lie beyond the quantile: of intervals of p99 from ten runs of 150 messages 74 % contain the truth with it,
-    94 % with definition 8.
+    That is definition 8 of R. Hyndman and Y. Fan, American Statistician 50, 1996. With the summary's definition 7, of intervals of p99
+    from ten runs of 150 messages 74 % contain the truth, with definition 8 94 %.
     """
     positions = np.multiply.outer(quantiles, np.add(runs.lengths, 1 / 3)) + 1 / 3
     return list(quantiles_at(runs.ordered_by_run, runs.offsets, positions))
@@ -281,8 +260,8 @@ def quantiles_at(ordered: Values, offsets: Indices, positions: Float64) -> Float
 
     Args:
         ordered: the values of each series, ascending, series after series.
-        offsets: the first value of each series, which is not empty, and the number of all, shape (series + 1,).
-        positions: shape (..., series); one outside the series is moved to its nearest order statistic.
+        offsets: the first value of each series, which is not empty, and the number of all.
+        positions: shape (..., series); one outside the series is moved to its nearest value.
     """
     first, count = offsets[:-1], offsets[1:] - offsets[:-1]
     positions = np.minimum(np.maximum(positions, 1.0), count)

@@ -1,4 +1,4 @@
-"""How much of the spread of a group's runs is between them and how much within them, and how many runs decide."""
+"""The spread of a statistic between runs and within them, and how many runs decide."""
 
 from __future__ import annotations
 
@@ -28,9 +28,8 @@ class Spread:
     """Standard deviations of the logarithm of a statistic of one run; 0.05 is 5 %.
 
     Attributes:
-        between: from run to run; 0 if the runs differ by less than their messages explain, None below two runs or without a
-            logarithm.
-        within: what longer runs would average away, the root mean square over the runs; None where a run is too short.
+        between: from run to run; 0 if the runs differ by less than their messages explain.
+        within: what longer runs would average away, the root mean square over the runs.
     """
 
     between: float | None
@@ -76,7 +75,7 @@ def _log_error_of_mean(run: Run, mean: float) -> float:
 
 
 def log_errors(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
-    """Return the standard error of the logarithm of each run's quantiles, NaN where it is not finite; each of shape (runs,).
+    """Return the standard error of the logarithm of each run's quantiles, NaN where not finite; each of shape (runs,).
 
     Half of the logarithm's rise over one standard error of the share below it to either side (R. Woodruff, JASA 47, 1952).
     """
@@ -95,8 +94,7 @@ def log_errors(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
 def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
     """Return the runs a side, in all, after which the interval of a ratio is on one side of a limit with a probability of 80 %.
 
-    None within one run, where a ratio is not finite, and where it takes more than `power.MOST_RUNS`. The measured ratio is taken
-    as the true one.
+    None within one run and where it takes more than `power.MOST_RUNS`. The measured ratio is taken as the true one.
     """
     if change.ratio is None or not 0 < change.ratio < math.inf:
         return None
@@ -107,14 +105,13 @@ def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
 
 
 def runs_to_settle_value(interval: Interval, limit: float) -> int | None:
-    """Return the runs after which the interval of a statistic very likely is on one side of a limit; see `runs_to_settle_ratio`."""
+    """Return the runs after which an interval very likely is on one side of a limit; see `runs_to_settle_ratio`."""
     if interval.value is None or not 0 < interval.value < math.inf:
         return None
     return _runs_to_decide(interval.value / limit, (interval.unit_spread, 0.0), interval)
 
 
 def _runs_to_decide(ratio: float, spreads: tuple[float | None, float | None], *sides: Interval) -> int | None:
-    """Return the units that it takes, times the runs of a unit."""
     base, new = spreads
     if base is None or new is None:
         return None

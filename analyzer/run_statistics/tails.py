@@ -34,21 +34,20 @@ if TYPE_CHECKING:
     """Positions of the first and of the last message of each streak, and its messages."""
 
 TAIL_GAP_SHARE = 0.5
-"""Two messages of a tail closer than this share of their mean distance are one episode; `bursts.independent_squares` corrects
-for the two in five independent ones. With `EPISODE_GAP_SHARE`, an excursion of correlated neighbours that comes back twice
-would count as three: at a correlation of 0.95, p99 of one run of 5000 then has both ends in 12 % of samples instead of 62 %."""
+"""As `EPISODE_GAP_SHARE`, wide enough that an excursion of correlated neighbours that comes back twice is one episode;
+`bursts.independent_squares` corrects for independent ones."""
 
 LEVEL_BELOW = 10
 """The level below a tail leaves this many times as many messages beyond: p90 for p99, p99 for p99.9."""
 
 WIDEST_TAIL = 0.1
-"""The largest share of messages that a level below leaves beyond; wider tails have none, as there chance makes streaks."""
+"""Wider tails have no level below: chance makes streaks there."""
 
 CHANCE = 0.01
-"""Probability that independent messages have a streak that is taken for a burst."""
+"""Probability that independent messages have a streak taken for a burst."""
 
 MIN_BURSTS = MIN_EPISODES - 1
-"""Bursts from which on they do not limit a tail: one less than its episodes, because the shortest look like chance."""
+"""Bursts from which on they do not limit a tail; one less than episodes, as the shortest look like chance."""
 
 LEAST_PART = 0.1
 """Bursts with a smaller part of a tail do not decide it."""
@@ -59,13 +58,7 @@ _LIKELY_DEVIATIONS = NormalDist().inv_cdf(LIKELY)
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """Where a tail begins: at an order statistic next to the quantile, on the side of the bulk.
-
-    Attributes:
-        value: the order statistic.
-        is_upper: whether the tail is above it (quantiles from p50 on) or below.
-        is_part: whether messages equal to the value are part of the tail.
-    """
+    """Where a tail begins: at an order statistic, above it from p50 on; `is_part` of values equal to it."""
 
     value: float
     is_upper: bool
@@ -83,8 +76,7 @@ class Threshold:
 def thresholds_of(ordered: Values, quantiles: Sequence[float]) -> list[Threshold]:
     """Return the threshold of each quantile of ascending values.
 
-    A coarse clock makes many values equal: those at the quantile are part of the tail if that brings its share closer to the one
-    that the quantile leaves, and if the tail is empty without them.
+    Values equal to the quantile (a coarse clock) are part of the tail if its share fits better then, or it is empty without.
     """
     last = len(ordered) - 1
     values = ordered[[math.floor(last * q) if q >= 0.5 else math.ceil(last * q) for q in quantiles]]
@@ -96,7 +88,6 @@ def thresholds_of(ordered: Values, quantiles: Sequence[float]) -> list[Threshold
 
 
 def _threshold(value: float, quantile: float, messages: int, less: int, no_more: int) -> Threshold:
-    """Return the threshold at an order statistic: `less` values are below it, `no_more` are not above."""
     is_upper = quantile >= 0.5
     if math.isinf(value):
         return Threshold(float(value), is_upper, is_part=False)
@@ -114,13 +105,8 @@ def indices_beyond(
 ) -> list[Indices]:
     """Return for each quantile the indices of the values beyond the threshold of their series.
 
-    An upper tail is searched in the next wider one by its indices: numpy takes five times as long to select by a mask.
-
-    Args:
-        values: of the first series, then of the second ...; shape (values,).
-        offsets: the first value of each series and the number of all, shape (series + 1,).
-        thresholds: of each series one for each quantile.
-        quantiles: between 0 and 1, both excluded.
+    An upper tail is searched in the next wider one by indices: selecting by a mask takes five times as long. `values` are series
+    after series, from `offsets`; `thresholds` are of each series one for each quantile.
     """
     indices: dict[float, Indices] = {}
     wider, rest, ends = None, values, offsets
@@ -145,9 +131,9 @@ class Tail:
         sizes: int64, messages of each episode.
         inflation: variance of their share over the variance for independent messages.
         squared: sum of the squares of `sizes`.
-        squares: mean squared size of an episode over its mean size, for as many independent messages.
+        squares: `independent_squares`.
         streaks: unbroken streaks of messages; None for as many as episodes.
-        bursts: bursts that the group's tail rests on, if they are few; None where they do not limit it.
+        bursts: bursts of the group's tail, if few enough to limit it.
     """
 
     messages: int
@@ -161,13 +147,7 @@ class Tail:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beyond:
-    """The messages of a group beyond a quantile, run after run.
-
-    Attributes:
-        indices: intp, in the arrays of `Runs`, ascending, shape (events,).
-        positions: float64, when they were sent (`Runs.positions`), shape (events,).
-        offsets: intp, the first of each run and the number of all, shape (runs + 1,).
-    """
+    """The messages of a group beyond a quantile: ascending indices, `Runs.positions`, and the first of each run."""
 
     indices: Indices
     positions: Float64
@@ -182,8 +162,8 @@ class Beyond:
 def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
     """Return the messages beyond each quantile of the group.
 
-    All runs have one threshold, so that a run without a burst adds no episodes of its quiet tail; values are relative to the level
-    of their run, so that a run that is slower throughout is not one episode.
+    One threshold, so that a quiet run adds no episodes to the tail; values relative to their run's level, so that a slow run is not
+    one episode.
     """
     thresholds = thresholds_of(runs.ordered_relative, quantiles)
     groups = np.array([0, len(runs.values)])
@@ -195,7 +175,7 @@ def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
 
 
 def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
-    """Return for each quantile the tail of each run; each run has a message. Several quantiles cost little more than one."""
+    """Return for each quantile the tail of each run; several quantiles cost little more than one."""
     if not quantiles:
         return []
     levels = [level_below(quantile) for quantile in quantiles]
@@ -236,7 +216,7 @@ def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
 
 
 def inflations_of(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
-    """Return for each quantile the inflation of each run beyond its own quantile (`Tail.inflation`); each run has a message."""
+    """Return for each quantile the `Tail.inflation` of each run beyond its own quantile."""
     thresholds = [thresholds_of(run.ordered, quantiles) for run in runs]
     indices = indices_beyond(runs.values, runs.offsets, thresholds, quantiles)
     return share_inflations(runs.cells, [(tail, tail.searchsorted(runs.offsets)) for tail in indices])
@@ -245,11 +225,9 @@ def inflations_of(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
 def episodes_of(tails: Sequence[Tail]) -> int | None:
     """Return how many episodes of equal size the tails of all runs are worth; None without a message.
 
-    That is `equal_episodes` by the sizes of the episodes, but at most the unbroken streaks, the bursts where these are few, and
-    what the runs make likely. If E episodes fall on R runs by chance, the squared coefficient of variation of the messages that
-    each run has beyond is about R / E, so bursts that a gap cut in pieces, or that half of the runs lack, show there: the limit
-    is the E for which so large a variation has a probability of 5 % (chi-square with R - 1 degrees, by E. Wilson and
-    M. Hilferty's cube, 1931).
+    At most the unbroken streaks, the few bursts, and what the runs make likely: if E episodes fall on R runs by chance, the squared
+    coefficient of variation of the messages that each run has beyond is about R / E. The limit is the E for which so large a variation
+    has a probability of 5 % (chi-square with R - 1 degrees, by E. Wilson and M. Hilferty's cube, 1931).
     """
     counts = [tail.messages for tail in tails]
     equal = equal_episodes(sum(counts), sum(tail.squared / tail.squares for tail in tails))
@@ -268,7 +246,7 @@ def episodes_of(tails: Sequence[Tail]) -> int | None:
 
 
 def level_below(quantile: float) -> float | None:
-    """Return the quantile beyond which the bursts of a tail are searched; None where the tail is too wide."""
+    """Return the quantile beyond which a tail's bursts are searched; None for a wide tail."""
     tail = min(quantile, 1 - quantile)
     if round(tail, 9) >= WIDEST_TAIL:
         return None
@@ -277,15 +255,11 @@ def level_below(quantile: float) -> float | None:
 
 
 def bursts_to_count(below: Sequence[Float64], beyond: Sequence[Float64], messages: int) -> int | None:
-    """Return how many bursts a tail rests on, if they are fewer than `MIN_BURSTS`; None where bursts do not limit it.
+    """Return how many bursts a tail rests on; None where they are `MIN_BURSTS` or do not limit it.
 
-    A burst is a streak of messages longer than independent messages would have with a probability of `CHANCE`. Streaks that go on
-    because neighbours correlate are no bursts: one streak must also be too long if all go on as often as these do.
-
-    Args:
-        below: for each run the positions of its messages beyond the level below, in messages, ascending.
-        beyond: the same beyond the quantile.
-        messages: of all runs.
+    A burst is a streak of messages longer than independent ones have with a probability of `CHANCE`; if correlation makes streaks
+    go on, longer than that explains. `below` and `beyond` are, for each run, the ascending positions of its messages beyond
+    `level_below` and beyond the quantile.
     """
     events = sum(map(len, below))
     if not events:
@@ -315,7 +289,6 @@ def _streaks(positions: Float64, gap: float) -> Streaks:
 
 
 def _longest_streak(streaks: int, probability: float) -> float:
-    """Return the length that no streak exceeds, by `CHANCE`, if each goes on with a probability."""
     if probability >= 1:
         return math.inf
     return 1 + math.log(CHANCE / streaks) / math.log(max(probability, 1e-9))

@@ -19,15 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class StudentTest:
-    """A difference of two means with what Student's t needs to judge it.
-
-    Attributes:
-        difference: new - base.
-        base_error: standard error of the base's part.
-        new_error: the same of the new side's.
-        degrees: degrees of freedom.
-        pairs: pairs that were compared one by one; 0 for two independent samples.
-    """
+    """A difference (new - base) of two means with what Student's t needs; `pairs` is 0 for independent samples."""
 
     difference: float
     base_error: float
@@ -42,7 +34,7 @@ class StudentTest:
 
     @property
     def p_value(self) -> float:
-        """Probability of a difference at least as large, to either side, if there is none."""
+        """Two-sided."""
         if self.error == 0:
             return 1.0 if self.difference == 0 else 0.0
         return 2 * student_cdf(-abs(self.difference) / self.error, self.degrees)
@@ -62,7 +54,7 @@ def welch_test(base: Float64, new: Float64) -> StudentTest:
 
 
 def paired_test(base: Float64, new: Float64) -> StudentTest:
-    """Return the test of the differences of pairs (Student, 1908); each side is given half of their variance."""
+    """Return the test of the differences of pairs (Student, 1908)."""
     apart = new - base
     error = float(apart.std(ddof=1)) / math.sqrt(2 * len(apart))
     return StudentTest(float(apart.mean()), error, error, len(apart) - 1, len(apart))
@@ -82,11 +74,8 @@ def fieller_ends(above: Float64, below: Float64, test: StudentTest, confidence: 
     """Return the ends of the ratio of two means that are not below zero (E. C. Fieller, JRSS B 16, 1954).
 
     The ratios r for which the means of `above` and `r below` do not differ significantly: the two roots of
-    `(m^2 - t^2 v) r^2 - 2 M m r + M^2 - t^2 V = 0`, with M, V the mean of `above` and its variance, m, v of `below`.
-
-    Returns:
-        The lower end is 0 where `above` is not surely above zero, the upper infinite where `below` is not; both are infinite
-        where `below` is zero throughout and `above` surely is not.
+    `(m^2 - t^2 v) r^2 - 2 M m r + M^2 - t^2 V = 0`, with M, V the mean of `above` and its variance, m, v of `below`. The lower end
+    is 0 where `above` is not surely above zero, the upper infinite where `below` is not.
     """
     squared = test.reach(confidence) ** 2
     top, bottom = float(above.mean()), float(below.mean())

@@ -21,7 +21,7 @@ _POWER_STEPS = 2000
 def student_cdf(t: float, degrees: float) -> float:
     """Return the probability that Student's t is at most `t`; infinite degrees of freedom give the normal distribution.
 
-    By the regularized incomplete beta function (M. Abramowitz and I. Stegun, 1964, 26.7.1). Welch's degrees are fractions.
+    By the regularized incomplete beta function (M. Abramowitz and I. Stegun, 1964, 26.7.1).
     """
     if math.isinf(t):
         return 1.0 if t > 0 else 0.0
@@ -33,7 +33,7 @@ def student_cdf(t: float, degrees: float) -> float:
 
 @lru_cache(maxsize=4096)
 def student_quantile(probability: float, degrees: float) -> float:
-    """Return the value that Student's t does not exceed with a probability; relative error below 1e-9."""
+    """Return the quantile of Student's t; relative error below 1e-9."""
     _check_probability(probability)
     if math.isinf(degrees):
         return _NORMAL.inv_cdf(probability)
@@ -59,8 +59,8 @@ def _student_density(t: float, degrees: float) -> float:
 def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8) -> float:
     """Return how many standard errors a true difference takes to be detected by a two-sided t test with a probability of `power`.
 
-    The power of the t test is the mean of `Phi(shift - t u)` over `u**2`, a chi-square variable divided by its degrees of freedom
-    (the noncentral t of N. L. Johnson and B. L. Welch, 1940; the far side is left out). `power` is between 0.5 and 1.
+    The power is the mean of `Phi(shift - t u)` over `u**2`, a chi-square variable divided by its degrees of freedom (the noncentral t
+    of N. L. Johnson and B. L. Welch, 1940; the far side is left out).
     """
     threshold = student_quantile((1 + confidence) / 2, degrees)
     # log(chi-square) on a grid wide enough that the rest has a probability below 1e-9.
@@ -100,7 +100,7 @@ def poisson_cdf(count: int, mean: float) -> float:
 
 
 def incomplete_beta(x: float, a: float, b: float) -> float:
-    """Return the regularized incomplete beta function `I_x(a, b)` for 0 <= x <= 1 and a, b > 0 (NIST DLMF 8.17.22, by Lentz's method)."""
+    """Return the regularized incomplete beta function `I_x(a, b)` (NIST DLMF 8.17.22, by Lentz's method)."""
     if x <= 0 or x >= 1:
         return 0.0 if x <= 0 else 1.0
     if x > (a + 1) / (a + b + 2):  # where the continued fraction of the other tail converges faster
@@ -129,7 +129,6 @@ def _beta_fraction(x: float, a: float, b: float) -> float:
 
 
 def _root(rising: Callable[[float], float], low: float, high: float, halvings: int = _HALVINGS) -> float:
-    """Return the zero of an ascending function between two numbers, by halving."""
     for _ in range(halvings):
         middle = (low + high) / 2
         if middle in (low, high):

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MANTISSA_BITS = 10
-"""Exponent and first mantissa bits of a float64 number `2**MANTISSA_BITS` equal steps in every octave: the bucket of a log-linear
-histogram (HdrHistogram's layout) without a logarithm. Integers below `2**(MANTISSA_BITS + 1)` each have their own bucket."""
+"""Exponent and first mantissa bits of a float64 number `2**MANTISSA_BITS` equal steps in every octave, as HdrHistogram's buckets."""
 
 RELATIVE_ERROR = 2.0 ** -(MANTISSA_BITS + 1)
 """Largest error of a value that is read from a histogram, as a share of the value: half a bucket, 0.05 %."""
@@ -23,12 +22,7 @@ _BUCKET_OF_ONE = 1023 << MANTISSA_BITS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
-    """Counts of values in log-linear buckets; empty buckets are left out.
-
-    Attributes:
-        value_ns: float64, the buckets' centres, ascending, at most `RELATIVE_ERROR` off.
-        count: uint64, values in the bucket.
-    """
+    """Counts of values in log-linear buckets, by the ascending centres of those that are not empty."""
 
     value_ns: NDArray[np.float64]
     count: NDArray[np.uint64]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def mean_and_variance(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the mean and the unbiased variance of at least two finite values, faster than and equal to `mean` and `var(ddof=1)`."""
+    """Return `mean` and `var(ddof=1)` of at least two finite values, faster."""
     count = len(values)
     mean = np.add.reduce(values) / count
     apart = values - mean
@@ -22,7 +22,7 @@ def mean_and_variance(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 MIN_RUNS = 3
-"""Runs from which on an interval comes from the runs: two leave one degree of freedom, and Student's t is 12.7 there."""
+"""Runs from which on an interval comes from the runs: with two, Student's t is 12.7."""
 
 MIN_EPISODES = 10
 """Episodes that an end beyond a tail needs: the spread of fewer is uncertain by a factor of two."""
@@ -91,11 +91,7 @@ def ranges_overlap(one: Range, other: Range) -> bool:
 def without_open_end(
     lower: float | None, upper: float | None, quantile: float, episodes: int | None
 ) -> tuple[float | None, float | None]:
-    """Return the ends of a quantile's interval without the one beyond a tail of too few episodes.
-
-    The tail is above a quantile from p50 on, below it otherwise; `episodes` is None where it is empty. An infinite lower end leaves
-    nothing above it open.
-    """
+    """Return the ends of a quantile's interval without the one beyond a tail of too few episodes (None: of no message)."""
     if episodes is None or episodes >= MIN_EPISODES or lower == math.inf:
         return lower, upper
     return (lower, None) if quantile >= 0.5 else (None, upper)

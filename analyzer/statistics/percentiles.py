@@ -36,7 +36,7 @@ def order_statistic_ranks(n: int, quantile: float, confidence: float = 0.95) -> 
 
 
 def _binomial_cdf(n: int, p: float) -> tuple[int, Float64]:
-    """Return the first k that is computed, and `P(B <= k)` from there on; the rest has a probability under 1e-20."""
+    """Return the first k that is computed, and `P(B <= k)` from there on; the rest is under 1e-20."""
     reach = math.ceil(12 * math.sqrt(n * p * (1 - p))) + 60
     middle = round(n * p)
     first, last = max(0, middle - reach), min(n, middle + reach)
@@ -60,10 +60,7 @@ Values = NDArray[np.int64 | np.float64]
 
 @lru_cache(maxsize=256)
 def minimum_messages(quantile: float) -> int:
-    """Return the sample size below which a quantile has no estimate, because the sample has nothing beyond it.
-
-    One over the share of the distribution beyond: 10 for p90, 100 for p99. An interval takes `planned_messages`.
-    """
+    """Return the sample size below which a quantile has no estimate: one over the share beyond it, 100 for p99."""
     _check(quantile, 0.5)
     if quantile <= 0.5:
         return 1
@@ -85,13 +82,7 @@ def _check(quantile: float, confidence: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Percentile:
-    """A percentile of the summary.
-
-    Attributes:
-        name: `p50`, `p99_9` ...
-        quantile: between 0 and 1.
-        needs: the sample size below which it is null: it would interpolate towards the maximum, which describes no tail.
-    """
+    """A percentile of the summary; with fewer than `needs` messages it would interpolate towards the maximum and is null."""
 
     name: str
     quantile: float
@@ -107,8 +98,7 @@ PERCENTILES = tuple(
 def quantile_of(ordered: Values, quantile: float) -> float:
     """Return a quantile of ascending values by linear interpolation; infinite if one of the two order statistics is.
 
-    That is `linear` of numpy and polars, definition 7 of R. Hyndman and Y. Fan, "Sample quantiles in statistical packages", The
-    American Statistician 50, 1996.
+    Definition 7 of R. Hyndman and Y. Fan, "Sample quantiles in statistical packages", The American Statistician 50, 1996.
     """
     position = quantile * (len(ordered) - 1)
     below = math.floor(position)
@@ -118,10 +108,7 @@ def quantile_of(ordered: Values, quantile: float) -> float:
 
 
 def summarize_values(ordered_ns: NDArray[np.int64]) -> dict[str, float | None]:
-    """Return mean, standard deviation, extremes and percentiles of ascending values in ns; None where the sample is too small.
-
-    Percentiles are exact (`quantile_of`). The standard deviation is the sample's (n - 1).
-    """
+    """Return mean, standard deviation (n - 1), extremes and exact percentiles of ascending values in ns; None for a small sample."""
     n = len(ordered_ns)
     statistics: dict[str, float | None] = {"mean": None, "std": None, "min": None, "max": None}
     statistics |= {p.name: quantile_of(ordered_ns, p.quantile) if n >= p.needs else None for p in PERCENTILES}

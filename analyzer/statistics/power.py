@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:
     """Return p values that bound the probability of a single false alarm in the whole family, in the order of the tests.
 
-    The i-th smallest of m becomes the largest `(m - j + 1) p_j` up to it, at most 1 (S. Holm, Scandinavian Journal of Statistics 6,
-    1979), whatever the dependence of the tests.
+    The i-th smallest of m becomes the largest `(m - j + 1) p_j` up to it (S. Holm, Scandinavian Journal of Statistics 6, 1979).
     """
     values = np.asarray(p_values, np.float64)
     order = np.argsort(values, kind="stable")
@@ -36,8 +35,8 @@ def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:
 def benjamini_hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
     """Return p values that bound the expected share of false alarms among all alarms, in the order of the tests.
 
-    The i-th smallest of m becomes the smallest `m p_j / j` from it on, at most 1 (Y. Benjamini and Y. Hochberg, JRSS B 57, 1995),
-    for tests that are independent or positively dependent, as the ones of one base are.
+    The i-th smallest of m becomes the smallest `m p_j / j` from it on (Y. Benjamini and Y. Hochberg, JRSS B 57, 1995), for tests that
+    are independent or positively dependent.
     """
     values = np.asarray(p_values, np.float64)
     m = len(values)
@@ -59,10 +58,7 @@ MOST_RUNS = 1000
 
 
 def smallest_shift(error: float, degrees: float, confidence: float = 0.95, power: float = POWER) -> float:
-    """Return the smallest true difference that a t test detects with a probability of `power`.
-
-    `error` is the standard error of the difference; of logarithms, if the shift is to be one of logarithms.
-    """
+    """Return the smallest true difference that a t test detects with a probability of `power`, in the unit of `error`."""
     # Quarters of a degree: Welch's are fractions, and what is alike is computed once.
     return error * shift_for_power(max(1.0, math.floor(degrees * 4) / 4), confidence, power)
 
@@ -70,17 +66,10 @@ def smallest_shift(error: float, degrees: float, confidence: float = 0.95, power
 def runs_to_decide(
     distance: float, base_spread: float, new_spread: float, confidence: float = 0.95, power: float = POWER
 ) -> int | None:
-    """Return the runs a side after which an interval is wholly on one side of a limit with a probability of `power`.
+    """Return the runs a side, from 3 to `MOST_RUNS`, after which an interval is wholly on one side of a limit with a probability of `power`.
 
-    Args:
-        distance: of the estimate from the limit, in logarithms: `log(ratio / limit)`.
-        base_spread: standard deviation of the logarithms of the base's runs.
-        new_spread: the same of the new side's; 0 for a limit on one side, with `base_spread` that side's.
-        confidence: of the interval.
-        power: probability that so many runs are enough if the estimate is the truth.
-
-    Returns:
-        At least 3; None if it takes more than `MOST_RUNS`.
+    `distance` is `log(ratio / limit)`, the spreads are standard deviations of the logarithms of each side's runs; 0 for a limit on
+    one side.
     """
     variance = base_spread**2 + new_spread**2
     # Welch's degrees of freedom for equal numbers of runs are (runs - 1) times this.
@@ -104,10 +93,7 @@ def _fewest(is_enough: Callable[[int], bool]) -> int | None:
 
 
 def messages_to_close(interval: Interval, quantile: float) -> int | None:
-    """Return how many more messages it takes until the interval of a quantile has both ends; None without an episode to go by.
-
-    Assumes that further messages are as dependent as the measured ones and come in episodes as often.
-    """
+    """Return how many more messages it takes until the interval of a quantile has both ends; None without an episode to go by."""
     if interval.is_two_sided:
         return 0
     if not interval.samples or interval.episodes == 0:

@@ -1,9 +1,8 @@
 """Answers: which middleware and bridge is fastest for which kind of message, and where the traces are inconclusive.
 
-For each kind of message (link, domain mode, data type, size, rate, device pair) the setups' p99, or p50 where not all have an
-interval for p99, is compared. One setup leads if it is faster than each of the others by the test of their runs
-(`run_statistics.change`), adjusted by Holm over the others. Lost messages count as infinitely late, and a setup that receives
-significantly less than another one never leads. Plain sockets are left out where a middleware was measured.
+For each kind of message the setups' p99, or p50 where not all have an interval for p99, is compared. One setup leads if it is
+faster than each of the others by the test of their runs (`run_statistics.change`), adjusted by Holm. Lost messages count as
+infinitely late, and a setup that receives significantly less than another one never leads.
 """
 
 from __future__ import annotations
@@ -70,13 +69,13 @@ class CaseAnswer:
         percentile: the compared one, `p99` or `p50`.
         clarity: whether one of them leads.
         contenders: setups, best first.
-        leaders: setups that cannot be ranked below the best, which is the first of them.
+        leaders: setups that cannot be ranked below the best.
         ping_device: device of the ping.
         relay_device: device of the relay, None without its trace.
-        conditions: what surrounded the runs, as in `setting` (values of an emulated link, concurrent runs ...).
+        conditions: what surrounded the runs, as in `setting`.
         basis: `between runs`, or `within one run` where a setup has fewer than three: then there is no verdict.
         fewest_runs: runs of the setup that has the fewest.
-        leader_p50: name of the setup whose median is clearly below every other's; empty if none is.
+        leader_p50: setup whose median is clearly below every other's; empty if none is.
         leader_p99: the same of the p99; empty also where `percentile` is p50.
     """
 
@@ -111,13 +110,9 @@ def find_answers(
     passes: Mapping[int, int] | None = None,
     mapper: Mapper = map,
 ) -> tuple[CaseAnswer, ...]:
-    """Answer each kind of message, sorted by `CASE_COLUMNS`; the round trips of one kind are in memory at a time.
+    """Answer each kind of message of at most `cases.MOST_COMPARED_ROWS` round trips, one at a time, sorted by `CASE_COLUMNS`.
 
-    Args:
-        rows: the round trips; a kind with more than `cases.MOST_COMPARED_ROWS` of them has no answer.
-        confidence: of the intervals.
-        passes: run_id -> repeat of the sweep: setups are compared repeat by repeat where all runs have one.
-        mapper: answers the kinds.
+    `passes` (run_id -> repeat) compares setups repeat by repeat where all runs have one; `mapper` answers the kinds.
     """
     if not rows.has_rows:
         return ()
@@ -229,7 +224,7 @@ def _beaten(
     confidence: float,
     passes: Mapping[int, int],
 ) -> set[str]:
-    """Return the setups that the first one beats, by tests of a percentile adjusted by Holm over all others."""
+    """Return the setups that the first one beats, by tests adjusted by Holm over all others."""
     best, *others = (setups[one.name] for one in ranked)
     changes = [
         change_of_estimates(
@@ -259,18 +254,7 @@ class Lead:
 class Headline:
     """The answers for one device pair, link, set of conditions, domain mode and data type in one line.
 
-    Attributes:
-        connectivity: the link.
-        domain_mode: `same` or `different`.
-        data_type: `binary`, `string`, `imu` or another payload's name.
-        cases: sizes and rates with at least two setups.
-        leads: setups that lead clearly somewhere, most cases first.
-        inconclusive: cases without a clear leader.
-        only_one: cases with a single setup, not among `cases`.
-        ping_device: device of the ping.
-        relay_device: device of the relay, None without its trace.
-        conditions: what surrounded the runs.
-        within_one_run: inconclusive cases in which a setup has fewer than three runs.
+    `cases` have at least two setups; of these some lead, `inconclusive` have no clear leader, `within_one_run` for lack of three runs.
     """
 
     connectivity: str

@@ -22,10 +22,7 @@ _OPTIONS = CompareOptions(metrics=("latency",), statistics=tuple(p.name for p in
 
 
 def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
-    """Return the frame of `bridge_cost` on percentiles of the latency; one kind of message is in memory at a time.
-
-    A kind with more than `cases.MOST_COMPARED_ROWS` round trips has no costs.
-    """
+    """Return the frame of `bridge_cost` on percentiles of the latency, one kind of message at a time."""
     across = (pl.col("domain_mode") == "different").any()
     within = ((pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")).any()
     costs = [
@@ -40,12 +37,7 @@ def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) 
 def bridge_cost(
     roundtrips: pl.DataFrame, options: CompareOptions | None = None, passes: Mapping[int, int] | None = None
 ) -> pl.DataFrame:
-    """Compare each bridge with the same domain without a bridge.
-
-    Returns:
-        One row per bridge, group, metric and statistic: `bridge` str, then the columns of `Comparison.rows`; base is the same
-        domain, new is through the bridge.
-    """
+    """Compare each bridge with the same domain without a bridge: `bridge`, then the columns of `Comparison.rows`."""
     options = options or CompareOptions()
     match = tuple(name for name in options.match if name in BRIDGE_MATCH_COLUMNS)
     within = (pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")

@@ -1,4 +1,4 @@
-"""Cases and contenders: the kinds of message that are judged each by itself, and the setups compared in each."""
+"""Cases and contenders: the kinds of message, each judged by itself, and the setups compared in each."""
 
 from __future__ import annotations
 
@@ -35,25 +35,19 @@ class GroupRows(Protocol):
 
     @property
     def groups(self) -> pl.DataFrame:
-        """One row per group: the parameter columns, and `published`, the number of its round trips."""
+        """One row per group: the parameter columns and `published`."""
 
     @property
     def has_rows(self) -> bool:
-        """Whether there are round trips; False for a sketch, which has groups only."""
+        """False for a sketch, which has groups only."""
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ...) -> pl.DataFrame:
-        """Read columns (by default all) of the round trips of some rows of `groups`, group by group."""
+        """Read columns (by default all) of the round trips of some groups, group by group."""
 
 
 @dataclass(frozen=True, slots=True)
 class UnbarredRows:
-    """The round trips of a campaign without groups that are not fit to be judged.
-
-    Attributes:
-        rows: all round trips.
-        barred: numbers of the groups left out.
-        unsent: run_id -> messages that never left; each gets a row, so that it counts as lost.
-    """
+    """The round trips of a campaign without `barred` groups, and with a row for each message that never left (`unsent`)."""
 
     rows: GroupRows
     barred: tuple[int, ...] = ()
@@ -71,13 +65,13 @@ class UnbarredRows:
         return self.rows.has_rows
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] | None = None) -> pl.DataFrame:
-        """Read columns (by default all) of the round trips of some rows of `groups`."""
+        """Read columns (by default all) of the round trips of some groups."""
         frame = self.rows.frame(groups) if columns is None else self.rows.frame(groups, columns)
         return with_unsent(frame, self.unsent)
 
 
 def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:
-    """Split groups into parts that agree in some parameter columns; parts are sorted by these."""
+    """Split groups by the values of some parameter columns, sorted by these."""
     if len(groups) < 2:
         return [groups] if len(groups) else []
     return groups.sort(*columns, maintain_order=True).partition_by(*columns, maintain_order=True)
@@ -99,7 +93,7 @@ def is_too_large(groups: pl.DataFrame) -> bool:
 
 
 def parts_of(roundtrips: pl.DataFrame, columns: Sequence[str]) -> Iterator[tuple[Setting, pl.DataFrame]]:
-    """Yield the values of some columns with their rows, in their order; sorted by the values, null first."""
+    """Yield the values of some columns with their rows, sorted by the values, null first."""
 
     def order(part: tuple[Setting, pl.DataFrame]) -> list[tuple[bool, ParameterValue]]:
         return [(value is not None, value) for value in part[0].values()]
@@ -122,8 +116,7 @@ class Contender:
         received: share of messages whose reply came back, with its interval.
         survivors_ns: the compared percentile of the received messages; None if they are too few.
         loses_more: whether it receives significantly less than another setup of the case.
-        p50_ns: median of a typical run, below three runs of all messages, ns; infinite if a lost message sets it, None without
-            messages.
+        p50_ns: median of a typical run, below three runs of all messages, ns; infinite if a lost message sets it.
         p99_ns: p99, likewise; None where all messages do not support it.
     """
 
@@ -137,7 +130,7 @@ class Contender:
     p99_ns: float | None = None
 
     def order(self) -> tuple[bool, float, float, str]:
-        """Return the key by which setups are ranked: losses, estimate, upper end (infinite if unknown), name."""
+        """Return the key by which setups are ranked."""
         value, upper = (math.inf if v is None else v for v in (self.latency.value, self.latency.upper))
         return self.loses_more, value, upper, self.name
 

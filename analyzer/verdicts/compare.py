@@ -1,9 +1,8 @@
 """Two sets of round trips against each other: per group and statistic the change, its interval, a verdict.
 
-With three runs a side the interval comes from the runs (`run_statistics.change`), with fewer it holds within one run and there
-is no verdict. A lost message is an infinitely late one; the figure of the received messages is given next to it. Of many
-groups a few verdicts are chance: `better` and `worse` require that the p value, adjusted by Benjamini and Hochberg over the
-groups of a metric and statistic, stays below 1 - confidence.
+With three runs a side the interval comes from the runs (`run_statistics.change`), with fewer there is no verdict. A lost message
+is an infinitely late one. `better` and `worse` require that the p value, adjusted by Benjamini and Hochberg over the groups of a
+metric and statistic, stays below 1 - confidence.
 """
 
 from __future__ import annotations
@@ -91,8 +90,7 @@ class CompareOptions:
             others, refused where that merges two groups of a side.
         confidence: of every interval.
         same_within: a ratio wholly within `1 +- same_within` counts as the same.
-        paired: whether both sides were measured in the same repeats of one sweep, so that they are compared repeat by repeat
-            (label `pass` of a run).
+        paired: whether both sides are compared repeat by repeat (label `pass` of a run).
     """
 
     metrics: tuple[str, ...] = ("latency", "rtt")
@@ -108,22 +106,21 @@ class Comparison:
     """The groups that two sides have in common, and those that only one side has.
 
     Attributes:
-        rows: one row per matched group, metric and statistic: the match columns, then the fields of `ChangeRow`.
-        delivery: one row per matched group: the match columns, then the fields of `DeliveryRow`.
-        distributions: one row per matched group and metric: the match columns, then the fields of `DistributionRow`.
+        rows: one row per matched group, metric and statistic: the match columns, then `ChangeRow`.
+        delivery: one row per matched group: the match columns, then `DeliveryRow`.
+        distributions: one row per matched group and metric: the match columns, then `DistributionRow`.
         only_base: groups (match columns) that the new side does not have.
         only_new: groups that the base does not have.
         options: how the sides were compared.
-        changes: of each row of `rows`, for the gates.
-        deliveries: of each row of `delivery`, likewise.
+        changes: of each row of `rows`.
+        deliveries: of each row of `delivery`.
         environment: differences between the environments of the two sides, a sentence each.
         errors: findings of severity error of either side.
         barred: groups of either side in which a setting was not applied; every gate is inconclusive there.
         interleaved: how the parameters of interleaved groups differ, a sentence for each.
         ignored: what each side has in the columns that were not matched, a sentence each.
-        order: a sentence if one side was recorded wholly before the other, else empty.
-        row_keys: group of either side -> the match columns of its rows, in which a relay without a trace has the other
-            side's values.
+        order: a sentence if one side was recorded wholly before the other.
+        row_keys: group of either side -> the match columns of its rows.
     """
 
     rows: pl.DataFrame
@@ -177,10 +174,7 @@ class ComparedSide(Protocol):
 
 
 def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | None = None) -> Comparison:
-    """Compare every group that two analyses measured; the round trips of both are in memory meanwhile.
-
-    Sides whose cells were interleaved are compared cell by cell and repeat by repeat (`matching.interleaved_keys`).
-    `analyze(folder, details=False)` has all that is compared.
+    """Compare every group that two analyses measured (`details=False` is enough); interleaved sides repeat by repeat.
 
     Raises:
         OptionError: without the columns that are not matched, two groups of one side would be one.
@@ -230,7 +224,7 @@ def compare_roundtrips(
     options: CompareOptions | None = None,
     passes: Mapping[int, int] | None = None,
 ) -> Comparison:
-    """Compare the groups of two frames of round trips; `passes` (run_id -> repeat) is needed where `options.paired`."""
+    """Compare the groups of two frames of round trips; `passes` is run_id -> repeat."""
     options = options or CompareOptions()
     new = with_devices(new, replaced_devices(base, new))
     return compare_groups(
@@ -245,15 +239,7 @@ def compare_groups(
     options: CompareOptions,
     passes: Mapping[int, int] | None = None,
 ) -> Comparison:
-    """Compare groups of equal keys; a relay that left no trace matches any (`matching.pair_keys`).
-
-    Args:
-        before: groups of the base, by the values of `options.match`.
-        after: groups of the new side.
-        schema: dtypes of the match columns, and of any others.
-        options: how to compare.
-        passes: run_id -> repeat of the sweep; needed where `options.paired`.
-    """
+    """Compare groups of equal keys (`matching.pair_keys`); `schema` has the dtypes of the match columns."""
     pairs = pair_keys(before, after, options.match)
     row_keys: dict[Key, Key] = {}
     labels: list[Label] = []

@@ -139,8 +139,7 @@ class DeliveryRow:
 class DistributionRow:
     """The columns of `Comparison.distributions` after the match columns: one metric of one matched group.
 
-    Each list has the times in ns at the first of `DISTRIBUTION_LEVELS`, infinite for lost messages; it ends where the
-    messages are too few for the next level.
+    Each list has the times in ns at the first of `DISTRIBUTION_LEVELS`, infinite for lost messages, as far as the messages suffice.
     """
 
     metric: str
@@ -149,7 +148,7 @@ class DistributionRow:
 
 
 def at_levels(ordered: Values) -> tuple[float, ...]:
-    """Return ascending values at the first of `DISTRIBUTION_LEVELS`, to the last that so many values support."""
+    """Return ascending values at the first of `DISTRIBUTION_LEVELS`, as far as they suffice."""
     if not len(ordered):
         return ()
     levels = np.asarray(DISTRIBUTION_LEVELS)

@@ -1,8 +1,7 @@
 """How precise a statistic is, and how often a comparison of two equal sides (A/A) calls one better or worse.
 
-In an A/A sweep either run of a repeat could have been the base. So the repeats are dealt to the two sides in every possible way,
-each way is compared, and every better or worse is false. That shows more than one comparison and less than as many sweeps
-would: the ways share their runs.
+In an A/A sweep either run of a repeat could have been the base: the repeats are dealt to the two sides in every possible way, and
+every better or worse is false. The ways share their runs, so they show less than as many sweeps would.
 """
 
 from __future__ import annotations
@@ -51,12 +50,6 @@ def half_widths(
 
     Infinite with fewer than three runs, and where the interval lacks an end.
 
-    Args:
-        rows: round trips, columns of `docs/trace-format.md`.
-        runs: name of a set -> ids of its runs.
-        text: the statistic, such as `latency_p99`.
-        confidence: of the interval.
-
     Raises:
         OptionError: there is no such statistic.
     """
@@ -89,15 +82,7 @@ _ALARMS = ("better", "worse")
 
 @dataclass(frozen=True, slots=True)
 class FalseAlarms:
-    """Verdicts better or worse of two equal sides.
-
-    Attributes:
-        measured: false verdicts on the two sides as they were recorded.
-        measured_verdicts: all verdicts of that comparison.
-        dealt: false verdicts over all ways to deal the repeats.
-        dealt_verdicts: all verdicts of these comparisons.
-        deals: ways that were compared, the recorded one included.
-    """
+    """Verdicts better or worse of two equal sides, as recorded (`measured`) and over all `deals` of the repeats (`dealt`)."""
 
     measured: int
     measured_verdicts: int
@@ -114,10 +99,7 @@ class FalseAlarms:
 def count_false_alarms(
     base: pl.DataFrame, new: pl.DataFrame, passes: Mapping[int, int], options: CompareOptions | None = None
 ) -> FalseAlarms:
-    """Compare two sides of an A/A sweep in every way to deal their repeats, and count the verdicts better or worse.
-
-    `passes` is run_id -> repeat of both sides; other runs stay on their side. By default repeats are compared one by one.
-    """
+    """Count the verdicts better or worse of two equal sides over all ways to deal their repeats (`passes`: run_id -> repeat)."""
     options = options or CompareOptions(paired=True)
     pass_of_row = pl.col("run_id").replace_strict(
         list(passes), list(passes.values()), default=None, return_dtype=pl.Int64
@@ -144,7 +126,7 @@ def count_false_alarms(
 
 
 def _deals(passes: list[int]) -> Iterator[tuple[int, ...]]:
-    """Yield the repeats whose sides are exchanged, first none; never the first repeat: that would mirror another way."""
+    """Yield the repeats whose sides are exchanged, first none; never the first repeat, which would mirror another way."""
     others = passes[1:]
     if 2 ** len(others) <= MOST_DEALS:
         for size in range(len(others) + 1):

@@ -52,7 +52,7 @@ _GATE = re.compile(r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(?P<operator>>=|<=|>|<)\s*(
 
 
 class GateOutcome(Enum):
-    """The outcome of a gate; its exit codes differ from the ones of `TraceError`."""
+    """The outcome of a gate."""
 
     PASSED = "passed"
     REGRESSED = "regressed"
@@ -87,12 +87,11 @@ class Gate:
 
     Attributes:
         text: the gate as it was written.
-        metric: `latency`, `rtt`, `response`, `intermediate` or `received_ratio`.
+        metric: a metric of time or `received_ratio`.
         statistic: `mean` or a percentile; empty for `received_ratio`.
         operator: `>`, `>=`, `<` or `<=`.
         against: the value that the limit applies to.
-        limit: a ratio new / base for `RATIO`, ns for `DIFFERENCE` and `NEW` (for `received_ratio` a share, or the difference of
-            two).
+        limit: a ratio new / base for `RATIO`, otherwise ns (for `received_ratio` a share).
     """
 
     text: str
@@ -114,8 +113,7 @@ class Gate:
 
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
-"""Gates of `--fail-if default`: changes that users notice and that five runs of 1000 messages a side detect at a run-to-run spread
-of 5 % (`docs/explanation/coverage.md`)."""
+"""Gates of `--fail-if default`: five runs of 1000 messages a side detect such changes (`docs/explanation/coverage.md`)."""
 
 
 def parse_gates(texts: Iterable[str]) -> list[Gate]:
@@ -128,7 +126,7 @@ def parse_gate(text: str) -> Gate:
     """Read a gate in the grammar of this module.
 
     Raises:
-        OptionError: the text is not a gate; the message quotes the wrong part and names the nearest metric.
+        OptionError: the text is not a gate.
     """
     match = _GATE.fullmatch(text)
     if match is None:

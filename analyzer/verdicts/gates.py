@@ -1,7 +1,7 @@
 """A comparison judged by gates: an outcome for each gate and group, with its reason.
 
-Among many groups some interval is beyond the limit by chance: a group is regressed only where its p value, adjusted by Holm over
-the groups of the gate, stays below half of 1 - confidence. A group that the new side lacks, or received no reply in, is regressed whatever the gates are.
+A group is regressed only where its p value, adjusted by Holm over the groups of the gate, stays below half of 1 - confidence; one
+that the new side lacks, or received no reply in, always is.
 """
 
 from __future__ import annotations
@@ -42,15 +42,14 @@ class GateResult:
 
     Attributes:
         gate: the gate.
-        where: the group in words: the parameters in which the compared groups differ.
+        where: the group in words.
         outcome: the outcome.
         measured: the measured value in the unit of the limit.
         low: lower end of its interval.
         high: upper end of its interval.
-        reason: one sentence: why the outcome is inconclusive, and what it takes to decide; or what is missing.
-        smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %; None if
-            unknown.
-        smallest_drop: the same of a received ratio: the smallest loss of share; None of a time.
+        reason: why the outcome is inconclusive, and what it takes to decide; or what is missing.
+        smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
+        smallest_drop: the same of a received ratio: the smallest loss of share.
     """
 
     gate: Gate
@@ -117,9 +116,7 @@ def judge_gates(
 ) -> list[GateResult]:
     """Judge every group of the base by every gate of a comparison made with `options_for` them.
 
-    Returns:
-        A result of `ALL_GROUPS` for each missing or dead group (none if `allow_missing`), then the results gate by gate; none
-        without a group in common.
+    First a result of `ALL_GROUPS` for each missing or dead group, then gate by gate.
     """
     if comparison.delivery.is_empty():
         return []

@@ -1,7 +1,6 @@
-"""Columns that a comparison does not match: which ones would help, and whether that is sound.
+"""Columns that a comparison does not match, so that groups of different bridges, middlewares or links pair.
 
-Folders recorded with different bridges, middlewares or links have no group in common; without these columns their groups pair.
-That is sound only as long as no two groups of one side merge: the answer would follow from how many runs of each there are.
+That is sound only as long as no two groups of one side merge.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ def match_without(ignored: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_match(groups: pl.DataFrame, side: str, match: Sequence[str]) -> None:
-    """Refuse a match by which two groups of one side are one; a relay without a trace is no difference.
+    """Refuse a match by which two groups of one side are one.
 
     Raises:
         OptionError: two groups of the side differ only in what is not matched.
@@ -80,10 +79,7 @@ def ignored_sentences(base: pl.DataFrame, new: pl.DataFrame, match: Sequence[str
 
 
 def unlike_columns(base: pl.DataFrame, new: pl.DataFrame) -> dict[str, tuple[str, str]]:
-    """Return the columns in which no group of one side agrees with any of the other, with the values of both.
-
-    The frames have the match columns of the groups that only one side has, as for `columns_to_ignore`.
-    """
+    """Return the columns in which no unmatched group of one side agrees with any of the other, with the values of both."""
     if base.is_empty() or new.is_empty():
         return {}
     sides = {name: (_values(base, name), _values(new, name)) for name in base.columns}
@@ -91,7 +87,7 @@ def unlike_columns(base: pl.DataFrame, new: pl.DataFrame) -> dict[str, tuple[str
 
 
 def columns_to_ignore(base: pl.DataFrame, new: pl.DataFrame) -> tuple[str, ...]:
-    """Return the fewest columns without which groups of both sides pair and none of one side merge; empty if none do."""
+    """Return the fewest columns without which unmatched groups pair and none of one side merge; empty if none do."""
     names, others = base.columns, new.rows()
     differing: Counter[tuple[str, ...]] = Counter()
     for one in base.rows():

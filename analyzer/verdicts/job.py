@@ -1,4 +1,4 @@
-"""A job, as `--recommend` reads it (`data=binary size=502KB rate=20 deadline=50ms reliability=0.999`), and guesses of its time."""
+"""A job, as `--recommend` reads it, and guesses of its time."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Job:
         payload_bytes: application bytes of a message.
         rate_hz: messages per second.
         deadline_ns: time within which a reply must arrive.
-        reliability: share of messages that must arrive within the deadline, between 0 and 1, both excluded.
+        reliability: share of messages that must arrive within the deadline, between 0 and 1.
         domain_mode: `same` or `different`; None accepts both.
         metric: time that the deadline is for: `response` (planned send to reply), or another metric.
     """
@@ -52,8 +52,6 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class _Key(Generic[Value]):
-    """A key of the text; `parse` returns None or raises `OptionError` for a value of another kind."""
-
     name: str
     example: str
     parse: Callable[[str], Value | None]
@@ -87,10 +85,10 @@ _KEYS: dict[str, _Key[str] | _Key[int] | _Key[float]] = {
 
 
 def parse_job(text: str) -> Job:
-    """Read a job from `KEY=VALUE ...`; `reliability`, `domain`, `metric` and the size of `data=imu` have defaults.
+    """Read a job from `KEY=VALUE ...`.
 
     Raises:
-        OptionError: a key is unknown, given twice or missing, or a value is of another kind; the message names it.
+        OptionError: a key is unknown, given twice or missing, or a value is of another kind.
     """
     words: dict[str, str] = {}
     for word in text.split():
@@ -133,13 +131,7 @@ MIN_ERRORS = 3
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """An interpolated time.
-
-    Attributes:
-        value_ns: the time.
-        error_factor: the largest factor by which a held-out measurement was off, at least 1.
-        held_out: number of held-out measurements; the next error exceeds all of theirs in one case of `held_out + 1`.
-    """
+    """An interpolated time, off by at most `error_factor` at all held-out measurements."""
 
     value_ns: float
     error_factor: float
@@ -157,7 +149,7 @@ class Guess:
 
 
 def guess_time(measured_ns: Mapping[SizeAndRate, float], at: SizeAndRate) -> Guess | None:
-    """Interpolate a time above 0 from measured ones; None if these do not surround it, or too few of them can be held out."""
+    """Interpolate a time from measured ones; None if these do not surround it, or too few can be held out."""
     logs = {(math.log(size), math.log(rate)): math.log(value) for (size, rate), value in measured_ns.items()}
     log_value = _interpolate(logs, (math.log(at[0]), math.log(at[1])))
     errors = [abs(error) for error in _held_out_errors(logs)]
@@ -174,7 +166,6 @@ def _held_out_errors(logs: Mapping[SizeAndRate, float]) -> Iterable[float]:
 
 
 def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | None:
-    """Return the mean of interpolating along the sizes and then the rates, and the other way round."""
     size, rate = at
     swapped = {(r, s): value for (s, r), value in logs.items()}
     values = [v for v in (_two_steps(logs, size, rate), _two_steps(swapped, rate, size)) if v is not None]

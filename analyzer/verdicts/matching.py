@@ -1,7 +1,7 @@
 """Which groups of two sides are compared, and what was measured of each.
 
-Groups with equal parameters are the same experiment. Plans that were measured against each other (`dds-sweep --against`) differ
-on purpose: there each run of the new side is labelled with the cell of the base that it was interleaved with.
+Groups with equal parameters are the same experiment. With `dds-sweep --against` two plans differ on purpose: each run of the new
+side is labelled with the cell of the base that it was interleaved with.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class MatchedGroup:
         return self._survivors[metric]
 
     def of_survivors(self, metric: str, statistic: Statistic) -> float | None:
-        """Return a statistic of the received messages, ns; None where they do not support it."""
+        """Return a statistic of the received messages, ns; None where they are too few."""
         series = self.survivors(metric)
         return statistic.of_run(series) if len(series) >= statistic.needs else None
 
@@ -94,11 +94,7 @@ class MatchedGroup:
 
 
 def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]:
-    """Return the name that a device of the new side takes for a comparison: column -> name on the base.
-
-    Devices are matched by name. Where each side has a single ping device and a single relay device, the new one takes the old
-    one's name; a relay without a trace is no second device.
-    """
+    """Return column -> name on the base that the only device of the new side takes; empty where a side has several."""
     names = {column: (_names(base, column), _names(new, column)) for column in DEVICE_COLUMNS}
     if any(len(side) > 1 for sides in names.values() for side in sides):
         return {}
@@ -120,8 +116,7 @@ def _names(frame: pl.DataFrame, column: str) -> list[str]:
 def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, MatchedGroup]:
     """Split round trips into groups by the values of the match columns; sorted by these, null first.
 
-    A run that received nothing may have no trace of its relay: it belongs to the only group that agrees in everything else, as in
-    a group of its own no comparison would count its losses.
+    A run that received nothing may have no trace of its relay: it belongs to the only group that agrees in everything else.
     """
     parts = {
         part.select(match).row(0): part
@@ -151,8 +146,7 @@ def pair_keys(
 ) -> dict[Key, Key]:
     """Return which group of the new side each group of the base is compared with.
 
-    Equal keys first. A key without a relay trace is paired with the only group left on the other side that agrees in everything
-    else; with none if there are several.
+    A key without a relay trace is paired with the only group left that agrees in everything else.
     """
     pairs = {key: key for key in before if key in after}
     open_after = [key for key in after if key not in pairs]
@@ -202,17 +196,7 @@ def interleaved_keys(
     new_runs: Iterable[RunDescription],
     match: Sequence[str],
 ) -> dict[int, Key]:
-    """Return run_id -> values of `match` of the group that each run of the new side was interleaved with.
-
-    Without the runs whose partner was not recorded, or is more than one group.
-
-    Args:
-        base: round trips of the base: `run_id` and the match columns.
-        new: round trips of the new side.
-        base_runs: descriptions of the base's runs, with the label `cell`.
-        new_runs: descriptions of the new side's runs, with the label `against`.
-        match: names of the columns of a group.
-    """
+    """Return run_id -> group of the base that each run of the new side was interleaved with, if it is a single one."""
     cells = {run.run_id: run.labels[CELL_LABEL] for run in base_runs if CELL_LABEL in run.labels}
     groups: dict[str, set[Key]] = defaultdict(set)
     for run_id, *key in base.select("run_id", *match).unique().iter_rows():

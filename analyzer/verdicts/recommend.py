@@ -1,10 +1,9 @@
 """Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
-The `reliability` quantile of the job's metric, with lost messages infinitely late, has a confidence interval from the runs
-(`run_statistics.between_runs`). A setting meets the deadline if the upper end does, it misses it if the lower end does, and
-otherwise these traces are inconclusive. With fewer than three runs, and where the size and rate were not measured, it is
-`likely` at best. A run must have sent at the planned rate and finished. Plain sockets are no candidate where a middleware is
-one.
+The `reliability` quantile of the job's metric, with lost messages infinitely late, has an interval from the runs
+(`run_statistics.between_runs`). A setting meets the deadline if the upper end does, misses it if the lower end does, and is
+inconclusive otherwise; with fewer than three runs or without a measurement it is `likely` at best. A run must have sent at the
+planned rate and finished.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     from .job import Job, SizeAndRate
 
 LEAST_RATE = 0.98
-"""Share of the planned rate that a run must have sent: below, another job was measured."""
+"""Share of the planned rate below which another job was measured."""
 
 
 class Fit(Enum):
@@ -65,14 +64,14 @@ class Candidate:
         fit: whether it meets the deadline.
         measured: whether the job's size and rate were measured; otherwise the numbers are interpolated.
         value_ns: the `reliability` quantile of `metric`; infinite if too many messages were lost, None if unknown.
-        lower_ns: lower end of its interval (of a guess: the value divided by the largest held-out error), None if unknown.
-        upper_ns: upper end of its interval (of a guess: the value times that error), None if unknown.
-        margin_ns: deadline less upper end, negative if the end is later; None if it is unknown or infinite.
+        lower_ns: lower end of its interval (of a guess: the value divided by the largest held-out error).
+        upper_ns: upper end of its interval (of a guess: the value times that error).
+        margin_ns: deadline less upper end; None if that is unknown or infinite.
         messages: published messages of the job's size and rate, 0 for a guess.
-        held_out: measurements that a guess's error comes from, 0 for a measured candidate.
+        held_out: measurements that a guess's error comes from.
         metric: the job's metric.
-        tied: whether the interval overlaps with the best candidate on the same device pair and link, under the same
-            conditions, so that these traces do not rank the two.
+        tied: whether the interval overlaps with the best candidate's on the same device pair and link, under the same
+            conditions.
         reason: one sentence: why the fit is not `meets`, or what a guess rests on; empty otherwise.
         received_ratio: share of the messages whose reply came back; None for a guess.
         survivors_ns: the `reliability` quantile of the received messages; None for a guess and where they are too few.
@@ -80,7 +79,7 @@ class Candidate:
         runs: runs of the job's size and rate, 0 for a guess.
         basis: `between runs` or `within one run`; empty for a guess.
         episodes: bursts that the messages beyond the quantile came in; None where there is none, and for a guess.
-        latency_ns: deprecated since 0.2.0, use `value_ns`, which is equal: it is not the latency unless `metric` is.
+        latency_ns: deprecated since 0.2.0, use `value_ns`, which is equal.
     """
 
     setting: Setting
@@ -109,7 +108,7 @@ class Candidate:
         return self.lower_ns, self.upper_ns
 
     def order(self) -> tuple[int, bool, float, float, str]:
-        """Return the key by which candidates are ranked: fit, measured before guessed, upper end, estimate, setting."""
+        """Return the key by which candidates are ranked."""
         upper, value = (math.inf if v is None else v for v in (self.upper_ns, self.value_ns))
         return _FIT_ORDER[self.fit], not self.measured, upper, value, str(list(self.setting.items()))
 
@@ -120,7 +119,7 @@ class Recommendation:
 
     Attributes:
         job: the requested job.
-        candidates: best first: by fit, then measured before guessed, then upper end.
+        candidates: best first.
     """
 
     job: Job
@@ -128,7 +127,7 @@ class Recommendation:
 
     @property
     def best(self) -> tuple[Candidate, ...]:
-        """Candidates that meet the deadline and are tied with the first of their place; empty if none meets it."""
+        """Candidates that meet the deadline and are tied with the first of their place."""
         return tuple(c for c in self.candidates if c.fit is Fit.MEETS and c.tied)
 
     @property
@@ -145,14 +144,7 @@ class Recommendation:
 def recommend_settings(
     roundtrips: pl.DataFrame, job: Job, confidence: float = 0.95, runs: Iterable[Run] = ()
 ) -> Recommendation:
-    """Rank every setting whose time for a job was measured or can be guessed.
-
-    Args:
-        roundtrips: rows of `docs/trace-format.md`.
-        job: the requested job.
-        confidence: of the intervals.
-        runs: descriptions of the runs; one without a description counts as finished.
-    """
+    """Rank every setting whose time for a job was measured or can be guessed; a run without a description counts as finished."""
     request = _Request(job, confidence, frozenset(run.run_id for run in runs if run.state != "finished"))
     is_of_job = pl.col("data_type") == job.data_type
     if job.domain_mode is not None:
@@ -170,7 +162,7 @@ def recommend_settings(
 
 
 def place_of(setting: Setting) -> tuple[ParameterValue, ...]:
-    """Return device pair, link and conditions of a setting: candidates of different places are no alternatives."""
+    """Return device pair, link and conditions of a setting: others are no alternatives."""
     return *(setting[name] for name in SITE_COLUMNS), condition_of(str(setting["setting"]))
 
 
@@ -200,11 +192,7 @@ class _Request:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measurement:
-    """One size and rate of a setting.
-
-    `interval` and `survivors_ns` are of the `reliability` quantile of the job's metric; `rate_share` is the least share of the
-    planned rate that a run sent; `unfinished` counts runs.
-    """
+    """One size and rate of a setting, by the `reliability` quantile of the job's metric."""
 
     rate_hz: float
     interval: Interval
@@ -220,7 +208,6 @@ class _Measurement:
         return self.rate_share is not None and self.rate_share < LEAST_RATE
 
     def failure(self, deadline_ns: int) -> str:
-        """Return why these messages miss their deadline; empty where they do not."""
         if self.is_slow:
             return (
                 f"sent {(self.rate_share or 0) * self.rate_hz:.4g} Hz where {self.rate_hz:g} Hz were planned"
@@ -375,7 +362,6 @@ def _neighbours(measured: Iterable[SizeAndRate], at: SizeAndRate) -> list[SizeAn
 
 
 def _next_to(values: set[float], at: float) -> set[float]:
-    """Return the value itself, or the two around it; empty where it is outside."""
     if at in values:
         return {at}
     below, above = [v for v in values if v < at], [v for v in values if v > at]

@@ -1,4 +1,4 @@
-"""Why two sides of a comparison are not alike, or one is not fit to be judged: environments and findings of severity error."""
+"""Why two sides of a comparison are not alike, or not fit to be judged: environments and findings of severity error."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SAME, UNKNOWN = "same", "unknown"
 
 
 class Recorder(NamedTuple):
-    """A role with its middleware on one device and link; environments of different recorders are never compared."""
+    """A role with its middleware on one device and link, within which environments are compared."""
 
     role: str
     vendor: str
@@ -55,8 +55,7 @@ def environment_differences(
 ) -> Differences:
     """Return the fields of the fingerprint in which the two sides differ, by recorder.
 
-    Pooled over devices, two that swapped places would look the same. What follows from the options, changes from minute to minute,
-    or is missing on one side is no difference. `names` are `matching.replaced_devices`.
+    What follows from the options, changes from minute to minute (`model.environment`), or is missing on one side is no difference.
     """
     before, after = _fields(base, {}), _fields(new, names or {})
     return {
@@ -137,12 +136,7 @@ def recorded_apart(base: Iterable[Session], new: Iterable[Session]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SideError:
-    """A finding of severity error of one side.
-
-    Attributes:
-        text: the side and the finding in one sentence.
-        groups: match columns of the groups it is about; empty where it is about the whole side.
-    """
+    """A finding of severity error of one side, about some groups, or about all without any."""
 
     text: str
     groups: frozenset[Key]

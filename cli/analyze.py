@@ -166,7 +166,7 @@ def main_command(
 ) -> None:
     """Analyze traces: latency, losses and rates for every middleware, domain, size and frequency.
 
-    Writes roundtrips.parquet and summary.parquet and the reports asked for; those of an earlier analysis are
+    Writes roundtrips.parquet and summary.parquet and the reports asked for; earlier ones are
     replaced. Results go to stdout, progress and warnings to stderr:
 
         dds-analyze runs/ --report html
@@ -277,7 +277,7 @@ COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.ap
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run `dds-analyze` with these arguments, or with those of the process."""
+    """Run `dds-analyze` with these arguments, by default the process's."""
     tune_gc()
     avoid_slow_sorts()
     run_program("dds-analyze", app, COMMANDS, arguments)

@@ -1,4 +1,4 @@
-"""`dds-bridge`: run one bridge between two DDS domains alone, or show what it would run with."""
+"""`dds-bridge`: run one bridge between two DDS domains, or show what it would run with."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Default:
 
 
 def find_files() -> list[Path]:
-    """Return the files of defaults, the first one counts most; only that of `VARIABLE` if it is set."""
+    """Return the files of defaults, the first one counts most; only the one of `VARIABLE` if it is set."""
     named = os.environ.get(VARIABLE)
     if named is not None:
         return [Path(named)] if named else []

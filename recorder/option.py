@@ -37,7 +37,7 @@ class Panel(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """An option as a key of `[axes]`; what is empty is that of the option.
+    """An option as a key of `[axes]`; what is empty is taken from the option.
 
     Attributes:
         for_relay: whether the relay is started with it too.

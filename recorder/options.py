@@ -196,7 +196,7 @@ class RecordOptions:
         "API that carries the messages:",
         limit=limits.NAME,
         axis=Axis(
-            meaning="API that carries the messages; `installed` stands for every middleware of this machine, each RMW of ROS 2 "
+            meaning="API that carries the messages; `installed` means every middleware of this machine, each RMW of ROS 2 "
             "included"
         ),
     )

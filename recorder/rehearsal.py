@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def rehearse(options: RecordOptions, watch: Watch) -> None:
-    """Start a recording and end it before its first message; errors are those of `record`.
+    """Start a recording and end it before its first message; with the errors of `record`.
 
     The other side, the network and the disk are not tested.
     """

@@ -101,7 +101,7 @@ def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
 
 
 def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOptions:
-    """Return the options of a recording; by default its domains are those of ROS 2's environment."""
+    """Return the options of a recording; its domains are by default from ROS 2's environment."""
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import PingOptions, RecordOptions

@@ -25,7 +25,7 @@ def overridden(values: Mapping[str, Any]) -> dict[str, str]:
         variable = next((variable for variable in row.variables if os.environ.get(variable)), None)
         if role and row.role and row.role is not role:
             reasons[name] = f"default: not of a {role.value}"
-        # The domain of a ping with a bridge is never that of the environment.
+        # The domain of a ping with a bridge is never from the environment.
         elif variable is not None and not (name == "domain_id" and is_bridged):
             reasons[name] = f"environment: {variable}={os.environ[variable]}"
     return reasons

@@ -57,7 +57,7 @@ def new_side(
     if base.has_two_devices:
         raise OptionError(
             "--against ENVIRONMENT is for sweeps on one machine; with another device write a plan whose "
-            "[devices.relay] path is that of the environment there"
+            "[devices.relay] path is the environment there"
         )
     return NewSide(environment_name(text), base, command)
 
@@ -81,7 +81,7 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
 
 
 def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path, tuple[str, ...] | None]]:
-    """Return plan, folder and `dds-record` of each side; None for that of this installation."""
+    """Return plan, folder and `dds-record` of each side; None for this installation's."""
     from dds_trace.recorder.sweep.against import BASE, NEW
 
     folder = out / _name(base, other)

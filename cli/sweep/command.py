@@ -208,7 +208,7 @@ COMMANDS: Mapping[str, typer.Typer] = {"new": new.app}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run `dds-sweep` with these arguments, or with those of the process."""
+    """Run `dds-sweep` with these arguments, by default the process's."""
     run_program("dds-sweep", app, COMMANDS, arguments)
 
 

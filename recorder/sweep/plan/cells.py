@@ -43,7 +43,7 @@ class Key:
 
 
 def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default_words: str = "") -> _T:
-    """Return a dataclass field that is a key of a plan; the arguments are those of `Key`."""
+    """Return a dataclass field that is a key of a plan; with the arguments of `Key`."""
     kind = str if default is None or isinstance(default, tuple | Enum) else type(default)
     shown = default.value if isinstance(default, Enum) else default
     key = Key(meaning, limit, unit, default_words, kind, shown, isinstance(default, tuple))

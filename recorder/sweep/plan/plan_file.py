@@ -144,7 +144,7 @@ def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
 
 
 def _folder_name(root: TomlTable, stem: str) -> str:
-    """Return the folder's name, by default that of the file; it cannot leave `--out`."""
+    """Return the folder's name, by default the name of the file; it cannot leave `--out`."""
     name = root.take("name", str, stem)
     limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
     return name

@@ -29,7 +29,7 @@ RELAY_OVERHEAD_S = 1.5
 
 @dataclass(frozen=True, slots=True)
 class CellGroup:
-    """Cells that one relay serves; `bridge` is one of which half runs next to it."""
+    """Cells that one relay serves; half of `bridge` runs next to it."""
 
     number: int
     need: Cell

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dds_trace.base.limits import Limit
 
 INSTALLED = "installed"
-"""Value of `backend` that stands for every middleware of this machine."""
+"""Value of `backend` for every middleware of this machine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ def _table(name: str) -> Schema:
 
 
 def _reference(table: str, name: str, key: Key) -> Schema:
-    """Return a key; three tables share those of `[axes]`."""
+    """Return a key; three tables share `[axes]`."""
     return (
         {"$ref": f"#/$defs/{name}"}
         if name in TABLES["axes"].keys and key.takes_list

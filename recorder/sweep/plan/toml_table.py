@@ -112,7 +112,7 @@ class TomlTable:
                 )
 
     def fill(self, defaults: _Record, *others: str) -> _Record:
-        """Return a dataclass with the table's values, and with those of `defaults` where a key is missing.
+        """Return a dataclass with the table's values, and with `defaults` where a key is missing.
 
         Values have the type of their default; None is for a text, a tuple for one or several texts. `others` are allowed, too.
         """

@@ -1,8 +1,7 @@
 """Per-message latency as an MCAP for Foxglove and PlotJuggler, with a Foxglove layout.
 
-One channel per run and relay with `dds_trace_msgs/msg/MessageLatency` in CDR and its definition as `ros2msg`, which
-Foxglove, PlotJuggler, `ros2 bag` and rosbags read without our software. The log time of a message is its sending on the wall
-clock of the ping; plus `outbound_ms` it is the reception by the relay, on the same clock, wrong by at most `clock_bound_ms`.
+One channel per run and relay with `dds_trace_msgs/msg/MessageLatency` in CDR and its `ros2msg` definition. The log time of a
+message is its sending on the ping's wall clock; plus `outbound_ms` it is the reception by the relay, on the same clock.
 """
 
 from __future__ import annotations

@@ -65,8 +65,7 @@ def dropped_datagrams(evidence: Evidence) -> Iterator[Observation]:
 def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
     """A host lost IP fragments while messages were under way.
 
-    The kernel counts for all programs of a network namespace, so only results whose messages were cut are named. Captured
-    results have counts of their own (`wire.lost_fragments`).
+    The kernel counts for all programs of a network namespace, so only results whose messages were cut are named.
     """
     captured = set(evidence.details.wire["group"])
     cut = evidence.groups_by_session(may_be_cut)

@@ -1,4 +1,4 @@
-"""A check: what one kind of finding is, as a record, and the function that observes it."""
+"""The record of a check."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ _SHORTEST_SLEEP_NS = 1_000_000_000
 
 
 class _Step(NamedTuple):
-    """A step between two clocks: how far the relay's clock jumped before a message, and the device that slept, if any."""
+    """A step between two clocks before a message, and the device that slept, if any."""
 
     ping_device: str
     relay_device: str
@@ -156,13 +156,13 @@ def clock_drifts(evidence: Evidence) -> Iterator[Observation]:
 
 
 _FREE_PROCESSORS = 0.5
-"""Free processors of the machine, mean of a second, below which a woken thread often gets none."""
+"""Free processors, mean of a second, below which a woken thread often gets none."""
 
 _FULL_PERCENT = 95.0
-"""Share of one processor from which on the recording process is full: Python runs on one at a time."""
+"""Share of one processor at which the recording process, which Python runs on one, is full."""
 
 _SATURATED_SHARE = 0.1
-"""Share of seconds from which on saturation delays messages that percentiles show, though no median does."""
+"""Share of seconds above which saturation shows in percentiles, though in no median."""
 
 _SATURATED_SECONDS = 2
 """Saturated seconds at least: the first one of a short recording is its start."""

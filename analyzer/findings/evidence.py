@@ -1,4 +1,4 @@
-"""What checks look at: the results of every step of an analysis, and the names of its parts."""
+"""What checks look at, and the names of its parts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SMALLER_DATAGRAMS = "send smaller datagrams (Cyclone DDS MaxMessageSize, Fast DD
 """Remedy for lost IP fragments."""
 
 _MOST_FILES = 2
-"""Files listed in a recording's name: those of a long sweep would fill a screen."""
+"""Files listed in a recording's name, as a long sweep would fill a screen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +47,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The results of every step of one analysis.
-
-    `stale_rows` is a file with rows of an earlier analysis that this one does not replace; `sending` and `shapes` are the
-    frames of these names.
-    """
+    """The results of every step of one analysis; `stale_rows` is a file of an earlier one that this one does not replace."""
 
     campaign: Campaign
     exchanges: Exchanges
@@ -96,7 +92,7 @@ class Evidence:
         return ((exchange, group, row) for (exchange, group), row in rows)
 
     def counts_by_run(self) -> dict[int, tuple[Exchange, dict[str, int]]]:
-        """Return run_id -> one exchange of the run and its counts; all exchanges of a run share its T1."""
+        """Return run_id -> an exchange of the run and its counts."""
         return {exchange.run.run_id: (exchange, row) for exchange, _, row in self.counts_by_exchange()}
 
     @cached_property

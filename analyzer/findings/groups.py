@@ -1,4 +1,4 @@
-"""Checks of the results of the summary: losses, order, impossible times, too few samples for a percentile."""
+"""Checks of results: losses, order, impossible times, too few samples."""
 
 from __future__ import annotations
 
@@ -249,8 +249,7 @@ _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
 def waits_in_readers(evidence: Evidence) -> Iterator[Observation]:
     """Messages wait for the program that reads them.
 
-    A reader that has fallen back takes each message when a later one arrives: the latency is then a multiple of the
-    period, and says nothing of the link.
+    A reader that has fallen back takes each message when a later one arrives: the latency is a multiple of the period.
     """
     rates = evidence.summary.frame["rate_hz"].to_list()
     parts = evidence.details.breakdown.select("group", "part", "p50_ns", "p99_ns").iter_rows()

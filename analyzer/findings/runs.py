@@ -338,7 +338,7 @@ def unlike_payloads(evidence: Evidence) -> Iterator[Observation]:
 def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
     """A relay was restarted during a run.
 
-    Relays that all answered at one time were there together on purpose; `relays` in the setting of their result counts them.
+    Relays that all answered at one time are counted in the setting of their result instead.
     """
     relays: dict[tuple[int, str], list[Exchange]] = defaultdict(list)
     for exchange in evidence.grouping.exchanges:

@@ -53,8 +53,7 @@ def schedule_not_held(evidence: Evidence) -> Iterator[Observation]:
 
 
 _LATE_SHARE = 0.01
-"""Late messages from which on the p99 of the response is a late message's. Of 1000 simulated runs of 1000 messages, sent
-0.1 ms late with a log-normal spread of 1, none has as many."""
+"""Late messages that decide the p99 of the response: none of 1000 simulated runs sent 0.1 ms late (log-normal, 1) has as many."""
 
 _LATE_MESSAGES = 3
 """Late messages at least: one hiccup of a short run is no habit."""
@@ -87,7 +86,7 @@ def late_sends(evidence: Evidence) -> Iterator[Observation]:
 
 
 _SAMPLES_NS = 2_000_000_000
-"""Time without a sample of the host, which is taken once a second, that shows that the sampling thread stood still, too."""
+"""Time without a sample, taken once a second, that shows that the sampling thread stood still."""
 
 
 @check(

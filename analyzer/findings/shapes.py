@@ -1,8 +1,7 @@
 """Checks of the latency over the time of a run and over the size of messages.
 
-A campaign has hundreds of runs, and each is tested. So a result is reported if at least half of its runs show the same. With
-the false alarms of a run that the checks state, at most 3 of 10,000 results of five sound runs are reported (10 p^3 for
-three of five), and as many results of one run as runs.
+A result is reported if at least half of its runs show the same: with the false alarms of a run below, at most 3 of 10,000
+results of five sound runs (10 p^3 for three of five), and of results of one run as many as of runs.
 """
 
 from __future__ import annotations
@@ -111,7 +110,7 @@ def two_modes(evidence: Evidence) -> Iterator[Observation]:
 def _results_with(
     evidence: Evidence, column: str, condition: pl.Expr | bool = True
 ) -> Iterator[tuple[int, pl.DataFrame, int]]:
-    """Yield each group with enough runs that have a value, the rows of these, and the number of runs and relays."""
+    """Yield each group with enough runs that have a value, their rows, and the number of runs."""
     runs = evidence.shapes["group"].value_counts()
     totals = dict(runs.iter_rows())
     showing = evidence.shapes.drop_nulls(column).filter(condition)
@@ -184,7 +183,7 @@ class _Sizes(NamedTuple):
 
 
 def _neighbouring_sizes(evidence: Evidence) -> Iterator[_Sizes]:
-    """Yield pairs with intervals that rest on runs: within one run an interval leaves out what differs from run to run."""
+    """Yield pairs whose intervals rest on several runs."""
     medians = evidence.details.intervals.filter(
         pl.col("runs") >= MIN_RUNS, metric="latency", percentile="p50"
     ).drop_nulls("method")
@@ -219,13 +218,13 @@ def _cause(evidence: Evidence, group: int, small_bytes: int, large_bytes: int) -
 
 
 def _may_use_memory(session: Session) -> bool:
-    """Return whether shared memory may have carried the payload, as it may where an older trace does not say."""
+    """Return whether shared memory may have carried the payload."""
     path = payload_path(session)
     return path is None or path == SHARED_MEMORY or (path == UNKNOWN and maps_memory(session))
 
 
 def _receive_buffer(session: Session) -> tuple[str, int | None]:
-    """Return the name and the bytes of the buffer that a session received into, None where datagrams met no buffer."""
+    """Return name and bytes of the receive buffer, None where datagrams met none."""
     path = payload_path(session)
     if path is not None:
         size = None if path == SHARED_MEMORY else udp_receive_buffer_bytes(session)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
     """Runs went on at the same time on one machine.
 
-    Runs of one result in the middle of each other are flows on purpose; `flows` in the setting of their result counts them.
+    Flows, runs of one result in the middle of each other, are counted in their setting instead.
     """
     group_of_run: dict[int, int] = {}
     for exchange, group in evidence.exchanges_by_group():

@@ -1,8 +1,4 @@
-"""The findings of an analysis: everything doubtful, worst first.
-
-A new finding is a function with `@check` in a file of this folder, and a row of `CHECKS`; reports, JSON and the reference
-follow.
-"""
+"""The findings of an analysis, worst first; a new one is a function with `@check` and a row of `CHECKS`."""
 
 from __future__ import annotations
 
@@ -105,7 +101,7 @@ _MOST_LISTED = 20
 
 
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
-    """Return the findings of every check, by severity, then by effect; of very many of a kind the worst and a count."""
+    """Return the findings of every check, by severity, then by effect."""
     kinds: dict[tuple[Severity, str], list[Finding]] = defaultdict(list)
     for check in CHECKS:
         kinds[check.severity, check.code] += check(evidence)

@@ -1,4 +1,4 @@
-"""Checks of the wire: what a message cost there, and what its repeats say of the settings."""
+"""Checks of the traffic on the wire."""
 
 from __future__ import annotations
 
@@ -92,14 +92,13 @@ def _not_joined(datagrams: int) -> str:
 
 
 STORM_SHARE = 0.2
-"""Share of the bytes on the wire that are repeats, above which these are a load of their own: a link four fifths full without
-them is full."""
+"""Share of repeats in the bytes on the wire: a link four fifths full without them is full."""
 
 AGAIN_SHARE = 0.1
 """Share of repeated messages above which p90 and all percentiles above it are latencies of repeats."""
 
 FEWEST_AGAIN = 5
-"""Repeated messages that are enough to speak of their median, and more than the first ones after a match."""
+"""Repeated messages that have a median, and more than the first ones after a match."""
 
 
 @check(
@@ -140,7 +139,7 @@ def _remedy(row: _Row) -> str:
 
 
 HEARTBEATS_WAITED = 2
-"""Heartbeat periods after which a repeat came because of the heartbeat, and not of an immediate request."""
+"""Heartbeat periods after which a repeat came because of the heartbeat, not of an immediate request."""
 
 
 @check(
@@ -165,9 +164,8 @@ def heartbeat_bound_recoveries(evidence: Evidence) -> Iterator[Observation]:
 
 
 DISCOVERY_SHARE, DISCOVERY_BYTES = 0.25, 100_000
-"""Share of discovery that is out of proportion, in the bytes on the wire or in the payload, whichever is more (payload in
-shared memory leaves only discovery on the wire), and bytes a minute, in the first minute of a run at least, that no link
-feels: 13 kbit/s. A pair of Fast DDS on one machine announces itself with 64 KB."""
+"""Share of discovery in the bytes on the wire or in the payload, whichever is more (payload may be in shared memory), and bytes
+a minute that no link feels: 13 kbit/s. A pair of Fast DDS on one machine announces itself with 64 KB."""
 
 
 @check(

@@ -37,10 +37,7 @@ WHOLE_GROUP_EVENTS = 24_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grouping:
-    """Exchanges with equal parameters are one group; groups are sorted by their parameters, null last.
-
-    The exchanges are sorted by group, start of the run and relay.
-    """
+    """Exchanges by group, start of the run and relay; groups are sorted by their parameters, null last."""
 
     parameters: pl.DataFrame
     exchanges: tuple[Exchange, ...]
@@ -80,7 +77,7 @@ def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisOptions:
-    """Which outputs to make in addition to the summary, and the deadline and job to judge by (`pipeline.analyze`)."""
+    """Outputs in addition to the summary, and deadline and job (`pipeline.analyze`)."""
 
     rows: bool = True
     details: bool = True
@@ -150,12 +147,12 @@ def runs_by_group(batch: Batch, roundtrips: PairedRows) -> Iterator[NDArray[np.i
 
 
 def filled(values: pl.Series, missing: int = 0) -> NDArray[np.int64]:
-    """Return a column of int64 as an array with null filled; a view where none is null."""
+    """Return a column as an array with null filled; a view where none is null."""
     return (values.fill_null(missing) if values.null_count() else values).to_numpy()
 
 
 def present(values: pl.Series) -> NDArray[Any]:
-    """Return the values of a column that are not null as an array; a view where none is null."""
+    """Return the values that are not null as an array; a view where none is null."""
     return (values.drop_nulls() if values.null_count() else values).to_numpy()
 
 

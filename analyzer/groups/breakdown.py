@@ -56,7 +56,7 @@ _PART_COLUMNS = ("scheduled_ns", "outbound_ns", "intermediate_ns", "return_ns", 
 """Columns of the parts; only messages with all of them are shown."""
 
 _SIDES = 4
-"""Deliveries and writes of relay and ping: with all of them the error of the anchors is bounded on both sides."""
+"""Deliveries and writes of relay and ping: all of them bound an anchor from both sides."""
 
 BREAKDOWN_SCHEMA = frame_schema(
     "group:u32 part:str order:u32 messages:u64 mean_ns:f64 p50_ns:f64 p99_ns:f64 bound_ns:f64"
@@ -184,7 +184,7 @@ class _ExchangeRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Deliveries:
-    """Deliveries of the shown messages: R3 to T3, R2 to T2, the anchors' mean bound, and this plus the clocks' bound."""
+    """Deliveries (R3 to T3, R2 to T2), the anchors' mean bound, and this plus the clocks' bound."""
 
     relay_ns: Int64
     ping_ns: Int64
@@ -217,9 +217,9 @@ def _percentiles(values_ns: Int64, prefix: str = "") -> dict[str, float | None]:
 
 
 def _deliveries(messages: _Messages, exchanges: Iterable[_ExchangeRows]) -> _Deliveries | None:
-    """Return the deliveries of a group; None unless all shown messages have both, by anchors that no stamp contradicts.
+    """Return the deliveries of the shown messages; None unless all have both, by anchors that no stamp contradicts.
 
-    The shortest delivery and write of an exchange bound the error of its anchor: a larger error would make one negative.
+    A larger error of an anchor than the shortest delivery and write would make one of these negative.
     """
     is_complete, stamps = messages.is_complete, messages.columns.stamps
     shown = [exchange for exchange in exchanges if is_complete[exchange.rows].any()]

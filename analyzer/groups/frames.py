@@ -1,9 +1,7 @@
 """The table of frames that are computed group by group.
 
-The engine cuts a campaign into batches, on one machine or on many, and concatenates their frames. So a row may depend on its
-own group only; rows of `CAMPAIGN_MAKERS` also on the number of exchanges of the campaign.
-
-A new frame is a function of a batch and its round trips, and a line in one of the tables.
+Frames of batches, made on one machine or many, are concatenated. So a row may depend on its own group only (in
+`CAMPAIGN_MAKERS` also on the number of exchanges). A new frame is a function and a line in one of the tables.
 """
 
 from __future__ import annotations

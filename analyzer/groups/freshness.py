@@ -1,4 +1,4 @@
-"""The frames `freshness` and `outages`: deadlines, age of information and outages over the time of a run."""
+"""The frames `freshness` and `outages`: deadlines, age of information and outages."""
 
 from __future__ import annotations
 
@@ -37,8 +37,7 @@ class AgeOfInformation:
 def age_of_information(generated: Int64, received: Int64) -> AgeOfInformation | None:
     """Compute the age of information from the times (ns) at which received messages were made and received, on one clock.
 
-    The age is a saw-tooth: between updates k and k + 1 it rises from `r[k] - g[k]` to the peak `r[k+1] - g[k]`. An older
-    message that comes late changes nothing. None with fewer than two updates: there is no time to average over.
+    It rises from `r[k] - g[k]` at update k to the peak `r[k+1] - g[k]`; an older message that comes late changes nothing.
     """
     if not (_is_ascending(received) and _is_ascending(generated)):
         generated, received = _updates(generated, received)
@@ -99,10 +98,8 @@ def runs_of(happened: Bools) -> list[tuple[int, int]]:
 class Outage:
     """A run of lost messages.
 
-    Attributes:
-        start_ns: planned time of the first message (T0, else T1), ping's monotonic clock.
-        end_ns: reception of the next message that came back; None if the run ended first.
-        recovery_ns: from `end_ns` to the first of `RECOVERED_MESSAGES` messages in a row in time; None without these.
+    `start_ns` is T0 (else T1) of the first one, `end_ns` the next reception, `recovery_ns` the time from there to the first of
+    `RECOVERED_MESSAGES` in a row in time; None without these.
     """
 
     first_sequence: int
@@ -158,14 +155,13 @@ OUTAGE_SCHEMA = frame_schema(
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize deadline misses, age of information and outages of each run and relay with messages.
 
-    A message misses the deadline if it is lost, never left, or its metric is larger. Without a schedule the response is the
-    round trip. A one-way time is judged only if it surely meets or misses the deadline, given its `clock_bound_ns`.
+    A message misses the deadline if it is lost, never left, or its metric is larger; a one-way time is judged only if it does
+    or does not so surely, by its `clock_bound_ns`. Without a schedule the response is the round trip.
 
     Returns:
-        Columns of `FRESHNESS_SCHEMA`, by group, run and relay. `judged` messages, unsent ones included; `unsure` the others (a
-        deadline within the clock bound, a latency without the relay's trace); `missed_ratio` of the judged; `longest_missed`
-        in a row, and `longest_missed_ns` to the next message in time; `age_*` of information that went to the relay and back;
-        `relay_age_*` at the relay, wrong by at most `clock_bound_ns`; `outages` of at least `OUTAGE_MESSAGES` losses.
+        Columns of `FRESHNESS_SCHEMA`. `judged` includes unsent messages; `unsure` are the others; `longest_missed` in a row and
+        `longest_missed_ns` to the next message in time; `age_*` of information that went to the relay and back, `relay_age_*`
+        at the relay, wrong by at most `clock_bound_ns`.
     """
     unsent = roundtrips.counts["unsent"].to_list()
     rows: list[dict[str, object]] = []

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.reading.trace import Trace
 
 MOST_OF_SESSION = 2000
-"""Most samples of a session; of more, the one with the busiest processor of each stretch is taken, for drawing."""
+"""Most samples of a session; of more, those with the busiest processor of each stretch."""
 
 _OURS = ("self", "wire")
 """Sampled processes of the recorder; all others are a bridge's."""
@@ -31,16 +31,12 @@ HOST_SAMPLE_SCHEMA = frame_schema(
 
 
 def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
-    """Return one row per sample, by session, then by time.
+    """Return one row per sample, by session, then by time: columns of `HOST_SAMPLE_SCHEMA`, null where unknown.
 
-    Returns:
-        Columns of `HOST_SAMPLE_SCHEMA`, null where unknown. `wall_ns` since 1970; `monotonic_ns` of the session's device;
-        `cpu_percent` mean of all processors, `cpu_busiest_percent` the busiest one; `node_*` the recording process and
-        `bridge_cpu_percent` the bridge's, of one processor each; `wifi_signal_dbm` the weakest interface;
-        `udp_receive_errors` datagrams dropped for lack of buffer since the session's first sample; `sampling_cpu_ns` cost
-        of the previous sample; `monotonic_raw_ns` CLOCK_MONOTONIC_RAW at `monotonic_ns`; `cpu_free_processors` unused
-        processors; `cpu_steal_ns` time since boot that a hypervisor gave to others; `cpu_pressure_us` time since boot in
-        which some task waited for a processor.
+    `wall_ns` is since 1970; `node_*` the recording process and `bridge_cpu_percent` the bridge's, of one processor each;
+    `wifi_signal_dbm` the weakest interface; `udp_receive_errors` drops for lack of buffer since the first sample;
+    `sampling_cpu_ns` the cost of the previous sample; `cpu_steal_ns` and `cpu_pressure_us` time since boot that a hypervisor
+    gave to others and in which some task waited for a processor.
     """
     rows: dict[tuple[int, float], dict[str, object]] = {}
     for trace in traces:

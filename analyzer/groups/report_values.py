@@ -61,7 +61,7 @@ there are too few messages for a percentile."""
 def planned_percentiles(summary: pl.DataFrame, distributions: pl.DataFrame) -> Planned:
     """Read the percentiles of the groups that lost messages, each lost or unsent one infinitely late.
 
-    The summary has those of a group that lost nothing. Values are within the histogram's 0.1 %; a mean or maximum of what is
+    The summary has the percentiles of a group that lost nothing. Values are within the histogram's 0.1 %; a mean or maximum of what is
     infinite in part is None.
     """
     counts = summary.select("received", "published", "unsent").fill_null(0).rows()

@@ -21,15 +21,13 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 LATE_NS = 5_000_000
-"""T1 - T0 above which a send is late. A wake-up takes well under 1 ms, and one that misses its timer tick 4 ms at 250 Hz: a
-later send waited for a blocked publish, or for a processor."""
+"""T1 - T0 of a late send: a wake-up takes well under 1 ms, or 4 ms where it misses a timer tick at 250 Hz."""
 
 STILL_NS = 1_000_000_000
-"""Time without a message, though one was due, after which a ping stood still: ten times the default `max_blocking_time` of DDS,
-and no scheduler keeps a ready thread waiting so long."""
+"""Time without a due message in which a ping stood still: ten times the default `max_blocking_time` of DDS."""
 
 _LAST_SHARE = 10
-"""The median lag of the last tenth of a run is its lag, so that one late message does not count."""
+"""The median lag of the last tenth of a run is its lag: one late message does not count."""
 
 _LEAST_MESSAGES = 3
 """Fewest messages of that tenth, so that their median is not one late message's."""
@@ -43,10 +41,8 @@ SENDING_SCHEMA = frame_schema(
 def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Describe for each run and relay how its messages were sent.
 
-    Returns:
-        Columns of `SENDING_SCHEMA`. `elapsed_ns`, `behind_ns`: see `schedule_lag`; `late` messages with T1 - T0 above
-        `LATE_NS` and the largest T1 - T0, `late_max_ns`, without messages delayed by a stand-still; `late_p99_ns` of all
-        messages; `still`: number of stand-stills; the longest took `still_ns` and ended at `still_end_ns`, ping's clock.
+    `elapsed_ns`, `behind_ns`: see `schedule_lag`; `late` messages with T1 - T0 above `LATE_NS` and `late_max_ns` without those
+    that a stand-still delayed; `still` stand-stills, the longest of `still_ns` until `still_end_ns`, ping's clock.
     """
     rows: list[dict[str, object]] = []
     scheduled = roundtrips.measured["scheduled_ns"]
@@ -106,10 +102,7 @@ def find_stand_stills(scheduled_ns: Int64, sent_ns: Int64) -> StandStills:
 
 
 def schedule_lag(sent_ns: Int64, rate_hz: float) -> tuple[int | None, int | None]:
-    """Return the planned time from the first message to the last tenth, and how much later than that it was sent.
-
-    None for fewer than three messages or without a rate.
-    """
+    """Return the planned time from the first message to the last tenth, and how much later it was sent; None if unknown."""
     if len(sent_ns) < _LEAST_MESSAGES or rate_hz <= 0:
         return None, None
     last = max(_LEAST_MESSAGES, len(sent_ns) // _LAST_SHARE)

@@ -66,12 +66,7 @@ def _metric_of(exchange: Exchange) -> str:
 
 
 def shape_of(latency_ns: Int64, sent_ns: Int64) -> dict[str, float]:
-    """Return the columns of `SHAPE_SCHEMA` that a run has.
-
-    Args:
-        latency_ns: of each received message, above zero, in the order of time.
-        sent_ns: T1 of each.
-    """
+    """Return the columns that a run has, from the latency and T1 of its received messages."""
     shape: dict[str, float] = {}
     if not len(latency_ns):
         return shape

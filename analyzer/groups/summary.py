@@ -40,11 +40,7 @@ _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Statistics:
-    """Statistics and histograms of some groups.
-
-    `frame` has a row per group and metric: `samples`, and `columns.STATISTICS` in ns, null where the sample does not support
-    them; `distributions` is as in `Analysis`.
-    """
+    """Statistics (`samples` and `columns.STATISTICS`, ns) and histograms of each metric of some groups."""
 
     frame: pl.DataFrame
     distributions: pl.DataFrame
@@ -97,7 +93,7 @@ def _distributions(histograms: list[tuple[int, str, Histogram]]) -> pl.DataFrame
 
 
 EVENTS_IN_RELAY = 2
-"""Events recorded while a message is in the relay, T3 and T4; T1 and T2 are at the ends of the round trip."""
+"""Events recorded while a message is in the relay: T3 and T4."""
 
 
 def own_cost_ns(ping: Session, relay: Session | None) -> float | None:
@@ -117,11 +113,7 @@ def _median_ns(session: Session, part: str, name: str) -> float | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """The round trips summarized group by group.
-
-    `frame` and `distributions` are as in `Analysis`, `samples` counts the values of each metric by group, and
-    `exchange_counts` has the columns of `counts.COUNT_SCHEMA`.
-    """
+    """The round trips summarized group by group: as in `Analysis`, with samples by metric and counts by exchange."""
 
     frame: pl.DataFrame
     distributions: pl.DataFrame

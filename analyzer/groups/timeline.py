@@ -42,10 +42,7 @@ def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
-    """Return one row a run, by `run_id`, without `group`.
-
-    Runs whose relays are in several groups need a common median: their round trips are read, `ROWS_AT_ONCE` at a time.
-    """
+    """Return one row a run, by `run_id`; a run with relays in several groups needs a common median, so its rows are read."""
     is_whole = pl.col("run_id").is_unique()
     parts = [run_times.filter(is_whole)]
     for runs in _runs_at_once(run_times.filter(~is_whole)):
@@ -137,10 +134,7 @@ def timeline_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def points_of_exchange(all_exchanges: int) -> int:
-    """Return the points of each exchange of a campaign.
-
-    Their number changes at powers of two of the exchanges, so that cached timelines stay valid when a run is added.
-    """
+    """Return the points of each exchange; they change at powers of two, so that cached timelines stay valid."""
     low, high = _POINTS_OF_EXCHANGE
     rounded = 1 << max(all_exchanges - 1, 0).bit_length()
     return min(max(_ALL_POINTS // rounded, low), high)

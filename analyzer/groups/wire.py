@@ -1,7 +1,6 @@
 """The frames about the wire: what a group's messages cost, by class of traffic and by number of repeats.
 
-Counts of the ping's capture are in its runs, counts of a relay's capture in its trace; records of messages, of both, are
-joined to the rows by run, sequence and relay. A message's repeats are the sum of both ways.
+Counts are in the ping's runs and in the relay's trace; records of messages, of both, are joined to the rows.
 """
 
 from __future__ import annotations
@@ -44,14 +43,13 @@ send again; `match_p50_ns` from a participant's first announcement to the first 
 null without TCP; `shared_counts` of a relay's capture that belong to other groups' runs, too: only their `kernel_drops` count."""
 
 WIRE_CLASS_SCHEMA = frame_schema("group:u32 wire_class:str packets:u64 bytes:u64 share:f64")
-"""A row per group and class of traffic (`docs/reference/wire.md`) on the ping's interfaces, both ways; `share` of the group's bytes."""
+"""A row per group and class of traffic (`docs/reference/wire.md`) on the ping's interfaces, both ways."""
 
 WIRE_REPEAT_SCHEMA = frame_schema(
     "group:u32 repeats:u32 messages:u64 returned:u64 rtt_p50_ns:f64 rtt_max_ns:f64 latency_p50_ns:f64 "
     "latency_max_ns:f64"
 )
-"""A row per group and number of repeats of both ways together: `messages` that were sent again so often, without warm-up,
-`returned` of them came back, and their times; null where none has such a time."""
+"""A row per group and number of repeats of both ways together, warm-up left out: `returned` came back in these times."""
 
 WIRE_FRAMES = {
     "wire": WIRE_SCHEMA,
@@ -98,10 +96,7 @@ def no_wire_frames() -> WireFrames:
 def wire_frames(
     traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore
 ) -> WireFrames:
-    """Make the frames from the traces' records of messages and counts of relays, and the runs' counts of the ping.
-
-    Without rows (a sketch) records are in no frame.
-    """
+    """Make the frames; without rows (a sketch) records are in none."""
     counts = {run_id: value for run_id, run in runs.items() if (value := object_of(run.extra.get("wire")))}
     if not counts:
         return no_wire_frames()
@@ -142,7 +137,7 @@ def wire_frames(
 
 
 def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[int]]]:
-    """Return the counts of relays' captures, each once though traces may be copies, with the runs during them."""
+    """Return the counts of relays' captures with their runs, each once though traces may be copies."""
     counts: dict[tuple[Json, Json], tuple[JsonObject, frozenset[int]]] = {}
     for trace in traces:
         for text in trace.wire:
@@ -167,10 +162,7 @@ def _records(traces: Iterable[Trace]) -> pl.DataFrame:
 
 
 def _joined(rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
-    """Return the rows of a group whose way out has a record, with `repeats`, `resent_after_ns`, `waited_heartbeats`.
-
-    The wait is the longer one of both ways; a way back without a record counts as sent once.
-    """
+    """Return the rows with a record of the way out; repeats of both ways are added, waits are the longer ones."""
     out = records.filter(relay_id=0).drop("relay_id")
     both = rows.join(out, on=_KEY).join(records, on=[*_KEY, "relay_id"], how="left", suffix="_back")
     return both.select(

@@ -1,7 +1,4 @@
-"""The settings that a recording process used: `applied` and `not_applied` of its session (docs/trace-format.md).
-
-A trace may have any JSON there, and older ones have none: each function then returns that nothing is known.
-"""
+"""The settings that a recording process used, as far as its session has them (`applied`, `not_applied`; docs/trace-format.md)."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ def words_not_applied(session: Session) -> tuple[str, ...]:
 
 
 def payload_path(session: Session) -> str | None:
-    """Return what carried the payload: `shm`, an interface or `unknown`; None where the session does not say."""
+    """Return what carried the payload: `shm`, an interface, `unknown` or None."""
     path = object_of(session.extra.get("applied")).get("path")
     return path if isinstance(path, str) else None
 
@@ -45,7 +42,7 @@ def maps_memory(session: Session) -> bool:
 
 
 def udp_receive_buffer_bytes(session: Session) -> int | None:
-    """Return the largest receive buffer of the process's UDP sockets: sockets that only send keep the system's default."""
+    """Return the largest receive buffer of the UDP sockets; sockets that only send keep a small default."""
     sockets = objects_of(_instant(session, "begin").get("sockets"))
     sizes = [
         _integer(socket, "receive_buffer_bytes") for socket in sockets if socket.get("protocol") == "udp"
@@ -61,7 +58,7 @@ def congestion_controls(session: Session) -> tuple[str, ...]:
 
 
 def socket_drops(session: Session) -> int | None:
-    """Return the datagrams dropped at the process's own sockets from its first message to its end; None where unknown."""
+    """Return the datagrams dropped at the process's own sockets; None where unknown."""
     begin, end = (_instant(session, name) for name in ("begin", "end"))
     if not isinstance(begin.get("sockets"), list) or not isinstance(end.get("sockets"), list):
         return None
@@ -75,7 +72,7 @@ def socket_drops(session: Session) -> int | None:
 
 
 def kernel_counts(session: Session) -> dict[str, int]:
-    """Return the rise of each kernel counter of the host (such as `ReasmFails`) from the first message to the end."""
+    """Return the rise of each kernel counter of the host, such as `ReasmFails`."""
     begin, end = (object_of(_instant(session, name).get("counters")) for name in ("begin", "end"))
     rises = {name: (_integer(begin, name), _integer(end, name)) for name in end}
     return {
@@ -86,7 +83,7 @@ def kernel_counts(session: Session) -> dict[str, int]:
 
 
 def may_be_cut(session: Session, payload_bytes: int) -> bool:
-    """Return whether the kernel may have cut datagrams of such a message into IP fragments, as it may on an unknown path."""
+    """Return whether the kernel may have cut datagrams of such a message into IP fragments."""
     path = payload_path(session)
     if path == SHARED_MEMORY:
         return False

@@ -47,10 +47,10 @@ UTC_COLUMNS = (
     Column("publish_utc", _UTC, "UTC", f"T1 (publish_ns) {_BY_ANCHOR}; the ping's device"),
     Column("relay_in_utc", _UTC, "UTC", f"T3 (relay_in_ns) {_BY_ANCHOR}; the relay's device"),
 )
-"""Columns of `roundtrips` to find a message in other logs, one for each clock; appended after the parameters."""
+"""Columns to find a message in other logs, one for each clock."""
 
 _FIRST_PARAMETERS = 20
-"""Parameters of the first version of the contract; later ones are appended after all columns of that time."""
+"""Parameters of the first version of the contract; later columns are appended."""
 
 _PARAMETERS_BEFORE_RUNS = 21
 """Parameters when the summary got `RUN_COLUMNS` and `OWN_COLUMNS`, and the rows `UTC_COLUMNS`."""

@@ -1,4 +1,4 @@
-"""The environment of an exchange: the lasting properties of both devices that are no setting, as a short digest."""
+"""The environment of an exchange: lasting properties of both devices, as a short digest."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _NOT_LASTING = (*FLEETING, "middleware", "configuration")
 """Parts of the fingerprint that change from minute to minute, or follow from the settings."""
 
 _BY_BOOT = "udp_mem"
-"""Part of the names of limits that the kernel computes from the memory that is free while it boots."""
+"""Part of the names of limits that the kernel computes at boot from free memory."""
 
 
 def lasting_parts(session: Session) -> dict[str, object]:
@@ -53,10 +53,7 @@ def environment_of(ping: Session, relay: Session | None) -> str:
 
 
 def environment_differences(sides: Iterable[Sides]) -> dict[str, list[str]]:
-    """Return the fields in which environments differ: `ping kernel` -> its values as JSON, sorted.
-
-    A side without a trace or a fingerprint differs from nothing.
-    """
+    """Return the fields in which environments differ: `ping kernel` -> its values as JSON, sorted."""
     values: dict[str, set[str]] = defaultdict(set)
     for pair in sides:
         for role, session in zip(("ping", "relay"), pair, strict=True):

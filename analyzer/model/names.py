@@ -1,7 +1,4 @@
-"""Distinct names of groups, setups and lines, each with as few words as possible.
-
-A name is a base, followed by the words of some parts. The rule of a part says which names get its word.
-"""
+"""Distinct names of groups, setups and lines, each with as few words as possible: a base and words that rules choose."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 Rule = Callable[[Sequence[str], Sequence[str]], "Iterable[int]"]
-"""Indices of the names that get a word, from the names so far and the words of a part."""
+"""Indices of the names that get a word, from the names so far and the words."""
 
 
 def where_it_varies(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:

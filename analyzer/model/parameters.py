@@ -1,4 +1,4 @@
-"""The key of a group: all parameters of an exchange, and the subsets of them by which groups are matched.
+"""The key of a group: all parameters of an exchange.
 
 A new parameter is a field of `Parameters` and its value in `parameters_of`; grouping, files, matching and names follow.
 """
@@ -142,7 +142,7 @@ def parameters_of(
 
 
 def relay_domain_of(run: Run, ping: Session, relay: Session | None) -> int | None:
-    """Return the relay's domain: by its own trace, else by the ping's, else the ping's own without a bridge."""
+    """Return the relay's domain by its own trace, else by the ping's."""
     if relay is not None:
         return relay.domain_id
     if run.relay_domain_id is not None:
@@ -189,7 +189,7 @@ CASE_COLUMNS = (
     *CELL_COLUMNS,
     *names_of(KeyPart.DEVICES),
 )
-"""Parameters that setups have in common when they are compared, in the order by which answers are sorted."""
+"""Parameters that compared setups have in common, in the order of answers."""
 
 MATCH_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in names_of(KeyPart.DOMAIN_IDS))
 """Parameters that compared groups have in common: all but the domains' numbers."""

@@ -26,17 +26,12 @@ PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 """Label of a run with the number of its pass of the sweep."""
 
 _TWICE_AT_MOST = {"latency": "rtt_ns"}
-"""Metric -> column whose half is an upper bound of it, for messages without the stamps of the metric."""
+"""Metric -> column whose half is an upper bound of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunRows:
-    """The round trips of one run.
-
-    Attributes:
-        run_id: its number.
-        rows: in the order of T1; rows of several relays are mixed.
-    """
+    """The round trips of one run in the order of T1."""
 
     run_id: int
     rows: pl.DataFrame
@@ -84,11 +79,7 @@ class RunRows:
 
 
 def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
-    """Cut round trips into runs, in their order.
-
-    Args:
-        rows: `run_id`, `publish_ns`, `outcome` and the requested metrics.
-    """
+    """Cut round trips into runs, in their order."""
     parts = rows.partition_by("run_id", maintain_order=True)
     # Only the rows of several relays are not in the order of T1.
     return tuple(
@@ -118,7 +109,7 @@ def pass_numbers(runs: Iterable[RunDescription]) -> dict[int, int]:
 
 
 def passes_of(base: Sequence[RunRows], new: Sequence[RunRows], passes: Mapping[int, int]) -> Passes | None:
-    """Return the pass of each run of both sides; None unless every run has one and each pass has one run a side."""
+    """Return the passes of both sides; None unless every run has one and each pass has one run a side."""
     sides = tuple([passes.get(run.run_id) for run in side] for side in (base, new))
     if any(number is None for side in sides for number in side) or any(len(set(s)) < len(s) for s in sides):
         return None

@@ -1,7 +1,6 @@
 """The parameter `setting`: all requested options without a column of their own, as one canonical text.
 
-The recorder writes them: `settings` of a session for its side, `settings` of a run for the ping's run
-(`docs/trace-format.md`). Traces of older recorders have no such fields; theirs come from `host.middleware` and the run.
+They are in `settings` of sessions and runs (`docs/trace-format.md`); in older traces in `host.middleware` and the run.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ def _side(session: Session) -> dict[str, str]:
 
 
 def _configuration(host: JsonObject) -> dict[str, str]:
-    """Return the user's configuration files of the middleware: variable -> names with the first digits of their hashes."""
+    """Return the configuration files of the middleware: variable -> names with the start of their hashes."""
     configuration = host.get("configuration")
     named: dict[str, str] = {}
     for variable, entries in configuration.items() if isinstance(configuration, dict) else ():

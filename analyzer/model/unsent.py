@@ -17,7 +17,7 @@ UNSENT = "unsent"
 """Outcome of the row of a message that never left; no row of `roundtrips.parquet` has it."""
 
 MOST_ROWS = 1_000_000
-"""Most rows for the unsent messages of one run: a run with so many is lost either way."""
+"""Most rows for the unsent messages of one run, which is lost either way."""
 
 
 def with_unsent(roundtrips: pl.DataFrame, unsent: Mapping[int, int]) -> pl.DataFrame:

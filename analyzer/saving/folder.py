@@ -1,9 +1,7 @@
 """A folder of files with checksums, which is replaced as a whole or not at all.
 
-    analysis.json              the manifest: format, version, and for each file its name here, size and SHA-256
-    summary-1f2e3d4c.parquet   a file; all files of one save have the same eight hexadecimal digits
-
-The manifest is written last, so that it always names the complete files of one save.
+`analysis.json` is the manifest: format, version, and for each file its name here (as in `summary-1f2e3d4c.parquet`), size and
+SHA-256. It is written last, so that it always names the complete files of one save.
 """
 
 from __future__ import annotations

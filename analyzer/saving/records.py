@@ -38,10 +38,7 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """All fields of `Analysis` and `Details` but the frames.
-
-    `sessions` and `runs` are JSON texts; the keys of `unsent` are run_ids of 16 hexadecimal digits.
-    """
+    """All fields of `Analysis` and `Details` but the frames; `sessions` and `runs` are JSON texts."""
 
     title: str
     sources: tuple[Source, ...]

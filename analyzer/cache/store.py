@@ -66,7 +66,7 @@ _SIZE_BYTES = 16  # hexadecimal digits
 _END_BYTES = 32 << 10  # first read at the end of a trace's entry
 _BLOCK_BYTES = 4 << 20
 _BUFFER_BYTES = 1 << 20  # smaller files are read into a buffer that is reused
-_of_thread = threading.local()
+_thread_local = threading.local()
 _DIGEST = "sha256"  # the quickest of hashlib where the processor has instructions for it
 
 
@@ -308,9 +308,9 @@ def _read_end(stream: BufferedReader, size: int, count: int) -> bytes:
 
 def _buffer_of_thread() -> memoryview:
     """Return this thread's buffer for small files: for thousands of them, fresh memory costs more than the digest."""
-    if not hasattr(_of_thread, "buffer"):
-        _of_thread.buffer = memoryview(bytearray(_BUFFER_BYTES))
-    buffer: memoryview = _of_thread.buffer
+    if not hasattr(_thread_local, "buffer"):
+        _thread_local.buffer = memoryview(bytearray(_BUFFER_BYTES))
+    buffer: memoryview = _thread_local.buffer
     return buffer
 
 

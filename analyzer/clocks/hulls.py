@@ -63,7 +63,7 @@ def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
 def lower_hulls(time: Float64, height: Float64) -> Intp:
     """Return the lower convex hull of the points of each row, from left to right.
 
-    From each corner the gentlest slope to a later point leads to the next one (R. A. Jarvis, "On the identification of the
+    Gift wrapping: the gentlest slope from a corner to a later point leads to the next corner (R. A. Jarvis, "On the identification of the
     convex hull of a finite set of points in the plane", 1973); of points on one line the last is the corner.
 
     Args:

@@ -101,9 +101,9 @@ def find_slews(
 ) -> Iterator[Slew]:
     """Yield each chain of steps the same way that a slew left.
 
-    A step goes on with a chain if it comes within a window of the step before it, or if it is barely more than its bound and
-    the clock may have run fast since then. The chain is a slew if it has three steps, or if all of its steps are barely more
-    than their bounds and the clock surely ran fast next to one of them.
+    A step continues a chain within a window of the previous step, or if it is barely more than its bound and the clock may have run
+    fast since then. A chain is a slew with three steps, or if all its steps are barely more than their bounds and the clock surely ran
+    fast next to one of them.
 
     Args:
         stretches: segments of a fit, in order.

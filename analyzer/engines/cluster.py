@@ -103,10 +103,10 @@ class ClusterEngine:
             ) from err
         self._loaded: list[_Future[LoadedTrace | str]] = []
 
-    def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Read every trace of a place, each on a worker; only the descriptions come here."""
+    def load(self, location: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
+        """Read every trace of a location, each on a worker; only the descriptions come here."""
         folder, *roots = (
-            path if ":" in os.fspath(path) else path.resolve() for path in (place.folder, *place.parts)
+            path if ":" in os.fspath(path) else path.resolve() for path in (location.folder, *location.parts)
         )
         skipped_folders = [folder.resolve() for folder in skip]
         candidates = sorted({trace for root in roots for trace in find_anywhere(root, skipped_folders)})

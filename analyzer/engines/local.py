@@ -58,8 +58,8 @@ _FILES_PER_JOB = 16
 class Engine(Protocol):
     """Loads traces, then processes batches; it is closed at the end."""
 
-    def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Load every trace of a place; see `load_campaign`."""
+    def load(self, location: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
+        """Load every trace of a location; see `load_campaign`."""
 
     def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
         """Yield rows and results of the batches, in their order."""
@@ -87,9 +87,9 @@ class LocalEngine:
         self._cores = len(os.sched_getaffinity(0))
         self._workers: Workers | None = None
 
-    def load(self, place: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
+    def load(self, location: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
         """Read every trace that is not in the cache."""
-        return load_campaign(place, skip=skip, progress=progress, load_all=self._load_all)
+        return load_campaign(location, skip=skip, progress=progress, load_all=self._load_all)
 
     def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
         """Yield rows and results of the batches, processed on all cores; one batch waits in memory for its turn.

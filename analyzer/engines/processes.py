@@ -71,7 +71,7 @@ class Workers:
         self._here = Worker(folder, TraceCache.open() if cache else None, is_here=True)
         # One thread for each worker: it does the work of this process, or waits for another one.
         self._callers = iter([self._here.do, *[self._do_elsewhere] * (count - 1)])
-        self._of_thread = threading.local()
+        self._thread_local = threading.local()
         self._threads = ThreadPoolExecutor(
             count, thread_name_prefix="worker", initializer=self._assign_worker
         )
@@ -115,10 +115,10 @@ class Workers:
         return self._threads.submit(self._do, job, *arguments)
 
     def _assign_worker(self) -> None:
-        self._of_thread.do = next(self._callers)
+        self._thread_local.do = next(self._callers)
 
     def _do(self, job: Callable[..., R], *arguments: object) -> R:
-        result: R = self._of_thread.do(job, *arguments)
+        result: R = self._thread_local.do(job, *arguments)
         return result
 
     def _do_elsewhere(self, job: Callable[..., R], *arguments: object) -> R:

@@ -82,27 +82,27 @@ class Campaign:
 
 
 def load_campaign(
-    place: Path | Place,
+    location: Path | Place,
     *,
     skip: Collection[Path] = (),
     progress: Progress | None = None,
     load_all: LoadAll | None = None,
 ) -> Campaign:
-    """Read every trace of a place.
+    """Read every trace of a location.
 
     Args:
-        place: a folder, a trace file, or a rosbag2 folder; or several.
+        location: a folder, a trace file, or a rosbag2 folder; or several.
         skip: folders to leave out (where results are written).
         progress: called before each trace is read.
         load_all: loads the traces; the default has their events in memory and in temporary files.
 
     Raises:
         MissingEventsError: there is nothing at a path, or no trace in it.
-        TraceFormatError: `place` is one file or rosbag2 folder, and it is not a trace.
+        TraceFormatError: `location` is one file or rosbag2 folder, and it is not a trace.
     """
-    place = place if isinstance(place, Place) else Place.of(place)
-    path = place.folder
-    candidates = sorted({trace for part in place.parts for trace in find_anywhere(part, skip)})
+    location = location if isinstance(location, Place) else Place.of(location)
+    path = location.folder
+    candidates = sorted({trace for part in location.parts for trace in find_anywhere(part, skip)})
     results = (load_all or TraceLoader().load_all)(candidates)
     loaded: list[LoadedTrace] = []
     skipped: list[Source] = []
@@ -120,7 +120,7 @@ def load_campaign(
         skipped += [
             skipped_source(other, path, "neither an .mcap file nor a rosbag2 folder")
             for other in sorted(
-                {file for part in place.parts for file in _other_files(part, candidates, skip)}
+                {file for part in location.parts for file in _other_files(part, candidates, skip)}
             )
         ]
     return campaign_of(path, loaded, skipped)

@@ -38,7 +38,7 @@ def start(*arguments, **options):
     return workers
 
 def assign_worker(workers):
-    workers._of_thread.do = workers._do_elsewhere
+    workers._thread_local.do = workers._do_elsewhere
 
 started, processes.start_workers = processes.start_workers, start
 processes.Workers._assign_worker = assign_worker
@@ -73,7 +73,7 @@ def nothing_here(monkeypatch):
     """The other processes do all jobs."""
 
     def assign_worker(workers):
-        workers._of_thread.do = workers._do_elsewhere
+        workers._thread_local.do = workers._do_elsewhere
 
     monkeypatch.setattr(processes.Workers, "_assign_worker", assign_worker)
 

@@ -72,4 +72,4 @@ def test_the_buttons_of_a_figure_stay_where_they_are_whatever_its_note_says(read
     median = tab.evaluate(places, "p50")
     assert tab.evaluate(notes) == ""
     assert tab.evaluate(places, "p90") == median
-    assert "never came" in tab.evaluate(notes)
+    assert "is a lost message" in tab.evaluate(notes)

@@ -118,7 +118,7 @@ class Analysis:
         return self.rows.load()
 
     def load_messages(self) -> pl.DataFrame:
-        """Read all messages that were due into memory: the round trips and the unsent ones (`unsent.with_unsent`)."""
+        """Read the round trips and the unsent messages (`unsent.with_unsent`) into memory."""
         return with_unsent(self.load_roundtrips(), self.unsent)
 
     @property
@@ -231,10 +231,10 @@ _FRAMES, DETAIL_FRAMES = (
 
 
 def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
-    """Read an analysis that `Analysis.save` wrote; its round trips stay in the folder until they are read.
+    """Read an analysis that `Analysis.save` wrote; its round trips are read on demand.
 
     Raises:
-        TraceFormatError: there is no saved analysis, one of another version, or a file of it was changed.
+        TraceFormatError: there is no saved analysis of this version, or a file of it was changed.
     """
     files = read_folder(Path(folder))
     try:

@@ -53,10 +53,9 @@ def collect_details(
     judged: GroupRows,
     mapper: Mapper,
 ) -> Details:
-    """Make the details of a campaign from the frames of all batches, empty ones if they are not requested.
+    """Make the details of a campaign, empty ones if they are not requested.
 
-    The intervals and one-way times of groups in parts are computed here. `judged` are the messages by which groups are
-    compared; `mapper` maps a function over them, perhaps in other processes.
+    `judged` are the messages by which groups are compared; `mapper` maps a function over them, perhaps in other processes.
     """
     if not options.details:
         return details_not_requested()

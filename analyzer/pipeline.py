@@ -70,16 +70,13 @@ def analyze(
 
     Args:
         path: a folder (with all folders in it), one trace file, or one rosbag2 folder; or a list of such.
-        out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. Traces in it, or in `analysis/` in
-            `path`, are not read.
+        out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. Traces in it are not read.
         cache: keep the events of every trace in the user's cache (`$XDG_CACHE_HOME/dds-trace`), so that the next analysis
-            reads only new traces; a third to a half of the bytes that they take in memory.
-        cluster: address of a Dask scheduler (`tcp://host:8786`) whose workers do the work; they read the traces
-            themselves, so `path` must be the same for them, or in object storage (`s3://...`). Uses no cache.
-        sketch: percentiles from histograms, off by at most `histogram.RELATIVE_ERROR`, and no rows: neither `roundtrips` nor
-            its file, and no comparison of groups. A group may be of any size.
-        details: one-way times, `Analysis.details` and the findings from them; without, these are null, empty and absent, and
-            a large campaign takes a fraction of the time.
+            reads only new traces.
+        cluster: address of a Dask scheduler (`tcp://host:8786`); its workers read the traces, so `path` must be the same for
+            them, or in object storage (`s3://...`). Uses no cache.
+        sketch: percentiles from histograms, off by at most `histogram.RELATIVE_ERROR`, no rows and no comparison of groups.
+        details: one-way times, `Analysis.details` and their findings; without, a large campaign takes a fraction of the time.
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
         deadline_metric: metric of the deadline: `response`, `latency`, `rtt`, `outbound` ...
         job: what to recommend settings for (`Analysis.details.recommendation`).

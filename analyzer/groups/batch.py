@@ -90,8 +90,8 @@ class AnalysisOptions:
 class Batch:
     """Some groups, to be processed on any machine; their events are fetched by `event_keys`.
 
-    `group_of_exchange` (uint32) ascends. `all_exchanges` is the number of the campaign's, which share the points of a drawing.
-    Not `whole` is a part, with whole runs, of a group larger than memory; frames that need a whole group are then empty.
+    `all_exchanges` of the campaign share the points of a drawing. Not `whole` is a part, with whole runs, of a group larger than
+    memory; frames that need a whole group are then empty.
     """
 
     exchanges: tuple[Exchange, ...]

@@ -3,11 +3,9 @@
     T0 ..waiting.. T1 ..transport.. R3 ..delivery.. T3 ..relay.. T4 ..transport.. R2 ..delivery.. T2
                    |------- outbound_ns ----------|             |--------- return_ns --------|
 
-R3 and R2 are the middleware's reception stamps, wall clock of the receiver. The parts add up to `response_ns` exactly.
-
-The wall clock and the monotonic clock of a device differ by a constant until somebody sets the wall clock, as NTP slews both
-alike (clock_gettime(2)). The session's anchor gives the constant. The stamps check it: no message is delivered before the
-middleware received it (`received <= T3`), nor stamped by it before it was handed over (`source >= T4`).
+R3 and R2 are the middleware's reception stamps, on wall clocks. Wall clock and monotonic clock of a device differ by a constant,
+the session's anchor, until somebody sets the wall clock (clock_gettime(2)). The stamps check it: no message is delivered before
+it is received (`received <= T3`), nor stamped before it is handed over (`source >= T4`).
 """
 
 from __future__ import annotations
@@ -69,14 +67,11 @@ RESPONSE_SCHEMA = frame_schema(
 
 
 def breakdown_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
-    """Summarize where the time of each group goes, a row per part.
+    """Summarize where the time of each whole group goes, a row per part.
 
-    Only messages with all parts count, so that the means add up to the mean response; part of a group has no rows.
-
-    Returns:
-        Columns of `BREAKDOWN_SCHEMA`: `part` (a name of `STAGES`, or `outbound_ns` and `return_ns` as a whole where a
-        reception stamp is missing or contradicts its anchor), `order` in time, `p99_ns` null below 100 messages, `bound_ns`
-        (mean bound of the clocks, 0 on one clock; null where an anchor is bounded on one side only).
+    Only messages with all parts count, so that the means add up to the mean response. `part` is a name of `STAGES`, or
+    `outbound_ns` and `return_ns` where a reception stamp is missing or contradicts its anchor; `p99_ns` is null below 100
+    messages, `bound_ns` (mean bound of the clocks) where an anchor is bounded on one side only.
     """
     columns = _Columns(roundtrips)
     is_complete = _is_complete(roundtrips)
@@ -293,12 +288,8 @@ class _Times:
 def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Compare response times with round trips, a row per whole group.
 
-    A sender that waits (a blocked publish, a slow loop) hides the waiting in round trips ("coordinated omission", G. Tene,
-    "How not to measure latency", 2013). `response_ns` starts at T0 and includes it.
-
-    Returns:
-        Columns of `RESPONSE_SCHEMA`: `messages` with T0 and T2, `late_ratio` sent more than a tenth of the period after T0,
-        `waiting_max_ns`; p50 and p99 (null below 100 messages) of rtt and response, `hidden_*_ns` = response - rtt.
+    A sender that waits hides the waiting in round trips ("coordinated omission", G. Tene, "How not to measure latency", 2013).
+    `late_ratio` were sent more than a tenth of the period after T0; `hidden_*_ns` = response - rtt; p99 needs 100 messages.
     """
     names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")
     columns = {name: filled(roundtrips.column(name)) for name in names}

@@ -96,11 +96,7 @@ def runs_of(happened: Bools) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """A run of lost messages.
-
-    `start_ns` is T0 (else T1) of the first one, `end_ns` the next reception, `recovery_ns` the time from there to the first of
-    `RECOVERED_MESSAGES` in a row in time; None without these.
-    """
+    """A run of lost messages, from T0 (else T1) of the first one to the next reception; None for a time that the run does not reach."""
 
     first_sequence: int
     messages: int

@@ -54,11 +54,9 @@ _METHODS = {Basis.BETWEEN_RUNS: "student_t_of_runs", Basis.WITHIN_RUN: "order_st
 def interval_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Compute every percentile of every metric with its 95 % interval: between runs from three runs on, else within one.
 
-    Returns:
-        Columns of `INTERVAL_SCHEMA`, five rows per group and metric with a value. `estimate_ns` (the summary's), `low_ns` and
-        `high_ns` are null where the sample does not support them. `method` is `student_t_of_runs` or `order_statistics`, null
-        without both ends. `typical_ns` is of a typical run. Others as in `statistics.intervals.Interval` and
-        `run_statistics.spread.Spread`.
+    `estimate_ns` (the summary's), `low_ns` and `high_ns` are null where the sample does not support them, `method`
+    (`student_t_of_runs` or `order_statistics`) without both ends; `typical_ns` is of a typical run. Others as in
+    `statistics.intervals.Interval` and `run_statistics.spread.Spread`.
     """
     rows = [
         row

@@ -31,8 +31,8 @@ _READ = ("scheduled_ns", "publish_ns", "outcome", "latency_ns", "rtt_ns")
 def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     """Summarize the round trips of each run in each group, in columns of `RUN_SCHEMA`.
 
-    `origin_ns` is T0 (else T1) of the first message, `last_ns` T1 of the last one, ping's clock; counts are times the relays;
-    `p50_ns` and `max_ns` are of the latency, of the round trip without the relay's stamps.
+    `origin_ns` is the first T0 (else T1), `last_ns` the last T1; counts are times the relays; times are latencies, round trips
+    without the relay's stamps.
     """
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     keys = list(zip(batch.group_of_exchange.tolist(), run_ids, strict=True))

@@ -35,12 +35,11 @@ WIRE_SCHEMA = frame_schema(
     "discovery_bytes_per_minute:f64 reassembly_failed:u64 udp_receive_buffer_full:u64 tcp_again_bytes:u64 "
     "shared_counts:u32 tcp_retransmitted_segments:u64 tcp_rtt_p50_ns:f64 tcp_congestion_window_p50:f64"
 )
-"""A row per group with counts. `complete`: no capture dropped a packet (`kernel_drops`); `total_bytes` on the ping's interfaces,
-both ways, from Ethernet headers on; `payload_bytes` of messages and replies, warm-up included; `again_*`: sent again on either
-way, half of the messages after `resent_after_p50_ns` and `waited_heartbeats_p50` heartbeats of their writer; `requests` to
-send again; `match_p50_ns` from a participant's first announcement to the first echo; `discovery_*` SPDP, SEDP and liveliness;
-`reassembly_failed`, `udp_receive_buffer_full` datagrams of both devices; `tcp_*` from `TCP_INFO` of the ping's connections,
-null without TCP; `shared_counts` of a relay's capture that belong to other groups' runs, too: only their `kernel_drops` count."""
+"""A row per group with counts. `complete`: no capture dropped a packet; `total_bytes` on the ping's interfaces, both ways, from
+Ethernet headers on; `payload_bytes` of messages and replies, warm-up included; `again_*`: sent again on either way;
+`waited_heartbeats_p50` of their writer; `match_p50_ns` from a participant's first announcement to the first echo; `discovery_*`
+SPDP, SEDP and liveliness; `tcp_*` from `TCP_INFO` of the ping's connections, null without TCP; `shared_counts` of a relay's
+capture belong to other groups' runs, too: only their `kernel_drops` count."""
 
 WIRE_CLASS_SCHEMA = frame_schema("group:u32 wire_class:str packets:u64 bytes:u64 share:f64")
 """A row per group and class of traffic (`docs/reference/wire.md`) on the ping's interfaces, both ways."""

@@ -1,7 +1,4 @@
-"""The metrics of a round trip, from the five time stamps of `docs/trace-format.md`.
-
-A new metric is a row of `METRICS`: column, statistics, intervals, gates, histograms and reports follow.
-"""
+"""The metrics of a round trip, from its five time stamps; columns, statistics, gates and reports follow from a row."""
 
 from __future__ import annotations
 
@@ -49,12 +46,8 @@ def frame_schema(columns: str) -> dict[str, type[pl.DataType]]:
 class Metric:
     """A time of every message, in ns.
 
-    Attributes:
-        name: as in columns (`<name>_ns`, `<name>_<statistic>_ns`) and gates.
-        label: as in reports.
-        formula: expression over the stamps, i64, null where a stamp is missing; each difference is on one clock.
-        meaning: the formula in words.
-        tail: what its largest values must not be taken for.
+    `name` is as in columns (`<name>_ns`, `<name>_<statistic>_ns`) and gates. The formula is null where a stamp is missing, and
+    each difference in it is on one clock. `tail` says what its largest values must not be taken for.
     """
 
     name: str

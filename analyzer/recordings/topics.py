@@ -50,10 +50,9 @@ TOPIC_SCHEMA = frame_schema(
 class TopicReport:
     """The topics of some recordings, and the recordings with what was wrong with them.
 
-    `topics` has one row per recording and topic: `rate_hz` = (messages - 1) / duration; `period_*_ns` of the intervals between
-    log times, `jitter_ns` their standard deviation; `gaps` over `GAP_PERIODS` medians; `payload_*_bytes` as serialized;
-    `age_from` `header` (log time - header stamp), `publish` (log time - publish time) or null; `age_negative` logged before
-    their stamp: the clocks disagree; `stamps_backwards` header stamps older than the previous one; p99 null below 100 messages.
+    `rate_hz` = (messages - 1) / duration; `jitter_ns` the standard deviation of the intervals between log times; `gaps` over
+    `GAP_PERIODS` medians; `age_from` `header` (log time - header stamp), `publish` (log time - publish time) or null;
+    `age_negative` logged before their stamp; `stamps_backwards` header stamps older than the previous one.
     """
 
     topics: pl.DataFrame

@@ -61,7 +61,7 @@ class Estimate:
 
 
 def interval_of_runs(runs: Runs | Sequence[Run], statistic: Statistic, confidence: float = 0.95) -> Interval:
-    """Return the interval of one statistic (`estimates_of_runs`)."""
+    """Return the interval of one statistic."""
     return estimates_of_runs(runs, [statistic], confidence)[0].interval
 
 
@@ -85,7 +85,7 @@ def estimates_of_runs(
 
 
 def units_of_runs(group: Runs, statistics: Sequence[Statistic]) -> list[Units | None]:
-    """Return the units of each statistic; None where there are fewer than `MIN_RUNS`."""
+    """Return the units of each statistic; None for fewer than `MIN_RUNS`."""
     if sum(messages > 0 for messages in group.lengths) < MIN_RUNS:
         return [None] * len(statistics)
     shortest = min(group.lengths)

@@ -103,7 +103,7 @@ def change_of_runs(
     confidence: float = 0.95,
     passes: Passes | None = None,
 ) -> Change:
-    """Return the change of one statistic between two sides (`change_of_estimates`)."""
+    """Return `change_of_estimates` of one statistic."""
     before, after = (estimates_of_runs(side, [statistic], confidence)[0] for side in (base, new))
     return change_of_estimates(before, after, passes)
 
@@ -278,7 +278,7 @@ class DetectableChange:
 def detectable_changes(
     changes: Iterable[tuple[str, str, Change]], confidence: float, same_within: float
 ) -> tuple[DetectableChange, ...]:
-    """Return the smallest detectable change of each metric and statistic, from the changes of all groups."""
+    """Return the smallest detectable change of each metric and statistic."""
     families: dict[tuple[str, str], list[Change]] = {}
     for metric, statistic, change in changes:
         families.setdefault((metric, statistic), []).append(change)

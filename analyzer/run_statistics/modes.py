@@ -42,7 +42,7 @@ class WarmUp:
     p_value: float
 
     def is_sure(self, at_least: float = 0.0) -> bool:
-        """Return whether it is no chance, and the levels differ by at least this share."""
+        """Return whether it is no chance, and large enough."""
         change = max(self.ratio, 1 / self.ratio) - 1
         return self.messages > 0 and self.p_value <= WARM_UP_P_VALUE and change >= at_least
 
@@ -84,7 +84,7 @@ def medians_of_five(batches: NDArray[Any]) -> NDArray[Any]:
 
 
 def mser_truncation(series: Float64) -> int:
-    """Return the d, at most a quarter of the series, that minimizes `sum (x - mean)^2 / (n - d)^2` without the first d values."""
+    """Return the d <= n / 4 that minimizes `sum (x - mean)^2 / (n - d)^2` without the first d values."""
     n = len(series)
     centred = series - series.mean()
     left = np.arange(n, 0, -1)
@@ -118,7 +118,7 @@ class Trend:
     p_value: float
 
     def is_sure(self, at_least: float = 0.0) -> bool:
-        """Return whether it is no chance, and changes the level by at least this share."""
+        """Return whether it is no chance, and large enough."""
         return self.p_value <= TREND_P_VALUE and abs(self.change) >= at_least
 
 
@@ -145,7 +145,7 @@ def find_trend(values: NDArray[Any]) -> Trend | None:
 
 
 def block_medians(values: NDArray[Any], blocks: int) -> Float64:
-    """Return the medians of equally long blocks; messages that fill no block are left out."""
+    """Return the medians of equally long blocks."""
     length = len(values) // blocks
     ordered = np.sort(values[: length * blocks].reshape(blocks, length), axis=1)  # faster than numpy.median
     return np.asarray((ordered[:, (length - 1) // 2] + ordered[:, length // 2]) / 2, np.float64)

@@ -53,7 +53,7 @@ class SendTimes:
 
     @cached_property
     def joined_ns(self) -> Int64:
-        """Times of the runs as one series (`joined_runs`)."""
+        """Times of the runs as one series."""
         return np.cumsum(np.concatenate([_steps_ns(times) for times in self.by_run]))
 
     @cached_property
@@ -79,7 +79,7 @@ class Levels:
     is_ratio: bool
 
     def relative(self, values: Values, level: float | Values) -> Values:
-        """Return values relative to a level, in the same order."""
+        """Return values relative to a level."""
         return values / level if self.is_ratio else values - level
 
 
@@ -105,7 +105,7 @@ class Runs:
 
     @classmethod
     def split(cls, values: Values, times: SendTimes) -> Runs:
-        """Return the group whose shared arrays are these, a value for each message."""
+        """Return the group whose shared arrays are these."""
         offsets = pairwise(times.offsets.tolist())
         runs = cls(tuple(Run(values[s:e], sent) for (s, e), sent in zip(offsets, times.by_run, strict=True)))
         runs.__dict__.update(values=values, times=times)
@@ -118,7 +118,7 @@ class Runs:
 
     @cached_property
     def offsets(self) -> Indices:
-        """The first message of each run and the number of all, shape (runs + 1,)."""
+        """The first message of each run and the number of all."""
         return np.cumsum([0, *self.lengths])
 
     @cached_property
@@ -162,24 +162,24 @@ class Runs:
 
     @cached_property
     def relative(self) -> Values:
-        """The values relative to the level of their run."""
+        """The values relative to their run's level."""
         if len(self) == 1:
             return self.values
         return self.levels.relative(self.values, np.repeat(self.levels.values, self.lengths))
 
     @cached_property
     def ordered_relative(self) -> Values:
-        """The relative values of all runs, ascending."""
+        """The relative values, ascending."""
         return self.runs[0].ordered if len(self) == 1 else np.sort(self.relative)
 
     @cached_property
     def cells(self) -> Cells:
-        """The cells that neighbouring messages are added up in."""
+        """`Cells` of the messages."""
         return cells_of(self.lengths)
 
     @property
     def joined(self) -> Runs:
-        """The runs as one series (`joined_runs`)."""
+        """The runs as one series."""
         # Not cached: a single run would reference itself, and its arrays would live until the next garbage collection.
         return self if len(self) == 1 else self._joined
 
@@ -223,7 +223,7 @@ class Statistic:
 
     @property
     def needs(self) -> int:
-        """Messages below which a run does not support the statistic."""
+        """Messages that a run needs at least."""
         return 1 if self.quantile is None else minimum_messages(self.quantile)
 
     def of_runs(self, runs: Runs) -> Float64:
@@ -251,7 +251,7 @@ def quantiles_of_runs(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
 
 
 def quantile_at(ordered: Values, position: float) -> float:
-    """Return the value of one series at a 1-based position (`quantiles_at`)."""
+    """Return `quantiles_at` of one series."""
     return float(quantiles_at(ordered, np.array([0, len(ordered)]), np.array([position]))[0])
 
 

@@ -69,7 +69,7 @@ def minimum_messages(quantile: float) -> int:
 
 
 def planned_messages(quantile: float, confidence: float = 0.95, inflation: float = 1.0) -> int:
-    """Return the number of messages from which a two-sided interval for a quantile exists; `inflation` of them count as one."""
+    """Return the number of messages from which a two-sided interval exists; `inflation` of them count as one."""
     _check(quantile, confidence)
     independent = math.log((1 - confidence) / 2) / math.log(max(quantile, 1 - quantile))
     return math.ceil(round(independent * max(inflation, 1.0), 9))

@@ -124,7 +124,7 @@ def find_answers(
 
 
 def without_sockets(groups: pl.DataFrame) -> pl.DataFrame:
-    """Leave out groups of plain sockets, unless there are no others."""
+    """Leave out plain sockets, unless there is nothing else."""
     middlewares = groups.filter(pl.col("backend") != "socket")
     return groups if middlewares.is_empty() else middlewares
 
@@ -244,7 +244,7 @@ def _beaten(
 
 @dataclass(frozen=True, slots=True)
 class Lead:
-    """A setup that leads clearly in so many cases of a headline."""
+    """A setup that leads clearly in so many cases."""
 
     name: str
     cases: int
@@ -281,7 +281,7 @@ _HEADLINE_KEY = (
 
 
 def find_headlines(answers: Sequence[CaseAnswer]) -> tuple[Headline, ...]:
-    """Summarize answers, each device pair and link for itself, in the order of the answers."""
+    """Summarize answers, each device pair and link for itself."""
     by_key: dict[tuple[Any, ...], list[CaseAnswer]] = {}
     for answer in answers:
         by_key.setdefault(attrgetter(*_HEADLINE_KEY)(answer), []).append(answer)

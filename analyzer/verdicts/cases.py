@@ -82,7 +82,7 @@ CONDITIONS = "conditions"
 
 
 def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
-    """Append the part of `setting` that surrounds a run (`model.setting.condition_of`)."""
+    """Append the part of `setting` that surrounds a run."""
     conditions = map(condition_of, groups["setting"].to_list())
     return groups.with_columns(pl.Series(CONDITIONS, list(conditions), pl.String))
 

@@ -74,7 +74,7 @@ _EXIT_CODES = {
 
 
 class Against(Enum):
-    """The value that a limit applies to, by the prefix of its columns in a comparison."""
+    """The value that a limit applies to, by the prefix of its columns."""
 
     RATIO = "ratio"  # change as a share of the base
     DIFFERENCE = "difference"  # change in ns
@@ -117,7 +117,7 @@ DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -
 
 
 def parse_gates(texts: Iterable[str]) -> list[Gate]:
-    """Read gates, `default` being `DEFAULT_GATES`; errors as for `parse_gate`."""
+    """Read gates, `default` being `DEFAULT_GATES`."""
     spelled = (DEFAULT_GATES if text.strip().lower() == "default" else (text,) for text in texts)
     return [parse_gate(text) for gates in spelled for text in gates]
 

@@ -65,11 +65,6 @@ class GateResult:
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """The value that a gate judges in one group, with `low` and `high` end and the Student's t `degrees` of its interval.
-
-    `advice` is what it takes to decide.
-    """
-
     where: str
     group: Key
     value: float | None
@@ -102,7 +97,7 @@ class _Measured:
 
 
 def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOptions:
-    """Add every metric and statistic that the gates need to the options."""
+    """Add the metrics and statistics of the gates to the options."""
     timed = [gate for gate in gates if gate.statistic]
     return replace(
         options,
@@ -128,7 +123,7 @@ def judge_gates(
 
 
 def overall_outcome(results: Sequence[GateResult]) -> GateOutcome:
-    """Return the worst outcome: regressed, inconclusive, passed; without results, nothing to compare."""
+    """Return the worst outcome."""
     for outcome in (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED):
         if any(result.outcome is outcome for result in results):
             return outcome

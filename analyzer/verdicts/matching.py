@@ -84,7 +84,7 @@ class MatchedGroup:
         return tuple(run.received for run in self.runs)
 
     def received_ratio(self, confidence: float) -> Interval:
-        """Return the share of messages whose reply came back."""
+        """Return the received share."""
         return received_interval(self.received, confidence)
 
     @cached_property
@@ -102,7 +102,7 @@ def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]
 
 
 def with_devices(frame: pl.DataFrame, names: Mapping[str, str]) -> pl.DataFrame:
-    """Return a frame whose devices have these names; an unknown device stays unknown."""
+    """Return a frame with these devices; an unknown one stays unknown."""
     return frame.with_columns(
         pl.when(pl.col(column).is_not_null()).then(pl.lit(name)).alias(column)
         for column, name in names.items()
@@ -184,7 +184,7 @@ def _equal(name: str, one: ParameterValue, two: ParameterValue, is_silent: bool)
 
 
 def unmatched(keys: Mapping[Key, object], matched: Iterable[Key]) -> Iterator[Key]:
-    """Yield the keys that were not matched, in their order."""
+    """Yield the keys that were not matched."""
     excluded = set(matched)
     yield from (key for key in keys if key not in excluded)
 
@@ -216,7 +216,7 @@ def interleaved_keys(
 
 
 def with_partners(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> pl.DataFrame:
-    """Return the round trips of the new side, runs with a partner under the partner's parameters."""
+    """Return the round trips of the new side, with the parameters of partners."""
     schema = {name: new.schema[name] for name in ("run_id", *match)}
     rows = [(run_id, *key) for run_id, key in partners.items()]
     theirs = pl.DataFrame(rows, schema=schema, orient="row")
@@ -226,7 +226,7 @@ def with_partners(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequenc
 
 
 def partner_groups(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> dict[Key, Key]:
-    """Return group of the new side -> group of the base that it was interleaved with."""
+    """Return group of the new side -> its partner of the base."""
     rows = new.select("run_id", *match).unique(maintain_order=True).iter_rows()
     return {tuple(key): partners[run_id] for run_id, *key in rows if run_id in partners}
 

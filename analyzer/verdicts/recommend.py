@@ -167,7 +167,6 @@ def place_of(setting: Setting) -> tuple[ParameterValue, ...]:
 
 
 def _alternatives(candidates: Iterable[Candidate]) -> list[list[Candidate]]:
-    """Return the candidates of each place."""
     rankings: dict[tuple[ParameterValue, ...], list[Candidate]] = {}
     for candidate in candidates:
         rankings.setdefault(place_of(candidate.setting), []).append(candidate)

@@ -39,7 +39,7 @@ class Recorder(NamedTuple):
 
 
 class Unlike(NamedTuple):
-    """A field of the fingerprint in which two sides differ: the values of each, as JSON."""
+    """A field of the fingerprint in which two sides differ, with the values as JSON."""
 
     field: str
     base: frozenset[str]
@@ -84,7 +84,7 @@ def _fields(sessions: Iterable[Session], names: Mapping[str, str]) -> Mapping[Re
 
 
 def difference_sentences(differences: Differences) -> tuple[str, ...]:
-    """Return a sentence for each difference; recorders with the same difference share one."""
+    """Return a sentence for each difference."""
     alike: dict[Unlike, list[Recorder]] = defaultdict(list)
     for recorder, fields in differences.items():
         for unlike in fields:
@@ -109,7 +109,6 @@ def environment_of_group(group: Mapping[str, ParameterValue], differences: Diffe
 
 
 def _alike(differences: Differences, role: str, *where: ParameterValue) -> list[Recorder]:
-    """Return the recorders of a role of a group: over its link, or any where the relay names another link."""
     vendor, device, connectivity = where
     recorders = [recorder for recorder in differences if recorder[:3] == (role, vendor, device)]
     return [recorder for recorder in recorders if recorder.connectivity == connectivity] or recorders

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
@@ -182,11 +183,41 @@ class Subscription(Protocol):
         """Take the subscription off the topic, at the end of the thread's current round."""
 
 
+class Strangers:
+    """Counts of what peers sent and this process did not accept, by kind.
+
+    A message that is accepted never comes here: only the other path pays for the lock.
+    """
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._noted: set[str] = set()
+
+    def count(self, kind: str, number: int = 1) -> None:
+        """Count one of `kind`, words for people in the singular."""
+        with self._lock:
+            self._counts[kind] += number
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Kind -> number so far."""
+        with self._lock:
+            return dict(self._counts)
+
+    def take_new(self) -> list[str]:
+        """Return the kinds that came since the last call, each once."""
+        new = sorted(self.counts.keys() - self._noted)
+        self._noted.update(new)
+        return new
+
+
 class Node(ABC):
     """One participant in one domain: create the endpoints, `start`, then `close`.
 
     Attributes:
         error: the exception that ended a thread of the node.
+        strangers: what peers sent and the node or its role did not accept.
     """
 
     _middleware: Middleware
@@ -196,6 +227,7 @@ class Node(ABC):
         self.options = options
         self._closing = False
         self.error: BaseException | None = None
+        self.strangers = Strangers()
 
     @property
     def middleware(self) -> Middleware:

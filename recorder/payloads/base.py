@@ -71,7 +71,7 @@ class Form(Generic[SentT, ReceivedT]):
     """One form of a data type's messages: serialized, or as message objects.
 
     Attributes:
-        payload_bytes_of: returns the application bytes of a received message.
+        payload_bytes_of: returns the application bytes of a received message; raises for one that is cut short.
         sizing_bytes_of: returns how many first bytes determine, with the length of the message, its `payload_bytes_of`;
             None for message objects.
     """

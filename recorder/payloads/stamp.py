@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from binascii import unhexlify
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ class Stamp(NamedTuple):
     relay_id: int
 
 
+_from_bytes = int.from_bytes
 _new_stamp = tuple.__new__  # faster than the constructor of a NamedTuple
 
 
@@ -49,9 +51,14 @@ def parse_stamp(text: bytes | bytearray | str) -> Stamp | None:
     if len(text) != STAMP_BYTES or text[:4] not in (STAMP_PREFIX, "dt1:"):
         return None
     try:
-        return Stamp(int(text[_RUN], 16), int(text[_SEQUENCE], 16), int(text[_RELAY], 16))
+        return Stamp(*map(_number, (text[_RUN], text[_SEQUENCE], text[_RELAY])))
     except ValueError:
         return None
+
+
+def _number(digits: bytes | bytearray | str) -> int:
+    """Return the number of hex digits; `int` would also take a sign, blanks and underscores."""
+    return _from_bytes(unhexlify(digits), "big")
 
 
 class StampPlace(Protocol[SentT, ReceivedT_contra]):
@@ -115,7 +122,8 @@ class RawStampPlace:
         run_text, run_id = self._last
         if len(text) == STAMP_BYTES and text.startswith(run_text) and run_text:  # usually the same run
             try:
-                return _new_stamp(Stamp, (run_id, int(text[_SEQUENCE], 16), int(text[_RELAY], 16)))
+                sequence, relay_id = unhexlify(text[_SEQUENCE]), unhexlify(text[_RELAY])
+                return _new_stamp(Stamp, (run_id, _from_bytes(sequence, "big"), _from_bytes(relay_id, "big")))
             except ValueError:
                 return None
         stamp = parse_stamp(text)
@@ -130,7 +138,7 @@ class RawStampPlace:
         )
 
     def reply(self, message: RawMessage, relay_id_text: bytes) -> bytearray | None:
-        if not message.startswith(STAMP_PREFIX, self._start):
+        if not message.startswith(STAMP_PREFIX, self._start) or len(message) < self._end:
             return None
         reply = message if isinstance(message, bytearray) else bytearray(message)
         reply[self._relay] = relay_id_text

@@ -58,6 +58,8 @@ def _letters(size: int, seed: int, stop: threading.Event | None) -> Iterator[byt
 def payload_bytes_of(message: RawMessage) -> int:
     """Return the number of characters after the stamp in a serialized string."""
     (length,) = _UINT32.unpack_from(message, 4)
+    if not STAMP_BYTES < length <= len(message) - 8:
+        raise ValueError("the string is longer than its message")
     return int(length) - 1 - STAMP_BYTES
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import threading
+from collections import deque
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
 from dds_trace.base.units import SECOND_NS
@@ -15,6 +16,7 @@ from ..host.process import tuned_gc
 from ..payloads.stamp import PROBE_RUN_ID, SentT
 from .lanes import object_lane, raw_lane
 from .progress import PingProgress, Replies, Silence
+from .relay import UNSTAMPED
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from ..backends.node import Node, RawMessage, RosMessage
+    from ..backends.node import Node, RawMessage, RosMessage, Strangers
     from ..host.clock import Clock
     from ..payloads.base import Feed
     from .lanes import Lane
@@ -38,8 +40,20 @@ SETTLE_NS = SECOND_NS // 5
 """Silence after the last echo of a probe before the run may start."""
 DRAIN_NS = 2 * SECOND_NS
 """Silence after which missing replies count as lost, unless twice the longest round trip is longer."""
+LONGEST_DRAIN_NS = 60 * SECOND_NS
+"""Longest wait for missing replies, unless the sending took longer; no reply moves it."""
+LONGEST_SETTLE_NS = 5 * SECOND_NS
+"""Longest wait for echoes to cease once enough relays have echoed."""
 POLL_NS = SECOND_NS // 50
+MAX_RELAYS = 64
+"""Most relays that a ping meets."""
+MAX_PENDING = 4096
+"""Most replies that wait until their relay is met; the oldest are dropped."""
+MEETING_NS = SECOND_NS
+"""Shortest time between two probes within a run, which meet relays that came later."""
 T1, T2 = 1, 2
+UNSENT = "reply to a message that was not sent"
+UNMET = "reply of a relay that did not answer a probe"
 
 
 class Record(Protocol):
@@ -67,14 +81,20 @@ AnyPing: TypeAlias = "Ping[bytearray, RawMessage] | Ping[RosMessage, RosMessage]
 def open_ping(node: Node, plan: RunPlan, clock: Clock | None = None) -> AnyPing:
     """Open the ping of a plan on a node that is not started yet."""
     if plan.serialization is Serialization.TYPED:
-        return Ping(object_lane(node), plan, clock)
-    return Ping(raw_lane(node), plan, clock)
+        return Ping(object_lane(node), plan, node.strangers, clock)
+    return Ping(raw_lane(node), plan, node.strangers, clock)
 
 
 class Ping(Generic[SentT, ReceivedT]):
     """One run: `wait_for_echo`, `run`, `close`; the node's thread calls `_receive`."""
 
-    def __init__(self, lane: Lane[SentT, ReceivedT], plan: RunPlan, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        lane: Lane[SentT, ReceivedT],
+        plan: RunPlan,
+        strangers: Strangers,
+        clock: Clock | None = None,
+    ) -> None:
         self.plan = plan
         self.run_id = secrets.randbits(64) or 1
         self._clock = clock or SystemClock()
@@ -84,8 +104,12 @@ class Ping(Generic[SentT, ReceivedT]):
         self._stamps = lane.form_of(data_type).stamp
         self._messages = [lane.message_of(data_type, message) for message in plan.payload.messages]
 
+        self._nonce = secrets.randbits(63)  # of the first probe
         self._nonces: dict[int, int] = {}  # of a probe -> time of sending
-        self._echoes: set[int] = set()  # relays that sent a probe back
+        self._met: set[int] = set()  # relays that sent a probe back
+        self._pending: deque[tuple[int, int, int, int, int]] = deque(maxlen=MAX_PENDING)  # replies of others
+        self._probed_ns = 0  # of the latest probe within the run
+        self._strangers = strangers
         self._echoed_ns = 0
         self._longest_echo_ns = 0
         self._record: Record = _discard
@@ -105,36 +129,77 @@ class Ping(Generic[SentT, ReceivedT]):
 
     def _receive(self, message: ReceivedT, source_ns: int = 0, received_ns: int = 0, /) -> None:
         receive_ns = self._now()
-        stamp = self._stamps.read(message)
+        try:
+            stamp = self._stamps.read(message)
+        except Exception:  # noqa: BLE001 - whatever a peer sends costs only its message
+            stamp = None
         if stamp is None:
+            self._strangers.count(UNSTAMPED)
             return
         run_id, sequence, relay_id = stamp
-        if run_id != self.run_id or sequence >= self.plan.total:
+        if run_id != self.run_id:
             if run_id == PROBE_RUN_ID and sequence in self._nonces:
                 self._echoed_ns = receive_ns
-                self._echoes.add(relay_id)
                 self._longest_echo_ns = max(self._longest_echo_ns, receive_ns - self._nonces[sequence])
+                self.meet(relay_id)
             return
         replies = self._replies
+        if sequence >= self.plan.total or not replies.publish_ns[sequence]:
+            self._strangers.count(UNSENT)
+            return
+        if relay_id not in self._met:
+            if len(self._pending) == MAX_PENDING:
+                self._strangers.count(UNMET)
+            self._pending.append((relay_id, sequence, receive_ns, source_ns, received_ns))
+            return
         payload_bytes = replies.payload_bytes[sequence]
         self._record(T2, run_id, sequence, receive_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
         replies.note(sequence, relay_id, receive_ns)
 
+    def meet(self, relay_id: int) -> None:
+        """Accept the replies of a relay that has sent a probe back, also those that came before the echo."""
+        if relay_id in self._met or len(self._met) >= MAX_RELAYS:
+            return
+        self._met.add(relay_id)
+        for _ in range(len(self._pending)):
+            waiting = self._pending.popleft()
+            if waiting[0] != relay_id:
+                self._pending.append(waiting)
+                continue
+            _, sequence, receive_ns, source_ns, received_ns = waiting
+            payload_bytes = self._replies.payload_bytes[sequence]
+            self._record(
+                T2, self.run_id, sequence, receive_ns, 0, source_ns, received_ns, payload_bytes, relay_id
+            )
+            self._replies.note(sequence, relay_id, receive_ns)
+
+    def _probe(self) -> None:
+        """Send a probe, whose number nobody can guess."""
+        message, nonce = self._messages[0], self._nonce + len(self._nonces)
+        self._stamps.write(message, PROBE_RUN_ID, nonce)
+        self._nonces[nonce] = self._now()
+        self._publisher.publish(message)
+
+    def _probe_others(self, now_ns: int) -> None:
+        """Within a run, send a probe to relays whose replies wait, at most one each `MEETING_NS`."""
+        if now_ns - self._probed_ns >= MEETING_NS:
+            self._probed_ns = now_ns
+            self._probe()
+
     def wait_for_echo(self, timeout_s: float, stop: threading.Event, relays: int = 1) -> bool:
         """Send probes until enough relays echo and echoes have ceased; return whether that happened."""
         began_ns = next_ns = self._now()
-        message, nonce, sent = self._messages[0], secrets.randbits(63), 0
+        sent = 0
         while not stop.is_set():
             now_ns = self._now()
-            if len(self._echoes) >= relays:
-                if now_ns - self._echoed_ns >= SETTLE_NS:
+            if len(self._met) >= relays:
+                has_waited_long = now_ns - began_ns > timeout_s * SECOND_NS + LONGEST_SETTLE_NS
+                if now_ns - self._echoed_ns >= SETTLE_NS or has_waited_long:
                     return True
             elif now_ns - began_ns > timeout_s * SECOND_NS:
                 return False
             elif now_ns >= next_ns:
-                self._stamps.write(message, PROBE_RUN_ID, nonce + sent)
-                self._nonces[nonce + sent] = now_ns
-                self._publisher.publish(message)
+                self._probe()
                 next_ns = now_ns + PROBE_PERIODS_NS[min(sent, len(PROBE_PERIODS_NS) - 1)]
                 sent += 1
             self._clock.wait_until(now_ns + POLL_NS, stop)
@@ -163,7 +228,7 @@ class Ping(Generic[SentT, ReceivedT]):
     @property
     def echoing_relays(self) -> int:
         """Number of relays that have sent a probe back."""
-        return len(self._echoes)
+        return len(self._met)
 
     def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
         """Send the plan and return the finished run; `stop` ends the sending, `hopeless` the wait for replies."""
@@ -172,9 +237,12 @@ class Ping(Generic[SentT, ReceivedT]):
         self._record = sink.record
         sharpen_sleep()
         with tuned_gc():
+            began_ns = self._now()
             self._send(sink, stop)
             ended_ns = self._now()
-            self._drain(hopeless or threading.Event())
+            self._drain(hopeless or threading.Event(), began_ns)
+        if self._pending:
+            self._strangers.count(UNMET, len(self._pending))
         self._ended = True
         feed = self.plan.payload.feed
         skipped = {} if feed is None else {"skipped_messages": feed.skipped}
@@ -202,6 +270,8 @@ class Ping(Generic[SentT, ReceivedT]):
             publish(message)
             publish_times_ns[sequence] = publish_ns
             self._published = sequence + 1
+            if self._pending:
+                self._probe_others(publish_ns)
 
     def _planned(self, stop: threading.Event) -> Iterator[tuple[SentT, int, int]]:
         """Yield each message, stamped, with its bytes and T0, at its planned instant."""
@@ -229,13 +299,18 @@ class Ping(Generic[SentT, ReceivedT]):
             self._stamps.write(message, self.run_id, sequence)
             yield message, taken.payload_bytes, arrival_ns
 
-    def _drain(self, hopeless: threading.Event) -> None:
+    def _drain(self, hopeless: threading.Event, sending_ns: int) -> None:
+        """Wait for missing replies of a sending that began at `sending_ns`."""
         replies = self._replies
         began_ns = self._now()
+        deadline_ns = began_ns + max(LONGEST_DRAIN_NS, began_ns - sending_ns)
         while not replies.are_complete(self._published) and not hopeless.is_set():
             quiet_ns = self._now() - max(began_ns, replies.last_ns)
-            if quiet_ns > max(DRAIN_NS, 2 * max(self._longest_echo_ns, replies.longest_rtt_ns)):
+            patience_ns = max(DRAIN_NS, 2 * max(self._longest_echo_ns, replies.longest_rtt_ns))
+            if quiet_ns > patience_ns or self._now() > deadline_ns:
                 break
+            if self._pending:
+                self._probe_others(self._now())
             self._clock.wait_until(self._now() + POLL_NS, hopeless)
 
     def progress(self) -> PingProgress:

@@ -93,6 +93,7 @@ class Replies:
         payload_bytes: application bytes of each message, likewise.
         received: messages with at least one reply.
         highest: highest sequence number with a reply, -1 before the first.
+        last_ns: time of the latest reply, duplicates left out.
     """
 
     __slots__ = (
@@ -127,12 +128,12 @@ class Replies:
         if not answered[sequence]:
             answered[sequence] = 1
             self._counts[relay_id] += 1
+            self.last_ns = max(self.last_ns, receive_ns)
         if not self._rtt_ns[sequence]:
             self._rtt_ns[sequence] = rtt_ns = receive_ns - self.publish_ns[sequence]
             self.longest_rtt_ns = max(self.longest_rtt_ns, rtt_ns)
             self.received += 1
             self.highest = max(self.highest, sequence)
-        self.last_ns = receive_ns
 
     def are_complete(self, published: int) -> bool:
         """Return whether every answering relay has answered all messages."""

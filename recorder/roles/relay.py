@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 
 from ..applied.carried import Traffic
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 ReceivedT = TypeVar("ReceivedT")
 
 T3, T4 = 3, 4
+UNSTAMPED = "message without a whole stamp"
 _Forecast: TypeAlias = "tuple[bytes, int, ExpectedPair, int, int, int]"
 """An expected message: its bytes from the stamp on, its length, its events, run, sequence and payload bytes."""
 RECENT_RUNS = 1000
@@ -61,6 +63,7 @@ class Relay:
         self._recent_runs: dict[int, bool] = {}  # the one with the latest message last
         self._payload_bytes = 0  # of all messages relayed
         self._foreign = 0
+        self._strangers = node.strangers
         self._on_probe = on_probe
         self._closers: list[Callable[[], None]] = []
         if serialization is Serialization.TYPED:
@@ -107,18 +110,22 @@ class Relay:
                         self._payload_bytes += size
                         forecast = forecast_of(message, run_id, sequence + 1, size)
                         return
-            stamp = read(message)
-            reply = make_reply(message, relay_id_text)
-            if reply is None:
+            try:
+                stamp = read(message)
+                size = 0 if stamp is None else payload_bytes_of(message)
+                reply = None if stamp is None else make_reply(message, relay_id_text)
+            except Exception:  # noqa: BLE001 - whatever a peer sends costs only its message
+                stamp = reply = None
+            if stamp is None or reply is None:
                 self._foreign += 1
-                return
-            if stamp is None or stamp.run_id == PROBE_RUN_ID:
-                publish(reply)
-                if stamp is not None and on_probe is not None:
-                    on_probe()
+                self._strangers.count(UNSTAMPED)
                 return
             run_id, sequence, _ = stamp
-            size = payload_bytes_of(message)
+            if run_id == PROBE_RUN_ID:
+                publish(reply)
+                if on_probe is not None:
+                    on_probe()
+                return
             record_and_stamp(stages, run_id, sequence, relay_in_ns, source_ns, received_ns, size, relay_id)
             publish(reply)
             self._relayed += 1
@@ -141,7 +148,10 @@ class Relay:
             expected = expect((T3, T4), run_id, sequence, size, relay_id)
             if expected is None:
                 return None
-            begin = begin_of(message, run_id, sequence, sizing_bytes_of(message))
+            try:
+                begin = begin_of(message, run_id, sequence, sizing_bytes_of(message))
+            except struct.error:  # cut short by its sender
+                return None
             return begin, len(message), expected, run_id, sequence, size
 
         return forecast_of

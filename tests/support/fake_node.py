@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.node import Middleware, NodeOptions, TopicView
+from dds_trace.recorder.backends.node import Middleware, NodeOptions, Strangers, TopicView
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,6 +51,7 @@ class FakeNode:
         self.views: dict[str, TopicView] = {}
         self.participants: int | None = 1
         self.error: BaseException | None = None
+        self.strangers = Strangers()
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> FakePublisher:
         del type_name, qos

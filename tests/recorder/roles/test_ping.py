@@ -12,7 +12,17 @@ from fake_node import FakeNode, ListSink
 
 from dds_trace.recorder.payloads import BINARY, IMU, STRING
 from dds_trace.recorder.payloads.stamp import RAW_HEADER_STAMP, stamp_text
-from dds_trace.recorder.roles.ping import DRAIN_NS, LEAD_NS, open_ping
+from dds_trace.recorder.roles.ping import (
+    DRAIN_NS,
+    LEAD_NS,
+    LONGEST_DRAIN_NS,
+    LONGEST_SETTLE_NS,
+    MAX_PENDING,
+    UNMET,
+    UNSENT,
+    UNSTAMPED,
+    open_ping,
+)
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.progress import Silence
 
@@ -48,8 +58,10 @@ class Link:
     def sent(self):
         return self.node.publishers[self.topic].sent
 
-    def run(self):
-        return self.ping.run(self.sink, NEVER)
+    def run(self, stop=NEVER, hopeless=None):
+        for relay in self._relays:
+            self.ping.meet(relay)
+        return self.ping.run(self.sink, stop, hopeless)
 
 
 def plan(messages=5, rate_hz=100.0, warmup=0, data_type=IMU, **more):
@@ -184,7 +196,7 @@ def test_a_stop_ends_the_sending_and_still_collects_replies():
     link = Link(plan(messages=100, rate_hz=100.0))
     stop = threading.Event()
     link.clock.at(START_NS + LEAD_NS + 31 * MS, stop.set)
-    run = link.ping.run(link.sink, stop)
+    run = link.run(stop)
     assert run.published == 4
     assert run.state == "finished"
     assert len(link.sink.of_stage(2)) == 4
@@ -268,6 +280,7 @@ def test_strings_have_no_time_and_their_own_place(size):
     clock, node = FakeClock(START_NS), FakeNode()
     sink = ListSink(clock)
     ping = open_ping(node, RunPlan(STRING.make(size, 1), 10.0, 1), clock)
+    ping.meet(0)
     node.publishers["string_data"].on_publish = lambda message: node.deliver("string_data_relay", message)
     ping.run(sink, NEVER)
     assert [event[6] for event in sink.of_stage(2)] == [size]
@@ -282,5 +295,75 @@ def test_the_silence_of_a_run_is_what_was_sent_behind_the_last_answered_message(
 def test_a_hopeless_run_waits_for_no_reply():
     link, hopeless = Link(plan(messages=3), delay_ns=lambda _: None), threading.Event()
     link.clock.at(START_NS + LEAD_NS + 40 * MS, hopeless.set)
-    link.ping.run(link.sink, NEVER, hopeless)
+    link.run(hopeless=hopeless)
     assert link.clock.now_ns <= START_NS + LEAD_NS + 60 * MS
+
+
+def forged(link, sequence, relay=RELAY):
+    """A reply that nobody sent for a message of the run."""
+    message = bytearray(plan().payload.messages[0].data)
+    RAW_HEADER_STAMP.write(message, link.ping.run_id, sequence)
+    link.reply(message, relay)
+
+
+def test_a_reply_to_a_message_that_was_not_sent_is_a_strangers():
+    link = Link(plan(messages=100))
+    link.clock.at(START_NS + LEAD_NS + 5 * MS, lambda: [forged(link, number) for number in (50, 99, 100)])
+    link.run()
+    assert [event[1] for event in link.sink.of_stage(2)] == list(range(100))
+    assert link.node.strangers.counts == {UNSENT: 3}
+    assert link.ping.progress().received == 100
+
+
+@pytest.mark.parametrize(
+    "digits", [b"-fffffffffffffff", b"+000000000000001", b"0x00000000000001", b"00000000_0000001"]
+)
+def test_numbers_that_are_no_hex_digits_are_no_stamp(digits):
+    link = Link(plan(messages=3))
+    answer = bytearray(plan().payload.messages[0].data)
+    answer[16:62] = stamp_text(link.ping.run_id, 0).replace(b"0" * 16, digits)
+    link.clock.at(START_NS + LEAD_NS + 5 * MS, lambda: link.node.deliver("imu_data_relay", bytes(answer)))
+    link.run()
+    assert [event[1] for event in link.sink.of_stage(2)] == [0, 1, 2]
+    assert link.node.strangers.counts == {UNSTAMPED: 1}
+
+
+def test_replies_of_relays_that_answer_no_probe_are_strangers_and_take_no_memory():
+    link = Link(plan(messages=5))
+    for relay in range(100, 100 + 2 * MAX_PENDING):
+        link.clock.at(START_NS + LEAD_NS + 5 * MS, lambda relay=relay: forged(link, 0, relay))
+    link.run()
+    assert {event[-1] for event in link.sink.of_stage(2)} == {RELAY}
+    assert link.node.strangers.counts == {UNMET: 2 * MAX_PENDING}
+    assert link.clock.now_ns < START_NS + LEAD_NS + 100 * MS
+
+
+def test_a_relay_that_comes_within_the_run_is_met_by_a_probe_and_loses_no_reply():
+    link = Link(plan(messages=6), relays=(RELAY,))
+    link.ping.meet(7)  # the one that has ended
+    link.ping.run(link.sink, NEVER)
+    assert [event[1] for event in link.sink.of_stage(2)] == list(range(6))
+    assert {event[-1] for event in link.sink.of_stage(2)} == {RELAY}
+    assert link.node.strangers.counts == {}
+    probes = [stamp for stamp in map(RAW_HEADER_STAMP.read, link.sent) if stamp.run_id == 0]
+    assert len(probes) == 1
+
+
+def test_no_reply_moves_the_end_of_the_drain():
+    """A relay that answers one message a second, later and later, and the last one never."""
+    link = Link(plan(messages=200), delay_ns=lambda n: None if n == 199 else (1 + n) * 1000 * MS)
+    link.run()
+    sending_ns = LEAD_NS + 1990 * MS
+    assert link.clock.now_ns - START_NS - sending_ns < LONGEST_DRAIN_NS + 100 * MS
+
+
+def test_echoes_without_end_do_not_keep_a_run_from_starting():
+    link = Link(plan())
+
+    def echo_again():
+        link.reply(link.sent[0])
+        link.clock.at(link.clock.now_ns + 50 * MS, echo_again)
+
+    link.clock.at(START_NS + 100 * MS, echo_again)
+    assert link.ping.wait_for_echo(2, NEVER)
+    assert link.clock.now_ns - START_NS < 2000 * MS + LONGEST_SETTLE_NS + 100 * MS

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import random
 
 import pytest
 from fake_clock import FakeClock
@@ -10,7 +11,7 @@ from fake_node import FakeNode, ListSink
 
 from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.roles import relay as relay_module
-from dds_trace.recorder.roles.relay import Relay
+from dds_trace.recorder.roles.relay import UNSTAMPED, Relay
 from dds_trace.tracefile.format.descriptions import Qos
 
 RELAY = 0xBEEF
@@ -157,3 +158,21 @@ def test_runs_are_counted_once_however_they_take_turns_and_old_ones_are_forgotte
     relay._note_run(10)
     relay._note_run(7)
     assert (relay._runs, list(relay._recent_runs)) == (4, [8, 10, 7])  # 9 was the longest ago
+
+
+@pytest.mark.parametrize("name", ["binary", "string", "imu"])
+@pytest.mark.parametrize("form", [bytes, bytearray])
+def test_any_bytes_cost_only_their_message(name, form):
+    """Every beginning of a message, lengths that lie, and noise behind a good stamp: the next message is answered as ever."""
+    bench, data_type, draw = Bench(), data_types()[name], random.Random(5)
+    good = bench.message(name, 7, 1, None if name == "imu" else 100)
+    hostile = [good[:end] for end in range(len(good))]
+    hostile += [good[:at] + b"\xff" * 8 + good[at + 8 :] for at in range(0, len(good), 4)]
+    hostile += [good[:62] + draw.randbytes(draw.randrange(80)) for _ in range(200)]
+    for message in hostile:
+        bench.node.deliver(data_type.topic, form(message), 11, 12)
+    before = len(bench.sink.events)
+    bench.node.deliver(data_type.topic, form(good), 11, 12)
+    assert [event[:3] for event in bench.sink.events[before:]] == [(3, 7, 1), (4, 7, 1)]
+    assert bench.node.strangers.counts[UNSTAMPED] >= 62 - 16
+    assert all(0 <= event[2] < 2**64 and 0 <= event[7] < 2**32 for event in bench.sink.events)

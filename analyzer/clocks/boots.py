@@ -16,26 +16,26 @@ _SAME_BOOT_S = 2
 
 @dataclass(frozen=True, slots=True)
 class _Boot:
-    """A boot of a device: its number, and the kernel's id of it, None if unknown."""
+    """Number of a boot, and the kernel's id of it."""
 
     number: int
     boot_id: str | None
 
     def includes(self, zero_s: int, boot_id: str | None) -> bool:
-        """Return whether a session is of this boot: by the kernel's id, else by its wall clock at monotonic zero."""
+        """Compare by the kernel's id, else by the wall clock at monotonic zero."""
         if boot_id is not None and self.boot_id is not None:
             return boot_id == self.boot_id
         return abs(self.number - zero_s) < _SAME_BOOT_S
 
 
 def boot_id_of(session: Session) -> str | None:
-    """Return the kernel's id of the boot in which a session was recorded; None for an older recorder."""
+    """Return the kernel's id of the session's boot; None for an older recorder."""
     boot_id = session.extra.get("boot_id")
     return boot_id if isinstance(boot_id, str) and boot_id else None
 
 
 def machine_of(session: Session) -> str:
-    """Return what identifies the machine of a session: its boot id, else the name of its device."""
+    """Return the boot id of a session, else the name of its device."""
     return boot_id_of(session) or session.device
 
 
@@ -46,13 +46,10 @@ def share_boot(one: Session, other: Session | None) -> bool | None:
 
 
 def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Return the boot of the ping's device in which each run took place, as a number.
-
-    Stamps of two boots must not be mixed: the monotonic clock starts again at every boot.
+    """Number the boot of the ping's device of each run; stamps of two boots must not be mixed.
 
     Returns:
-        run_id -> wall clock at monotonic zero in whole seconds, which numbers the boot; 0 for a run that does not name
-        its session.
+        run_id -> wall clock at monotonic zero in whole seconds; 0 for a run that does not name its session.
     """
     boot_of_session: dict[int, int] = {}
     boots_of_device: dict[str, list[_Boot]] = {}
@@ -72,17 +69,13 @@ def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, in
 
 
 def ping_wall_offsets(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Return the wall clock minus the monotonic clock of the ping in each run that names its session.
-
-    Returns:
-        run_id -> offset in ns.
-    """
+    """Return the ping's wall clock minus its monotonic clock in ns, by run_id, for each run that names its session."""
     offsets = {session.session_id: _monotonic_zero_ns(session) for session in sessions}
     return {run.run_id: offsets[s] for run in runs if (s := session_of_run(run)) in offsets}
 
 
 def session_of_run(run: Run) -> int:
-    """Return the id of the ping session that a run names (`session_id` in its description), or -1."""
+    """Return the id of the ping session that a run names, or -1."""
     try:
         return int(str(run.extra["session_id"]), 16)
     except (KeyError, ValueError):

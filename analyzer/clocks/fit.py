@@ -1,23 +1,20 @@
-"""One device's clock seen from another's: offset and drift over time from T1..T4, each with its bound.
+"""One device's clock against another's: offset and drift over time from T1..T4, each with its bound.
 
-Let `theta` be the relay's clock minus the ping's clock at one instant. No message is received before it is sent, so its
-way out and its way back bound theta:
+Let `theta` be the relay's clock minus the ping's. No message is received before it is sent:
 
     T4 - T2  <=  theta  <=  T3 - T1
 
-The interval is `rtt - intermediate` wide whatever the network does, so its middle is wrong by at most half
-of that (RFC 5905, section 8: offset and delay). Stamps cannot show where in the interval theta is:
-a link that is slower one way looks like a clock that is off by half the difference.
+The interval is `rtt - intermediate` wide, so its middle is wrong by at most half of that (RFC 5905, section 8). Stamps cannot
+show where in it theta is: a link that is slower one way looks like a clock that is off by half the difference.
 
 Two assumptions give a slow message the interval of its fast neighbours:
-- clocks part by at most `DRIFT_LIMIT_PPB`. A message whose interval cannot be reached from the earlier ones at
-  that rate shows a step (clock set, suspend, reboot) and splits the fit;
-- within a window of `WINDOW_NS` theta is a straight line. All lines that respect every message of the window
-  remain possible, and the bound is what they leave open (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms
-  for network measurements", INFOCOM 2002; S. Moon, P. Skelly, D. Towsley, INFOCOM 1999; Huygens, NSDI 2018,
-  keeps the fastest messages for the same reason as NTP's clock filter, RFC 5905, section 10). A window
-  whose messages no line respects, or with a half that puts the offset outside the window's bound, is halved. For a clock that
-  bends by 100 ppm in a window, that reduces wrong bounds from 24 % of the messages to 3 %.
+- clocks part by at most `DRIFT_LIMIT_PPB`. A message out of reach at that rate shows a step (clock set, suspend, reboot) and splits
+  the fit;
+- within a window of `WINDOW_NS` theta is a straight line, and the bound is what the lines that respect every message leave
+  open (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002; S. Moon,
+  P. Skelly, D. Towsley, INFOCOM 1999; fastest messages: Huygens, NSDI 2018, RFC 5905, section 10). A window without such a line,
+  or with a half whose offset is outside its bound, is halved: for a clock that bends by 100 ppm in a window, wrong bounds
+  fall from 24 % of the messages to 3 %.
 """
 
 from __future__ import annotations
@@ -44,16 +41,16 @@ T = TypeVar("T", int, NDArray[np.int64])
 
 
 _BLOCK_MESSAGES = 1 << 14
-"""Messages that are processed together."""
+"""Messages processed together."""
 
 
 class ClockKnot(NamedTuple):
     """The offset at the instant of a window at which its bound is smallest.
 
     Attributes:
-        at_ns: the instant, ping's monotonic clock.
+        at_ns: ping's monotonic clock.
         offset_ns: relay's clock minus ping's clock.
-        bound_ns: the offset is wrong by at most this.
+        bound_ns: largest error of the offset.
     """
 
     at_ns: int
@@ -69,11 +66,11 @@ class ClockSegment:
         start_ns: first message, ping's monotonic clock.
         end_ns: last message.
         messages: number of messages in the fit.
-        at_ns: the instant of `offset_ns`, at which its bound is smallest, ping's monotonic clock.
-        offset_ns: relay's clock minus ping's clock.
-        bound_ns: the offset is wrong by at most this.
+        at_ns: instant at which the bound of the offset is smallest.
+        offset_ns: relay's clock minus ping's clock at `at_ns`.
+        bound_ns: largest error of the offset.
         drift_ppb: mean rate at which the relay's clock gains on the ping's, parts per billion (ns per s).
-        drift_bound_ppb: the drift is wrong by at most this.
+        drift_bound_ppb: largest error of the drift.
         residual_ns: largest distance of a knot from the straight line through the first and the last knot.
         knots: one for each window, in order of time.
     """
@@ -95,10 +92,10 @@ class ClockStep:
     """A jump of one clock against the other: a clock that was set, a suspend, a reboot.
 
     Attributes:
-        after_ns: last message that is surely older than the step, ping's monotonic clock.
-        before_ns: first message that is surely younger than the step.
+        after_ns: last message surely before the step, ping's monotonic clock.
+        before_ns: first message surely after it.
         size_ns: jump of the relay's clock against the ping's; negative if it fell back.
-        bound_ns: the size is wrong by at most this.
+        bound_ns: largest error of the size.
     """
 
     after_ns: int
@@ -115,7 +112,7 @@ class ClockFit:
         ping_device: name of the device of T1 and T2.
         relay_device: name of the device of T3 and T4.
         boot: number of the boot of the ping's device (`boots.ping_boots`).
-        same_clock: whether both sides are of one boot of one machine (without boot ids: have one name), and an offset of zero agrees
+        same_clock: both sides are of one boot of one machine (without boot ids: have one name), and an offset of zero agrees
             with every message. One-way times are then exact.
         segments: stretches between steps, in order of time; empty without a message that has all four stamps.
         steps: jumps between the segments, one fewer than these.
@@ -146,17 +143,17 @@ class ClockOffsets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelayedMessages:
-    """The messages that one fit rests on: all arrays int64, of one length and in any order.
+    """The messages of one fit: int64 arrays of one length, in any order.
 
     Attributes:
-        publish_ns: T1 of each message.
+        publish_ns: T1.
         relay_in_ns: T3.
         relay_out_ns: T4.
         receive_ns: T2.
         ping_device: name of the device of T1 and T2.
         relay_device: name of the device of T3 and T4.
-        boot: number of the boot of the ping's device (`boots.ping_boots`).
-        relay_boot: the kernel's id of the boot of the relay's device, if known.
+        boot: as in `ClockFit`.
+        relay_boot: as in `ClockFit`.
         same_boot: whether both sides are of one boot of one machine (`boots.share_boot`); None lets names decide.
     """
 
@@ -173,13 +170,13 @@ class RelayedMessages:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Points:
-    """The messages of one fit in the order of time, as bounds on theta without origins.
+    """The messages of one fit in order of time, as bounds on theta.
 
     Attributes:
-        points: the bounds, which `fit_windows` narrows; T1 and T2 stand for the instant halfway between them.
-        order: position of each message in the input; None where the input is in order of time.
-        time_origin_ns: what was subtracted from the instants.
-        offset_origin_ns: what was subtracted from the bounds.
+        points: the bounds, which `fit_windows` narrows, at the instants halfway between T1 and T2.
+        order: position of each message in the input; None where the input is in order.
+        time_origin_ns: subtracted from the instants.
+        offset_origin_ns: subtracted from the bounds.
         same_clock: as in `ClockFit`.
     """
 
@@ -191,7 +188,7 @@ class _Points:
 
     @classmethod
     def of(cls, messages: RelayedMessages, points: OffsetIntervals) -> _Points:
-        """Return the bounds of some messages, at least one, written into `points`.
+        """Write the bounds of at least one message into `points`.
 
         Raises:
             ValueError: a message has `rtt < intermediate`.
@@ -207,27 +204,27 @@ class _Points:
     def _in_order(
         cls, messages: RelayedMessages, points: OffsetIntervals, order: Int64 | None
     ) -> _Points | None:
-        """Return the bounds in this order, as `of` does; None if it is not the order of time."""
+        """Return the bounds in this order; None if it is not the order of time."""
         first = 0 if order is None else int(order[0])
         publish_ns, receive_ns = int(messages.publish_ns[first]), int(messages.receive_ns[first])
         time_origin_ns = last_ns = _half_way(publish_ns, receive_ns - publish_ns)
         offset_origin_ns = int(messages.relay_in_ns[first]) - publish_ns
-        # Two devices may have one name, and a time namespace another clock on one machine: zero has to agree, too.
+        # Two devices may share a name, and a time namespace has its own clock: zero has to agree, too.
         same_clock = messages.same_boot
         if same_clock is None:
             same_clock = messages.ping_device == messages.relay_device
         for block in _blocks(len(messages.publish_ns)):
             taken = block if order is None else order[block]
             published_ns, received_ns = messages.publish_ns[taken], messages.receive_ns[taken]
-            out_ns = messages.relay_in_ns[taken] - published_ns  # theta's upper end
-            back_ns = messages.relay_out_ns[taken] - received_ns  # its lower end
+            out_ns = messages.relay_in_ns[taken] - published_ns  # upper end of theta
+            back_ns = messages.relay_out_ns[taken] - received_ns  # lower end
             if (back_ns > out_ns).any():
                 raise ValueError(
                     "a message spent more time in the relay than under way: leave it out of the fit"
                 )
             same_clock = same_clock and bool(out_ns.min() >= 0 and back_ns.max() <= 0)
             rtt_ns = received_ns - published_ns
-            slack = DRIFT / 2 * rtt_ns  # the clocks part a little on the way to the middle
+            slack = DRIFT / 2 * rtt_ns  # clocks part on the way to the middle
             at_ns = _half_way(published_ns, rtt_ns)
             if at_ns[0] < last_ns or (at_ns[1:] < at_ns[:-1]).any():
                 return None
@@ -254,7 +251,7 @@ class _Points:
             offset_ns[block] = np.rint(value, out=value)
             np.subtract(high, low, out=value)
             value /= 2
-            value += 0.5  # for the rounding
+            value += 0.5  # rounding
             bound_ns[block] = np.ceil(value, out=value)
         offset_ns += self.offset_origin_ns
         if self.order is not None:
@@ -265,25 +262,22 @@ class _Points:
 
 
 def _blocks(messages: int) -> Iterator[slice]:
-    """Yield the messages in blocks whose arrays stay in the cache of a core."""
+    """Yield blocks whose arrays fit into the cache of a core."""
     return (slice(first, first + _BLOCK_MESSAGES) for first in range(0, messages, _BLOCK_MESSAGES))
 
 
 def _half_way(publish_ns: T, rtt_ns: T) -> T:
-    """Return the instants halfway between T1 and T2."""
     return publish_ns + (rtt_ns >> 1)
 
 
 def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOffsets]]:
-    """Fit the relay's clock against the ping's, and return each fit with the offset at each message.
-
-    The windows of all fits are processed together (`windows.fit_windows`); no fit depends on another.
+    """Fit the relay's clock against the ping's; return each fit with the offset at each message.
 
     Raises:
         ValueError: a message has `rtt < intermediate`.
     """
     edges = np.cumsum([0, *(len(messages.publish_ns) for messages in fits)]).tolist()
-    # One array: numpy asks for large pages, which are filled faster.
+    # One array: numpy asks for large pages, which fill faster.
     points = OffsetIntervals(*np.empty((3, edges[-1])))
     all_points = [
         _Points.of(messages, points.part(first, after)) if after > first else None
@@ -316,13 +310,13 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
 def _segments(
     time: Float64, windows: Windows, stretches: Sequence[tuple[int, int]], fit_points: _Points
 ) -> tuple[tuple[ClockSegment, ...], tuple[ClockStep, ...]]:
-    """Return the segments of one fit, and the steps between them."""
+    """Return the segments and steps of one fit."""
     segments: list[ClockSegment] = []
     steps: list[ClockStep] = []
     last, before = 0, 0  # the last window, and the message after it
     for start, stop in stretches:
         first, after = np.searchsorted(windows.start, (start, stop)).tolist()
-        if first == after:  # no line at all: each of its messages keeps its own bound
+        if first == after:  # without a line, each message keeps its own bound
             continue
         if segments:
             edge = time[[before - 1, start]]
@@ -333,7 +327,7 @@ def _segments(
 
 
 def _segment(time: Float64, windows: Windows, own: slice, fit_points: _Points) -> ClockSegment:
-    """Return a segment from the best instants of its windows, `own` of all windows; `time` is of its messages."""
+    """Return the segment of the windows `own`; `time` is of its messages."""
     at, offset, bound = windows.time[own], windows.offset[own], windows.bound[own]
     if len(at) > 1:
         drift = (offset[-1] - offset[0]) / (at[-1] - at[0])
@@ -361,7 +355,6 @@ def _segment(time: Float64, windows: Windows, own: slice, fit_points: _Points) -
 
 
 def _step(time: Float64, old: Float64, new: Float64, time_origin_ns: int) -> ClockStep:
-    """Return the jump between two instants from offset and bound at each."""
     drifted = DRIFT * (time[1] - time[0])
     return ClockStep(
         after_ns=time_origin_ns + int(time[0]),

@@ -1,4 +1,4 @@
-"""Convex hulls of many windows at once: the points that all lines of a window must pass below, or above.
+"""Convex hulls of many windows at once: the points that all lines of a window pass below, or above.
 
 Rows of a matrix are windows; each step is one numpy operation over all of them.
 """
@@ -12,18 +12,18 @@ Float64 = NDArray[np.float64]
 Intp = NDArray[np.intp]
 
 CANDIDATES = 32
-"""Messages of a window that constrain its lines, per direction. Fewer constraints can only widen the bound."""
+"""Messages that constrain the lines of a window, per direction. Fewer can only widen the bound."""
 
 
 def part_edges(start: Intp, stop: Intp) -> Intp:
     """Cut windows into `CANDIDATES` parts of equal length, or one for each message of a shorter window.
 
     Args:
-        start: first message of each window, ascending; no window reaches into the next.
+        start: first message of each window, ascending; windows do not overlap.
         stop: the message after its last.
 
     Returns:
-        Shape (windows, parts + 1): edges of the parts; a window that is shorter than others has empty parts at its end.
+        Shape (windows, parts + 1): edges of the parts; a shorter window has empty parts at its end.
     """
     count = stop - start
     parts = min(CANDIDATES, int(count.max()))
@@ -38,7 +38,7 @@ def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
 
     Args:
         height: of every message.
-        edges: shape (windows, parts + 1), edges of the parts, ascending. An empty part takes the point before it.
+        edges: shape (windows, parts + 1), ascending. An empty part takes the point before it.
 
     Returns:
         Shape (windows, parts): indices of messages.
@@ -49,7 +49,7 @@ def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
     first, lengths = (
         begins[is_full],
         lengths[is_full],
-    )  # messages between two windows are a part of their own here
+    )  # messages between two windows are a part here
     lowest = np.minimum.reduceat(height, first)
     at = np.flatnonzero(height[first[0] :] == np.repeat(lowest, lengths)) + first[0]
     if len(at) > len(first):  # equal points in a part
@@ -63,8 +63,8 @@ def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
 def lower_hulls(time: Float64, height: Float64) -> Intp:
     """Return the lower convex hull of the points of each row, from left to right.
 
-    Gift wrapping: the gentlest slope from a corner to a later point leads to the next corner (R. A. Jarvis, "On the identification of the
-    convex hull of a finite set of points in the plane", 1973); of points on one line the last is the corner.
+    Gift wrapping (R. A. Jarvis, "On the identification of the convex hull of a finite set of points in the plane", 1973): the
+    gentlest slope to a later point leads to the next corner, the last of points on one line.
 
     Args:
         time: shape (rows, points), not falling.
@@ -83,7 +83,7 @@ def lower_hulls(time: Float64, height: Float64) -> Intp:
         run, slope = time - time[at][:, None], height - height[at][:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             slope /= run
-        # Of two points at one time, the lower one comes next (minus infinity), or none (infinity; of equal ones, no number).
+        # Of two points at one time, the lower comes next (-inf), or none (inf; nan if equal).
         np.fmin(slope, np.inf, out=slope)
         np.copyto(slope, np.inf, where=column <= corner[:, None])
         corner = last - slope[:, ::-1].argmin(axis=1)

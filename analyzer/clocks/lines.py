@@ -1,6 +1,6 @@
 """All straight lines that agree with the messages of a window, for many windows at once.
 
-The geometry of `analyzer/clocks/fit.py`, in floats whose origin was subtracted in int64. Rows of every matrix are windows.
+The geometry of `fit.py`, in floats whose origin was subtracted in int64. Rows of every matrix are windows.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ DRIFT_LIMIT_PPB = 500_000
 """Largest drift: Linux slews a clock by at most 500 ppm (adjtimex(2)); quartz is off by less than 100 ppm."""
 
 DRIFT = DRIFT_LIMIT_PPB / 1e9
-"""Largest drift in ns per ns."""
+"""The same in ns per ns."""
 
 ROUNDING_NS = 1e-3
-"""Tolerance of the check of lines against points, far below the nanosecond that is reported."""
+"""Tolerance of lines against points, far below the reported nanosecond."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffsetIntervals:
-    """Bounds on theta by each message: between `lower` and `upper` at `time`; without origins, so floats are exact."""
+    """Bounds on theta by each message: between `lower` and `upper` at `time`; origins subtracted, so floats are exact."""
 
     time: Float64
     lower: Float64
@@ -43,7 +43,7 @@ class OffsetIntervals:
         return OffsetIntervals(self.time[start:stop], self.lower[start:stop], self.upper[start:stop])
 
     def take(self, messages: Intp) -> OffsetIntervals:
-        """Return the messages at these positions."""
+        """Return the messages at these indices."""
         return OffsetIntervals(self.time[messages], self.lower[messages], self.upper[messages])
 
     def __len__(self) -> int:
@@ -52,12 +52,12 @@ class OffsetIntervals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Boundary:
-    """The greatest heights that the lines of each window reach: straight pieces, one after another in time.
+    """The greatest heights of each window's lines: straight pieces in order of time.
 
     Attributes:
-        slope: shape (windows, pieces), ascending; a window with fewer pieces has some of them twice.
+        slope: shape (windows, pieces), ascending; repeated where a window has fewer pieces.
         height: of each piece at the window's centre.
-        breaks: shape (windows, pieces - 1): the last message of each piece but the last; the next piece begins there, too.
+        breaks: shape (windows, pieces - 1): the message at which each piece but the last ends and the next begins.
     """
 
     slope: Float64
@@ -93,11 +93,7 @@ class Boundary:
         )
 
     def reach(self, time: Float64) -> Float64:
-        """Return the greatest height of any line.
-
-        Args:
-            time: shape (windows, instants), the centre being zero.
-        """
+        """Return the greatest height of any line at `time`: shape (windows, instants), the centre being zero."""
         reached = self.height[:, :1] + self.slope[:, :1] * time
         for piece in range(1, self.slope.shape[1]):
             own = slice(piece, piece + 1)
@@ -105,7 +101,7 @@ class Boundary:
         return reached
 
     def take(self, windows: Bools | Intp | slice) -> Boundary:
-        """Return the boundaries of some of the windows."""
+        """Return the boundaries of some windows."""
         return Boundary(self.slope[windows], self.height[windows], self.breaks[windows])
 
 
@@ -118,7 +114,7 @@ class Lines:
         centre: instant of the heights of the boundaries.
         steepness: shape (windows, 2): slope of the gentlest and of the steepest line.
         above: the greatest heights.
-        below: the least heights, upside down: heights and slopes with the other sign, as a boundary above.
+        below: the least heights, heights and slopes with the other sign.
     """
 
     exist: Bools
@@ -134,13 +130,13 @@ class Lines:
         Args:
             points: messages.
             start: first message of each window, ascending.
-            stop: the message after its last; no window reaches into the next.
+            stop: the message after its last; windows do not overlap.
         """
         centre = points.time[start + (stop - start) // 2]
         edges = part_edges(start, stop)
         (above, x, upper), (below, y, lower) = _hulls(points, edges, centre)
-        # A line below a point and above another is limited by the slope through both: from above if the first one comes
-        # later, from below if it comes earlier. The tightest limits are the slopes of the steepest and the gentlest line.
+        # The slope through the point above a line and the point below limits the line: from above if the first comes later,
+        # from below if it comes earlier. The tightest limits are the slopes of the steepest and the gentlest line.
         run = x[:, :, None] - y[:, None, :]
         rise = upper[:, :, None] + lower[:, None, :]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -162,16 +158,12 @@ class Lines:
         )
 
     def range_at(self, time: Float64) -> tuple[Float64, Float64]:
-        """Return the lowest and the highest height of any line, at each of the instants of each window.
-
-        Args:
-            time: shape (windows, instants).
-        """
+        """Return the lowest and the highest height of any line at `time`: shape (windows, instants)."""
         x = time - self.centre[:, None]
         return -self.below.reach(x), self.above.reach(x)
 
     def take(self, windows: Bools | Intp | slice) -> Lines:
-        """Return the lines of some of the windows."""
+        """Return the lines of some windows."""
         return Lines(
             self.exist[windows],
             self.centre[windows],
@@ -182,7 +174,7 @@ class Lines:
 
 
 def least_height(time: Float64, height: Float64, slope: Float64) -> Float64:
-    """Return the height at zero of the highest line of each slope that is below all points.
+    """Return the height at zero of the highest line of each slope below all points: shape (windows, slopes).
 
     Args:
         time: shape (windows, points).
@@ -196,7 +188,7 @@ def least_height(time: Float64, height: Float64, slope: Float64) -> Float64:
 def _hulls(points: OffsetIntervals, edges: Intp, centre: Float64) -> Iterator[tuple[Intp, Float64, Float64]]:
     """Yield the messages of each window's lower hull, their instants from its centre, and their heights.
 
-    First the hull of the upper ends, then of the lower ends upside down.
+    First the hull of the upper ends, then of the negated lower ends.
     """
     heights = points.upper, -points.lower
     lowest = [lowest_of_parts(height, edges) for height in heights]

@@ -1,7 +1,7 @@
-"""Slews: stretches of time in which a clock was made to run fast or slow, however many steps a fit made of them.
+"""Slews: stretches of time in which a clock was made to run fast or slow.
 
 Between two devices a slew shows in the steps of their fit (`fit.py`), whose drift ends at `lines.DRIFT_LIMIT_PPB`; on one
-device where its CLOCK_MONOTONIC gains on its CLOCK_MONOTONIC_RAW, which nobody slews.
+device where CLOCK_MONOTONIC gains on CLOCK_MONOTONIC_RAW, which nobody slews.
 """
 
 from __future__ import annotations
@@ -21,37 +21,39 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 CRYSTAL_PPB = 100_000
-"""Drift of a crystal at most, 100 ppm; a larger one is a clock that is slewed, or a fault."""
+"""Largest drift of a crystal, 100 ppm; a larger one is a slewed clock or a fault."""
 
 _STEPS = 3
-"""Steps the same way in a chain that are a slew by themselves: nothing jumps again and again by chance."""
+"""Steps the same way in a chain that prove a slew: chance does not repeat jumps."""
 
 _BARELY = 3
-"""Bounds of a step within which it may be what a slew leaves: a fit goes on until a message is just out of reach. A clock
-that was set jumps by many times the bound of a fast link."""
+"""A step below so many of its bounds may be a slew's: a fit goes on until a message is just out of reach, while setting a clock
+jumps by many bounds.
+"""
 
 _GAIN_NS = 100_000
-"""Gain on CLOCK_MONOTONIC_RAW in ten seconds, beyond the steady rate, that is a slew: NTP moves its frequency by well under 1 ppm at
-once (10 us)."""
+"""Gain on CLOCK_MONOTONIC_RAW in ten seconds, beyond the steady rate, that is a slew: NTP changes its frequency by well under
+1 ppm at once (10 us).
+"""
 
 _NEARLY = 0.95
 """Share of the fastest rate that is the same slew: its start and end are between two knots."""
 
 _MOST_KNOTS = 1000
-"""Knots that the rate is sought between, evenly chosen: all pairs are compared."""
+"""Evenly chosen knots between which the rate is searched: all pairs are compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A segment of a fit, as far as a slew shows in it; times on the ping's monotonic clock.
+    """What a slew needs of a segment of a fit; times on the ping's monotonic clock.
 
     Attributes:
         start_ns: first message.
         end_ns: last message.
         drift_ppb: rate at which the relay's clock gains.
-        drift_bound_ppb: the drift is wrong by at most this.
+        drift_bound_ppb: largest error of the drift.
         step_ns: jump that began it; 0 for the first of a fit.
-        step_bound_ns: the jump is wrong by at most this.
+        step_bound_ns: largest error of the jump.
     """
 
     start_ns: int
@@ -71,7 +73,7 @@ class Stretch:
         return way * self.drift_ppb - self.drift_bound_ppb > CRYSTAL_PPB
 
     def may_be_fast(self, way: int) -> bool:
-        """Return whether the clock perhaps ran faster or slower than crystals do."""
+        """Return whether it perhaps did."""
         return way * self.drift_ppb + self.drift_bound_ppb > CRYSTAL_PPB
 
 
@@ -80,12 +82,12 @@ class Slew:
     """A slew that the fit of two devices cut into steps.
 
     Attributes:
-        first: position of the stretch that its first step began.
-        after: position after the stretch that its last step began.
-        start_ns: start of the time over which the rate is known best, ping's monotonic clock.
+        first: index of the stretch after its first step.
+        after: index after the stretch of its last step.
+        start_ns: start of the time with the best known rate, ping's monotonic clock.
         end_ns: end of that time.
-        rate_ppm: mean rate at which the relay's clock gained on the ping's in that time.
-        bound_ppm: the rate is wrong by at most this.
+        rate_ppm: mean rate at which the relay's clock gained in that time.
+        bound_ppm: largest error of the rate.
     """
 
     first: int
@@ -102,14 +104,14 @@ def find_slews(
     """Yield each chain of steps the same way that a slew left.
 
     A step continues a chain within a window of the previous step, or if it is barely more than its bound and the clock may have run
-    fast since then. A chain is a slew with three steps, or if all its steps are barely more than their bounds and the clock surely ran
+    fast since. A chain is a slew with three steps, or if all steps are barely more than their bounds and the clock surely ran
     fast next to one of them.
 
     Args:
         stretches: segments of a fit, in order.
         at_ns: instant of each knot of the fit's runs, ascending, int64.
         offset_ns: relay's clock minus ping's at the knot.
-        bound_ns: the offset is wrong by at most this.
+        bound_ns: largest error of the offset.
     """
     for first, after in _chains(stretches):
         way = 1 if stretches[first].step_ns > 0 else -1
@@ -125,7 +127,7 @@ def find_slews(
 
 
 def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:
-    """Yield first and after of each chain of steps that may be a slew's."""
+    """Yield first and after of each chain of steps."""
     first = 0
     for position, stretch in enumerate(stretches):
         if not stretch.step_ns:
@@ -143,12 +145,12 @@ def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:
 
 
 def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int64, bound_ns: Int64) -> Slew:
-    """Return a slew with the rate between two knots that prove nearly the fastest one, as far apart as there are."""
+    """Return a slew with the rate of the longest pair of knots that proves nearly the fastest one."""
     one, other = np.triu_indices(len(at_ns), 1)
     lasted_ns = np.maximum(at_ns[other] - at_ns[one], 1).astype(np.float64)
     gain_ns = (offset_ns[other] - offset_ns[one]).astype(np.float64)
     unsure_ns = (bound_ns[other] + bound_ns[one]).astype(np.float64)
-    # Not the fastest pair but the longest that is nearly as fast: a knot of a bent window may be wrong by more than its bound.
+    # Not the fastest pair: a knot of a bent window may be wrong by more than its bound.
     enough = lasted_ns >= min(WINDOW_NS, lasted_ns.max())
     proven = np.where(enough, (way * gain_ns - unsure_ns) / lasted_ns, -np.inf)
     best = int(np.argmax(np.where(proven >= _NEARLY * proven.max(), lasted_ns, 0)))
@@ -181,7 +183,7 @@ def slewed_ppm(monotonic_ns: Int64, raw_ns: Int64) -> float:
     after = np.minimum(np.searchsorted(elapsed_ns, elapsed_ns + WINDOW_NS), len(elapsed_ns) - 1)
     lasted_ns = np.maximum(elapsed_ns[after] - elapsed_ns, 1)
     beyond_ns = gain_ns[after] - gain_ns - steady * lasted_ns
-    # A gap between samples must not collect what a steady frequency adds.
+    # A gap between samples must not collect the steady gain.
     is_window = (lasted_ns <= 2 * WINDOW_NS) & (np.abs(beyond_ns) >= _GAIN_NS)
     if not is_window.any():
         return 0.0

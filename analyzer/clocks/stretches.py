@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _BLOCKS = (1 << 12, 1 << 17)
-"""Messages that are searched for a step at once: at the start of a stretch, where a slewed clock has the next step, and at most."""
+"""Messages searched for a step at once: at the start of a stretch, as a slewed clock soon has its next step, and at most."""
 
 _PART = 32
-"""Messages that are first checked together."""
+"""Messages checked together first."""
 
 _MESSAGES_AFTER_STEP = 64
-"""Messages after a step that decide which messages before it are surely older."""
+"""Messages after a step that decide which ones are surely before it."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """Limits of some messages on the offset at a later instant `t`: it is from `bottom - DRIFT * t` to `top + DRIFT * t`.
+    """The messages limit the offset at a later instant `t` to `bottom - DRIFT * t` .. `top + DRIFT * t`.
 
     Attributes:
         top: least `upper - DRIFT * time`.
@@ -35,7 +35,7 @@ class _Limits:
     bottom: float = -np.inf
 
     def with_messages(self, points: OffsetIntervals) -> _Limits:
-        """Return the limits of these messages and the ones before."""
+        """Return the limits with these messages added."""
         if not len(points):
             return self
         reach = DRIFT * points.time
@@ -58,9 +58,9 @@ def find_stretches(points: OffsetIntervals) -> Iterator[tuple[int, int]]:
 
 
 def _first_out_of_reach(points: OffsetIntervals, start: int) -> int:
-    """Return the index of the first message that no drift up to `DRIFT` reaches from the messages since `start`."""
+    """Return the first message that no drift up to `DRIFT` reaches from the messages since `start`."""
     coarse, exact = _Limits(), _Limits()
-    checked = start  # `exact` has the messages before; those that the parts settle are never needed
+    checked = start  # `exact` includes the messages before
     begin, size = start, _BLOCKS[0]
     while begin < len(points):
         part = points.part(begin, begin + size)
@@ -81,7 +81,7 @@ def _first_out_of_reach(points: OffsetIntervals, start: int) -> int:
 def _check_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limits]:
     """Return whether parts prove that drifts up to `DRIFT` reach every message, and limits after them.
 
-    Limits, also `before`, are as tight as the messages set them, or tighter: each part counts as if all its messages were its first.
+    Limits may be tighter than exact: a part counts as if all its messages were its first.
     """
     first = np.arange(0, len(points), _PART)
     least, most = np.minimum.reduceat(points.upper, first), np.maximum.reduceat(points.lower, first)
@@ -89,7 +89,7 @@ def _check_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limit
     end = DRIFT * points.time[np.append(first[1:], len(points)) - 1]
     top = np.minimum.accumulate(np.append(before.top, least - end))
     bottom = np.maximum.accumulate(np.append(before.bottom, most + end))
-    # All offsets of a part overlap, and offsets of a later part are reached from the end of each earlier one.
+    # Offsets of a part overlap, and are reached from the end of each earlier part.
     is_settled = np.all((most <= least) & (most - begin <= top[:-1]) & (least + begin >= bottom[:-1]))
     return bool(is_settled), _Limits(float(top[-1]), float(bottom[-1]))
 

@@ -1,7 +1,7 @@
 """Windows of time in which the clocks of two devices part along a straight line.
 
-All windows of all fits of a batch are processed together, level by level: windows of `WINDOW_NS`, then the halves of those that are
-bent or that no line agrees with, until none is left.
+All windows of a batch are processed together, level by level: windows of `WINDOW_NS`, then the halves of those that are
+bent or that no line agrees with.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
     from .lines import Bools, Boundary, Float64, Intp
 
 WINDOW_NS = 10_000_000_000
-"""Length of a window: crystals wander by well under 0.1 ppm in ten seconds, and 10 Hz gives 100 messages to choose from."""
+"""Length of a window: crystals wander by well under 0.1 ppm in ten seconds, and 10 Hz gives 100 messages."""
 
 HALF_MESSAGES = 16
 """Least messages of a half that is checked: of fewer, perhaps none was fast both ways."""
 
 _BLOCK_MESSAGES = 1 << 18
 _BLOCK_WINDOWS = 1 << 12
-"""Messages and windows that are processed together, unless one window has more: arrays of two megabytes."""
+"""Messages and windows processed together, unless one window has more: arrays of two megabytes."""
 
 _CACHED_MESSAGES = 1 << 15
-"""Messages whose bounds are narrowed together: their arrays stay in the cache of a core."""
+"""Messages narrowed together: their arrays fit into the cache of a core."""
 
 _INSTANTS = 17
-"""Instants of a window at which its bound is computed, from its first to its last message."""
+"""Instants of a window, first to last message, at which its bound is computed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
-    """Windows whose lines are known; one element a window, or one row.
+    """Fitted windows; one element a window, or one row.
 
     Attributes:
         start: first message.
@@ -62,7 +62,6 @@ class Windows:
 
     @classmethod
     def of(cls, points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Windows:
-        """Return windows from their lines."""
         begin, end = points.time[start], points.time[stop - 1]
         time = np.arange(_INSTANTS) * ((end - begin) / (_INSTANTS - 1))[:, None] + begin[:, None]
         time[:, -1] = end
@@ -104,8 +103,7 @@ def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -
         stretches: first message of each stretch and the message after its last, ascending; each is of one fit.
 
     Returns:
-        The windows in order of their messages. Only the tightest messages shape the lines: one that no line reaches keeps its
-        own bounds.
+        The windows in order. Only the tightest messages shape the lines; a message that no line reaches keeps its bounds.
     """
     fitted: list[Windows] = []
     if not stretches:
@@ -136,7 +134,7 @@ def _cut(time: Float64, stretches: Sequence[tuple[int, int]]) -> tuple[Intp, Int
 
 
 def _blocks(start: Intp, stop: Intp, messages: int) -> Iterator[tuple[int, int]]:
-    """Yield first and after of windows that are processed together, of so many messages unless one has more."""
+    """Yield first and after of windows processed together."""
     first = 0
     while first < len(start):
         last = int(np.searchsorted(stop, start[first] + messages, side="right"))
@@ -148,10 +146,10 @@ def _blocks(start: Intp, stop: Intp, messages: int) -> Iterator[tuple[int, int]]
 def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
     """Fit windows, and the halves of those that are bent or have no line; narrow the bounds of their messages in place.
 
-    One message without a line, whose stamps contradict each other by more than rounding, is in no window.
+    A single message without a line, whose stamps contradict each other, is in no window.
     """
     fitted: list[Windows] = []
-    origin: Intp | None = None  # of the messages that are left; None while these are all
+    origin: Intp | None = None  # of the remaining messages; None while these are all
     left = points
     while len(start):
         lines = Lines.through(left, start, stop)
@@ -188,8 +186,8 @@ def _ranges(start: Intp, stop: Intp) -> Intp:
 def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Bools:
     """Return which windows have a half whose offset is outside the window's own bound.
 
-    A clock that bends leaves few lines that respect every message, so the bound gets small where it is wrong. The half is checked at
-    the message that bounds the offset best; with fewer messages to respect, its bound is never smaller.
+    Few lines respect every message of a clock that bends, so the bound is small where it is wrong. The half is checked at
+    its tightest message; with fewer messages to respect, its bound is never smaller.
     """
     middle = (start + stop) // 2
     begins, ends = np.stack([start, middle], axis=1), np.stack([middle, stop], axis=1)
@@ -203,7 +201,7 @@ def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) ->
         :, 0
     ]
     low, high = lines.range_at(points.time[tightest])
-    # The middles part by at most the difference of the bounds, and the half's is at most the message's own.
+    # Middles part by at most the difference of the bounds; the half's bound is at most the message's own.
     is_checked &= width[tightest] > 2 * (high - low)
     if not is_checked.any():
         return bent
@@ -216,7 +214,7 @@ def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) ->
 
 
 def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> None:
-    """Narrow the bounds of the windows' messages in place; messages between two windows keep theirs."""
+    """Narrow the bounds of the windows' messages in place."""
     following = np.append(start[1:], stop[-1])
     for first, after in _blocks(start, stop, _CACHED_MESSAGES):
         own = slice(first, after)
@@ -233,7 +231,7 @@ def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> N
 
 
 def _least(own: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:
-    """Return the lesser of each message's own height and the height of its window's boundary."""
+    """Return the lesser of each message's own height and that of its window's boundary."""
     edges = np.concatenate([start[:, None], boundary.breaks + 1, stop[:, None], following[:, None]], axis=1)
     lengths = np.diff(edges).ravel()
     nothing = np.zeros((len(start), 1))  # a message between two windows keeps its own height

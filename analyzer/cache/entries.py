@@ -82,11 +82,6 @@ class StoredParts:
 def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
     """Write the events of a trace into a file, which replaces `file` once it is complete.
 
-    Args:
-        file: the file.
-        position: position of the trace in its campaign.
-        fill: adds the events and returns the trace without them.
-
     Raises:
         OSError: the file cannot be written.
         TraceFormatError: from `fill`.
@@ -96,7 +91,7 @@ def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
 
 
 def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace:
-    """Write an entry of the cache, as `store_parts` with the description after the events; `key` is the key of the trace's content.
+    """Write an entry of the cache: events, then the description; `key` is the key of the trace's content.
 
     Raises:
         OSError: it cannot be written.
@@ -133,7 +128,7 @@ def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> Loaded
 
 @dataclass(frozen=True, slots=True)
 class _CachedEvents:
-    """Events of one stage, run and relay in the cache; read from their trace if the cache no longer has them as written.
+    """Cached events of one stage, run and relay; read from their trace if the cache no longer has them as written.
 
     Attributes:
         stored: the events in the cache.
@@ -176,7 +171,7 @@ def _in_cache(loaded: LoadedTrace, checks: Sequence[tuple[Sealer, str] | None]) 
 
 
 class _Entry(TypedDict):
-    """The JSON of an entry: a trace without its events, and where these are in the file."""
+    """The JSON of an entry."""
 
     format: int
     seals: list[str]

@@ -19,7 +19,7 @@ EventKey = tuple[Stage, int, int]
 
 
 class EventsElsewhere(Protocol):
-    """Events that are in a file, or on another machine."""
+    """Events in a file, or on another machine."""
 
     def load(self) -> EventColumns:
         """Fetch the events."""
@@ -27,10 +27,10 @@ class EventsElsewhere(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventPart:
-    """A row of the event index: the events of one stage, run and relay in one trace.
+    """The events of one stage, run and relay in one trace.
 
     Attributes:
-        trace: position of the trace in its campaign.
+        trace: index of the trace in its campaign.
         count: number of events.
         first_ns: the earliest `monotonic_ns`.
         last_ns: the latest one.
@@ -54,7 +54,7 @@ class EventPart:
 
 
 EventIndex = Mapping[EventKey, tuple[EventPart, ...]]
-"""The event index by key, traces in ascending order; a key without events is absent."""
+"""By key, traces in ascending order; a key without events is absent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +62,9 @@ class Copies:
     """Events of one trace that an earlier trace has as well.
 
     Attributes:
-        trace: position of the trace.
+        trace: index of the trace.
         events: number of its events that are left out.
-        others: positions of the traces that have them.
+        others: indices of the traces that have them.
     """
 
     trace: int
@@ -82,7 +82,7 @@ def index_events(traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
 
 
 def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[EventKey, EventPart]:
-    """Return the index of the events in memory of one trace, or of a piece of it."""
+    """Return the index of the events of one trace in memory, or of a piece of it."""
     return {
         (stage, *key): EventPart(
             position, len(columns), int(columns.monotonic_ns.min()), int(columns.monotonic_ns.max()), columns
@@ -108,7 +108,7 @@ def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, in
     if len(starts) == 1:
         return {(int(run_id[0]), int(relay_id[0])): columns}
 
-    # Sorting stretches instead of events: a ping's file has one stretch a run.
+    # Sort stretches instead of events: a ping's file has one stretch a run.
     runs, run_code = np.unique(run_id[starts], return_inverse=True)
     relays, relay_code = np.unique(relay_id[starts], return_inverse=True)
     codes, stretch_code = np.unique(run_code * len(relays) + relay_code, return_inverse=True)
@@ -130,8 +130,8 @@ def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, in
 def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies, ...]]:
     """Return the events of one stage, run and relay, each once, and the copies that were left out.
 
-    Events are copies if stage, run, relay, sequence and instant agree: true of a copied file, of its `ros2 bag convert`, and of a
-    copy taken before the recording ended; never of two recorded events.
+    Events are copies if sequence and instant agree, too: true of a copied file, of its `ros2 bag convert`, and of a copy taken
+    before the recording ended; never of two recorded events.
     """
     if not parts:
         return EventColumns.empty(), ()

@@ -1,7 +1,7 @@
 """Events in a file of our own: the columns of each stage, run and relay, written piece by piece.
 
-A column of one value (run, relay, payload size), or one that counts up by one (sequence numbers), is described; other columns are
-written as they are in memory. That is a third of the bytes of the events.
+A column of one value (run, relay, payload size), or that counts up by one (sequence numbers), is described; others are written
+as they are in memory. That is a third of the bytes of the events.
 """
 
 from __future__ import annotations
@@ -33,27 +33,20 @@ _LIMITS: Mapping[str, Callable[[np.dtype[Any], int, int], tuple[int, int]]] = {
     "counting": lambda dtype, count, _file_bytes: (np.iinfo(dtype).min, np.iinfo(dtype).max - count + 1),
     "array": lambda dtype, count, file_bytes: (0, file_bytes - count * dtype.itemsize),
 }
-"""Kind of a column -> function of its dtype, the number of events and the bytes of the file that returns the least and the greatest
-value (or offset) that it may have."""
+"""Kind of a column -> function of dtype, number of events and bytes of the file that returns the least and greatest valid value or
+offset.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredPiece:
-    """Events that were written together.
-
-    Attributes:
-        count: number of events.
-        columns: field of the event -> its column.
-    """
+    """Events that were written together: their number, and field of the event -> its column."""
 
     count: int
     columns: Mapping[str, Column]
 
     def check(self, file_bytes: int) -> None:
-        """Check that the file has room for every column, and that every value fits its column.
-
-        Args:
-            file_bytes: size of the file.
+        """Check that a file of `file_bytes` has room for every column, and that every value fits its column.
 
         Raises:
             ValueError, TypeError, LookupError: a column is not as `EventsFile` describes it.
@@ -85,12 +78,7 @@ class StoredPiece:
 
 @dataclass(frozen=True, slots=True)
 class StoredEvents:
-    """Where the events of one stage, run and relay are in a file.
-
-    Attributes:
-        file: the file.
-        pieces: the events piece by piece, in their order.
-    """
+    """Where the events of one stage, run and relay are in a file: the pieces in order."""
 
     file: Path
     pieces: tuple[StoredPiece, ...]
@@ -137,7 +125,7 @@ class EventsFile:
         self._stream = stream
 
     def write(self, events: EventColumns) -> StoredPiece:
-        """Write events, at least one.
+        """Write at least one event.
 
         Raises:
             OSError: the events cannot be written.
@@ -157,7 +145,7 @@ class EventsFile:
 
 
 def _read_column(stream: BufferedReader, name: str, pieces: Sequence[StoredPiece]) -> NDArray[Any]:
-    """Read a column of pieces; one that is a single value throughout takes no memory."""
+    """Read a column of pieces; a single value throughout takes no memory."""
     dtype = EVENT_DTYPE[name]
     count = sum(piece.count for piece in pieces)
     columns = {piece.columns[name] for piece in pieces}

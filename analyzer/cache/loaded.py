@@ -1,4 +1,4 @@
-"""Read one trace: its description, and the index of its events, in memory or taken piece by piece."""
+"""Read one trace: its description, and the index of its events, in memory or piece by piece."""
 
 from __future__ import annotations
 
@@ -24,12 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedTrace:
-    """One trace, with the index of its events.
-
-    Attributes:
-        trace: the trace without its events.
-        parts: the event index of the trace.
-    """
+    """A trace without its events, and the event index of the trace."""
 
     trace: Trace
     parts: Mapping[EventKey, EventPart]
@@ -43,7 +38,7 @@ class LoadedTrace:
         return sum(part.count for part in self.parts.values())
 
     def at(self, position: int) -> LoadedTrace:
-        """Return the trace at another position in its campaign."""
+        """Return the trace at another index of its campaign."""
         return LoadedTrace(
             self.trace, {label: replace(part, trace=position) for label, part in self.parts.items()}
         )
@@ -61,10 +56,7 @@ def load_trace(path: Path, position: int) -> LoadedTrace:
 
 
 def read_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
-    """Read one trace; `take` gets its events piece by piece (`tracefile.read_trace_in_pieces`).
-
-    Returns:
-        The trace without its events.
+    """Read one trace, returned without its events, which `take` gets piece by piece.
 
     Raises:
         TraceFormatError: as for `load_trace`.

@@ -1,6 +1,6 @@
 """Traces in object storage (`s3://bucket/runs`, or any scheme of fsspec): found there, copied here to be read.
 
-A path keeps its scheme; `pathlib` turns it into `s3:/bucket/runs`, and `_url` undoes that.
+`pathlib` turns the scheme into `s3:/bucket/runs`; `_url` undoes that.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SCHEME = re.compile(r"^([a-z][a-z0-9+.-]+):/+")
 
 
 class _Storage(Protocol):
-    """The part of `fsspec.AbstractFileSystem` that is used here; names are texts without the scheme."""
+    """The part of `fsspec.AbstractFileSystem` used here; names have no scheme."""
 
     def isdir(self, path: str) -> bool:
         """Return whether the name is a folder."""

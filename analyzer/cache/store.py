@@ -7,9 +7,9 @@
     $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes: the secret
 
 KEY is the HMAC-SHA-256 of the trace's content, or of everything that a result is computed from. A seal is the HMAC of KEY and the
-sealed bytes; the JSON of a trace contains the HMACs of its events. So an entry that another user wrote, that belongs to another
-trace, or that a disk has damaged is ignored. The secret is not in the cache folder: caches are copied (a CI server restores them),
-and a copy must not bring the key that vouches for it.
+sealed bytes; the JSON of a trace contains the HMACs of its events. So an entry of another user or of another trace, or a damaged
+one, is ignored. The secret is not in the cache folder: caches are copied (a CI server restores them), and a copy must not
+bring the key that vouches for it.
 
 Only regular files with the name of an entry are removed, only from this folder, and never through a link.
 """
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_BYTES = 8 << 30
-"""Size of the whole cache after an analysis, or a tenth of its disk if that is less; the least recently used entries go first."""
+"""Size of the cache after an analysis, or a tenth of its disk if that is less; the least recently used entries go first."""
 
 MOST_TEXT_BYTES = 256 << 20
 """Largest JSON of a trace; a trace with more descriptions is not cached."""
@@ -72,11 +72,7 @@ _DIGEST = "sha256"  # the quickest of hashlib where the processor has instructio
 
 @dataclass(frozen=True, slots=True)
 class Sealer:
-    """Makes the seals of this user's entries, here or in a worker process.
-
-    Attributes:
-        secret: this user's key.
-    """
+    """Makes the seals of this user's entries with the `secret`, here or in a worker process."""
 
     secret: bytes = field(repr=False)
 
@@ -85,7 +81,7 @@ class Sealer:
         return hmac.new(self.secret, purpose + b"\0", _DIGEST)
 
     def seal_events(self, columns: Iterable[NDArray[Any]], previous: hmac.HMAC | None = None) -> hmac.HMAC:
-        """Seal columns of events, or extend the seal of the columns before them."""
+        """Seal columns of events, or extend the seal of the preceding columns."""
         seal = self.hash(b"events") if previous is None else previous
         for column in columns:
             seal.update(np.ascontiguousarray(column).data)
@@ -127,7 +123,6 @@ class TraceCache:
     """
 
     def __init__(self, folder: Path, descriptor: int, secret: bytes) -> None:
-        """Take an open folder; see `open`."""
         self.folder = folder
         self.sealer = Sealer(secret)
         self._descriptor = descriptor
@@ -138,7 +133,7 @@ class TraceCache:
         """Open the cache, made if it is missing.
 
         Returns:
-            None where there can be none: no home folder, no right to write, or a folder that is a link or another user's.
+            None without a home folder or the right to write, or where the folder is a link or another user's.
         """
         try:
             parent = _base("XDG_CACHE_HOME", ".cache") / "dds-trace"
@@ -146,9 +141,9 @@ class TraceCache:
             secret = _own_secret(_base("XDG_STATE_HOME", ".local/state") / "dds-trace")
             folder = parent / "traces"
             descriptor = _own_folder(folder)
-        except (OSError, RuntimeError):  # RuntimeError: this user has no home
+        except (OSError, RuntimeError):  # no home
             return None
-        with suppress(OSError):  # a file system without locks: nothing is ever removed there
+        with suppress(OSError):  # without locks nothing is ever removed
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
         return cls(folder, descriptor, secret)
 
@@ -167,7 +162,7 @@ class TraceCache:
                 if file.is_file():
                     with open_regular(file) as stream:
                         size = os.fstat(stream.fileno()).st_size
-                        # Only what follows the trace's own name: a trace that was moved or renamed keeps its key.
+                        # Without the trace's own name: a trace that was moved or renamed keeps its key.
                         digest.update(os.fsencode(file)[len(os.fsencode(path)) :] + b"\0%d\0" % size)
                         for block in self._block_digests(stream.fileno(), size):
                             digest.update(block)
@@ -217,7 +212,7 @@ class TraceCache:
         return content
 
     def write_end(self, key: str, stream: BinaryIO, text: bytes) -> None:
-        """Complete the entry of a trace, whose events are in the stream already, with its sealed JSON.
+        """Complete the entry of a trace, whose events are in the stream, with its sealed JSON.
 
         Raises:
             OSError: it cannot be written, or is too large.
@@ -233,7 +228,7 @@ class TraceCache:
 
         Raises:
             OSError: there is no such entry.
-            ValueError: this user did not write it, or wrote something else, or for another key.
+            ValueError: as for `read`.
         """
         with open_regular(self.path(key, _TRACE), follow_links=False) as stream:
             size = os.fstat(stream.fileno()).st_size
@@ -260,7 +255,7 @@ class TraceCache:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._shrink()
         except OSError:
-            pass  # another analysis reads entries: the last one to close removes
+            pass  # the last analysis to close removes
         finally:
             os.close(self._descriptor)
 
@@ -285,7 +280,7 @@ class TraceCache:
                 os.unlink(name, dir_fd=self._descriptor)
 
     def _block_digests(self, descriptor: int, size: int) -> Iterator[bytes]:
-        """Yield the SHA-256 of each block of a file, computed on all cores for a large file."""
+        """Yield the SHA-256 of each block of a file, of a large file on all cores."""
         if 0 < size <= _BUFFER_BYTES:
             buffer = _buffer_of_thread()
             return iter([hashlib.sha256(buffer[: os.preadv(descriptor, [buffer], 0)]).digest()])

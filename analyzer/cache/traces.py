@@ -40,7 +40,7 @@ class TraceLoader:
         folder: takes temporary files; None makes a folder, removed with the loader.
 
     Attributes:
-        keys: position of a loaded trace -> its key in the cache; empty without one.
+        keys: index of a loaded trace -> its key in the cache; empty without one.
     """
 
     def __init__(self, cache: TraceCache | None = None, folder: Path | None = None) -> None:
@@ -57,7 +57,7 @@ class TraceLoader:
         self._left = 0
 
     def load_all(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
-        """Load traces; for a file that is not a trace, which has no position, yield the error."""
+        """Load traces; for a file that is not a trace, which has no index, yield the error."""
         position = 0
         for path in paths:
             loaded = loaded_or_error(self.load, path, position)
@@ -102,7 +102,7 @@ class TraceLoader:
             self._cache.close()
 
     def _cached(self, path: Path, position: int) -> LoadedTrace | None:
-        """Return the trace from the cache, if it is there; with a cache, its key is in `keys` afterwards."""
+        """Return the trace from the cache, if it is there; note its key."""
         if self._cache is None:
             return None
         key = self.keys[position] = self._cache.key_of(path)
@@ -151,7 +151,7 @@ class TraceLoader:
             wait(writing)
         for future in writing:
             future.result()
-        for events in last:  # the only piece of a small trace needs no other thread
+        for events in last:  # the only piece of a small trace
             add(events)
         return trace
 

@@ -46,7 +46,7 @@ def share_boot(one: Session, other: Session | None) -> bool | None:
 
 
 def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Number the boot of the ping's device of each run; stamps of two boots must not be mixed.
+    """Return the boot of the ping's device of each run, as a number; stamps of two boots must not be mixed.
 
     Returns:
         run_id -> wall clock at monotonic zero in whole seconds; 0 for a run that does not name its session.

@@ -62,6 +62,7 @@ class Windows:
 
     @classmethod
     def of(cls, points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Windows:
+        """Return windows from their lines."""
         begin, end = points.time[start], points.time[stop - 1]
         time = np.arange(_INSTANTS) * ((end - begin) / (_INSTANTS - 1))[:, None] + begin[:, None]
         time[:, -1] = end
@@ -231,7 +232,7 @@ def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> N
 
 
 def _least(own: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:
-    """Return the lesser of each message's own height and that of its window's boundary."""
+    """Return the lesser of each message's own height and its window's boundary."""
     edges = np.concatenate([start[:, None], boundary.breaks + 1, stop[:, None], following[:, None]], axis=1)
     lengths = np.diff(edges).ravel()
     nothing = np.zeros((len(start), 1))  # a message between two windows keeps its own height

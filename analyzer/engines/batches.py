@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from ..pairing.exchanges import Exchange
 
 BATCH_EVENTS = 1_000_000
-"""Events of a batch, unless one group has more: a hundred megabytes while it is processed. Smaller batches cost more in polars'
-fixed times than they gain."""
+"""Events of a batch, unless one group has more: a hundred megabytes. Smaller ones lose to polars' fixed times.
+"""
 
 BATCH_GROUPS = 250
-"""Groups of a batch at most: each costs a millisecond however few its messages, and thousands would be the work of one core."""
+"""Most groups of a batch: each costs a millisecond however few its messages, and thousands would be the work of one core."""
 
 REUSED_BLOCK_BYTES = 31 << 20
 """Largest freed block of memory that is reused; glibc allows 32 MB."""
@@ -31,8 +31,8 @@ REUSED_BLOCK_BYTES = 31 << 20
 def keep_freed_memory() -> None:
     """Let this process reuse the memory of small batches where its C library is glibc.
 
-    Blocks above a threshold go back to the kernel when they are freed, and it clears every page of the next one: small groups
-    take 1.6 times as long. Glibc raises the threshold to the largest block ever freed (mallopt(3), M_MMAP_THRESHOLD).
+    Freed blocks above a threshold go back to the kernel, which clears every page of the next one: small groups take 1.6 times as
+    long. Glibc raises the threshold to the largest block ever freed (mallopt(3), M_MMAP_THRESHOLD).
     """
     np.empty(REUSED_BLOCK_BYTES, np.uint8)
 
@@ -40,8 +40,8 @@ def keep_freed_memory() -> None:
 def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
     """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs.
 
-    Some groups end their batch though it is not full, chosen by their own parameters and events: so a new run changes few other
-    batches, and the cached results of the rest stay valid.
+    Some groups, chosen by their own parameters and events, end their batch though it is not full: a new run then changes few
+    other batches, and the cached results of the rest stay valid.
     """
     exchanges, groups = grouping.exchanges, grouping.group_of_exchange
     events_before = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()
@@ -85,7 +85,7 @@ def _ends_batch(parameters: tuple[object, ...], events: int) -> bool:
 
 def _is_drawn(name: str, share: float) -> bool:
     """Return whether this name is in a pseudo-random share of all names."""
-    # Not a CRC: the CRCs of texts that differ in a digit are close to each other.
+    # Not a CRC: texts that differ in a digit have close CRCs.
     digest = hashlib.blake2b(name.encode(), digest_size=4).digest()
     return int.from_bytes(digest, "big") < int(share * (1 << 32))
 

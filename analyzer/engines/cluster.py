@@ -1,8 +1,7 @@
 """A Dask cluster as an `Engine`: one worker reads a trace, one worker processes a batch.
 
-Events stay with the workers that read them, and go to the worker whose batch needs them. The scheduler computes again from the
-traces what is lost with a worker. Workers read the traces themselves: from a folder that all machines see under the same path, or
-from object storage.
+Events stay with the workers that read them, and go to the worker whose batch needs them; the scheduler recomputes what is lost with
+a worker. Workers read the traces from a folder that all machines see under the same path, or from object storage.
 """
 
 from __future__ import annotations
@@ -43,17 +42,17 @@ Item = TypeVar("Item")
 
 
 class _Future(Protocol[Result_co]):
-    """The part of `distributed.Future` that is used here."""
+    """The part of `distributed.Future` used here."""
 
     def result(self) -> Result_co:
         """Wait for the result, and fetch it."""
 
 
 class _Client(Protocol):
-    """The part of `distributed.Client` that is used here."""
+    """The part of `distributed.Client` used here."""
 
     def submit(self, work: Callable[..., Result], *arguments: object, pure: bool) -> _Future[Result]:
-        """Call a function on a worker; futures among the arguments are taken for their results."""
+        """Call a function on a worker; futures among the arguments stand for their results."""
 
     def run(self, function: Callable[..., Result], *arguments: object) -> Mapping[str, Result]:
         """Call a function on every worker; return the results by the workers' addresses."""
@@ -93,7 +92,7 @@ class ClusterEngine:
                 "--cluster needs Dask: install the extra with `pip install 'dds-trace[cluster]'`"
             ) from err
         try:
-            # Rows come straight from the workers where these can be reached, else through the scheduler.
+            # Rows come straight from the workers where possible, else through the scheduler.
             self._client: _Client = distributed.Client(
                 address, timeout=_TIMEOUT_S, set_as_default=False, direct_to_workers=True
             )
@@ -175,11 +174,7 @@ class ClusterEngine:
 
 
 def _load(path: str) -> LoadedTrace | str:
-    """Read one trace, on a worker.
-
-    Returns:
-        The trace, or why the file is not a trace.
-    """
+    """Read one trace, on a worker; return why if the file is not a trace."""
     try:
         return load_trace(Path(path), 0)
     except TraceFormatError as err:
@@ -187,7 +182,7 @@ def _load(path: str) -> LoadedTrace | str:
 
 
 def _size_and_time(path: str) -> tuple[int, int] | None:
-    """Return the size of a file and when it was written, in bytes and ns; None if there is none."""
+    """Return the size of a file and its mtime in ns; None if there is none."""
     try:
         status = Path(path).stat()
     except OSError:
@@ -196,7 +191,6 @@ def _size_and_time(path: str) -> tuple[int, int] | None:
 
 
 def _map(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Call a function with each item, on a worker."""
     return [function(item) for item in items]
 
 
@@ -209,17 +203,15 @@ def _describe(loaded: LoadedTrace | str) -> LoadedTrace | str:
 
 
 def _select(loaded: LoadedTrace, trace: int, keys: Sequence[EventKey]) -> Mapping[EventKey, EventPart]:
-    """Return the events of one trace that a batch needs, on a worker; `trace` is its position in the campaign."""
+    """Return the events of one trace that a batch needs, on a worker; `trace` is its index in the campaign."""
     return {key: replace(loaded.parts[key], trace=trace) for key in keys}
 
 
 def _events(loaded: LoadedTrace, key: EventKey) -> EventColumns:
-    """Return the events of one key, on a worker."""
     return loaded.parts[key].load()
 
 
 def _process(batch: Batch, selected: Sequence[Mapping[EventKey, EventPart]]) -> BatchOutput:
-    """Process one batch, on a worker."""
     parts: dict[EventKey, list[EventPart]] = {}
     for parts_of_trace in selected:
         for key, part in parts_of_trace.items():

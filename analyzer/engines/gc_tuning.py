@@ -1,14 +1,14 @@
-"""GC tuning for analysis processes. A module of its own: the command applies it before it imports anything heavy."""
+"""GC tuning for analysis processes; the command applies it before it imports anything heavy."""
 
 import atexit
 import gc
 
 NEW_OBJECTS = 10_000
-"""Allocations between two collections. With Python's 700, collection takes 5 % of a worker's time and 0.5 s of the command's own
-process for 4,000 traces; `test_runs.py` checks that nothing of size is left to it."""
+"""Allocations between two collections: Python's 700 cost 5 % of a worker's time; `test_runs.py` checks that little is left.
+"""
 
 
 def tune_gc() -> None:
-    """Collect less often, and skip the last collection at exit, which takes 60 ms of a worker and 0.1 s of a large analysis."""
+    """Collect less often, and skip the last collection at exit, 0.1 s of a large analysis."""
     gc.set_threshold(NEW_OBJECTS)
     atexit.register(gc.freeze)

@@ -1,4 +1,4 @@
-"""Engines do the work of an analysis: the cores of this machine here, the cores of a cluster in `engines/cluster.py`."""
+"""Engines do the work of an analysis: the cores of this machine here, of a cluster in `engines/cluster.py`."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ COST_FOR_PROCESSES = 8_000_000
 _COST_OF_GROUP = 10_000  # in events
 
 _MOST_EVENTS_AHEAD = 8_000_000
-"""Events of batches that are processed, or whose results wait; a batch with more events is processed while no other is."""
+"""Events of batches in progress, or whose results wait; a batch with more events is processed on its own."""
 
 _FILES_PER_JOB = 16
 """Traces that a worker reads before it reports."""
@@ -94,8 +94,8 @@ class LocalEngine:
     def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
         """Yield rows and results of the batches, processed on all cores; one batch waits in memory for its turn.
 
-        A large batch has long arrays: threads process it, and measure it while the caller writes its rows. Small batches would
-        wait for Python's lock here; worker processes take them where they pay.
+        Threads process a large batch, and measure it while the caller writes its rows. Small batches would wait for Python's lock
+        here; worker processes take them where they pay.
         """
         if self._workers is None and _cost_of_small(batches) >= COST_FOR_PROCESSES:
             self._workers = self._start_workers()
@@ -128,7 +128,7 @@ class LocalEngine:
         return self._workers is not None
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return the function's results in the order of the items: by the worker processes if there are any, else here."""
+        """Return the function's results in the order of the items, by the worker processes if there are any."""
         return map(function, items) if self._workers is None else self._workers.map(function, items)
 
     def close(self) -> None:

@@ -1,8 +1,8 @@
 """Merge the results of batches: statistics are exact where a batch has whole groups or brings the values of its part.
 
-A sketch merges log-linear histograms (`analyzer/statistics/histogram.py`) instead: counts of equal buckets add up, and a percentile
-is off by half a bucket at most, `RELATIVE_ERROR` of its value. Counts, mean, standard deviation and extremes merge without that
-error (Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances", 1979).
+A sketch merges log-linear histograms (`statistics/histogram.py`): a percentile is off by half a bucket at most, `RELATIVE_ERROR`
+of its value. Counts, mean, standard deviation and extremes merge without that error (Chan, Golub and LeVeque, "Updating
+formulae and a pairwise algorithm for computing sample variances", 1979).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch:
     """
     frames: list[Frames] = []
     counts: list[pl.DataFrame] = []
-    copies: dict[EventKey, tuple[Copies, ...]] = {}  # by key: T1 of a run may be in several batches
+    copies: dict[EventKey, tuple[Copies, ...]] = {}  # T1 of a run may be in several batches
     statistics: list[Statistics] = []
     spool: _ValueSpool | None = None
     for result in results:
@@ -103,7 +103,7 @@ class _ValueSpool:
 
     def _sorted(self, metric: str) -> NDArray[np.int64]:
         values = np.fromfile(self._file(metric), np.int64)
-        values.sort()  # in place: there may be hundreds of megabytes
+        values.sort()  # in place: perhaps hundreds of megabytes
         return values
 
     def _file(self, metric: str) -> Path:
@@ -111,7 +111,7 @@ class _ValueSpool:
 
 
 def merge_sketches(parts: Statistics) -> Statistics:
-    """Merge statistics of parts of groups, any number of each group in any order: percentiles by histogram, the rest exactly."""
+    """Merge statistics of parts of groups, in any order: percentiles by histogram, the rest exactly."""
     moments = {
         key: merge_moments(frame)
         for key, frame in parts.frame.partition_by(

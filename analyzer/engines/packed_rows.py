@@ -1,6 +1,6 @@
 """Paired rows outside of memory: in the user's cache, in a temporary file, or on their way from another machine.
 
-They are three Arrow streams: `counts`, `clock_knots`, and the columns of the rows a batch for each of `PairedRows.frames`.
+Three Arrow streams: `counts`, `clock_knots`, and the rows, a batch for each of `PairedRows.frames`.
 """
 
 from __future__ import annotations
@@ -36,10 +36,7 @@ _OPTIONS = pa.ipc.IpcWriteOptions(compression="lz4")
 
 
 def pack_rows(rows: RoundTrips, sink: pa.NativeFile) -> int:
-    """Write rows as `PackedRows` reads them.
-
-    Returns:
-        The offset of the stream of rows.
+    """Write rows as `PackedRows` reads them; return the offset of the stream of rows.
 
     Raises:
         OSError: they cannot be written.
@@ -95,7 +92,7 @@ class PackedRows(PairedRows):
 
     Attributes:
         source: the streams, or the file that has them.
-        offset: position of the stream of rows in it.
+        offset: offset of the stream of rows in it.
         is_temporary: whether the file is for these rows only.
     """
 
@@ -113,7 +110,7 @@ class PackedRows(PairedRows):
             content: what `pack_rows` wrote.
             exchanges: their exchanges.
             source: the file that has them.
-            offset: position of `content` in the file.
+            offset: offset of `content` in the file.
 
         Raises:
             ArrowInvalid, LookupError: the content is something else.
@@ -144,7 +141,7 @@ class PackedRows(PairedRows):
         return column
 
     def frames(self) -> Iterator[pl.DataFrame]:
-        """Read the rows as `PairedRows.frames` describes it.
+        """Read the rows as in `PairedRows.frames`.
 
         Raises:
             OutputError: the file is gone.

@@ -1,4 +1,4 @@
-"""Pair and measure a batch: what the cache has of it is neither read nor computed again.
+"""Pair and measure a batch: cached results are neither read nor computed again.
 
 A large batch is processed in parts of whole runs (`batches.parts_of`), so that only the new run of a large group is paired.
 """
@@ -220,7 +220,7 @@ def _pair(
     else:  # all at once, into the same memory
         whole = paired = _pair_events(batch, parts, pool, copies)
         rows += _split(batches, paired)
-    # Which of two traces has the copy follows from their names, which are not part of the key.
+    # Names of traces, which are not part of the key, decide which of two has the copy.
     has_copies = [any(key in copies for key in runs.event_keys()) for runs in batches]
     keys = [None if copied else key for key, copied in zip(keys, has_copies, strict=True)]
     return [_Part(*part) for part in zip(batches, keys, cached, frames, rows, strict=True)], whole, copies
@@ -249,7 +249,7 @@ def _split(batches: Sequence[Batch], rows: RoundTrips) -> Iterator[RoundTrips]:
 def _pair_events(
     batch: Batch, parts: Parts, pool: Executor, copies: dict[EventKey, tuple[Copies, ...]]
 ) -> RoundTrips:
-    """Pair the events of a batch and add its copies to `copies`; the memory of fetched events is free when this returns."""
+    """Pair the events of a batch and add its copies to `copies`; frees fetched events on return."""
     keys = batch.event_keys()
     merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
     copies |= {key: copied for key, (_, copied) in merged.items() if copied}

@@ -1,8 +1,7 @@
 """Worker processes of this machine: where arrays are short, Python between them keeps threads on one core.
 
-A worker reads traces, puts their events into files (the user's cache, or temporary ones), and processes batches whose events it
-reads from there. It returns rows in files, too; descriptions, batches and results go through pipes. One worker is the process of
-the analysis itself.
+A worker reads traces, puts their events into files (the user's cache, or temporary ones), and processes batches from there. It
+returns rows in files, too; descriptions, batches and results go through pipes. One worker is the process of the analysis itself.
 """
 
 from __future__ import annotations
@@ -49,14 +48,13 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _CHUNKS_PER_WORKER = 8
-"""Chunks of mapped items for each worker: few enough to send little, enough that no worker waits long for another."""
+"""Chunks of mapped items for each worker: few to send, enough that no worker waits long for another."""
 
 
 class Workers:
-    """The workers of one analysis: other processes, and this one; closed at the end.
+    """The workers of one analysis, closed at its end; the first free one takes the next job.
 
-    Whichever is free first takes the next job. This process is a worker because it has imported everything already (a third of a
-    second of a core) and has little else to do.
+    This process is a worker because it has imported everything already (a third of a second) and has little else to do.
 
     Args:
         count: number of workers, at least two.
@@ -69,7 +67,7 @@ class Workers:
         folder = Path(self._folder.name)
         self._pool = start_workers(count - 1, folder, cache=cache)
         self._here = Worker(folder, TraceCache.open() if cache else None, is_here=True)
-        # One thread for each worker: it does the work of this process, or waits for another one.
+        # A thread for each worker does the work of this process, or waits for another one.
         self._callers = iter([self._here.do, *[self._do_elsewhere] * (count - 1)])
         self._thread_local = threading.local()
         self._threads = ThreadPoolExecutor(
@@ -167,7 +165,7 @@ class Worker:
         Args:
             batch: the batch.
             parts: for each of its `event_keys` the rows of the event index, events in files.
-            keys: position of a trace -> its key in the cache.
+            keys: index of a trace -> its key in the cache.
 
         Raises:
             OutputError: the rows cannot be written.
@@ -190,14 +188,11 @@ def can_start_workers() -> bool:
 
 
 def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecutor:
-    """Start worker processes, which end with this one whatever ends it.
+    """Start `count` worker processes, which end with this one whatever ends it.
 
-    Args:
-        count: number of processes.
-        folder: takes temporary files; the caller removes it after the workers have ended.
-        cache: whether they use the user's cache.
+    The caller removes `folder`, which takes temporary files, after the workers have ended.
     """
-    # A fork would copy locks that other threads, also in polars, are holding.
+    # A fork would copy locks that other threads, also in polars, have taken.
     context = multiprocessing.get_context("spawn")
     workers = ProcessPoolExecutor(count, context, _begin, (os.fspath(folder), cache))
     with _without_main(), _without_interrupts(), _with_one_blas_thread():
@@ -225,7 +220,7 @@ def _begin(folder: str, has_cache: bool) -> None:
 
 
 def _end_with_caller() -> None:
-    """End this process when the caller was killed: its end of the pipe, which other workers share, would stay open."""
+    """End this process when the caller was killed: other workers keep its end of the pipe open."""
     caller = multiprocessing.parent_process()
     assert caller is not None
     wait([caller.sentinel])

@@ -1,7 +1,7 @@
 """Results of batches in the user's cache, so that the next analysis processes only new runs.
 
-A result follows from the descriptions of the exchanges, the content of the traces that have their events, the deadline, and the
-code. The HMAC of all that is its key, so no result is used for another batch.
+The key is the HMAC of all that a result follows from: descriptions of the exchanges, content of the traces with their events,
+deadline, and code.
 
     KEY of               ending    content
     a batch              details   statistics and the frames of `GROUP_DETAIL_MAKERS`
@@ -53,7 +53,7 @@ class ResultCache:
 
     Args:
         cache: the open cache.
-        trace_keys: position of a trace in the campaign -> its key in the cache.
+        trace_keys: index of a trace in the campaign -> its key in the cache.
     """
 
     def __init__(self, cache: TraceCache, trace_keys: Mapping[int, str]) -> None:
@@ -89,15 +89,12 @@ class ResultCache:
         return self._cache.key_of_text("details", json.dumps([code_of_analysis(), settings, exchanges]))
 
     def read_frames(self, key: str, names: AbstractSet[str], first_group: int) -> Frames | None:
-        """Return the frames of this key.
+        """Return the frames of this key; None if the cache has none, or others than `names`.
 
         Args:
             key: the key of a batch, or the text of another one.
             names: the names that the frames must have.
             first_group: the number that the first group of their batch has now.
-
-        Returns:
-            None if the cache has none, or others.
         """
         with suppress(*_UNUSABLE):
             frames = unpack_frames(self._cache.read(self._hashed(key), "details"))
@@ -153,7 +150,7 @@ def code_of_analysis() -> tuple[object, ...]:
 
 
 def _renumbered(frames: Frames, shift: int) -> Frames:
-    """Return the frames with other numbers of groups: a new group changes the numbers of those after it."""
+    """Shift the numbers of groups: a new group changes those after it."""
     groups = (pl.col("group").cast(pl.Int64) + shift).cast(pl.UInt32)
     return {name: frame.with_columns(groups) for name, frame in frames.items()}
 
@@ -166,8 +163,8 @@ def pack_frames(frames: Frames) -> bytes:
     files = {}
     for name, frame in frames.items():
         stream = io.BytesIO()
-        # A copy of the frame, not of its columns: polars holds a lock of the frame while it writes and waits for Python's, which
-        # a thread that reads the same frame holds while it waits for that lock.
+        # Clone the frame: polars locks it while it writes and waits for Python's lock, which another reader of the same frame may have
+        # while it waits for the frame's.
         frame.clone().write_ipc_stream(stream, compression="lz4")
         files[name] = stream.getvalue()
     head = json.dumps([(name, len(file)) for name, file in files.items()])

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     """Called before each trace is read with the number done, the number of all, and its path."""
 
     LoadAll = Callable[[Sequence[Path]], Iterator[LoadedTrace | TraceFormatError]]
-    """Yields each trace at its position among those that are one, or why a file is none."""
+    """Yields each trace at its index among those that are one, or why a file is none."""
 
 _FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
 """Files that `dds-sweep` writes next to its traces; they are not listed as skipped."""
@@ -45,11 +45,11 @@ class Campaign:
     Attributes:
         folder: the folder, or the only file.
         sources: every file in it; before `with_copies` without the copies of events.
-        traces: the traces, without their events, by position.
+        traces: the traces, without their events, by index.
         sessions: session_id -> latest description.
         runs: run_id -> latest description.
-        session_traces: session_id -> positions of the traces that name it.
-        run_traces: run_id -> positions of the traces that describe it.
+        session_traces: session_id -> indices of the traces that name it.
+        run_traces: run_id -> indices of the traces that describe it.
         events: the event index.
         event_counts: number of events in each trace.
         copies: the events of each trace that another trace has as well.
@@ -73,7 +73,7 @@ class Campaign:
         return replace(self, copies=copies, sources=tuple(sorted(sources, key=lambda source: source.path)))
 
     def name(self, trace: int) -> str:
-        """Return the name of the trace at this position for findings."""
+        """Return the name of a trace for findings."""
         return _relative(self.traces[trace].path, self.folder)
 
     def names(self, traces: Iterable[int]) -> str:
@@ -136,7 +136,7 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
 
     Args:
         path: the folder, or the only file.
-        loaded: the traces by position.
+        loaded: the traces in order.
         skipped: files that are not traces.
 
     Raises:
@@ -171,7 +171,7 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
 
 
 def _session_age(session: Session) -> tuple[int, bool, int]:
-    """Return a key that is greater for the later description of a session: in a later file, then closed."""
+    """Return a key that is greater for the later description: in a later file, then closed."""
     return part_of(session), session.state == "closed", session.dropped_events
 
 
@@ -207,7 +207,7 @@ def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path])
     """Yield files that are not traces; files of a trace or a sweep, and hidden files, are left out."""
     skipped = {entry.resolve() for entry in (*traces, *skip) if entry.is_dir()}
     stems = {os.fspath(entry) for entry in traces}
-    lengths = {len(stem) for stem in stems}  # few, where there may be thousands of stems
+    lengths = {len(stem) for stem in stems}  # few, for thousands of stems
     for where, folders, files in os.walk(folder):
         folders[:] = sorted(
             name

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     """One path, or several."""
 
 OUTPUT_FOLDER = "analysis"
-"""Folder of the results by default, below the analyzed folder."""
+"""Default folder of the results, below the analyzed folder."""
 
 
 @dataclass(frozen=True, slots=True)

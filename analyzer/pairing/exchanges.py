@@ -1,4 +1,4 @@
-"""Who exchanged messages with whom, under which parameters: one `Exchange` per run and relay that took part."""
+"""Who exchanged messages with whom, under which parameters: one `Exchange` per run and relay."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Exchange:
         return sum(self.counts[2:]) > 0
 
     def span(self) -> RunSpan:
-        """Return the time that the run took, on the machine that its ping ran on."""
+        """Return the time that the run took, on the ping's machine."""
         return RunSpan(self.start_ns, self.end_ns, self.run.run_id, machine_of(self.ping))
 
     def event_keys(self) -> tuple[EventKey, EventKey, EventKey, EventKey]:
@@ -89,7 +89,7 @@ class Exchange:
         return parameters_of(self.run, self.ping, self.relay, relays=self.relays, flows=self.flows)
 
     def environment(self) -> str:
-        """Return the digest of what both sides ran in."""
+        """Return the digest of both sides' environment."""
         return environment_of(self.ping, self.relay)
 
 
@@ -102,7 +102,7 @@ class Unplaced:
         run_id: the run that they name.
         relay_id: the relay that they name, 0 for none.
         events: number of events, copies left out.
-        traces: positions of the traces with these events.
+        traces: indices of the traces with these events.
     """
 
     reason: str
@@ -190,7 +190,7 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
 
 
 def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, dict[Stage, Parts]]]]:
-    """Read the index: run_id -> its T1, and run_id -> relay_id -> stage -> T2, T3 and T4 that name both."""
+    """Read the index: run_id -> T1, and run_id -> relay_id -> stage -> T2, T3 and T4."""
     published: dict[int, Parts] = {}
     relayed: dict[int, dict[int, dict[Stage, Parts]]] = defaultdict(lambda: defaultdict(dict))
     for (stage, run_id, relay_id), parts in index.items():
@@ -226,7 +226,7 @@ def _start(exchange: Exchange) -> tuple[int, int, int]:
 
 
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
-    """Return why no message of a campaign has a row: a file that is not a trace, or what is missing."""
+    """Return why no message of a campaign has a row."""
     unread = [
         f"{source.path} was not used: {source.detail}" for source in campaign.sources if _is_unread(source)
     ]

@@ -1,6 +1,6 @@
 """Runs of one machine at the same time: the number of flows of each run, and which runs overlap.
 
-Both follow from the same spans: a run that counts among the flows of another (`setting` of its group) overlaps with it.
+Both follow from the same spans: a run that counts among the flows of another overlaps with it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 OVERLAP_NS = 1_000_000_000
-"""Least common time of two runs, unless one goes on in the middle of the other: NTP slews wall clocks, and one late message is no load."""
+"""Least common time of two runs, unless one goes on in the middle of the other: NTP slews wall clocks.
+"""
 
 
 @dataclass(frozen=True, slots=True, order=True)

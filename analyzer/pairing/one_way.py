@@ -1,8 +1,8 @@
-"""One-way times of each run and relay on their own, and the clock of each pair of devices over the whole campaign.
+"""One-way times of each run and relay, and the clock of each pair of devices over the campaign.
 
-A run is fitted on its own (`analyzer/clocks/fit.py`), so its one-way times do not depend on what else is analyzed. The knots of a
-fit are intervals of the offset, as messages give them: the campaign's fit of two devices takes the knots of all their runs, and
-finds a step between two runs like one within a run.
+A run is fitted on its own (`clocks/fit.py`), so its one-way times do not depend on what else is analyzed. The knots of a fit are
+intervals of the offset, as messages give them: the campaign's fit of two devices takes the knots of all runs, and finds a step
+between two runs like one within a run.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def pair_devices(
     """Yield each fit of the campaign.
 
     Args:
-        clock_fits: frame of `one_way.segment_table`.
-        clock_knots: frame of `one_way.knots_of`.
+        clock_fits: frame of `segment_table`.
+        clock_knots: frame of `knots_of`.
         boots: boot of each run's ping, by run_id (`boots.ping_boots`).
     """
     boot = pl.Series("boot", [boots.get(run_id, 0) for run_id in clock_knots["run_id"]], pl.Int64)
@@ -100,7 +100,7 @@ class OneWay:
 
     @classmethod
     def unknown(cls, rows: int, exchanges: int) -> OneWay:
-        """Return one-way times that are all null: nothing was fitted."""
+        """Return one-way times that are all null."""
         return cls(
             tuple(pl.Series(name, [None], pl.Int64).new_from_index(0, rows) for name in ONE_WAY_COLUMNS),
             (None,) * exchanges,
@@ -117,7 +117,7 @@ def fit_exchanges(
     Args:
         exchanges: in the order of their rows.
         bounds: exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
-        stamps: `publish_ns`, `relay_in_ns`, `relay_out_ns`, `receive_ns` of each row, `pair.MISSING` where there is none.
+        stamps: T1, T3, T4 and T2 of each row by column name, `pair.MISSING` where there is none.
     """
     rows = int(bounds[-1])
     values: dict[str, NDArray[np.int64]] = {}
@@ -160,7 +160,7 @@ def fit_exchanges(
         # The bound is a view of the same array.
         times_ns = zip(ONE_WAY_COLUMNS, (outbound, under_way, offsets.bound_ns.copy()), strict=True)
         for name, times in times_ns:
-            if len(times) == rows:  # there is only one exchange
+            if len(times) == rows:  # a single exchange
                 values[name] = times
             else:
                 if name not in values:
@@ -181,7 +181,7 @@ class _FitInput:
     """The messages of an exchange that take part in its fit.
 
     Attributes:
-        number: position of the exchange.
+        number: index of the exchange.
         at: rows of the messages.
         messages: their stamps.
     """
@@ -194,7 +194,7 @@ class _FitInput:
 def _usable(
     stamps: Mapping[str, NDArray[np.int64]], here: slice, damaged: Sequence[str]
 ) -> NDArray[np.bool_]:
-    """Return which rows have all four stamps, none of them damaged, and less time in the relay than under way.
+    """Return which rows have all four stamps, none damaged, and less time in the relay than under way.
 
     Args:
         stamps: of all rows.
@@ -210,7 +210,7 @@ def _usable(
 
 
 def _are_sane(stamp: NDArray[np.int64]) -> bool:
-    """Return whether every row has a sane stamp; `MISSING` is far below."""
+    """Return whether every stamp is sane; `MISSING` is far below."""
     return not len(stamp) or bool(stamp.min() >= _LEAST_SANE_NS and stamp.max() < _SANE_NS)
 
 
@@ -237,8 +237,8 @@ def knots_of(
 ) -> pl.DataFrame:
     """List the knots of every run: the frame `clock_knots`, columns of `KNOT_SCHEMA`.
 
-    `relay_boot` is the boot id of the relay's session, and `same_boot` says whether the ping's is the same; both are null
-    where a recorder did not write it.
+    `relay_boot` is the boot id of the relay's session, `same_boot` whether the ping's is the same; null where the recorder
+    did not write it.
     """
     described = [
         (
@@ -273,7 +273,7 @@ def knots_of(
 
 
 def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:
-    """Fit the clock of each pair of devices and boots over the whole campaign, from the knots of all its runs.
+    """Fit the clock of each pair of devices and boots over the campaign, from the knots of all its runs.
 
     A relay that was rebooted between two runs has another boot id, and another clock.
 
@@ -289,7 +289,7 @@ def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit
     for part in knots.with_columns(boot=boot).sort(*keys, "at_ns").partition_by(keys, maintain_order=True):
         ping_device, relay_device, boot_number, relay_boot, same_boot = part.select(keys).row(0)
         at_ns, offset_ns, bound_ns = (part[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
-        # A knot is passed as a message without duration that has the interval of the knot.
+        # A knot becomes a message without duration that has the interval of the knot.
         pairs.append(
             RelayedMessages(
                 publish_ns=at_ns,
@@ -329,10 +329,10 @@ SEGMENT_SCHEMA: dict[str, type[pl.DataType]] = {
 def segment_table(fits: Sequence[ClockFit]) -> pl.DataFrame:
     """List the segments: the frame `clock_fits`, one row per pair of devices, boot and stretch of time without a step.
 
-    Columns of `SEGMENT_SCHEMA`: times on the ping's monotonic clock; `offset_ns` relay's clock minus ping's, wrong by
-    at most `bound_ns` at `at_ns`; `drift_ppb` at which the relay's clock gains, wrong by at most `drift_bound_ppb`;
-    `residual_ns` farthest of a knot from a straight line; `step_before_ns` the jump that began the segment, wrong by
-    at most `step_bound_ns`, null for the first; `relay_boot` the boot id of the relay's device, null if unknown.
+    Columns of `SEGMENT_SCHEMA`: times on the ping's monotonic clock; `offset_ns` relay's clock minus ping's, wrong by at most
+    `bound_ns` at `at_ns`; `drift_ppb` at which the relay's clock gains, wrong by at most `drift_bound_ppb`; `residual_ns` farthest
+    of a knot from a straight line; `step_before_ns` the jump that began the segment, wrong by at most `step_bound_ns`, null for the
+    first; `relay_boot` the boot id of the relay's device, null if unknown.
     """
     rows = []
     for fit in fits:

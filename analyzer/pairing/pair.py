@@ -1,10 +1,10 @@
-"""Pairing: the events T1..T4 of one exchange, each in its own arrays, become one row per published message.
+"""Pairing: the events T1..T4 of one exchange become one row per published message.
 
 A message's row is its sequence number minus the first one, without a join; where T1 events are missing or sequence numbers are
-absurd, rows are found by bisection. Nothing is allocated by the size of a number in a file.
+absurd, rows come from bisection. Nothing is allocated by the size of a number in a file.
 
-The order of events or files does not matter: of several events of one message the earliest counts, and events that agree in message
-and instant are one event.
+The order of events and files does not matter: of several events of one message the earliest counts, and events that agree in
+message and instant are one event.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ class Outcome(Enum):
 
 OUTCOMES = tuple(Outcome)
 LOSSES = tuple(outcome.value for outcome in Outcome if outcome is not Outcome.COMPLETED)
-"""The outcomes of messages that did not come back, as the frames spell them."""
+"""Outcomes of messages that did not come back, as the frames spell them."""
 
 _CODE = {outcome: np.uint8(code) for code, outcome in enumerate(OUTCOMES)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Published:
-    """The counted messages of a run (warm-up left out), one row each, by sequence number.
+    """The counted messages of a run, one row each, by sequence number.
 
     Attributes:
         sequence: uint64, strictly ascending.
@@ -58,7 +58,7 @@ class Published:
         warmup_messages: messages below this sequence number are not counted.
         with_warmup: distinct messages with a T1, warm-up included.
         repeated: T1 events beyond the first of their message; none in a sound trace.
-        payload_range_bytes: smallest and largest payload that a T1 event of the run names.
+        payload_range_bytes: smallest and largest payload of a T1 event.
     """
 
     sequence: NDArray[np.uint64]
@@ -86,8 +86,8 @@ class Published:
         if not len(self):
             return np.full(len(sequence), -1, np.int64)
         first = self.sequence[0]
-        if int(self.sequence[-1]) - int(first) < len(self):  # no number is left out
-            offset = sequence - first  # below `first` this wraps to something huge
+        if int(self.sequence[-1]) - int(first) < len(self):  # no gaps
+            offset = sequence - first  # wraps to something huge below `first`
             return np.where(offset < len(self), offset.astype(np.int64), -1)
         row = np.minimum(np.searchsorted(self.sequence, sequence), len(self) - 1)
         return np.where(self.sequence[row] == sequence, row, -1)
@@ -101,10 +101,10 @@ class PairedMessages:
         receive_ns: int64, T2, MISSING if lost.
         relay_in_ns: int64, T3, MISSING if not seen.
         relay_out_ns: int64, T4, MISSING if not seen.
-        outcome: uint8, position in `OUTCOMES`.
+        outcome: uint8, index of `OUTCOMES`.
         duplicates: uint16, T2 events beyond the first.
         reordered: bool, T2 came after the T2 of a later sequence.
-        orphans: counted-range events (T2, T3, T4) whose message has no T1.
+        orphans: T2, T3 and T4 events without a T1, warm-up left out.
     """
 
     receive_ns: NDArray[np.int64]
@@ -129,11 +129,11 @@ class PairedMessages:
 
 
 def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
-    """Select the counted messages of a run: distinct, sorted, warm-up left out.
+    """Select the counted messages of a run: distinct, sorted, from sequence number `warmup_messages` on.
 
     Args:
         t1: the run's T1 events, in any order.
-        warmup_messages: messages below this sequence number are not counted.
+        warmup_messages: number of messages that are not counted.
     """
     sequence, publish_ns, scheduled_ns = t1.sequence, t1.monotonic_ns, t1.scheduled_ns
     # Zeros of a recorder without a schedule: no two messages are planned for the boot of the device.
@@ -169,7 +169,7 @@ def pair_messages(
 
     Args:
         published: the run's counted messages.
-        t2: replies, as the ping recorded them, that name this run and relay; any order, warm-up included.
+        t2: the ping's replies that name this run and relay; any order, warm-up included.
         t3: arrivals at the relay, likewise.
         t4: departures from the relay, likewise.
     """
@@ -201,7 +201,7 @@ def first_replies(published: Published, t2: EventColumns) -> NDArray[np.int64]:
 def middleware_stamps(
     published: Published, events: EventColumns, instant_ns: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], ...]:
-    """Return `source_ns` and `received_ns` of the event that each message was paired with, 0 where there is none.
+    """Return `source_ns` and `received_ns` of the event of each message, 0 where there is none.
 
     Args:
         published: the run's counted messages.
@@ -219,7 +219,7 @@ def middleware_stamps(
     row = published.rows(events.sequence)
     paired = np.flatnonzero(row >= 0)
     paired = paired[instant_ns[row[paired]] == events.monotonic_ns[paired]]
-    paired = paired[::-1]  # the first of two equal events counts, so it is written last
+    paired = paired[::-1]  # written last, the first of two equal events counts
     source_ns[row[paired]] = events.source_ns[paired]
     received_ns[row[paired]] = events.received_ns[paired]
     return source_ns, received_ns
@@ -280,7 +280,7 @@ def _outcomes(
 
 
 def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether a later message was received before: T2 is above the minimum of the following T2."""
+    """Return whether a later message was received before."""
     received = np.where(receive_ns == MISSING, _NEVER, receive_ns)
     minimum_from_here = np.minimum.accumulate(received[::-1])[::-1]
     reordered = np.zeros(len(received), np.bool_)

@@ -49,7 +49,6 @@ def roundtrips_writer(
     """Write `roundtrips.parquet` table by table; the file takes its place once it is complete.
 
     Times ascend by steps or stay within a range: delta encoding takes a quarter of the bytes and time of plain values under zstd.
-    Every field's metadata has `meaning` and, where it has one, `unit`.
 
     Args:
         path: the file; its folder is made.
@@ -94,7 +93,7 @@ def roundtrips_writer(
 
 
 def _abandon(writer: pq.ParquetWriter) -> None:
-    """Close a writer whose file is not wanted after an error; nothing happens to one that is closed."""
+    """Close a writer whose file is not needed after an error; nothing happens to one that is closed."""
     with suppress(OSError):
         writer.close()
     writer.is_open = False  # else its finalizer tries again
@@ -146,7 +145,7 @@ def _array(values: NDArray[np.generic]) -> pa.Array:
 
 
 def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:
-    """Write `summary.parquet` with this metadata; the file takes its place once it is complete.
+    """Write `summary.parquet`; the file takes its place once it is complete.
 
     Raises:
         OutputError: the folder or the file cannot be written.
@@ -158,7 +157,7 @@ def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, st
 
 
 def summary_table(summary: pl.DataFrame, provenance: Mapping[str, str] | None = None) -> pa.Table:
-    """Return `Analysis.summary` with the exact types of its columns, and with metadata of the fields and of the table."""
+    """Return `Analysis.summary` with exact types, and metadata of fields and table."""
     return summary.to_arrow().cast(_schema(SUMMARY_COLUMNS).with_metadata(dict(provenance or {})))
 
 
@@ -182,7 +181,6 @@ _WRITTEN_SCHEMA = pa.schema(
 
 @contextmanager
 def _output_errors(path: Path) -> Iterator[None]:
-    """Turn an error of the system into one that names the file and what to do."""
     try:
         yield
     except OSError as err:

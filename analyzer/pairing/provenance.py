@@ -1,6 +1,6 @@
 """Metadata of the Parquet files: program, contract, traces, time and clocks of the recording.
 
-The keys are part of the contract (`docs/trace-format.md`). Equal input gives equal bytes, so no time of the analysis is among them.
+The keys are part of the contract (`docs/trace-format.md`). Equal input gives equal bytes: no time of the analysis.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from .exchanges import Exchanges
 
 MOST_NAMED = 1000
-"""Traces and sessions that are listed, as a reader loads all of it with the schema; their number is always values."""
+"""Traces and sessions that are listed: a reader loads all of it with the schema."""
 
 
 def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
-    """Return the metadata of the files of an analysis: key -> text, JSON where it is more than one value."""
+    """Return the metadata of the files: key -> text, JSON where it is more than one value."""
     read = sorted(source.path for source in campaign.sources if source.status != "skipped")
     sessions = sorted(
         campaign.sessions.values(), key=lambda session: (session.wall_anchor_ns, session.session_id)

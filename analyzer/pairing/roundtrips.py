@@ -1,4 +1,4 @@
-"""The paired events of a batch: one row per published message and relay that took part in its run."""
+"""The paired events of a batch: one row per published message and relay of its run."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ MIDDLEWARE_STAMPS = {
     Stage.T3: ("relay_source_ns", "relay_received_ns"),
     Stage.T2: ("reply_source_ns", "reply_received_ns"),
 }
-"""Columns that hold `source_ns` and `received_ns` of a row's T3 and T2: i64, ns since 1970, 0 if unknown."""
+"""Columns of `source_ns` and `received_ns` of a row's T3 and T2: i64, ns since 1970, 0 if unknown."""
 
 RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.values())
 """Stamps of reception; without any of them the others are not used."""
@@ -59,18 +59,18 @@ RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.value
 STAMP_NAMES = tuple(name for names in MIDDLEWARE_STAMPS.values() for name in names)
 
 ROWS_PER_FRAME = 1 << 20
-"""Rows that are in one frame of `PairedRows.frames`, and in one row group of the Parquet file."""
+"""Rows in one frame of `PairedRows.frames`, and in one row group of the Parquet file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairedRows(ABC):
-    """The rows of some exchanges, by exchange, then by sequence, in memory or read column by column.
+    """The rows of some exchanges, by exchange, then by sequence.
 
     Attributes:
         described: run_id, relay_id and the parameter columns, one row per exchange.
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
-        clock_knots: the knots of each exchange's own clock fit: columns of `one_way.KNOT_SCHEMA`, `group` being the position of the
+        clock_knots: the knots of each exchange's own clock fit: columns of `one_way.KNOT_SCHEMA`, `group` being the index of the
             exchange; no rows where no clock was fitted.
     """
 
@@ -92,7 +92,7 @@ class PairedRows(ABC):
     def frames(self) -> Iterator[pl.DataFrame]:
         """Yield the rows in frames of `ROWS_PER_FRAME`, at least one.
 
-        Columns are `sequence`, the columns of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`; `outcome` is u8, an index of `pair.OUTCOMES`.
+        Columns are `sequence`, `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`; `outcome` is u8, an index of `pair.OUTCOMES`.
         """
 
     def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
@@ -100,7 +100,7 @@ class PairedRows(ABC):
         return np.repeat(values, np.diff(self.bounds))
 
     def exchange_of_row(self) -> NDArray[np.uint32]:
-        """Return for each row the position of its exchange."""
+        """Return the index of each row's exchange."""
         return self.per_row(np.arange(len(self.described), dtype=np.uint32))
 
 
@@ -109,10 +109,9 @@ class RoundTrips(PairedRows):
     """The rows of some exchanges in memory.
 
     Attributes:
-        measured: `sequence` and the columns of `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`, `outcome` as Enum; rows by exchange,
-            then by sequence.
-        outcome: uint8, for each row the position of its outcome in `pair.OUTCOMES`.
-        stamps: columns of `MIDDLEWARE_STAMPS` that any event has, one row per row of `measured`.
+        measured: `sequence`, `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`, `outcome` as Enum.
+        outcome: uint8, for each row an index of `pair.OUTCOMES`.
+        stamps: columns of `MIDDLEWARE_STAMPS` that any event has.
     """
 
     measured: pl.DataFrame
@@ -130,7 +129,7 @@ class RoundTrips(PairedRows):
         return stamps[0] if stamps else self.measured[name]
 
     def frames(self) -> Iterator[pl.DataFrame]:
-        """Yield slices of the rows, as `PairedRows.frames` describes them."""
+        """Yield slices of the rows."""
         for first in range(0, len(self.outcome) or 1, ROWS_PER_FRAME):
             outcome = pl.Series("outcome", self.outcome[first : first + ROWS_PER_FRAME])
             yield self.measured[first : first + ROWS_PER_FRAME].with_columns(outcome)
@@ -223,14 +222,7 @@ def pair_exchanges(
 
 
 class _Filled:
-    """Columns of all exchanges, filled exchange by exchange; the columns of a single exchange are not copied and must not be written.
-
-    Args:
-        rows: of all exchanges together.
-
-    Attributes:
-        columns: name -> values, zero where nothing was put.
-    """
+    """Columns of all exchanges, zero by default; a single exchange is not copied and must not be written."""
 
     def __init__(self, rows: int) -> None:
         self._rows = rows
@@ -249,7 +241,7 @@ class _Filled:
 
 
 def describe(exchanges: Sequence[Exchange]) -> pl.DataFrame:
-    """Return the columns of `RoundTrips.described`."""
+    """Return the columns of `PairedRows.described`."""
     return pl.DataFrame(
         [(e.run.run_id, e.relay_id, *e.parameters().values()) for e in exchanges],
         schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),

@@ -33,8 +33,8 @@ class RowStore(ABC):
     """The rows of a campaign: all of them, some columns, or some groups.
 
     Attributes:
-        groups: one row per group: `group` u32, the parameter columns, and `first` and `published` i64, the first of its rows and
-            their number; empty before `locate`.
+        groups: one row per group: `group` u32, the parameter columns, and i64 `first` and `published`, its first row and their
+            number; empty before `locate`.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class RowStore(ABC):
 
     @staticmethod
     def of(rows: pl.DataFrame | Path, summary: pl.DataFrame | None = None) -> RowStore:
-        """Return a store of a frame or a Parquet file; the frame `summary` of these rows gives its `groups`."""
+        """Return a store of a frame or a Parquet file; `summary` of these rows gives its `groups`."""
         store = RowsInFile(rows) if isinstance(rows, Path) else RowsInMemory(rows)
         if summary is not None:
             store.locate(summary)
@@ -69,7 +69,7 @@ class RowStore(ABC):
         return store
 
     def locate(self, summary: pl.DataFrame) -> None:
-        """Make `groups` from the frame `summary`, one row per group in the order of the rows."""
+        """Make `groups` from the frame `summary`, in the order of the rows."""
         published = pl.col("published").cast(pl.Int64)
         self.groups = summary.select(
             pl.int_range(pl.len(), dtype=pl.UInt32).alias("group"),
@@ -100,7 +100,7 @@ class RowsInMemory(RowStore):
 
     @property
     def file(self) -> Path | None:
-        """Absolute path of the file of the rows, if there is one."""
+        """Absolute path of the file, if there is one."""
         return None if self._path is None else self._path.resolve()
 
     def load(self) -> pl.DataFrame:
@@ -113,7 +113,7 @@ class RowsInMemory(RowStore):
 
 
 class _TemporaryFolder:
-    """A folder that is removed with the last object that refers to it, unless it is gone already."""
+    """A folder that is removed with the last object that refers to it."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="dds-analyze-"))
@@ -178,7 +178,7 @@ class RowWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Complete the file, or leave the file that was there before."""
+        """Complete the file, or leave the previous one."""
         self._stack.__exit__(kind, error, trace)
 
     def write(self, tables: Iterable[pa.Table]) -> None:

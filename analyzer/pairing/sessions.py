@@ -38,7 +38,7 @@ def find_ping_session(
     Args:
         campaign: the sessions and where they are described.
         run: the run.
-        traces: positions of the traces with its publications.
+        traces: indices of the traces with its publications.
         first_ns: its first publication.
         doubts: takes a `Doubt` if several sessions qualify.
     """
@@ -54,13 +54,13 @@ def find_ping_session(
 def find_relay_session(
     campaign: Campaign, run_id: int, relay_id: int, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
-    """Return the session of the relay in the traces with its events, else any that has its relay_id.
+    """Return the session of the relay in the traces with its events, else any with its relay_id.
 
     Args:
         campaign: the sessions and where they are described.
         run_id: the run.
         relay_id: the relay.
-        traces: positions of the traces with T3 or T4 of run and relay; empty without the relay's trace.
+        traces: indices of the traces with T3 or T4 of run and relay; empty without the relay's trace.
         first_ns: the first T3, else the first T4.
         doubts: takes a `Doubt` if several sessions qualify.
     """

@@ -1,4 +1,4 @@
-"""The end of a run: messages that were due but never sent, and messages that were in flight when the ping died."""
+"""The end of a run: messages that were due but never sent, and messages in flight when the ping died."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _PATIENCE_NS = 2 * SECOND_NS
 
 
 def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
-    """Return the number of counted messages whose T0 had passed when the run ended and that were never published.
+    """Return the number of counted messages that were due when the run ended and never published.
 
-    The run ended when its ping stopped sending (`ended_ns` of the run), else at the last T1 or T2. A message in flight when the ping
-    died was published. Of a live topic, which has no plan, the skipped messages were never sent.
+    The run ended at its `ended_ns`, else at the last T1 or T2. A message in flight when the ping died was published. Of a
+    live topic, which has no plan, the skipped messages were never sent.
     """
     skipped = run.extra.get("skipped_messages")
     if isinstance(skipped, int):

@@ -1,8 +1,7 @@
 """The instants of messages in UTC, as far as their devices knew it.
 
-A session reads both clocks of its device once, when it starts, and stamps events by the monotonic clock. UTC of an event follows from
-that reading, whatever changes the wall clock later; it is as wrong as the device's clock was then. A session records whether its
-kernel regarded the clock as synchronized (`adjtimex`).
+A session reads both clocks once, when it starts, and stamps events by the monotonic clock. UTC follows from that reading,
+whatever changes the wall clock later, and is as wrong as the device's clock was then.
 """
 
 from __future__ import annotations
@@ -76,6 +75,6 @@ def is_synchronized(session: Session) -> bool | None:
 
 
 def utc_text(wall_ns: int) -> str:
-    """Return an instant in ns since 1970 as ISO 8601 with nine decimals; the last one that an int64 holds if it is later."""
+    """Return an instant in ns since 1970 as ISO 8601 with nine decimals, at most the last one that an int64 can hold."""
     limited_ns = max(-(2**63) + 1, min(2**63 - 1, wall_ns))
     return f"{np.datetime64(limited_ns, 'ns')}Z"

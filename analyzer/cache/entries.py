@@ -38,12 +38,7 @@ _FORMAT = 4
 
 
 class StoredParts:
-    """Writes the events of one trace into a stream, piece by piece.
-
-    Args:
-        stream: the stream.
-        sealer: seals the events of each stage, run and relay; None seals nothing.
-    """
+    """Writes the events of one trace into a stream, piece by piece; a sealer seals those of each stage, run and relay."""
 
     def __init__(self, stream: BinaryIO, sealer: Sealer | None) -> None:
         self._file = EventsFile(stream)
@@ -52,11 +47,7 @@ class StoredParts:
         self._seals: dict[EventKey, hmac.HMAC] = {}
 
     def add(self, parts: Mapping[EventKey, EventPart]) -> None:
-        """Append events.
-
-        Raises:
-            OSError: the events cannot be written.
-        """
+        """Append events."""
         for key, part in parts.items():
             events = part.load()
             piece = self._file.write(events)
@@ -131,10 +122,7 @@ class _CachedEvents:
     """Cached events of one stage, run and relay; read from their trace if the cache no longer has them as written.
 
     Attributes:
-        stored: the events in the cache.
         check: a sealer and the expected seal; None where this analysis wrote the events.
-        label: stage, run and relay.
-        trace: path of their trace.
     """
 
     stored: StoredEvents

@@ -31,9 +31,7 @@ class EventPart:
 
     Attributes:
         trace: index of the trace in its campaign.
-        count: number of events.
         first_ns: the earliest `monotonic_ns`.
-        last_ns: the latest one.
         events: the events, or where they are.
     """
 
@@ -59,13 +57,7 @@ EventIndex = Mapping[EventKey, tuple[EventPart, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Copies:
-    """Events of one trace that an earlier trace has as well.
-
-    Attributes:
-        trace: index of the trace.
-        events: number of its events that are left out.
-        others: indices of the traces that have them.
-    """
+    """Events of one trace, and their number, that earlier traces (`others`) have as well."""
 
     trace: int
     events: int
@@ -93,11 +85,9 @@ def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[Eve
 
 
 def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, int], EventColumns]:
-    """Split events by (run_id, relay_id), in file order; views where a run's events are adjacent.
+    """Split events of one stage by (run_id, relay_id), in file order; views where a run's events are adjacent.
 
-    Args:
-        columns: events of one stage.
-        by_relay: False takes every relay_id as 0.
+    Without `by_relay` every relay_id is 0.
     """
     if not len(columns):
         return {}

@@ -63,12 +63,7 @@ class StoredPiece:
                 raise ValueError(f"{name} is {kind} {value}, which is not from {low} to {high}")
 
     def arrays(self, events: EventColumns, first: int = 0) -> list[NDArray[np.integer]]:
-        """Return the columns that are in the file.
-
-        Args:
-            events: the events of this piece, perhaps among others.
-            first: index of its first event.
-        """
+        """Return the columns that are in the file, of events whose `first` one begins this piece."""
         return [
             getattr(events, name)[first : first + self.count]
             for name in _FIELDS
@@ -92,7 +87,7 @@ class StoredEvents:
         """Check every piece; see `StoredPiece.check`.
 
         Raises:
-            ValueError, TypeError, LookupError: there is no piece, or one is not as `EventsFile` describes it.
+            ValueError, TypeError, LookupError: no piece, or one that is not as described.
         """
         if not self.pieces:
             raise ValueError("no events")
@@ -125,11 +120,7 @@ class EventsFile:
         self._stream = stream
 
     def write(self, events: EventColumns) -> StoredPiece:
-        """Write at least one event.
-
-        Raises:
-            OSError: the events cannot be written.
-        """
+        """Write at least one event."""
         columns = {name: self._write_column(getattr(events, name)) for name in _FIELDS}
         return StoredPiece(len(events), columns)
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedTrace:
-    """A trace without its events, and the event index of the trace."""
+    """A trace without its events, and their index."""
 
     trace: Trace
     parts: Mapping[EventKey, EventPart]

@@ -103,7 +103,6 @@ def _files_of(files: _Storage, root: str) -> list[str]:
 
 @contextmanager
 def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
-    """Yield the storage and the name in it; translate its errors into ours."""
     try:
         fsspec = import_module("fsspec")  # an extra: needed only for a scheme
         files, root = fsspec.core.url_to_fs(_url(path))

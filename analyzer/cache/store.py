@@ -98,11 +98,7 @@ class SealedStream:
         self._digest = digest
 
     def write(self, content: bytes | memoryview) -> int:
-        """Append bytes.
-
-        Raises:
-            OSError: they cannot be written.
-        """
+        """Append bytes."""
         self._digest.update(content)
         return self._file.write(content)
 
@@ -115,12 +111,7 @@ class SealedStream:
 
 
 class TraceCache:
-    """The open cache of this user.
-
-    Attributes:
-        folder: the folder of the entries, in which only this user can write.
-        sealer: makes its seals.
-    """
+    """The open cache of this user; only this user can write in `folder`."""
 
     def __init__(self, folder: Path, descriptor: int, secret: bytes) -> None:
         self.folder = folder
@@ -130,11 +121,7 @@ class TraceCache:
 
     @classmethod
     def open(cls) -> TraceCache | None:
-        """Open the cache, made if it is missing.
-
-        Returns:
-            None without a home folder or the right to write, or where the folder is a link or another user's.
-        """
+        """Open the cache, made if it is missing; None without a home or the right to write, or where the folder is a link or another's."""
         try:
             parent = _base("XDG_CACHE_HOME", ".cache") / "dds-trace"
             os.close(_own_folder(parent))
@@ -199,7 +186,7 @@ class TraceCache:
 
         Raises:
             OSError: there is no such entry.
-            ValueError: this user did not write it, or wrote something else, or for another key.
+            ValueError: this user did not write it for this key.
         """
         with open_regular(self.path(key, ending), follow_links=False) as file:
             entry = memoryview(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
@@ -310,7 +297,7 @@ def _buffer_of_thread() -> memoryview:
 
 
 def _base(variable: str, default: str) -> Path:
-    """Return a base folder of the XDG specification, which demands to ignore a relative path in the variable.
+    """Return a base folder of the XDG specification, which ignores a relative path in the variable.
 
     Raises:
         RuntimeError: this user has no home.
@@ -342,11 +329,7 @@ def _own_folder(folder: Path) -> int:
 
 
 def _own_secret(folder: Path) -> bytes:
-    """Return this user's secret, made if it is missing or damaged.
-
-    Raises:
-        OSError: the folder is not this user's, or cannot be written.
-    """
+    """Return this user's secret, made if it is missing or damaged."""
     os.close(_own_folder(folder))
     path = folder / "cache-key"
     with suppress(OSError), open_regular(path, follow_links=False) as stream:

@@ -40,7 +40,7 @@ class TraceLoader:
         folder: takes temporary files; None makes a folder, removed with the loader.
 
     Attributes:
-        keys: index of a loaded trace -> its key in the cache; empty without one.
+        keys: index of a loaded trace -> its key in the cache.
     """
 
     def __init__(self, cache: TraceCache | None = None, folder: Path | None = None) -> None:
@@ -128,12 +128,7 @@ class TraceLoader:
             ) from err
 
     def _add_pieces(self, path: Path, position: int, stored: StoredParts) -> Trace:
-        """Read a trace and add its events; a piece is written while the next one is read.
-
-        Raises:
-            OSError: events cannot be written.
-            TraceFormatError: it is not a trace.
-        """
+        """Read a trace and add its events; a piece is written while the next one is read."""
         writing: list[Future[None]] = []
         last: list[Mapping[Stage, EventColumns]] = []
 

@@ -16,8 +16,6 @@ _SAME_BOOT_S = 2
 
 @dataclass(frozen=True, slots=True)
 class _Boot:
-    """Number of a boot, and the kernel's id of it."""
-
     number: int
     boot_id: str | None
 
@@ -83,5 +81,4 @@ def session_of_run(run: Run) -> int:
 
 
 def _monotonic_zero_ns(session: Session) -> int:
-    """Return the wall clock at monotonic zero, ns since 1970."""
     return session.wall_anchor_ns - session.monotonic_anchor_ns

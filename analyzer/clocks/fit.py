@@ -45,13 +45,7 @@ _BLOCK_MESSAGES = 1 << 14
 
 
 class ClockKnot(NamedTuple):
-    """The offset at the instant of a window at which its bound is smallest.
-
-    Attributes:
-        at_ns: ping's monotonic clock.
-        offset_ns: relay's clock minus ping's clock.
-        bound_ns: largest error of the offset.
-    """
+    """The instant of a window (ping's monotonic clock) with the smallest bound, and the relay's clock minus the ping's there."""
 
     at_ns: int
     offset_ns: int
@@ -60,17 +54,14 @@ class ClockKnot(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ClockSegment:
-    """A stretch of time in which neither clock was stepped.
+    """A stretch of time in which neither clock was stepped; times on the ping's monotonic clock.
 
     Attributes:
-        start_ns: first message, ping's monotonic clock.
-        end_ns: last message.
-        messages: number of messages in the fit.
+        start_ns: first message.
         at_ns: instant at which the bound of the offset is smallest.
         offset_ns: relay's clock minus ping's clock at `at_ns`.
         bound_ns: largest error of the offset.
         drift_ppb: mean rate at which the relay's clock gains on the ping's, parts per billion (ns per s).
-        drift_bound_ppb: largest error of the drift.
         residual_ns: largest distance of a knot from the straight line through the first and the last knot.
         knots: one for each window, in order of time.
     """
@@ -94,8 +85,7 @@ class ClockStep:
     Attributes:
         after_ns: last message surely before the step, ping's monotonic clock.
         before_ns: first message surely after it.
-        size_ns: jump of the relay's clock against the ping's; negative if it fell back.
-        bound_ns: largest error of the size.
+        size_ns: jump of the relay's clock against the ping's.
     """
 
     after_ns: int
@@ -109,12 +99,10 @@ class ClockFit:
     """The relay's clock against the ping's, for one pair of devices.
 
     Attributes:
-        ping_device: name of the device of T1 and T2.
-        relay_device: name of the device of T3 and T4.
         boot: number of the boot of the ping's device (`boots.ping_boots`).
         same_clock: both sides are of one boot of one machine (without boot ids: have one name), and an offset of zero agrees
             with every message. One-way times are then exact.
-        segments: stretches between steps, in order of time; empty without a message that has all four stamps.
+        segments: in order of time; empty without a message that has all four stamps.
         steps: jumps between the segments, one fewer than these.
         relay_boot: the kernel's id of the boot of the relay's device; None if unknown.
     """
@@ -130,12 +118,7 @@ class ClockFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockOffsets:
-    """Offset of the relay's clock at each message, in the order of the input.
-
-    Attributes:
-        offset_ns: int64, relay's clock minus ping's clock halfway between T1 and T2.
-        bound_ns: int64, largest error of the offset.
-    """
+    """Relay's clock minus ping's halfway between T1 and T2 of each message, and its largest error, int64."""
 
     offset_ns: Int64
     bound_ns: Int64
@@ -143,15 +126,9 @@ class ClockOffsets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelayedMessages:
-    """The messages of one fit: int64 arrays of one length, in any order.
+    """The messages of one fit: int64 arrays T1, T3, T4, T2 of one length, in any order.
 
     Attributes:
-        publish_ns: T1.
-        relay_in_ns: T3.
-        relay_out_ns: T4.
-        receive_ns: T2.
-        ping_device: name of the device of T1 and T2.
-        relay_device: name of the device of T3 and T4.
         boot: as in `ClockFit`.
         relay_boot: as in `ClockFit`.
         same_boot: whether both sides are of one boot of one machine (`boots.share_boot`); None lets names decide.
@@ -173,11 +150,8 @@ class _Points:
     """The messages of one fit in order of time, as bounds on theta.
 
     Attributes:
-        points: the bounds, which `fit_windows` narrows, at the instants halfway between T1 and T2.
-        order: position of each message in the input; None where the input is in order.
-        time_origin_ns: subtracted from the instants.
-        offset_origin_ns: subtracted from the bounds.
-        same_clock: as in `ClockFit`.
+        points: the bounds at the instants halfway between T1 and T2, less the two origins.
+        order: index of each message in the input; None where the input is in order.
     """
 
     points: OffsetIntervals
@@ -310,7 +284,6 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
 def _segments(
     time: Float64, windows: Windows, stretches: Sequence[tuple[int, int]], fit_points: _Points
 ) -> tuple[tuple[ClockSegment, ...], tuple[ClockStep, ...]]:
-    """Return the segments and steps of one fit."""
     segments: list[ClockSegment] = []
     steps: list[ClockStep] = []
     last, before = 0, 0  # the last window, and the message after it
@@ -327,7 +300,6 @@ def _segments(
 
 
 def _segment(time: Float64, windows: Windows, own: slice, fit_points: _Points) -> ClockSegment:
-    """Return the segment of the windows `own`; `time` is of its messages."""
     at, offset, bound = windows.time[own], windows.offset[own], windows.bound[own]
     if len(at) > 1:
         drift = (offset[-1] - offset[0]) / (at[-1] - at[0])

@@ -18,10 +18,6 @@ CANDIDATES = 32
 def part_edges(start: Intp, stop: Intp) -> Intp:
     """Cut windows into `CANDIDATES` parts of equal length, or one for each message of a shorter window.
 
-    Args:
-        start: first message of each window, ascending; windows do not overlap.
-        stop: the message after its last.
-
     Returns:
         Shape (windows, parts + 1): edges of the parts; a shorter window has empty parts at its end.
     """
@@ -34,14 +30,11 @@ def part_edges(start: Intp, stop: Intp) -> Intp:
 
 
 def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
-    """Return the first of the lowest points of each part.
+    """Return the first of the lowest points of each part: messages, shape (windows, parts).
 
     Args:
         height: of every message.
         edges: shape (windows, parts + 1), ascending. An empty part takes the point before it.
-
-    Returns:
-        Shape (windows, parts): indices of messages.
     """
     begins = edges.ravel()
     lengths = np.diff(begins, append=max(len(height), int(begins[-1])))
@@ -71,7 +64,7 @@ def lower_hulls(time: Float64, height: Float64) -> Intp:
         height: of the same shape.
 
     Returns:
-        Shape (rows, corners): columns of the corners, the last column repeated where a row has fewer.
+        Columns of the corners, shape (rows, corners), the last repeated where a row has fewer.
     """
     rows, columns = time.shape
     last = columns - 1

@@ -74,8 +74,8 @@ class Boundary:
             corners: shape (windows, corners): messages of the lower hull of the points.
             time: instants of the corners, the centre being zero.
             height: heights of the corners.
-            steepness: shape (windows, 2): slope of the gentlest and of the steepest line.
-            at_centre: the greatest heights of these two at the centre.
+            steepness: as in `Lines`.
+            at_centre: the greatest heights of the gentlest and the steepest line at the centre.
         """
         run, rise = np.diff(time), np.diff(height)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -101,7 +101,7 @@ class Boundary:
         return reached
 
     def take(self, windows: Bools | Intp | slice) -> Boundary:
-        """Return the boundaries of some windows."""
+        """Return some windows."""
         return Boundary(self.slope[windows], self.height[windows], self.breaks[windows])
 
 
@@ -127,10 +127,7 @@ class Lines:
     def through(cls, points: OffsetIntervals, start: Intp, stop: Intp) -> Lines:
         """Return the lines below every upper and above every lower end of each window, no steeper than `DRIFT`.
 
-        Args:
-            points: messages.
-            start: first message of each window, ascending.
-            stop: the message after its last; windows do not overlap.
+        A window is the messages from `start` to `stop` (not included); windows ascend and do not overlap.
         """
         centre = points.time[start + (stop - start) // 2]
         edges = part_edges(start, stop)
@@ -163,7 +160,7 @@ class Lines:
         return -self.below.reach(x), self.above.reach(x)
 
     def take(self, windows: Bools | Intp | slice) -> Lines:
-        """Return the lines of some windows."""
+        """Return some windows."""
         return Lines(
             self.exist[windows],
             self.centre[windows],
@@ -176,20 +173,14 @@ class Lines:
 def least_height(time: Float64, height: Float64, slope: Float64) -> Float64:
     """Return the height at zero of the highest line of each slope below all points: shape (windows, slopes).
 
-    Args:
-        time: shape (windows, points).
-        height: of the same shape.
-        slope: shape (windows, slopes).
+    `time` and `height` have the shape (windows, points), `slope` has (windows, slopes).
     """
     least: Float64 = (height[:, None, :] - slope[:, :, None] * time[:, None, :]).min(axis=2)
     return least
 
 
 def _hulls(points: OffsetIntervals, edges: Intp, centre: Float64) -> Iterator[tuple[Intp, Float64, Float64]]:
-    """Yield the messages of each window's lower hull, their instants from its centre, and their heights.
-
-    First the hull of the upper ends, then of the negated lower ends.
-    """
+    """Yield messages, instants from the centre and heights of each window's hull: of the upper, then the negated lower ends."""
     heights = points.upper, -points.lower
     lowest = [lowest_of_parts(height, edges) for height in heights]
     both = np.concatenate(lowest)

@@ -48,12 +48,8 @@ class Stretch:
     """What a slew needs of a segment of a fit; times on the ping's monotonic clock.
 
     Attributes:
-        start_ns: first message.
-        end_ns: last message.
         drift_ppb: rate at which the relay's clock gains.
-        drift_bound_ppb: largest error of the drift.
         step_ns: jump that began it; 0 for the first of a fit.
-        step_bound_ns: largest error of the jump.
     """
 
     start_ns: int
@@ -85,7 +81,6 @@ class Slew:
         first: index of the stretch after its first step.
         after: index after the stretch of its last step.
         start_ns: start of the time with the best known rate, ping's monotonic clock.
-        end_ns: end of that time.
         rate_ppm: mean rate at which the relay's clock gained in that time.
         bound_ppm: largest error of the rate.
     """
@@ -105,13 +100,7 @@ def find_slews(
 
     A step continues a chain within a window of the previous step, or if it is barely more than its bound and the clock may have run
     fast since. A chain is a slew with three steps, or if all steps are barely more than their bounds and the clock surely ran
-    fast next to one of them.
-
-    Args:
-        stretches: segments of a fit, in order.
-        at_ns: instant of each knot of the fit's runs, ascending, int64.
-        offset_ns: relay's clock minus ping's at the knot.
-        bound_ns: largest error of the offset.
+    fast next to one of them. The arrays are of the knots of the fit's runs, by time, as in `ClockKnot`.
     """
     for first, after in _chains(stretches):
         way = 1 if stretches[first].step_ns > 0 else -1
@@ -127,7 +116,6 @@ def find_slews(
 
 
 def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:
-    """Yield first and after of each chain of steps."""
     first = 0
     for position, stretch in enumerate(stretches):
         if not stretch.step_ns:
@@ -167,9 +155,7 @@ def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int
 def slewed_ppm(monotonic_ns: Int64, raw_ns: Int64) -> float:
     """Return the fastest slew of a device's monotonic clock in parts per million, 0 if it ran steadily.
 
-    Args:
-        monotonic_ns: CLOCK_MONOTONIC of each host sample, ascending, int64.
-        raw_ns: CLOCK_MONOTONIC_RAW at the same instants.
+    The arrays are CLOCK_MONOTONIC of each host sample, ascending, and CLOCK_MONOTONIC_RAW at the same instants.
     """
     if len(monotonic_ns) < _STEPS:
         return 0.0

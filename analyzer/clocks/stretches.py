@@ -24,18 +24,12 @@ _MESSAGES_AFTER_STEP = 64
 
 @dataclass(frozen=True, slots=True)
 class _Limits:
-    """The messages limit the offset at a later instant `t` to `bottom - DRIFT * t` .. `top + DRIFT * t`.
-
-    Attributes:
-        top: least `upper - DRIFT * time`.
-        bottom: greatest `lower + DRIFT * time`.
-    """
+    """The messages limit the offset at a later instant `t` to `bottom - DRIFT * t` .. `top + DRIFT * t`."""
 
     top: float = np.inf
     bottom: float = -np.inf
 
     def with_messages(self, points: OffsetIntervals) -> _Limits:
-        """Return the limits with these messages added."""
         if not len(points):
             return self
         reach = DRIFT * points.time

@@ -41,7 +41,6 @@ class Windows:
     """Fitted windows; one element a window, or one row.
 
     Attributes:
-        start: first message.
         stop: the message after the last.
         time: the instant at which the lines are closest together.
         offset: middle of the lines at that instant.
@@ -97,14 +96,9 @@ class Windows:
 def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -> Windows:
     """Fit the lines of every window of some stretches, and narrow the bounds of `points` by them in place.
 
-    A window is at most `WINDOW_NS` long, and halved until a line agrees with it and its halves do (`_are_bent`).
-
-    Args:
-        points: messages of any number of fits, one fit after another.
-        stretches: first message of each stretch and the message after its last, ascending; each is of one fit.
-
-    Returns:
-        The windows in order. Only the tightest messages shape the lines; a message that no line reaches keeps its bounds.
+    A window is at most `WINDOW_NS` long, and halved until a line agrees with it and its halves do (`_are_bent`). A stretch is the
+    first message and the message after its last; stretches ascend, each of one fit. Only the tightest messages shape the lines; a
+    message that no line reaches keeps its bounds.
     """
     fitted: list[Windows] = []
     if not stretches:
@@ -119,7 +113,6 @@ def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -
 
 
 def _cut(time: Float64, stretches: Sequence[tuple[int, int]]) -> tuple[Intp, Intp]:
-    """Cut stretches into windows of at most `WINDOW_NS`; return their starts and stops."""
     starts: list[Intp] = []
     stops: list[Intp] = []
     for start, stop in stretches:
@@ -135,7 +128,6 @@ def _cut(time: Float64, stretches: Sequence[tuple[int, int]]) -> tuple[Intp, Int
 
 
 def _blocks(start: Intp, stop: Intp, messages: int) -> Iterator[tuple[int, int]]:
-    """Yield first and after of windows processed together."""
     first = 0
     while first < len(start):
         last = int(np.searchsorted(stop, start[first] + messages, side="right"))
@@ -178,7 +170,7 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
 
 
 def _ranges(start: Intp, stop: Intp) -> Intp:
-    """Return the numbers from each start to its stop (not included), one range after another."""
+    """Concatenate the numbers from each start to its stop (not included)."""
     lengths = stop - start
     numbers: Intp = np.arange(lengths.sum()) + np.repeat(start - (np.cumsum(lengths) - lengths), lengths)
     return numbers
@@ -215,7 +207,6 @@ def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) ->
 
 
 def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> None:
-    """Narrow the bounds of the windows' messages in place."""
     following = np.append(start[1:], stop[-1])
     for first, after in _blocks(start, stop, _CACHED_MESSAGES):
         own = slice(first, after)

@@ -79,7 +79,6 @@ def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
 
 
 def _ends_batch(parameters: tuple[object, ...], events: int) -> bool:
-    """Return whether a batch ends after this group: one in as many as fill a batch."""
     return _is_drawn(repr(parameters), max(events / BATCH_EVENTS, 1 / BATCH_GROUPS))
 
 
@@ -91,7 +90,7 @@ def _is_drawn(name: str, share: float) -> bool:
 
 
 def _parts_of_group(exchanges: Sequence[Exchange]) -> list[tuple[int, int]]:
-    """Cut exchanges into parts of whole runs: the first one, and the one after the last; as with groups, some runs end their part."""
+    """Cut exchanges into parts of whole runs (the first one, and the one after the last); as with groups, some runs end their part."""
     count = len(exchanges)
     starts = [i for i in range(1, count) if exchanges[i].run is not exchanges[i - 1].run]
     parts: list[tuple[int, int]] = []

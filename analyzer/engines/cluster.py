@@ -75,10 +75,7 @@ class RemoteEvents:
 
 
 class ClusterEngine:
-    """The workers of a Dask scheduler.
-
-    Args:
-        address: the scheduler's, `tcp://host:8786`.
+    """The workers of the Dask scheduler at an address such as `tcp://host:8786`.
 
     Raises:
         BackendUnavailableError: Dask is not installed, or no scheduler answers.
@@ -148,7 +145,7 @@ class ClusterEngine:
         return set(seen.values()) == {_size_and_time(os.fspath(file))}
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterable[Result]:
-        """Return the function's results in the order of the items, by the workers."""
+        """Return the function's results in order, by the workers."""
         size = max(1, len(items) // _CHUNKS)
         chunks = [
             self._client.submit(_map, function, items[first : first + size], pure=False)
@@ -182,7 +179,6 @@ def _load(path: str) -> LoadedTrace | str:
 
 
 def _size_and_time(path: str) -> tuple[int, int] | None:
-    """Return the size of a file and its mtime in ns; None if there is none."""
     try:
         status = Path(path).stat()
     except OSError:
@@ -195,7 +191,6 @@ def _map(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Resu
 
 
 def _describe(loaded: LoadedTrace | str) -> LoadedTrace | str:
-    """Return a trace without its events, on a worker."""
     if isinstance(loaded, str):
         return loaded
     none = EventColumns.empty()
@@ -203,7 +198,6 @@ def _describe(loaded: LoadedTrace | str) -> LoadedTrace | str:
 
 
 def _select(loaded: LoadedTrace, trace: int, keys: Sequence[EventKey]) -> Mapping[EventKey, EventPart]:
-    """Return the events of one trace that a batch needs, on a worker; `trace` is its index in the campaign."""
     return {key: replace(loaded.parts[key], trace=trace) for key in keys}
 
 

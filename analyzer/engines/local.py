@@ -68,18 +68,14 @@ class Engine(Protocol):
         """Return whether there are other processes for `map` that see this file under this path."""
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return the function's results in the order of the items; function and items are sent to other processes."""
+        """Return the function's results in order; function and items are sent to other processes."""
 
     def close(self) -> None:
         """Release memory, files and connections."""
 
 
 class LocalEngine:
-    """This machine as an `Engine`: threads, and processes for a large campaign.
-
-    Args:
-        cache: whether the user's cache keeps events and results for the next analysis.
-    """
+    """This machine as an `Engine`: threads, and processes for a large campaign."""
 
     def __init__(self, *, cache: bool) -> None:
         self._cache = TraceCache.open() if cache else None
@@ -128,7 +124,7 @@ class LocalEngine:
         return self._workers is not None
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return the function's results in the order of the items, by the worker processes if there are any."""
+        """Return the function's results in order, by the worker processes if there are any."""
         return map(function, items) if self._workers is None else self._workers.map(function, items)
 
     def close(self) -> None:
@@ -183,7 +179,6 @@ def _cost_of_small(batches: Sequence[Batch]) -> int:
 
 
 def _bytes_of(path: Path) -> int:
-    """Return the size of a trace, or of the files in its folder; 0 where it is unknown."""
     with suppress(OSError):
         files = path.iterdir() if path.is_dir() else [path]
         return sum(file.stat().st_size for file in files)

@@ -34,13 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """The results of all batches of a campaign.
-
-    Attributes:
-        summary: counts and statistics.
-        frames: by name, see `groups/frames.py`.
-        copies: events that were left out because another trace has them.
-    """
+    """The results of all batches of a campaign; `copies` are left out, as another trace has them."""
 
     summary: Summary
     frames: Frames
@@ -91,7 +85,7 @@ class _ValueSpool:
         self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
 
     def add(self, values: Mapping[str, NDArray[np.int64]]) -> None:
-        """Append the values of one part of the group, by metric."""
+        """Append the values of one part."""
         for metric, values_of_part in values.items():
             with self._file(metric).open("ab") as stream:
                 stream.write(np.ascontiguousarray(values_of_part).data)
@@ -144,7 +138,7 @@ def merge_sketches(parts: Statistics) -> Statistics:
 
 
 def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
-    """Merge samples, mean, standard deviation, least and largest value of the parts of one group and metric."""
+    """Merge samples, mean, standard deviation and extremes of the parts of one group and metric."""
     samples, mean, squares = 0, 0.0, 0.0
     for n, mean_of_part, std in (
         parts.filter(pl.col("samples") > 0).select("samples", "mean", "std").iter_rows()

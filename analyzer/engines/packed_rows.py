@@ -104,13 +104,7 @@ class PackedRows(PairedRows):
     def of(
         cls, content: memoryview, exchanges: Sequence[Exchange], source: Path, offset: int = 0
     ) -> PackedRows:
-        """Describe packed rows.
-
-        Args:
-            content: what `pack_rows` wrote.
-            exchanges: their exchanges.
-            source: the file that has them.
-            offset: offset of `content` in the file.
+        """Describe what `pack_rows` wrote, at this offset of the file `source`.
 
         Raises:
             ArrowInvalid, LookupError: the content is something else.
@@ -132,29 +126,17 @@ class PackedRows(PairedRows):
             return frozenset(STAMP_NAMES).intersection(pa.ipc.open_stream(stream).schema.names)
 
     def column(self, name: str) -> pl.Series:
-        """Read a column.
-
-        Raises:
-            OutputError: the file is gone.
-        """
+        """Read a column."""
         column: pl.Series = pl.concat([batch[name] for batch in self._batches(name)]).rechunk()
         return column
 
     def frames(self) -> Iterator[pl.DataFrame]:
-        """Read the rows as in `PairedRows.frames`.
-
-        Raises:
-            OutputError: the file is gone.
-        """
+        """Read the rows as in `PairedRows.frames`."""
         for batch in self._batches():
             yield batch.drop(self.stamp_names)
 
     def load(self) -> RoundTrips:
-        """Return all rows in memory.
-
-        Raises:
-            OutputError: the file is gone.
-        """
+        """Return all rows in memory."""
         rows = pl.concat(self._batches()).rechunk()
         outcome = rows["outcome"].to_numpy()
         return RoundTrips(
@@ -173,7 +155,6 @@ class PackedRows(PairedRows):
             self.source.unlink()
 
     def _batches(self, *names: str) -> Iterator[pl.DataFrame]:
-        """Read some columns, or all, batch by batch."""
         with self._opened() as stream:
             reader = pa.ipc.open_stream(stream)
             if names:

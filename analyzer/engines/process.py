@@ -63,8 +63,7 @@ class BatchResult:
     Attributes:
         frames: by name, see `groups/frames.py`.
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
-        statistics: of its groups, or of the part of a group.
-        copies: events that were left out because another trace has them, by key.
+        copies: events that were left out because another trace has them.
         values: metric -> int64 values that are not null, for a part of a group; None for whole groups.
     """
 
@@ -84,7 +83,6 @@ class BatchOutput:
 
     Attributes:
         rows: part by part; empty if rows are not requested.
-        measured: the result, or a future of it.
         stored: for each part of `rows` the same rows in the cache, None where they could not be written there.
     """
 
@@ -120,11 +118,10 @@ class _Part:
     """Some runs of a batch.
 
     Attributes:
-        batch: its exchanges.
         key: its key in the cache; None where it must not be cached.
         cached: its rows in the cache, if they were there.
         run_frames: frames of its runs from the cache, if they were there.
-        rows: its rows; in memory unless rows and frames were in the cache.
+        rows: in memory unless rows and frames were in the cache.
     """
 
     batch: Batch
@@ -185,7 +182,7 @@ def process(
     Args:
         batch: the batch.
         parts: its events.
-        cache: gives and takes results; None caches nothing.
+        cache: None caches nothing.
         pool: does what can be done in parallel; None does everything here.
         threads: measures while the caller writes the rows; None measures before this returns.
     """
@@ -200,7 +197,7 @@ def process(
 def _pair(
     batch: Batch, parts: Parts, cache: ResultCache | None, pool: Executor
 ) -> tuple[list[_Part], PairedRows, CopiesByKey]:
-    """Return the parts of a batch, all of its rows, and the copies among its events."""
+    """Return the parts of a batch, all of its rows, and its copies."""
     batches = parts_of(batch) if batch.options.rows else [batch]
     keys = [cache.key_of(runs, parts) if cache else None for runs in batches]
     cached = [
@@ -273,7 +270,6 @@ def _measure(
     cache: ResultCache | None,
     pool: Executor,
 ) -> BatchResult:
-    """Measure a batch from its rows, and write what is new into the cache."""
     has_details = batch.options.details
     key = cache.key_of(batch, parts) if cache else None
     group_frames = cache.read_frames(key, _GROUP_FRAMES, batch.first_group) if cache and key else None

@@ -52,13 +52,9 @@ _CHUNKS_PER_WORKER = 8
 
 
 class Workers:
-    """The workers of one analysis, closed at its end; the first free one takes the next job.
+    """The workers of one analysis, at least two; the first free one takes the next job.
 
     This process is a worker because it has imported everything already (a third of a second) and has little else to do.
-
-    Args:
-        count: number of workers, at least two.
-        cache: whether they use the user's cache.
     """
 
     def __init__(self, count: int, *, cache: bool) -> None:
@@ -94,7 +90,7 @@ class Workers:
 
     @contextmanager
     def explaining_kills(self) -> Iterator[None]:
-        """Turn the end of a process into an error that says what may have ended it."""
+        """Turn the end of a process into an error that names a likely cause."""
         try:
             yield
         except BrokenProcessPool as err:
@@ -124,12 +120,9 @@ class Workers:
 
 
 class Worker:
-    """Does the jobs of one process.
+    """Does the jobs of one process; `is_here` in the process of the analysis, which can take rows in memory.
 
-    Args:
-        folder: takes temporary files.
-        cache: the open cache, closed with the worker; None caches nothing.
-        is_here: whether it is in the process of the analysis, which can take rows in memory.
+    `folder` takes temporary files; the open cache is closed with the worker.
     """
 
     def __init__(self, folder: Path, cache: TraceCache | None, *, is_here: bool = False) -> None:
@@ -143,11 +136,7 @@ class Worker:
         return job(self, *arguments)
 
     def store(self, paths: Sequence[Path], first: int) -> list[Stored]:
-        """Load traces, their events in files.
-
-        Args:
-            paths: files or folders.
-            first: a number for the first one; no two calls may share numbers.
+        """Load traces, their events in files, numbered from `first`; no two calls may share numbers.
 
         Raises:
             OutputError: events cannot be written.
@@ -164,7 +153,7 @@ class Worker:
 
         Args:
             batch: the batch.
-            parts: for each of its `event_keys` the rows of the event index, events in files.
+            parts: as for `process.process`, events in files.
             keys: index of a trace -> its key in the cache.
 
         Raises:
@@ -211,7 +200,6 @@ _worker: Worker | None = None
 
 
 def _begin(folder: str, has_cache: bool) -> None:
-    """Make this process a worker."""
     global _worker  # noqa: PLW0603 - set once, when the process starts
     keep_freed_memory()
     tune_gc()

@@ -40,18 +40,14 @@ _NAMED_AT_MOST = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """The content of the traces of a folder, events by their index.
+    """The content of the traces of a folder; traces by index, sessions and runs by id, their latest description.
 
     Attributes:
         folder: the folder, or the only file.
         sources: every file in it; before `with_copies` without the copies of events.
-        traces: the traces, without their events, by index.
-        sessions: session_id -> latest description.
-        runs: run_id -> latest description.
+        traces: without their events.
         session_traces: session_id -> indices of the traces that name it.
         run_traces: run_id -> indices of the traces that describe it.
-        events: the event index.
-        event_counts: number of events in each trace.
         copies: the events of each trace that another trace has as well.
     """
 
@@ -94,11 +90,11 @@ def load_campaign(
         location: a folder, a trace file, or a rosbag2 folder; or several.
         skip: folders to leave out (where results are written).
         progress: called before each trace is read.
-        load_all: loads the traces; the default has their events in memory and in temporary files.
+        load_all: loads the traces; None has their events in memory and in temporary files.
 
     Raises:
         MissingEventsError: there is nothing at a path, or no trace in it.
-        TraceFormatError: `location` is one file or rosbag2 folder, and it is not a trace.
+        TraceFormatError: the only file or rosbag2 folder is not a trace.
     """
     location = location if isinstance(location, Place) else Place.of(location)
     path = location.folder
@@ -132,12 +128,7 @@ def skipped_source(candidate: Path, folder: Path, why: str) -> Source:
 
 
 def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Source]) -> Campaign:
-    """Return the campaign of some traces.
-
-    Args:
-        path: the folder, or the only file.
-        loaded: the traces in order.
-        skipped: files that are not traces.
+    """Return the campaign of some traces of `path`, a folder or the only file.
 
     Raises:
         MissingEventsError: `loaded` is empty.

@@ -24,12 +24,7 @@ OUTPUT_FOLDER = "analysis"
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the traces of an analysis are.
-
-    Attributes:
-        folder: names of traces are relative to it; for one path, the path itself.
-        parts: the paths, at or below `folder`.
-    """
+    """Where the traces of an analysis are: `parts`, at or below `folder`, to which names of traces are relative."""
 
     folder: Path
     parts: tuple[Path, ...]
@@ -79,5 +74,4 @@ class Place:
 
     @property
     def _is_scattered(self) -> bool:
-        """Whether several paths have only the root of the file system in common."""
         return len(self.parts) > 1 and os.fspath(self.folder) == self.folder.anchor

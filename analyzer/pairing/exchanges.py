@@ -37,9 +37,7 @@ class Exchange:
     """One run and one relay that took part in it, or no relay (`relay_id` 0).
 
     Attributes:
-        run: the ping's description of the run.
         ping: the session that ran it.
-        relay_id: the relay.
         relay: the relay's session; None without its trace.
         start_ns: the run's first T1, wall clock by the anchor of the ping.
         end_ns: the run's last T1, likewise.
@@ -99,7 +97,6 @@ class Unplaced:
 
     Attributes:
         reason: a key of the table of reasons in `findings/runs.py`.
-        run_id: the run that they name.
         relay_id: the relay that they name, 0 for none.
         events: number of events, copies left out.
         traces: indices of the traces with these events.
@@ -117,8 +114,7 @@ class Exchanges:
     """All exchanges of a campaign, and what could not be placed.
 
     Attributes:
-        placed: the exchanges in the order of their rows: run by start, then relay.
-        unplaced: events that belong to no exchange.
+        placed: in the order of their rows: run by start, then relay.
         doubts: exchanges whose sessions are not certain.
         copies: copies among the events that belong to no exchange.
     """
@@ -190,7 +186,6 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
 
 
 def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, dict[Stage, Parts]]]]:
-    """Read the index: run_id -> T1, and run_id -> relay_id -> stage -> T2, T3 and T4."""
     published: dict[int, Parts] = {}
     relayed: dict[int, dict[int, dict[Stage, Parts]]] = defaultdict(lambda: defaultdict(dict))
     for (stage, run_id, relay_id), parts in index.items():
@@ -206,7 +201,6 @@ def _count(parts: Parts) -> int:
 
 
 def _first_ns(parts: Parts) -> int:
-    """Return the earliest instant of some events, 0 without any."""
     return min((part.first_ns for part in parts), default=0)
 
 
@@ -226,7 +220,6 @@ def _start(exchange: Exchange) -> tuple[int, int, int]:
 
 
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
-    """Return why no message of a campaign has a row."""
     unread = [
         f"{source.path} was not used: {source.detail}" for source in campaign.sources if _is_unread(source)
     ]

@@ -21,14 +21,7 @@ OVERLAP_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, order=True)
 class RunSpan:
-    """A run from its first to its last T1.
-
-    Attributes:
-        start_ns: the first T1, wall clock.
-        end_ns: the last T1.
-        run_id: the run.
-        machine: machine of the ping (`boots.machine_of`).
-    """
+    """A run from its first to its last T1, wall clock, on the machine of its ping (`boots.machine_of`)."""
 
     start_ns: int
     end_ns: int
@@ -37,7 +30,7 @@ class RunSpan:
 
     @property
     def middle_ns(self) -> int:
-        """Instant halfway between the first and the last T1."""
+        """Instant halfway between the two."""
         return (self.start_ns + self.end_ns) // 2
 
     def includes(self, instant_ns: int) -> bool:
@@ -47,11 +40,9 @@ class RunSpan:
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """Two runs of one machine that went on at the same time.
+    """Two runs of one machine that went on at the same time, by start.
 
     Attributes:
-        one: run_id of the run that started first.
-        other: run_id of the other one.
         share: common time over the duration of the shorter run, 0 to 1.
         is_mutual: whether each went on in the middle of the other, so that the flows of both count it.
     """
@@ -90,7 +81,6 @@ def find_overlaps(spans: Iterable[RunSpan]) -> Iterator[Overlap]:
 
 
 def _by_machine(spans: Iterable[RunSpan]) -> Iterable[list[RunSpan]]:
-    """Return the spans of each machine, one for a run."""
     machines: dict[str, dict[int, RunSpan]] = defaultdict(dict)
     for span in spans:
         machines[span.machine][span.run_id] = span

@@ -30,13 +30,7 @@ _PAIR = ("ping_device", "relay_device", "boot", "relay_boot")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DevicePair:
-    """The fit of two devices and their boots over the whole campaign.
-
-    Attributes:
-        segments: its rows of `Details.clock_fits`.
-        knots: its rows of `Details.clock_knots`, by time.
-        slews: slews that caused its steps.
-    """
+    """The fit of two devices and their boots over the campaign: rows of `clock_fits` and `clock_knots`; slews caused steps."""
 
     segments: list[dict[str, Any]]
     knots: pl.DataFrame
@@ -46,13 +40,7 @@ class DevicePair:
 def pair_devices(
     clock_fits: pl.DataFrame, clock_knots: pl.DataFrame, boots: Mapping[int, int]
 ) -> Iterator[DevicePair]:
-    """Yield each fit of the campaign.
-
-    Args:
-        clock_fits: frame of `segment_table`.
-        clock_knots: frame of `knots_of`.
-        boots: boot of each run's ping, by run_id (`boots.ping_boots`).
-    """
+    """Yield each fit of the campaign from the frames of `segment_table` and `knots_of`; `boots` as in `fit_devices`."""
     boot = pl.Series("boot", [boots.get(run_id, 0) for run_id in clock_knots["run_id"]], pl.Int64)
     knots = (
         clock_knots.with_columns(boot)
@@ -117,7 +105,7 @@ def fit_exchanges(
     Args:
         exchanges: in the order of their rows.
         bounds: exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
-        stamps: T1, T3, T4 and T2 of each row by column name, `pair.MISSING` where there is none.
+        stamps: T1, T3, T4 and T2 of each row by column name, or `pair.MISSING`.
     """
     rows = int(bounds[-1])
     values: dict[str, NDArray[np.int64]] = {}
@@ -178,13 +166,7 @@ def fit_exchanges(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FitInput:
-    """The messages of an exchange that take part in its fit.
-
-    Attributes:
-        number: index of the exchange.
-        at: rows of the messages.
-        messages: their stamps.
-    """
+    """The messages that take part in the fit of an exchange: its index, their rows and stamps."""
 
     number: int
     at: slice | NDArray[np.intp]
@@ -196,10 +178,7 @@ def _usable(
 ) -> NDArray[np.bool_]:
     """Return which rows have all four stamps, none damaged, and less time in the relay than under way.
 
-    Args:
-        stamps: of all rows.
-        here: the rows.
-        damaged: names of stamps that are missing or damaged in some row.
+    Only the stamps named by `damaged` are missing or damaged in some row.
     """
     t1, t3, t4, t2 = (stamps[name][here] for name in _FOUR_STAMPS)
     usable: NDArray[np.bool_] = t2 - t1 >= t4 - t3
@@ -237,8 +216,7 @@ def knots_of(
 ) -> pl.DataFrame:
     """List the knots of every run: the frame `clock_knots`, columns of `KNOT_SCHEMA`.
 
-    `relay_boot` is the boot id of the relay's session, `same_boot` whether the ping's is the same; null where the recorder
-    did not write it.
+    `relay_boot` is the boot id of the relay's session, `same_boot` whether the ping's is the same; null where unknown.
     """
     described = [
         (
@@ -273,13 +251,10 @@ def knots_of(
 
 
 def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:
-    """Fit the clock of each pair of devices and boots over the campaign, from the knots of all its runs.
+    """Fit the clock of each pair of devices and boots over the campaign, from the frame of `knots_of`.
 
-    A relay that was rebooted between two runs has another boot id, and another clock.
-
-    Args:
-        knots: frame of `knots_of`.
-        boots: boot of each run's ping, by run_id (`boots.ping_boots`).
+    A relay that was rebooted between two runs has another boot id, and another clock. `boots`: of each run's ping, by run_id
+    (`boots.ping_boots`).
     """
     ids = pl.Series(list(boots), dtype=pl.UInt64)
     boot_numbers = pl.Series(list(boots.values()), dtype=pl.Int64)

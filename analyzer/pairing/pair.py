@@ -58,7 +58,6 @@ class Published:
         warmup_messages: messages below this sequence number are not counted.
         with_warmup: distinct messages with a T1, warm-up included.
         repeated: T1 events beyond the first of their message; none in a sound trace.
-        payload_range_bytes: smallest and largest payload of a T1 event.
     """
 
     sequence: NDArray[np.uint64]
@@ -98,9 +97,7 @@ class PairedMessages:
     """The fate of a run's counted messages at one relay, in the order of `Published`.
 
     Attributes:
-        receive_ns: int64, T2, MISSING if lost.
-        relay_in_ns: int64, T3, MISSING if not seen.
-        relay_out_ns: int64, T4, MISSING if not seen.
+        receive_ns: int64, T2; MISSING if lost, as are T3 and T4.
         outcome: uint8, index of `OUTCOMES`.
         duplicates: uint16, T2 events beyond the first.
         reordered: bool, T2 came after the T2 of a later sequence.
@@ -116,7 +113,7 @@ class PairedMessages:
     orphans: int
 
     def take(self, mask: NDArray[np.bool_]) -> PairedMessages:
-        """Return the fates of the messages of a mask; the count of orphans stays."""
+        """Return the messages of a mask; `orphans` stays."""
         return PairedMessages(
             receive_ns=self.receive_ns[mask],
             relay_in_ns=self.relay_in_ns[mask],
@@ -129,12 +126,7 @@ class PairedMessages:
 
 
 def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
-    """Select the counted messages of a run: distinct, sorted, from sequence number `warmup_messages` on.
-
-    Args:
-        t1: the run's T1 events, in any order.
-        warmup_messages: number of messages that are not counted.
-    """
+    """Select the counted messages of a run: distinct, sorted, from sequence number `warmup_messages` on."""
     sequence, publish_ns, scheduled_ns = t1.sequence, t1.monotonic_ns, t1.scheduled_ns
     # Zeros of a recorder without a schedule: no two messages are planned for the boot of the device.
     if len(t1) > 1 and not scheduled_ns.any():
@@ -165,14 +157,7 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
 def pair_messages(
     published: Published, t2: EventColumns, t3: EventColumns, t4: EventColumns
 ) -> PairedMessages:
-    """Find the earliest T2, T3 and T4 of every published message at one relay.
-
-    Args:
-        published: the run's counted messages.
-        t2: the ping's replies that name this run and relay; any order, warm-up included.
-        t3: arrivals at the relay, likewise.
-        t4: departures from the relay, likewise.
-    """
+    """Find the earliest T2, T3 and T4 of every published message at one relay; events in any order, warm-up included."""
     receive_ns, extra, orphan_replies = _earliest(published, t2)
     relay_in_ns, _, orphan_arrivals = _earliest(published, t3)
     relay_out_ns, _, orphan_departures = _earliest(published, t4)
@@ -201,15 +186,9 @@ def first_replies(published: Published, t2: EventColumns) -> NDArray[np.int64]:
 def middleware_stamps(
     published: Published, events: EventColumns, instant_ns: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], ...]:
-    """Return `source_ns` and `received_ns` of the event of each message, 0 where there is none.
+    """Return `source_ns` and `received_ns` of the event of each message, 0 where there is none; () if no event has them.
 
-    Args:
-        published: the run's counted messages.
-        events: T2 or T3 of the exchange.
-        instant_ns: int64, the instant of each message's event, MISSING where it has none.
-
-    Returns:
-        Nothing if no event has such stamps.
+    `events` are T2 or T3; `instant_ns` is the instant of each message's event, or MISSING.
     """
     if not (events.source_ns.any() or events.received_ns.any()):
         return ()
@@ -252,7 +231,6 @@ def _earliest(
 
 
 def _are_its_own(published: Published, events: EventColumns) -> bool:
-    """Return whether there is one event of each message, in order, as in a run that lost nothing."""
     return np.array_equal(published.sequence, events.sequence)
 
 
@@ -298,7 +276,6 @@ def _is_strictly_ascending(values: NDArray[np.uint64]) -> bool:
 
 
 def _is_new(values: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """Return whether each value differs from the previous one."""
     new = np.ones(len(values), np.bool_)
     new[1:] = values[1:] != values[:-1]
     return new

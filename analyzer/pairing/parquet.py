@@ -50,10 +50,6 @@ def roundtrips_writer(
 
     Times ascend by steps or stay within a range: delta encoding takes a quarter of the bytes and time of plain values under zstd.
 
-    Args:
-        path: the file; its folder is made.
-        provenance: metadata of the file.
-
     Yields:
         A function that writes a table of `tables_of`.
 
@@ -131,7 +127,6 @@ def tables_of(rows: PairedRows) -> Iterator[pa.Table]:
 
 
 def _repeated(values: pl.Series, rows_of_exchange: NDArray[np.int64]) -> pa.Array:
-    """Repeat the value of each exchange for its rows."""
     if values.null_count() == len(values):
         return pa.nulls(int(rows_of_exchange.sum()), values.to_arrow().type)
     if values.null_count():

@@ -70,8 +70,7 @@ class PairedRows(ABC):
         described: run_id, relay_id and the parameter columns, one row per exchange.
         bounds: int64, exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
-        clock_knots: the knots of each exchange's own clock fit: columns of `one_way.KNOT_SCHEMA`, `group` being the index of the
-            exchange; no rows where no clock was fitted.
+        clock_knots: columns of `one_way.KNOT_SCHEMA` of the exchanges' own fits, `group` being the index of the exchange.
     """
 
     described: pl.DataFrame
@@ -161,7 +160,7 @@ def pair_exchanges(
     Args:
         exchanges: some exchanges.
         events: for each of their `event_keys` the events.
-        details: fit clocks and keep the middleware's stamps; without, the columns of one-way times are null.
+        details: fit clocks and keep the middleware's stamps; else one-way times are null.
         pool: counts messages and fits clocks in parallel; None does everything here.
     """
     pool = pool or InlineExecutor()
@@ -230,7 +229,7 @@ class _Filled:
         self.columns: dict[str, NDArray[Any]] = {name: np.empty(0, dtype) for name, dtype in none.items()}
 
     def put(self, first: int, values: Mapping[str, NDArray[Any]]) -> None:
-        """Put the values of one exchange, whose rows begin at `first`, into their columns."""
+        """Put values of the exchange whose rows begin at `first`."""
         for name, part in values.items():
             if len(part) == self._rows:
                 self.columns[name] = part

@@ -211,7 +211,6 @@ class RowWriter:
 
 
 def _frame_of(tables: Sequence[pa.Table]) -> pl.DataFrame:
-    """Return the rows of all tables, with texts in place of dictionaries."""
     frames = [pl.DataFrame([_series(name, table[name]) for name in table.column_names]) for table in tables]
     return pl.concat([pl.DataFrame(schema=schema_of(ROUNDTRIP_COLUMNS)), *frames]).rechunk()
 

@@ -15,14 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """More than one session could have made these events; the last one started before them was taken.
-
-    Attributes:
-        role: `ping` or `relay`.
-        run_id: the run.
-        relay_id: the relay, 0 where the ping is in doubt.
-        candidates: session_ids.
-    """
+    """More than one session could have made these events; the last one started before them was taken."""
 
     role: str
     run_id: int
@@ -35,12 +28,7 @@ def find_ping_session(
 ) -> Session | None:
     """Return the session that the run names, else the ping session of the traces with the run.
 
-    Args:
-        campaign: the sessions and where they are described.
-        run: the run.
-        traces: indices of the traces with its publications.
-        first_ns: its first publication.
-        doubts: takes a `Doubt` if several sessions qualify.
+    Several candidates become a `Doubt`; `traces` have publications of the run, the first at `first_ns`.
     """
     named = campaign.sessions.get(session_of_run(run))
     if named is not None:
@@ -56,13 +44,8 @@ def find_relay_session(
 ) -> Session | None:
     """Return the session of the relay in the traces with its events, else any with its relay_id.
 
-    Args:
-        campaign: the sessions and where they are described.
-        run_id: the run.
-        relay_id: the relay.
-        traces: indices of the traces with T3 or T4 of run and relay; empty without the relay's trace.
-        first_ns: the first T3, else the first T4.
-        doubts: takes a `Doubt` if several sessions qualify.
+    Several candidates become a `Doubt`; `traces` have T3 or T4 of run and relay, the first at `first_ns`, none without the relay's
+    trace.
     """
     if not traces:
         same_relay = [s for s in campaign.sessions.values() if s.role == "relay" and s.relay_id == relay_id]
@@ -75,7 +58,6 @@ def find_relay_session(
 
 
 def _sessions_in(campaign: Campaign, traces: set[int], role: str) -> list[Session]:
-    """Return the sessions of a role that any of the traces names, by start."""
     described = {session.session_id for trace in traces for session in campaign.traces[trace].sessions}
     named = [
         session

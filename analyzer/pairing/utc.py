@@ -33,14 +33,9 @@ _STA_UNSYNC = 0x40
 def utc_columns(
     exchanges: Sequence[Exchange], bounds: NDArray[np.int64], stamps: Mapping[str, NDArray[np.int64]]
 ) -> list[pl.Series]:
-    """Return the columns `columns.UTC_COLUMNS` of the rows of some exchanges.
+    """Return the columns `columns.UTC_COLUMNS` of the rows of some exchanges; arguments as for `one_way.fit_exchanges`.
 
     Null where the instant is missing or precedes the start of its session: another session recorded it, or the device was rebooted.
-
-    Args:
-        exchanges: in the order of their rows.
-        bounds: exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
-        stamps: `publish_ns` and `relay_in_ns` of each row, `pair.MISSING` where there is none.
     """
     sessions: dict[str, list[Session | None]] = {
         "publish_ns": [exchange.ping for exchange in exchanges],

@@ -82,7 +82,7 @@ def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
 
 
 def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace:
-    """Write an entry of the cache: events, then the description; `key` is the key of the trace's content.
+    """Write an entry of the cache: events, then the description; `key` is that of the trace's content.
 
     Raises:
         OSError: it cannot be written.
@@ -159,8 +159,6 @@ def _in_cache(loaded: LoadedTrace, checks: Sequence[tuple[Sealer, str] | None]) 
 
 
 class _Entry(TypedDict):
-    """The JSON of an entry."""
-
     format: int
     seals: list[str]
     sessions: list[str]

@@ -84,11 +84,7 @@ class StoredEvents:
         return sum(piece.count for piece in self.pieces)
 
     def check(self, file_bytes: int) -> None:
-        """Check every piece; see `StoredPiece.check`.
-
-        Raises:
-            ValueError, TypeError, LookupError: no piece, or one that is not as described.
-        """
+        """Check every piece, as `StoredPiece.check` does, and that there is one."""
         if not self.pieces:
             raise ValueError("no events")
         for piece in self.pieces:
@@ -136,7 +132,7 @@ class EventsFile:
 
 
 def _read_column(stream: BufferedReader, name: str, pieces: Sequence[StoredPiece]) -> NDArray[Any]:
-    """Read a column of pieces; a single value throughout takes no memory."""
+    """Take no memory for a single value throughout."""
     dtype = EVENT_DTYPE[name]
     count = sum(piece.count for piece in pieces)
     columns = {piece.columns[name] for piece in pieces}

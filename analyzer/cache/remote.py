@@ -26,17 +26,14 @@ _SCHEME = re.compile(r"^([a-z][a-z0-9+.-]+):/+")
 class _Storage(Protocol):
     """The part of `fsspec.AbstractFileSystem` used here; names have no scheme."""
 
-    def isdir(self, path: str) -> bool:
-        """Return whether the name is a folder."""
+    def isdir(self, path: str) -> bool: ...
 
     def find(self, path: str) -> list[str]:
         """List the files below a folder, or the one file."""
 
-    def ls(self, path: str, *, detail: bool) -> list[str]:
-        """List the names in a folder."""
+    def ls(self, path: str, *, detail: bool) -> list[str]: ...
 
-    def get_file(self, remote: str, local: str) -> None:
-        """Copy a file to this machine."""
+    def get_file(self, remote: str, local: str) -> None: ...
 
     def ukey(self, path: str) -> str:
         """Return a tag that changes with the file's content."""
@@ -52,7 +49,7 @@ def find_anywhere(path: Path, skip: Collection[Path]) -> list[Path]:
 
     Raises:
         MissingEventsError: there is nothing at `path`.
-        BackendUnavailableError: the package for this kind of storage is missing, or the storage does not answer.
+        BackendUnavailableError: the package for this storage is missing, or the storage does not answer.
     """
     if not is_remote(path):
         return find_traces(path, skip=skip)
@@ -94,7 +91,7 @@ def remote_key(path: Path) -> str:
 
 
 def _files_of(files: _Storage, root: str) -> list[str]:
-    """List a trace's files: all in a folder, or the file and those next to it that start with its name (a ring)."""
+    """List all in a folder, or the file and those next to it that start with its name (a ring)."""
     if files.isdir(root):
         return sorted(files.find(root))
     names = files.ls(os.fspath(PurePosixPath(root).parent), detail=False)

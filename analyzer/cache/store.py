@@ -7,9 +7,9 @@
     $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes: the secret
 
 KEY is the HMAC-SHA-256 of the trace's content, or of everything that a result is computed from. A seal is the HMAC of KEY and the
-sealed bytes; the JSON of a trace contains the HMACs of its events. So an entry of another user or of another trace, or a damaged
-one, is ignored. The secret is not in the cache folder: caches are copied (a CI server restores them), and a copy must not
-bring the key that vouches for it.
+sealed bytes; the JSON of a trace contains the HMACs of its events. So an entry of another user or trace, or a damaged one,
+is ignored. The secret is elsewhere because caches are copied (a CI server restores them), and a copy must not bring the key that
+vouches for it.
 
 Only regular files with the name of an entry are removed, only from this folder, and never through a link.
 """
@@ -121,7 +121,7 @@ class TraceCache:
 
     @classmethod
     def open(cls) -> TraceCache | None:
-        """Open the cache, made if it is missing; None without a home or the right to write, or where the folder is a link or another's."""
+        """Open or make the cache; None without a home or the right to write, or where the folder is a link or another user's."""
         try:
             parent = _base("XDG_CACHE_HOME", ".cache") / "dds-trace"
             os.close(_own_folder(parent))
@@ -247,7 +247,6 @@ class TraceCache:
             os.close(self._descriptor)
 
     def _shrink(self) -> None:
-        """Remove drafts, outdated files, and the least recently used entries beyond the size of the cache."""
         entries: dict[str, os.stat_result] = {}
         for name in os.listdir(self._descriptor):  # noqa: PTH208 - a path might lead elsewhere by now
             matched = _NAME.fullmatch(name)
@@ -267,7 +266,7 @@ class TraceCache:
                 os.unlink(name, dir_fd=self._descriptor)
 
     def _block_digests(self, descriptor: int, size: int) -> Iterator[bytes]:
-        """Yield the SHA-256 of each block of a file, of a large file on all cores."""
+        """Digest the blocks of a large file on all cores."""
         if 0 < size <= _BUFFER_BYTES:
             buffer = _buffer_of_thread()
             return iter([hashlib.sha256(buffer[: os.preadv(descriptor, [buffer], 0)]).digest()])
@@ -289,7 +288,7 @@ def _read_end(stream: BufferedReader, size: int, count: int) -> bytes:
 
 
 def _buffer_of_thread() -> memoryview:
-    """Return this thread's buffer for small files: for thousands of them, fresh memory costs more than the digest."""
+    """Reuse memory: for thousands of small files, fresh memory costs more than the digest."""
     if not hasattr(_thread_local, "buffer"):
         _thread_local.buffer = memoryview(bytearray(_BUFFER_BYTES))
     buffer: memoryview = _thread_local.buffer
@@ -297,17 +296,13 @@ def _buffer_of_thread() -> memoryview:
 
 
 def _base(variable: str, default: str) -> Path:
-    """Return a base folder of the XDG specification, which ignores a relative path in the variable.
-
-    Raises:
-        RuntimeError: this user has no home.
-    """
+    """Return a base folder of the XDG specification, which ignores a relative path in the variable."""
     named = Path(os.environ.get(variable, ""))
     return named if named.is_absolute() else Path.home() / default
 
 
 def _own_folder(folder: Path) -> int:
-    """Return a descriptor of a folder that only this user can read, made if it is missing.
+    """Open a folder that only this user can read, made if it is missing.
 
     Raises:
         OSError: it is a link, another user's, or cannot be made.

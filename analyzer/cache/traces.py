@@ -102,7 +102,7 @@ class TraceLoader:
             self._cache.close()
 
     def _cached(self, path: Path, position: int) -> LoadedTrace | None:
-        """Return the trace from the cache, if it is there; note its key."""
+        """Return the trace from the cache, if it is there, and note its key."""
         if self._cache is None:
             return None
         key = self.keys[position] = self._cache.key_of(path)
@@ -112,7 +112,7 @@ class TraceLoader:
         return self._store(path, position, partial(self._add_pieces, path, position))
 
     def _store(self, path: Path, position: int, fill: Fill) -> LoadedTrace:
-        """Put the events of a trace into the cache, or, without one, into a temporary file."""
+        """Put events into the cache, else into a temporary file."""
         if self._cache:
             cached = _write_if_possible(self._cache, self.keys[position], position, fill)
             if cached is not None:
@@ -128,7 +128,7 @@ class TraceLoader:
             ) from err
 
     def _add_pieces(self, path: Path, position: int, stored: StoredParts) -> Trace:
-        """Read a trace and add its events; a piece is written while the next one is read."""
+        """Write a piece while the next one is read."""
         writing: list[Future[None]] = []
         last: list[Mapping[Stage, EventColumns]] = []
 
@@ -157,7 +157,7 @@ def _add_loaded(loaded: LoadedTrace, stored: StoredParts) -> Trace:
 
 
 def _write_if_possible(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace | None:
-    """Write an entry; None if that fails: a full disk costs the cache, not the analysis."""
+    """Return None on failure: a full disk costs the cache, not the analysis."""
     with suppress(OSError):
         return write_entry(cache, key, position, fill)
     return None

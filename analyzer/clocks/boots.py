@@ -20,7 +20,6 @@ class _Boot:
     boot_id: str | None
 
     def includes(self, zero_s: int, boot_id: str | None) -> bool:
-        """Compare by the kernel's id, else by the wall clock at monotonic zero."""
         if boot_id is not None and self.boot_id is not None:
             return boot_id == self.boot_id
         return abs(self.number - zero_s) < _SAME_BOOT_S
@@ -44,10 +43,9 @@ def share_boot(one: Session, other: Session | None) -> bool | None:
 
 
 def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Return the boot of the ping's device of each run, as a number; stamps of two boots must not be mixed.
+    """Return the boot of each run's ping by run_id: wall clock at monotonic zero in whole seconds, 0 where the session is unknown.
 
-    Returns:
-        run_id -> wall clock at monotonic zero in whole seconds; 0 for a run that does not name its session.
+    Stamps of two boots must not be mixed.
     """
     boot_of_session: dict[int, int] = {}
     boots_of_device: dict[str, list[_Boot]] = {}
@@ -67,7 +65,7 @@ def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, in
 
 
 def ping_wall_offsets(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Return the ping's wall clock minus its monotonic clock in ns, by run_id, for each run that names its session."""
+    """Return the ping's wall clock minus its monotonic clock in ns by run_id, where the run names its session."""
     offsets = {session.session_id: _monotonic_zero_ns(session) for session in sessions}
     return {run.run_id: offsets[s] for run in runs if (s := session_of_run(run)) in offsets}
 

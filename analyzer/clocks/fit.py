@@ -4,17 +4,16 @@ Let `theta` be the relay's clock minus the ping's. No message is received before
 
     T4 - T2  <=  theta  <=  T3 - T1
 
-The interval is `rtt - intermediate` wide, so its middle is wrong by at most half of that (RFC 5905, section 8). Stamps cannot
-show where in it theta is: a link that is slower one way looks like a clock that is off by half the difference.
+The interval is `rtt - intermediate` wide, so its middle is wrong by at most half of that (RFC 5905, section 8). A link that is
+slower one way looks like a clock that is off by half the difference.
 
 Two assumptions give a slow message the interval of its fast neighbours:
-- clocks part by at most `DRIFT_LIMIT_PPB`. A message out of reach at that rate shows a step (clock set, suspend, reboot) and splits
-  the fit;
+- clocks part by at most `DRIFT_LIMIT_PPB`. A message out of reach shows a step (clock set, suspend, reboot) and splits the fit;
 - within a window of `WINDOW_NS` theta is a straight line, and the bound is what the lines that respect every message leave
   open (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002; S. Moon,
   P. Skelly, D. Towsley, INFOCOM 1999; fastest messages: Huygens, NSDI 2018, RFC 5905, section 10). A window without such a line,
-  or with a half whose offset is outside its bound, is halved: for a clock that bends by 100 ppm in a window, wrong bounds
-  fall from 24 % of the messages to 3 %.
+  or with a half whose offset is outside its bound, is halved: for a clock that bends by 100 ppm, wrong bounds fall from 24 %
+  of the messages to 3 %.
 """
 
 from __future__ import annotations
@@ -162,11 +161,7 @@ class _Points:
 
     @classmethod
     def of(cls, messages: RelayedMessages, points: OffsetIntervals) -> _Points:
-        """Write the bounds of at least one message into `points`.
-
-        Raises:
-            ValueError: a message has `rtt < intermediate`.
-        """
+        """Write the bounds of at least one message into `points`."""
         ordered = cls._in_order(messages, points, None)
         if ordered is None:
             at_ns = _half_way(messages.publish_ns, messages.receive_ns - messages.publish_ns)
@@ -178,7 +173,7 @@ class _Points:
     def _in_order(
         cls, messages: RelayedMessages, points: OffsetIntervals, order: Int64 | None
     ) -> _Points | None:
-        """Return the bounds in this order; None if it is not the order of time."""
+        """Return None if this is not the order of time."""
         first = 0 if order is None else int(order[0])
         publish_ns, receive_ns = int(messages.publish_ns[first]), int(messages.receive_ns[first])
         time_origin_ns = last_ns = _half_way(publish_ns, receive_ns - publish_ns)
@@ -214,7 +209,7 @@ class _Points:
         return cls(points, order, time_origin_ns, offset_origin_ns, same_clock)
 
     def offsets(self, offset_ns: Int64, bound_ns: Int64) -> ClockOffsets:
-        """Return the offset at each message, in the order of the input, if possible in these two arrays."""
+        """Return the offset at each message, in the order of the input, if possible in these arrays."""
         if self.same_clock:
             zero = np.zeros(len(offset_ns), np.int64)
             return ClockOffsets(zero, zero)

@@ -1,6 +1,6 @@
 """Convex hulls of many windows at once: the points that all lines of a window pass below, or above.
 
-Rows of a matrix are windows; each step is one numpy operation over all of them.
+Rows of a matrix are windows.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def part_edges(start: Intp, stop: Intp) -> Intp:
     """Cut windows into `CANDIDATES` parts of equal length, or one for each message of a shorter window.
 
     Returns:
-        Shape (windows, parts + 1): edges of the parts; a shorter window has empty parts at its end.
+        Edges of the parts, shape (windows, parts + 1); a shorter window ends in empty parts.
     """
     count = stop - start
     parts = min(CANDIDATES, int(count.max()))
@@ -59,12 +59,8 @@ def lower_hulls(time: Float64, height: Float64) -> Intp:
     Gift wrapping (R. A. Jarvis, "On the identification of the convex hull of a finite set of points in the plane", 1973): the
     gentlest slope to a later point leads to the next corner, the last of points on one line.
 
-    Args:
-        time: shape (rows, points), not falling.
-        height: of the same shape.
-
-    Returns:
-        Columns of the corners, shape (rows, corners), the last repeated where a row has fewer.
+    `time`, not falling, and `height` have the shape (rows, points); the result has columns of the corners, the last repeated where
+    a row has fewer.
     """
     rows, columns = time.shape
     last = columns - 1

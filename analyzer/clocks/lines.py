@@ -75,7 +75,7 @@ class Boundary:
             time: instants of the corners, the centre being zero.
             height: heights of the corners.
             steepness: as in `Lines`.
-            at_centre: the greatest heights of the gentlest and the steepest line at the centre.
+            at_centre: greatest heights of the gentlest and steepest line at the centre.
         """
         run, rise = np.diff(time), np.diff(height)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -171,9 +171,9 @@ class Lines:
 
 
 def least_height(time: Float64, height: Float64, slope: Float64) -> Float64:
-    """Return the height at zero of the highest line of each slope below all points: shape (windows, slopes).
+    """Return the height at zero of the highest line of each slope below all points.
 
-    `time` and `height` have the shape (windows, points), `slope` has (windows, slopes).
+    `time` and `height` have the shape (windows, points), `slope` and the result (windows, slopes).
     """
     least: Float64 = (height[:, None, :] - slope[:, :, None] * time[:, None, :]).min(axis=2)
     return least

@@ -98,9 +98,9 @@ def find_slews(
 ) -> Iterator[Slew]:
     """Yield each chain of steps the same way that a slew left.
 
-    A step continues a chain within a window of the previous step, or if it is barely more than its bound and the clock may have run
-    fast since. A chain is a slew with three steps, or if all steps are barely more than their bounds and the clock surely ran
-    fast next to one of them. The arrays are of the knots of the fit's runs, by time, as in `ClockKnot`.
+    A step continues a chain within a window of the previous step, or if it is barely more than its bound and the clock may have
+    run fast since. A chain is a slew with three steps, or if all are barely more than their bounds and the clock surely ran fast next
+    to one. The arrays are of the knots, by time, as in `ClockKnot`.
     """
     for first, after in _chains(stretches):
         way = 1 if stretches[first].step_ns > 0 else -1
@@ -133,7 +133,7 @@ def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:
 
 
 def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int64, bound_ns: Int64) -> Slew:
-    """Return a slew with the rate of the longest pair of knots that proves nearly the fastest one."""
+    """Take the rate of the longest pair of knots that proves nearly the fastest one."""
     one, other = np.triu_indices(len(at_ns), 1)
     lasted_ns = np.maximum(at_ns[other] - at_ns[one], 1).astype(np.float64)
     gain_ns = (offset_ns[other] - offset_ns[one]).astype(np.float64)

@@ -52,7 +52,6 @@ def find_stretches(points: OffsetIntervals) -> Iterator[tuple[int, int]]:
 
 
 def _first_out_of_reach(points: OffsetIntervals, start: int) -> int:
-    """Return the first message that no drift up to `DRIFT` reaches from the messages since `start`."""
     coarse, exact = _Limits(), _Limits()
     checked = start  # `exact` includes the messages before
     begin, size = start, _BLOCKS[0]
@@ -75,7 +74,7 @@ def _first_out_of_reach(points: OffsetIntervals, start: int) -> int:
 def _check_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limits]:
     """Return whether parts prove that drifts up to `DRIFT` reach every message, and limits after them.
 
-    Limits may be tighter than exact: a part counts as if all its messages were its first.
+    Limits may be tighter than exact: all messages of a part count as its first.
     """
     first = np.arange(0, len(points), _PART)
     least, most = np.minimum.reduceat(points.upper, first), np.maximum.reduceat(points.lower, first)
@@ -89,7 +88,7 @@ def _check_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limit
 
 
 def _last_surely_before(points: OffsetIntervals, start: int, step: int) -> int:
-    """Return the index after the last message before `step` that the clock after the step cannot explain."""
+    """Return the index after the last message before `step` that the clock after it cannot explain."""
     if step == len(points):
         return step
     after, before = points.part(step, step + _MESSAGES_AFTER_STEP), points.part(start, step)

@@ -1,7 +1,7 @@
 """Windows of time in which the clocks of two devices part along a straight line.
 
-All windows of a batch are processed together, level by level: windows of `WINDOW_NS`, then the halves of those that are
-bent or that no line agrees with.
+All windows of a batch are processed together: windows of `WINDOW_NS`, then the halves of those that are bent or that no line
+agrees with.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ class Windows:
     """Fitted windows; one element a window, or one row.
 
     Attributes:
-        stop: the message after the last.
         time: the instant at which the lines are closest together.
         offset: middle of the lines at that instant.
         bound: half of their distance at that instant.
@@ -137,9 +136,9 @@ def _blocks(start: Intp, stop: Intp, messages: int) -> Iterator[tuple[int, int]]
 
 
 def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
-    """Fit windows, and the halves of those that are bent or have no line; narrow the bounds of their messages in place.
+    """Fit windows, and the halves of those that are bent or have no line; narrow the bounds of their messages.
 
-    A single message without a line, whose stamps contradict each other, is in no window.
+    A single message without a line is in no window: its stamps contradict each other.
     """
     fitted: list[Windows] = []
     origin: Intp | None = None  # of the remaining messages; None while these are all
@@ -223,7 +222,6 @@ def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> N
 
 
 def _least(own: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:
-    """Return the lesser of each message's own height and its window's boundary."""
     edges = np.concatenate([start[:, None], boundary.breaks + 1, stop[:, None], following[:, None]], axis=1)
     lengths = np.diff(edges).ravel()
     nothing = np.zeros((len(start), 1))  # a message between two windows keeps its own height

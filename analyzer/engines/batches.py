@@ -90,7 +90,7 @@ def _is_drawn(name: str, share: float) -> bool:
 
 
 def _parts_of_group(exchanges: Sequence[Exchange]) -> list[tuple[int, int]]:
-    """Cut exchanges into parts of whole runs (the first one, and the one after the last); as with groups, some runs end their part."""
+    """Return first and after of parts of whole runs; as with groups, some runs end their part."""
     count = len(exchanges)
     starts = [i for i in range(1, count) if exchanges[i].run is not exchanges[i - 1].run]
     parts: list[tuple[int, int]] = []

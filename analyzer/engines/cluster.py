@@ -44,8 +44,7 @@ Item = TypeVar("Item")
 class _Future(Protocol[Result_co]):
     """The part of `distributed.Future` used here."""
 
-    def result(self) -> Result_co:
-        """Wait for the result, and fetch it."""
+    def result(self) -> Result_co: ...
 
 
 class _Client(Protocol):
@@ -57,8 +56,7 @@ class _Client(Protocol):
     def run(self, function: Callable[..., Result], *arguments: object) -> Mapping[str, Result]:
         """Call a function on every worker; return the results by the workers' addresses."""
 
-    def close(self) -> None:
-        """Leave the scheduler."""
+    def close(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +169,7 @@ class ClusterEngine:
 
 
 def _load(path: str) -> LoadedTrace | str:
-    """Read one trace, on a worker; return why if the file is not a trace."""
+    """Return the trace, or why the file is not a trace."""
     try:
         return load_trace(Path(path), 0)
     except TraceFormatError as err:

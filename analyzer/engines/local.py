@@ -162,7 +162,7 @@ class LocalEngine:
                     position += 1
 
     def _start_workers(self) -> Workers | None:
-        """Start the worker processes; None where there can be none, or only one."""
+        """Return None where there can be no process, or only one."""
         # A small campaign does without multiprocessing.
         from .processes import Workers, can_start_workers  # noqa: PLC0415
 
@@ -172,7 +172,6 @@ class LocalEngine:
 
 
 def _cost_of_small(batches: Sequence[Batch]) -> int:
-    """Return what the batches that are not large cost, in events."""
     small = [batch for batch in batches if not is_large(batch)]
     groups = {int(group) for batch in small for group in batch.group_of_exchange}
     return sum(batch.events for batch in small) + _COST_OF_GROUP * len(groups)

@@ -1,8 +1,8 @@
 """Merge the results of batches: statistics are exact where a batch has whole groups or brings the values of its part.
 
-A sketch merges log-linear histograms (`statistics/histogram.py`): a percentile is off by half a bucket at most, `RELATIVE_ERROR`
-of its value. Counts, mean, standard deviation and extremes merge without that error (Chan, Golub and LeVeque, "Updating
-formulae and a pairwise algorithm for computing sample variances", 1979).
+A sketch merges log-linear histograms (`statistics/histogram.py`): a percentile is off by half a bucket at most, `RELATIVE_ERROR`.
+The moments merge without that error (Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample
+variances", 1979).
 """
 
 from __future__ import annotations
@@ -85,7 +85,6 @@ class _ValueSpool:
         self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
 
     def add(self, values: Mapping[str, NDArray[np.int64]]) -> None:
-        """Append the values of one part."""
         for metric, values_of_part in values.items():
             with self._file(metric).open("ab") as stream:
                 stream.write(np.ascontiguousarray(values_of_part).data)
@@ -176,7 +175,7 @@ def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64
 
 
 def _within(value_ns: float, row: Mapping[str, float | str | int | None]) -> float:
-    """Limit a percentile to the range of the values: the centre of a bucket may be outside."""
+    """Limit a percentile: the centre of a bucket may be outside the values."""
     low, high = row["min"], row["max"]
     assert isinstance(low, float)
     assert isinstance(high, float)

@@ -118,7 +118,7 @@ class _Part:
     """Some runs of a batch.
 
     Attributes:
-        key: its key in the cache; None where it must not be cached.
+        key: None where it must not be cached.
         cached: its rows in the cache, if they were there.
         run_frames: frames of its runs from the cache, if they were there.
         rows: in memory unless rows and frames were in the cache.
@@ -149,11 +149,10 @@ class _JoinedRows(PairedRows):
 
     @property
     def stamp_names(self) -> frozenset[str]:
-        """Names that any part has."""
         return frozenset[str]().union(*(part.stamp_names for part in self.parts))
 
     def column(self, name: str) -> pl.Series:
-        """Return a column; a stamp is zero in a part whose events have none."""
+        """Fill a stamp with zeros in a part whose events have none."""
         is_stamp = name in self.stamp_names
         columns = [
             part.column(name)
@@ -165,7 +164,6 @@ class _JoinedRows(PairedRows):
         return joined
 
     def frames(self) -> Iterator[pl.DataFrame]:
-        """Yield the frames of each part."""
         for part in self.parts:
             yield from part.frames()
 
@@ -184,7 +182,7 @@ def process(
         parts: its events.
         cache: None caches nothing.
         pool: does what can be done in parallel; None does everything here.
-        threads: measures while the caller writes the rows; None measures before this returns.
+        threads: measures while the caller writes the rows; None measures first.
     """
     pool, threads = pool or InlineExecutor(), threads or InlineExecutor()
     cache = cache if batch.options.details else None
@@ -246,7 +244,7 @@ def _split(batches: Sequence[Batch], rows: RoundTrips) -> Iterator[RoundTrips]:
 def _pair_events(
     batch: Batch, parts: Parts, pool: Executor, copies: dict[EventKey, tuple[Copies, ...]]
 ) -> RoundTrips:
-    """Pair the events of a batch and add its copies to `copies`; frees fetched events on return."""
+    """Add the copies to `copies`; fetched events are free on return."""
     keys = batch.event_keys()
     merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))
     copies |= {key: copied for key, (_, copied) in merged.items() if copied}
@@ -255,7 +253,6 @@ def _pair_events(
 
 
 def _store(part: _Part, cache: ResultCache) -> PackedRows | None:
-    """Return the rows of a part in the cache, written unless they are there; None if they are not."""
     if part.cached is not None or part.key is None or isinstance(part.rows, PackedRows):
         return part.cached
     return cache.write_rows(part.key, part.rows)
@@ -292,7 +289,7 @@ def _measure(
 
 
 def _begin_run_frames(part: _Part, cache: ResultCache | None, pool: Executor) -> Callable[[], Frames]:
-    """Begin the frames of the runs of a part; the returned function waits for them."""
+    """Return a function that waits for the frames of the runs."""
     if isinstance(part.rows, PackedRows) or part.run_frames is not None:
         return partial(dict, part.run_frames or {})
     batch, key = part.batch, part.key

@@ -1,7 +1,7 @@
 """Worker processes of this machine: where arrays are short, Python between them keeps threads on one core.
 
 A worker reads traces, puts their events into files (the user's cache, or temporary ones), and processes batches from there. It
-returns rows in files, too; descriptions, batches and results go through pipes. One worker is the process of the analysis itself.
+returns rows in files; descriptions, batches and results go through pipes.
 """
 
 from __future__ import annotations
@@ -149,12 +149,7 @@ class Worker:
     def process(
         self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]], keys: Mapping[int, str]
     ) -> BatchOutput:
-        """Pair and measure a batch.
-
-        Args:
-            batch: the batch.
-            parts: as for `process.process`, events in files.
-            keys: index of a trace -> its key in the cache.
+        """Pair and measure a batch, as `process.process`, events in files; `keys` by index of the trace.
 
         Raises:
             OutputError: the rows cannot be written.
@@ -208,7 +203,7 @@ def _begin(folder: str, has_cache: bool) -> None:
 
 
 def _end_with_caller() -> None:
-    """End this process when the caller was killed: other workers keep its end of the pipe open."""
+    """End with a killed caller: other workers keep its end of the pipe open."""
     caller = multiprocessing.parent_process()
     assert caller is not None
     wait([caller.sentinel])
@@ -217,7 +212,7 @@ def _end_with_caller() -> None:
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Hide the calling program: a spawned process would run it again, and `analyze` in it."""
+    """Hide the calling program: a spawned process would run it again."""
     main = sys.modules["__main__"]
     hidden = {name: getattr(main, name, None) for name in ("__file__", "__spec__")}
     try:
@@ -231,7 +226,7 @@ def _without_main() -> Iterator[None]:
 
 @contextmanager
 def _with_one_blas_thread() -> Iterator[None]:
-    """Let spawned processes multiply their small matrices on one core: others are busy."""
+    """Multiply small matrices on one core: others are busy."""
     name = "OPENBLAS_NUM_THREADS"
     if name in os.environ:  # the user's own
         yield
@@ -245,7 +240,7 @@ def _with_one_blas_thread() -> Iterator[None]:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Block Ctrl-C in spawned processes for good: the caller gets it and ends them."""
+    """Block Ctrl-C in spawned processes: the caller gets it and ends them."""
     previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

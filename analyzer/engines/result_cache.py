@@ -1,7 +1,6 @@
 """Results of batches in the user's cache, so that the next analysis processes only new runs.
 
-The key is the HMAC of all that a result follows from: descriptions of the exchanges, content of the traces with their events,
-deadline, and code.
+The key is the HMAC of descriptions of the exchanges, content of the traces with their events, deadline, and code.
 
     KEY of               ending    content
     a batch              details   statistics and the frames of `GROUP_DETAIL_MAKERS`
@@ -106,7 +105,7 @@ class ResultCache:
         return None
 
     def write_rows(self, key: str, rows: RoundTrips) -> PackedRows | None:
-        """Write the rows of a batch and return them as they are in the cache; None if they cannot be written."""
+        """Write the rows of a batch and return them as cached; None if they cannot be written."""
         with suppress(OSError):
             with self._cache.writing(self._hashed(key), "rows") as stream:
                 offset = pack_rows(rows, pa.PythonFile(stream, "w"))
@@ -150,8 +149,8 @@ def pack_frames(frames: Frames) -> bytes:
     files = {}
     for name, frame in frames.items():
         stream = io.BytesIO()
-        # Clone the frame: polars locks it while it writes and waits for Python's lock, which another reader of the same frame may have
-        # while it waits for the frame's.
+        # Clone the frame: polars locks it while it waits for Python's lock, which another reader of it may have while it waits
+        # for the frame's.
         frame.clone().write_ipc_stream(stream, compression="lz4")
         files[name] = stream.getvalue()
     head = json.dumps([(name, len(file)) for name, file in files.items()])

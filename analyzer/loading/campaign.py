@@ -46,8 +46,8 @@ class Campaign:
         folder: the folder, or the only file.
         sources: every file in it; before `with_copies` without the copies of events.
         traces: without their events.
-        session_traces: session_id -> indices of the traces that name it.
-        run_traces: run_id -> indices of the traces that describe it.
+        session_traces: indices of the traces that name a session.
+        run_traces: indices of the traces that describe a run.
         copies: the events of each trace that another trace has as well.
     """
 
@@ -84,13 +84,9 @@ def load_campaign(
     progress: Progress | None = None,
     load_all: LoadAll | None = None,
 ) -> Campaign:
-    """Read every trace of a location.
+    """Read every trace of a location: a folder, a trace file, or a rosbag2 folder; or several.
 
-    Args:
-        location: a folder, a trace file, or a rosbag2 folder; or several.
-        skip: folders to leave out (where results are written).
-        progress: called before each trace is read.
-        load_all: loads the traces; None has their events in memory and in temporary files.
+    Folders of results are in `skip`; without `load_all`, events are in memory and in temporary files.
 
     Raises:
         MissingEventsError: there is nothing at a path, or no trace in it.
@@ -162,7 +158,7 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
 
 
 def _session_age(session: Session) -> tuple[int, bool, int]:
-    """Return a key that is greater for the later description: in a later file, then closed."""
+    """Order descriptions: the later file, then the closed session."""
     return part_of(session), session.state == "closed", session.dropped_events
 
 
@@ -195,7 +191,7 @@ def _read_sources(
 
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:
-    """Yield files that are not traces; files of a trace or a sweep, and hidden files, are left out."""
+    """Leave out files of a trace or a sweep, and hidden files."""
     skipped = {entry.resolve() for entry in (*traces, *skip) if entry.is_dir()}
     stems = {os.fspath(entry) for entry in traces}
     lengths = {len(stem) for stem in stems}  # few, for thousands of stems
@@ -213,7 +209,7 @@ def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path])
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """Return the path below `folder`, so that a report does not depend on where the folder is."""
+    """Make reports independent of where the folder is."""
     depth = len(folder.parts)
     below = path.parts[depth:] if path.parts[:depth] == folder.parts else ()
     return "/".join(below) or path.name

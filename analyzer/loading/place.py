@@ -52,7 +52,7 @@ class Place:
 
     @property
     def default_output(self) -> Path:
-        """Folder for the results: `analysis/` in the folder, next to a trace, in the working directory for a remote path.
+        """`analysis/` in the folder, next to a trace, or in the working directory for a remote path.
 
         Raises:
             OptionError: several paths have only the root of the file system in common.

@@ -37,7 +37,6 @@ class Exchange:
     """One run and one relay that took part in it, or no relay (`relay_id` 0).
 
     Attributes:
-        ping: the session that ran it.
         relay: the relay's session; None without its trace.
         start_ns: the run's first T1, wall clock by the anchor of the ping.
         end_ns: the run's last T1, likewise.

@@ -1,8 +1,7 @@
 """One-way times of each run and relay, and the clock of each pair of devices over the campaign.
 
-A run is fitted on its own (`clocks/fit.py`), so its one-way times do not depend on what else is analyzed. The knots of a fit are
-intervals of the offset, as messages give them: the campaign's fit of two devices takes the knots of all runs, and finds a step
-between two runs like one within a run.
+A run is fitted on its own (`clocks/fit.py`), so its one-way times do not depend on what else is analyzed. The campaign's fit of two
+devices takes the knots of all runs as messages, and finds a step between two runs like one within a run.
 """
 
 from __future__ import annotations
@@ -88,7 +87,7 @@ class OneWay:
 
     @classmethod
     def unknown(cls, rows: int, exchanges: int) -> OneWay:
-        """Return one-way times that are all null."""
+        """Return null for every row."""
         return cls(
             tuple(pl.Series(name, [None], pl.Int64).new_from_index(0, rows) for name in ONE_WAY_COLUMNS),
             (None,) * exchanges,
@@ -189,7 +188,6 @@ def _usable(
 
 
 def _are_sane(stamp: NDArray[np.int64]) -> bool:
-    """Return whether every stamp is sane; `MISSING` is far below."""
     return not len(stamp) or bool(stamp.min() >= _LEAST_SANE_NS and stamp.max() < _SANE_NS)
 
 
@@ -304,10 +302,8 @@ SEGMENT_SCHEMA: dict[str, type[pl.DataType]] = {
 def segment_table(fits: Sequence[ClockFit]) -> pl.DataFrame:
     """List the segments: the frame `clock_fits`, one row per pair of devices, boot and stretch of time without a step.
 
-    Columns of `SEGMENT_SCHEMA`: times on the ping's monotonic clock; `offset_ns` relay's clock minus ping's, wrong by at most
-    `bound_ns` at `at_ns`; `drift_ppb` at which the relay's clock gains, wrong by at most `drift_bound_ppb`; `residual_ns` farthest
-    of a knot from a straight line; `step_before_ns` the jump that began the segment, wrong by at most `step_bound_ns`, null for the
-    first; `relay_boot` the boot id of the relay's device, null if unknown.
+    Columns of `SEGMENT_SCHEMA`, as in `ClockSegment`; `step_before_ns` is the jump that began the segment, wrong by at most
+    `step_bound_ns`, null for the first.
     """
     rows = []
     for fit in fits:

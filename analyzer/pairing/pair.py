@@ -1,10 +1,8 @@
 """Pairing: the events T1..T4 of one exchange become one row per published message.
 
-A message's row is its sequence number minus the first one, without a join; where T1 events are missing or sequence numbers are
-absurd, rows come from bisection. Nothing is allocated by the size of a number in a file.
-
-The order of events and files does not matter: of several events of one message the earliest counts, and events that agree in
-message and instant are one event.
+A message's row is its sequence number minus the first one, without a join; where T1 events are missing or numbers are absurd,
+bisection finds it. Nothing is allocated by the size of a number in a file. Of several events of one message the earliest counts;
+events that agree in message and instant are one event.
 """
 
 from __future__ import annotations
@@ -72,7 +70,7 @@ class Published:
         return len(self.sequence)
 
     def take(self, mask: NDArray[np.bool_]) -> Published:
-        """Return the messages of a mask; counts of the run stay."""
+        """Return the messages of a mask; counts stay."""
         return replace(
             self,
             sequence=self.sequence[mask],
@@ -235,7 +233,6 @@ def _are_its_own(published: Published, events: EventColumns) -> bool:
 
 
 def _came_back_in_turn(receive_ns: NDArray[np.int64]) -> bool:
-    """Return whether each message has a T2, in order; `MISSING` is below all instants."""
     return len(receive_ns) > 0 and bool(
         receive_ns[0] != MISSING and (receive_ns[1:] >= receive_ns[:-1]).all()
     )
@@ -258,7 +255,6 @@ def _outcomes(
 
 
 def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether a later message was received before."""
     received = np.where(receive_ns == MISSING, _NEVER, receive_ns)
     minimum_from_here = np.minimum.accumulate(received[::-1])[::-1]
     reordered = np.zeros(len(received), np.bool_)

@@ -89,7 +89,6 @@ def roundtrips_writer(
 
 
 def _abandon(writer: pq.ParquetWriter) -> None:
-    """Close a writer whose file is not needed after an error; nothing happens to one that is closed."""
     with suppress(OSError):
         writer.close()
     writer.is_open = False  # else its finalizer tries again
@@ -98,7 +97,7 @@ def _abandon(writer: pq.ParquetWriter) -> None:
 def tables_of(rows: PairedRows) -> Iterator[pa.Table]:
     """Yield the rows as `roundtrips_writer` takes them, a row group at a time.
 
-    Texts are the same throughout an exchange: they are dictionaries, and a text that never changes shares one array of indices.
+    Texts are dictionaries; one that never changes shares one array of indices.
     """
     described = rows.described
     texts = {

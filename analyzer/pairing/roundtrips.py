@@ -155,13 +155,10 @@ def pair_exchanges(
     details: bool = True,
     pool: Executor | None = None,
 ) -> RoundTrips:
-    """Pair the events of every exchange, count them, and compute the metrics of every round trip.
+    """Pair the events of every exchange by its `event_keys`, count them, and compute the metrics of every round trip.
 
-    Args:
-        exchanges: some exchanges.
-        events: for each of their `event_keys` the events.
-        details: fit clocks and keep the middleware's stamps; else one-way times are null.
-        pool: counts messages and fits clocks in parallel; None does everything here.
+    Without `details` no clocks are fitted, one-way times are null, and the middleware's stamps are dropped. `pool` counts
+    messages and fits clocks in parallel.
     """
     pool = pool or InlineExecutor()
     # A run's messages are the same for each of its relays.
@@ -229,7 +226,6 @@ class _Filled:
         self.columns: dict[str, NDArray[Any]] = {name: np.empty(0, dtype) for name, dtype in none.items()}
 
     def put(self, first: int, values: Mapping[str, NDArray[Any]]) -> None:
-        """Put values of the exchange whose rows begin at `first`."""
         for name, part in values.items():
             if len(part) == self._rows:
                 self.columns[name] = part

@@ -113,8 +113,6 @@ class RowsInMemory(RowStore):
 
 
 class _TemporaryFolder:
-    """A folder that is removed with the last object that refers to it."""
-
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="dds-analyze-"))
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
@@ -138,23 +136,21 @@ class RowsInFile(RowStore):
         return pl.read_parquet(self._path)
 
     def scan(self) -> pl.LazyFrame:
-        """Return all rows lazily."""
+        """Return all rows."""
         written = self._path.stat()
         return _scan(self._path, written.st_size, written.st_mtime_ns)
 
 
 @lru_cache(maxsize=4)
 def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG001 - they distinguish versions of the file
-    """Return the rows of a file, whose footer is read once."""
+    """Read the footer once."""
     return pl.scan_parquet(path)
 
 
 class RowWriter:
     """Writes the rows of a campaign; on an error, a file that was there before stays as it was.
 
-    Args:
-        path: `roundtrips.parquet`; None writes a temporary file, and only if there are many rows.
-        provenance: metadata of that file.
+    Without a path it writes a temporary file, and only if there are many rows.
 
     Raises:
         OutputError: the file cannot be written.

@@ -49,8 +49,8 @@ def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
 def settled(run: Run, published: Published, t2: EventColumns) -> NDArray[np.bool_]:
     """Return for each counted message whether its fate is known.
 
-    In the run of a killed ping, a message without a reply is in flight if the slowest reply of the run took more time than is left
-    before the last T1 or T2. So is the last message: the ping may have died between its T1 and sending it.
+    In the run of a killed ping, a message without a reply is in flight if the slowest reply took more time than is left before
+    the last T1 or T2. So is the last message: the ping may have died between its T1 and sending it.
     """
     is_settled = np.ones(len(published), np.bool_)
     if run.state == "finished" or not len(published):

@@ -35,7 +35,7 @@ def utc_columns(
 ) -> list[pl.Series]:
     """Return the columns `columns.UTC_COLUMNS` of the rows of some exchanges; arguments as for `one_way.fit_exchanges`.
 
-    Null where the instant is missing or precedes the start of its session: another session recorded it, or the device was rebooted.
+    Null where the instant is missing or precedes the start of its session (another session, or a reboot).
     """
     sessions: dict[str, list[Session | None]] = {
         "publish_ns": [exchange.ping for exchange in exchanges],
@@ -62,7 +62,7 @@ def utc_columns(
 
 
 def is_synchronized(session: Session) -> bool | None:
-    """Return whether the kernel regarded the wall clock as synchronized when the session started; None if unknown."""
+    """Return whether the kernel regarded the wall clock as synchronized at the start of the session; None if unknown."""
     clock = session.extra.get("clock")
     begin = clock.get("begin") if isinstance(clock, dict) else None
     status = begin.get("status") if isinstance(begin, dict) else None
@@ -70,6 +70,6 @@ def is_synchronized(session: Session) -> bool | None:
 
 
 def utc_text(wall_ns: int) -> str:
-    """Return an instant in ns since 1970 as ISO 8601 with nine decimals, at most the last one that an int64 can hold."""
+    """Return an instant in ns since 1970 as ISO 8601 with nine decimals, limited to int64."""
     limited_ns = max(-(2**63) + 1, min(2**63 - 1, wall_ns))
     return f"{np.datetime64(limited_ns, 'ns')}Z"

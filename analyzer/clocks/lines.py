@@ -20,8 +20,8 @@ Float64 = NDArray[np.float64]
 Intp = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
-DRIFT_LIMIT_PPB = 500_000
-"""Largest drift: Linux slews a clock by at most 500 ppm (adjtimex(2)); quartz is off by less than 100 ppm."""
+DRIFT_LIMIT_PPB = 1_100_000
+"""Largest drift: Linux slews each of the two clocks by at most 500 ppm (adjtimex(2)); their crystals part by under 100 ppm more."""
 
 DRIFT = DRIFT_LIMIT_PPB / 1e9
 """The same in ns per ns."""

@@ -1,7 +1,7 @@
 """Slews: stretches of time in which a clock was made to run fast or slow.
 
-Between two devices a slew shows in the steps of their fit (`fit.py`), whose drift ends at `lines.DRIFT_LIMIT_PPB`; on one
-device where CLOCK_MONOTONIC gains on CLOCK_MONOTONIC_RAW, which nobody slews.
+Between two devices a slew shows in the steps of their fit (`fit.py`), whose drift ends at `lines.DRIFT_LIMIT_PPB`, or below that
+in knots whose rates differ; on one device where CLOCK_MONOTONIC gains on CLOCK_MONOTONIC_RAW, which nobody slews.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 CRYSTAL_PPB = 100_000
 """Largest drift of a crystal, 100 ppm; a larger one is a slewed clock or a fault."""
+
+BEND_PPB = 50_000
+"""Difference of two rates of one clock pair that only a slew makes: crystals keep theirs within a few ppm."""
 
 _STEPS = 3
 """Steps the same way in a chain that prove a slew: chance does not repeat jumps."""
@@ -75,11 +78,11 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Slew:
-    """A slew that the fit of two devices cut into steps.
+    """A slew that the fit of two devices cut into steps, or that bent one of its stretches.
 
     Attributes:
-        first: index of the stretch after its first step.
-        after: index after the stretch of its last step.
+        first: index of the stretch after its first step, or after a bent stretch.
+        after: index after the stretch of its last step; equal to `first` without a step.
         start_ns: start of the time with the best known rate, ping's monotonic clock.
         rate_ppm: mean rate at which the relay's clock gained in that time.
         bound_ppm: largest error of the rate.
@@ -96,12 +99,13 @@ class Slew:
 def find_slews(
     stretches: Sequence[Stretch], at_ns: Int64, offset_ns: Int64, bound_ns: Int64
 ) -> Iterator[Slew]:
-    """Yield each chain of steps the same way that a slew left.
+    """Yield each chain of steps the same way that a slew left, then each bent stretch that is in no chain.
 
     A step continues a chain within a window of the previous step, or if it is barely more than its bound and the clock may have
     run fast since. A chain is a slew with three steps, or if all are barely more than their bounds and the clock surely ran fast next
     to one. The arrays are of the knots, by time, as in `ClockKnot`.
     """
+    slewed: set[int] = set()
     for first, after in _chains(stretches):
         way = 1 if stretches[first].step_ns > 0 else -1
         may_be_jumps = not all(stretch.steps_barely for stretch in stretches[first:after])
@@ -109,10 +113,34 @@ def find_slews(
         if after - first < _STEPS and (may_be_jumps or not is_fast):
             continue
         begin, end = stretches[first - 1].start_ns, stretches[after - 1].end_ns
-        knots = np.flatnonzero((at_ns >= begin) & (at_ns <= end))
-        knots = knots[:: -(-len(knots) // _MOST_KNOTS) or 1]
+        slewed.update(range(first - 1, after))
+        knots = _few((at_ns >= begin) & (at_ns <= end))
         if len(knots) > 1:
             yield _of_best_pair(first, after, way, at_ns[knots], offset_ns[knots], bound_ns[knots])
+    for position, stretch in enumerate(stretches):
+        is_own = (at_ns >= stretch.start_ns) & (at_ns <= stretch.end_ns)
+        if position not in slewed and is_bent(at_ns[is_own], offset_ns[is_own], bound_ns[is_own]):
+            knots = _few(is_own)
+            own = at_ns[knots], offset_ns[knots], bound_ns[knots]
+            both = [_of_best_pair(position + 1, position + 1, way, *own) for way in (1, -1)]
+            yield max(both, key=lambda slew: abs(slew.rate_ppm) - slew.bound_ppm)
+
+
+def is_bent(at_ns: Int64, offset_ns: Int64, bound_ns: Int64) -> bool:
+    """Return whether knots, ascending, prove two rates that differ by more than `BEND_PPB`: the clock was slewed."""
+    slowest, fastest, lag = np.inf, -np.inf, 1
+    while lag < len(at_ns):
+        lasted_ns = np.maximum(at_ns[lag:] - at_ns[:-lag], 1)
+        gain_ns, unsure_ns = offset_ns[lag:] - offset_ns[:-lag], bound_ns[lag:] + bound_ns[:-lag]
+        slowest = min(slowest, float(((gain_ns + unsure_ns) / lasted_ns).min()))
+        fastest = max(fastest, float(((gain_ns - unsure_ns) / lasted_ns).max()))
+        lag *= 2
+    return (fastest - slowest) * 1e9 > BEND_PPB
+
+
+def _few(is_chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
+    knots = np.flatnonzero(is_chosen)
+    return knots[:: -(-len(knots) // _MOST_KNOTS) or 1]
 
 
 def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:

@@ -254,7 +254,7 @@ def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
         "outbound_ns": filled(measured["outbound_ns"]),
         "bound_ns": filled(measured["clock_bound_ns"]),
         "lost": roundtrips.outcome != OUTCOMES.index(Outcome.COMPLETED),
-        "seen": is_present(measured["outbound_ns"]),
+        "seen": is_present(measured["clock_bound_ns"]),
     }
     deadline_ns = batch.options.deadline_ns
     judged = {} if deadline_ns is None else _judged_columns(roundtrips, f"{batch.options.deadline_metric}_ns")
@@ -283,7 +283,7 @@ def _judged_columns(roundtrips: RoundTrips, metric: str) -> dict[str, NDArray[An
         "bound_ns": filled(measured["clock_bound_ns"])
         if metric in ONE_WAY
         else np.zeros(measured.height, np.int64),
-        "has_value": is_present(values),
+        "has_value": is_present(measured["clock_bound_ns"] if metric in ONE_WAY else values),
         "never": np.isin(roundtrips.outcome, never),
     }
 

@@ -79,10 +79,12 @@ def interval_rows(
 
     def runs_of(metric: str) -> Runs | None:
         values, sending = column(f"{metric}_ns"), all_messages
-        if values.null_count() == len(values):
+        known = column("clock_bound_ns") if metric in ONE_WAY_METRICS else values
+        if known.null_count() == len(known):
             return None
-        if values.null_count():
-            has_value = is_present(values)
+        if known.null_count():
+            has_value = is_present(known)
+            values = values.filter(pl.Series(has_value))
             sending = _Sending.of(sent_ns[has_value], run_of_row[has_value])
         return sending.runs(present(values))
 
@@ -168,9 +170,10 @@ def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
 
 def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dict[str, object]]:
     """Yield the rows of `one_way_frame` for one group, whose columns are fetched one by one."""
-    bounds_ns = present(column("clock_bound_ns"))
+    bounds = column("clock_bound_ns")
+    bounds_ns, has_bound = present(bounds), bounds.is_not_null()
     for metric in ONE_WAY_METRICS if len(bounds_ns) else ():
-        statistics = summarize_values(np.sort(present(column(f"{metric}_ns"))))
+        statistics = summarize_values(np.sort(present(column(f"{metric}_ns").filter(has_bound))))
         yield (
             {"group": group, "metric": metric, "messages": len(bounds_ns)}
             | {f"{name}_ns": value for name, value in statistics.items() if name != "std"}

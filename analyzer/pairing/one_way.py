@@ -14,7 +14,7 @@ import polars as pl
 
 from ..clocks.boots import boot_id_of, share_boot
 from ..clocks.fit import ClockFit, RelayedMessages, fit_clocks
-from ..clocks.slews import Slew, Stretch, find_slews
+from ..clocks.slews import Slew, Stretch, find_slews, is_bent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -78,7 +78,8 @@ class OneWay:
     """The one-way times of the rows of some exchanges.
 
     Attributes:
-        columns: `ONE_WAY_COLUMNS`, i64, null unless all four stamps are there and agree.
+        columns: `ONE_WAY_COLUMNS`, i64, null unless all four stamps are there and agree; the bound is also null where the clocks
+            of the run were stepped or slewed (`_is_bounded`).
         fits: of each exchange; None without a message to fit.
     """
 
@@ -108,7 +109,7 @@ def fit_exchanges(
     """
     rows = int(bounds[-1])
     values: dict[str, NDArray[np.int64]] = {}
-    is_fitted = np.zeros(rows, np.bool_)
+    is_fitted, is_bounded = np.zeros((2, rows), np.bool_)
     fitted: list[_FitInput] = []
     damaged = [name for name in _FOUR_STAMPS if not _are_sane(stamps[name])]
     for number, (exchange, first, after) in enumerate(
@@ -153,13 +154,20 @@ def fit_exchanges(
                 if name not in values:
                     values[name] = np.zeros(rows, np.int64)
                 values[name][source.at] = times
+        is_bounded[source.at] = _is_bounded(fit)
         fits[source.number] = fit
-    unknown = None if is_fitted.all() else pl.Series(~is_fitted)
-    columns = (
-        pl.Series(name, values[name] if values else np.zeros(rows, np.int64)) for name in ONE_WAY_COLUMNS
-    )
-    return OneWay(
-        tuple(column if unknown is None else column.set(unknown, None) for column in columns), tuple(fits)
+    columns = []
+    for name in ONE_WAY_COLUMNS:
+        column = pl.Series(name, values[name] if values else np.zeros(rows, np.int64))
+        is_known = is_bounded if name == "clock_bound_ns" else is_fitted
+        columns.append(column if is_known.all() else column.set(pl.Series(~is_known), None))
+    return OneWay(tuple(columns), tuple(fits))
+
+
+def _is_bounded(fit: ClockFit) -> bool:
+    """Return whether the bounds of a fit hold: a clock that was stepped or slewed follows no line of a window."""
+    return fit.same_clock or not (
+        fit.steps or any(is_bent(*np.array(s.knots, np.int64).T) for s in fit.segments if len(s.knots) > 2)
     )
 
 

@@ -24,14 +24,14 @@ def lines_of(*messages):
     return Lines.through(intervals(*messages), np.array([0]), np.array([len(messages)]))
 
 
-def test_clocks_part_by_500_ppm_at_most():
-    assert (DRIFT_LIMIT_PPB, DRIFT) == (500_000, 5e-4)
+def test_two_clocks_that_are_slewed_by_500_ppm_each_part_by_1100_ppm_at_most():
+    assert (DRIFT_LIMIT_PPB, DRIFT) == (1_100_000, 1.1e-3)
     lines = lines_of((2e6, -10, 10))
     assert lines.exist.tolist() == [True]
-    assert lines.steepness.tolist() == [[-5e-4, 5e-4]]
+    assert lines.steepness.tolist() == [[-1.1e-3, 1.1e-3]]
     low, high = lines.range_at(np.array([[2e6, 3e6, 1e6]]))
-    assert low.tolist() == [[-10, -510, -510]]
-    assert high.tolist() == [[10, 510, 510]]
+    assert low.tolist() == [[-10, -1110, -1110]]
+    assert high.tolist() == [[10, 1110, 1110]]
 
 
 def test_lines_through_two_messages():

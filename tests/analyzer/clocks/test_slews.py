@@ -57,7 +57,22 @@ def test_a_step_that_barely_shows_beside_a_fast_clock_is_a_slew():
     ids=["alone", "set", "other way", "drift", "surely slow between", "to and fro"],
 )
 def test_jumps_and_drifts_are_no_slews(drawn):
-    assert found(drawn, gain_ppm=600, begin_s=20, end_s=60) == []
+    assert [
+        slew for slew in found(drawn, gain_ppm=600, begin_s=20, end_s=60) if slew.after > slew.first
+    ] == []
+
+
+@pytest.mark.parametrize(
+    ("gain_ppm", "begin_s", "expected"), [(600, 20, [(1, 1)]), (60, 20, [(1, 1)]), (40, 20, []), (600, 0, [])]
+)
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_slew_below_the_fits_limit_bends_a_stretch_without_a_step(gain_ppm, begin_s, expected, way):
+    """A rate that holds throughout is a drift, 40 ppm may be a crystal's."""
+    slews = found(
+        [(0, 100, STEADY, 0, 0)], gain_ppm=way * gain_ppm, begin_s=begin_s, end_s=60 if begin_s else 100
+    )
+    assert [(slew.first, slew.after) for slew in slews] == expected
+    assert all(slew.rate_ppm == pytest.approx(way * gain_ppm, rel=0.05) for slew in slews)
 
 
 def test_two_slews_are_told_apart():
@@ -125,7 +140,7 @@ def test_chains_end_where_they_should(drawn, places, way):
         for begin, end, drift, step, bound in drawn
     ]
     slews = found(mirrored, gain_ppm=way * 600, begin_s=20, end_s=60)
-    assert [(slew.first, slew.after) for slew in slews] == places
+    assert [(slew.first, slew.after) for slew in slews if slew.after > slew.first] == places
     for slew in slews:
         assert slew.rate_ppm * way > 0
 

@@ -105,9 +105,9 @@ def test_a_slew_is_one_finding_and_not_a_step_for_each_second(tmp_path):
     assert "slewed" not in findings(tmp_path, details=False)
 
 
-@pytest.mark.parametrize(("ppm", "way"), [(550, MS // 10), (600, MS), (1000, 5 * MS)])
-def test_a_slew_close_to_the_fits_limit_is_one_finding_too(tmp_path, ppm, way):
-    # Its segments drift by nearly 500 ppm each, and its steps lie farther apart than a window.
+@pytest.mark.parametrize(("ppm", "way"), [(550, MS // 10), (600, MS), (1000, 5 * MS), (1200, MS)])
+def test_a_slew_is_one_finding_on_either_side_of_the_fits_limit(tmp_path, ppm, way):
+    # Below 1100 ppm it leaves no step, above steps that are farther apart than a window.
     noise = np.random.default_rng(1).exponential(0.3, (1200, 2))
     slewed = [
         Message(m.sequence, t0=m.t0, t1=m.t1, t3=arrived + gain, t4=arrived + gain, t2=arrived + back)

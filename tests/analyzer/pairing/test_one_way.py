@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import polars as pl
+import pytest
 from roundtrip_frames import roundtrips, with_one_way
 
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, _are_sane, _usable, fit_devices, segment_table
@@ -89,7 +90,38 @@ def test_a_segment_is_told_with_the_step_that_began_it():
         (1, 10**9, 10**9, 10**9),
         (2, 2 * 10**9, 3 * 10**9, 2 * 10**9),
     ]
-    assert table["step_bound_ns"].to_list() == [None, 500_203, 500_203]
+    assert table["step_bound_ns"].to_list() == [None, 1_100_203, 1_100_203]
+
+
+@pytest.mark.parametrize(
+    ("ppm", "step_ns", "is_bounded"),
+    [
+        (0, 0, True),
+        (90, 0, True),
+        (600, 0, False),
+        (1000, 0, False),
+        (1500, 0, False),
+        (0, 50_000_000, False),
+    ],
+)
+def test_a_clock_that_was_slewed_or_stepped_has_no_bounds(ppm, step_ns, is_bounded):
+    """A relay that slews from 20 to 40 s of a minute, and is set then; 90 ppm from the start are a crystal's."""
+    since = np.arange(0, 60 * 10**9, 10**8)
+    slewed = np.clip(since - 20 * 10**9, 0, 20 * 10**9) if ppm > 100 else since
+    offset = slewed * ppm // 10**6 + np.where(since >= 40 * 10**9, step_ns, 0)
+    frame = roundtrips(
+        {
+            "publish_ns": t,
+            "relay_in_ns": t + ahead + 10_000,
+            "relay_out_ns": t + ahead + 10_000,
+            "receive_ns": t + 20_000,
+        }
+        for t, ahead in zip(since.tolist(), offset.tolist(), strict=True)
+    )
+    aligned = with_one_way(frame)
+    assert aligned["clock_bound_ns"].is_null().all() is not is_bounded
+    assert aligned["clock_bound_ns"].null_count() in (0, aligned.height)
+    assert aligned["outbound_ns"].null_count() == aligned["return_ns"].null_count() == 0
 
 
 def test_stamps_of_a_sane_clock_are_usable_up_to_its_edges():

@@ -10,6 +10,7 @@ from commands import run_main
 from trace_files import Message, run, write_pair
 
 from dds_trace.analyzer.exports.tables import EXPORTERS
+from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.cli.analyze import ExportKind
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -138,7 +139,7 @@ def test_a_deadline_is_for_the_response_or_for_the_metric_that_is_named(
         ("20ms latency", "metric="),
         ("20ms metric=rtt metric=latency", "metric="),
         ("20ms metric=", "no metric ''"),
-        ("20ms metric=latnecy", "rtt, intermediate, latency, response, outbound, return"),
+        ("20ms metric=latnecy", f"{', '.join(METRICS)}, outbound, return"),
     ],
 )
 def test_a_deadline_that_cannot_be_meant_is_one_line(runs, capsys, deadline, said):

@@ -5,6 +5,7 @@ set shell := ["bash", "-euo", "pipefail", "-c"]
 python := env("DDS_TRACE_PYTHON", ">=3.10,<3.14")
 venv := justfile_directory() / ".venv"
 bin := venv / "bin"
+lowest := justfile_directory() / ".venv-lowest"
 
 # Everything below runs on this machine only.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := "LOCALHOST"
@@ -44,6 +45,20 @@ test *args: setup
 # Tests that take longer than a minute each (kills, long sweeps)
 test-slow *args: setup
     {{bin}}/pytest -m slow {{args}}
+
+# Old typer warns with the newest click, and pytest would take that for an error: hence -W.
+# The core with the oldest versions that pyproject.toml allows, in an environment of its own: traces, analysis, command line
+test-lowest *args:
+    @test -x {{lowest}}/bin/python || uv venv --quiet --python \
+        "$(uv python find --no-python-downloads 3.10 2>/dev/null || echo '{{python}}')" {{lowest}}
+    @uv pip compile --quiet --resolution lowest-direct --only-binary :all: --python {{lowest}}/bin/python --extra analyze \
+        pyproject.toml --output-file {{lowest}}/requirements.txt >/dev/null
+    @uv pip install --quiet --compile-bytecode --python {{lowest}}/bin/python -r {{lowest}}/requirements.txt \
+        pytest pytest-timeout pytest-xdist hypothesis lz4 jsonschema
+    @uv pip install --quiet --python {{lowest}}/bin/python --no-deps -e .
+    {{lowest}}/bin/python -m pytest -W ignore::DeprecationWarning -m 'not slow and not middleware and not browser' -n 2 -q {{args}} \
+        tests/base tests/tracefile/reading tests/tracefile/mcapfile tests/analyzer/test_sample_traces.py tests/analyzer/groups \
+        tests/analyzer/exports tests/analyzer/saving tests/cli/test_help.py tests/cli/test_analyze_options.py
 
 # Record sample_traces/ again
 samples: setup

@@ -1,4 +1,4 @@
-"""A trace as one file: its events, and, in the cache, its description as JSON after them."""
+"""A trace as one file: its events, and, in the cache, its description as JSON."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _FORMAT = 4
 
 
 class StoredParts:
-    """Writes the events of one trace into a stream, piece by piece; a sealer seals those of each stage, run and relay."""
+    """Writes, and perhaps seals, the events of one trace into a stream, piece by piece."""
 
     def __init__(self, stream: BinaryIO, sealer: Sealer | None) -> None:
         self._file = EventsFile(stream)
@@ -82,7 +82,7 @@ def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
 
 
 def write_entry(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace:
-    """Write an entry of the cache: events, then the description; `key` is that of the trace's content.
+    """Write an entry of the cache: events, then the description; `key` identifies the trace's content.
 
     Raises:
         OSError: it cannot be written.
@@ -104,7 +104,7 @@ def _store(
 
 
 def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> LoadedTrace | None:
-    """Return the trace of this key, None if the cache has no usable entry."""
+    """Return the trace of this key, None without a usable entry."""
     try:
         text, events_bytes = cache.read_end(key)
         entry: _Entry = json.loads(text)
@@ -119,11 +119,7 @@ def read_entry(cache: TraceCache, key: str, path: Path, position: int) -> Loaded
 
 @dataclass(frozen=True, slots=True)
 class _CachedEvents:
-    """Cached events of one stage, run and relay; read from their trace if the cache no longer has them as written.
-
-    Attributes:
-        check: a sealer and the expected seal; None where this analysis wrote the events.
-    """
+    """Cached events, read from their trace if the cache no longer has them as sealed."""
 
     stored: StoredEvents
     check: tuple[Sealer, str] | None
@@ -170,7 +166,7 @@ class _Entry(TypedDict):
     unreadable_messages: int
     notes: list[str]
     parts: list[tuple[str, int, int, int, int, list[tuple[int, dict[str, Column]]]]]
-    """Stage, run, relay, first and last instant in ns; number of events and columns of each piece."""
+    """Stage, run, relay, first and last ns; number of events and columns of each piece."""
 
 
 def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:

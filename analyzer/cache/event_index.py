@@ -1,4 +1,4 @@
-"""The event index: how many events of each stage, run and relay a trace has, and where they are."""
+"""Which events of each stage, run and relay a trace has."""
 
 from __future__ import annotations
 
@@ -27,13 +27,7 @@ class EventsElsewhere(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventPart:
-    """The events of one stage, run and relay in one trace.
-
-    Attributes:
-        trace: index of the trace in its campaign.
-        first_ns: the earliest `monotonic_ns`.
-        events: the events, or where they are.
-    """
+    """The events of one stage, run and relay in one trace: `trace` is its index in the campaign."""
 
     trace: int
     count: int
@@ -57,7 +51,7 @@ EventIndex = Mapping[EventKey, tuple[EventPart, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Copies:
-    """Events of one trace, and their number, that earlier traces (`others`) have as well."""
+    """Number of events of one trace that earlier traces (`others`) have."""
 
     trace: int
     events: int
@@ -65,7 +59,7 @@ class Copies:
 
 
 def index_events(traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
-    """Return the index of a campaign from the indices of its traces, in their order."""
+    """Join the indices of the traces, in their order."""
     index: dict[EventKey, tuple[EventPart, ...]] = {}
     for parts in traces:
         for key, part in parts.items():
@@ -74,7 +68,7 @@ def index_events(traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
 
 
 def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[EventKey, EventPart]:
-    """Return the index of the events of one trace in memory, or of a piece of it."""
+    """Index the events of one trace, or of a piece of it."""
     return {
         (stage, *key): EventPart(
             position, len(columns), int(columns.monotonic_ns.min()), int(columns.monotonic_ns.max()), columns
@@ -85,10 +79,7 @@ def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[Eve
 
 
 def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, int], EventColumns]:
-    """Split events of one stage by (run_id, relay_id), in file order; views where a run's events are adjacent.
-
-    Without `by_relay` every relay_id is 0.
-    """
+    """Split events of one stage by run_id and, `by_relay`, relay_id, in file order; views where a run's events are adjacent."""
     if not len(columns):
         return {}
     run_id = columns.run_id
@@ -120,8 +111,8 @@ def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, in
 def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies, ...]]:
     """Return the events of one stage, run and relay, each once, and the copies that were left out.
 
-    Events are copies if sequence and instant agree, too: true of a copied file, of its `ros2 bag convert`, and of a copy taken
-    before the recording ended; never of two recorded events.
+    Copies agree in sequence and instant: true of a copied file, of its `ros2 bag convert`, and of a copy taken before the recording
+    ended; never of two recorded events.
     """
     if not parts:
         return EventColumns.empty(), ()

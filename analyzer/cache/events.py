@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Column = tuple[str, int]
-    """Kind of a column (`constant`, `counting`, `array`), and its value, first value, or offset in the file."""
+    """Kind (`constant`, `counting`, `array`), and value, first value, or offset in the file."""
 
 _FIELDS = EVENT_DTYPE.names or ()
 
@@ -33,14 +33,12 @@ _LIMITS: Mapping[str, Callable[[np.dtype[Any], int, int], tuple[int, int]]] = {
     "counting": lambda dtype, count, _file_bytes: (np.iinfo(dtype).min, np.iinfo(dtype).max - count + 1),
     "array": lambda dtype, count, file_bytes: (0, file_bytes - count * dtype.itemsize),
 }
-"""Kind of a column -> function of dtype, number of events and bytes of the file that returns the least and greatest valid value or
-offset.
-"""
+"""Kind -> function of dtype, number of events and bytes of the file that returns the least and greatest valid value."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredPiece:
-    """Events that were written together: their number, and field of the event -> its column."""
+    """Events written together: field of the event -> its column."""
 
     count: int
     columns: Mapping[str, Column]
@@ -63,7 +61,7 @@ class StoredPiece:
                 raise ValueError(f"{name} is {kind} {value}, which is not from {low} to {high}")
 
     def arrays(self, events: EventColumns, first: int = 0) -> list[NDArray[np.integer]]:
-        """Return the columns that are in the file, of events whose `first` one begins this piece."""
+        """Return the columns in the file, of events whose `first` one begins this piece."""
         return [
             getattr(events, name)[first : first + self.count]
             for name in _FIELDS
@@ -73,7 +71,7 @@ class StoredPiece:
 
 @dataclass(frozen=True, slots=True)
 class StoredEvents:
-    """Where the events of one stage, run and relay are in a file: the pieces in order."""
+    """Where the events of one stage, run and relay are in a file."""
 
     file: Path
     pieces: tuple[StoredPiece, ...]
@@ -91,7 +89,7 @@ class StoredEvents:
             piece.check(file_bytes)
 
     def arrays(self, events: EventColumns) -> list[NDArray[np.integer]]:
-        """Return the columns of these events that are in the file, piece by piece."""
+        """Return the columns of these events in the file, piece by piece."""
         firsts = accumulate((piece.count for piece in self.pieces), initial=0)
         return [
             array

@@ -1,4 +1,4 @@
-"""Read one trace: its description, and the index of its events, in memory or piece by piece."""
+"""Read one trace and index its events, in memory or piece by piece."""
 
 from __future__ import annotations
 
@@ -56,11 +56,7 @@ def load_trace(path: Path, position: int) -> LoadedTrace:
 
 
 def read_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
-    """Read one trace, returned without its events, which `take` gets piece by piece.
-
-    Raises:
-        TraceFormatError: as for `load_trace`.
-    """
+    """Read one trace, returned without its events, which `take` gets piece by piece; as `load_trace`."""
     events = 0
 
     def take_and_count(piece: Mapping[Stage, EventColumns]) -> None:

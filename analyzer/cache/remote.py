@@ -1,6 +1,6 @@
-"""Traces in object storage (`s3://bucket/runs`, or any scheme of fsspec): found there, copied here to be read.
+"""Traces in object storage (any scheme of fsspec): found there, copied here to be read.
 
-`pathlib` turns the scheme into `s3:/bucket/runs`; `_url` undoes that.
+`pathlib` turns `s3://bucket/runs` into `s3:/bucket/runs`; `_url` undoes that.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def local_copy(path: Path) -> Iterator[Path]:
 
 
 def remote_key(path: Path) -> str:
-    """Return the storage's own tags of the trace's files, which change with their content."""
+    """Return the storage's tags of the trace's files, which change with their content."""
     with _storage(path) as (files, root):
         return "\0".join(f"{remote[len(root) :]}\0{files.ukey(remote)}" for remote in _files_of(files, root))
 

@@ -72,7 +72,7 @@ _DIGEST = "sha256"  # the quickest of hashlib where the processor has instructio
 
 @dataclass(frozen=True, slots=True)
 class Sealer:
-    """Makes the seals of this user's entries with the `secret`, here or in a worker process."""
+    """Makes the seals of this user's entries, here or in a worker process."""
 
     secret: bytes = field(repr=False)
 
@@ -107,7 +107,7 @@ class SealedStream:
         return self._file.tell() - SEAL_BYTES
 
     def close(self) -> None:
-        """Do nothing: Arrow closes the streams that it writes to, and the seal is still to be written."""
+        """Do nothing: Arrow closes its streams before the seal is written."""
 
 
 class TraceCache:
@@ -121,7 +121,7 @@ class TraceCache:
 
     @classmethod
     def open(cls) -> TraceCache | None:
-        """Open or make the cache; None without a home or the right to write, or where the folder is a link or another user's."""
+        """Open or make the cache; None without a home or the right to write, or if the folder is a link or another user's."""
         try:
             parent = _base("XDG_CACHE_HOME", ".cache") / "dds-trace"
             os.close(_own_folder(parent))
@@ -135,7 +135,7 @@ class TraceCache:
         return cls(folder, descriptor, secret)
 
     def key_of(self, path: Path) -> str:
-        """Return the key of a trace's content: its file and the ring next to it, or the files of a rosbag2 folder.
+        """Return the key of the content of a trace and its ring, or of a rosbag2 folder.
 
         Raises:
             TraceFormatError: it cannot be read.
@@ -182,7 +182,7 @@ class TraceCache:
             file.write(digest.hexdigest().encode())
 
     def read(self, key: str, ending: str) -> memoryview:
-        """Return the content of a sealed entry, mapped into memory, and mark the entry as used.
+        """Map the content of a sealed entry into memory, and mark the entry as used.
 
         Raises:
             OSError: there is no such entry.
@@ -199,7 +199,7 @@ class TraceCache:
         return content
 
     def write_end(self, key: str, stream: BinaryIO, text: bytes) -> None:
-        """Complete the entry of a trace, whose events are in the stream, with its sealed JSON.
+        """Append the sealed JSON of a trace to its events in the stream.
 
         Raises:
             OSError: it cannot be written, or is too large.
@@ -211,12 +211,7 @@ class TraceCache:
         stream.writelines((text, digest.hexdigest().encode(), b"%0*x" % (_SIZE_BYTES, len(text))))
 
     def read_end(self, key: str) -> tuple[bytes, int]:
-        """Return the JSON of a trace and the number of bytes before it, and mark the entry as used.
-
-        Raises:
-            OSError: there is no such entry.
-            ValueError: as for `read`.
-        """
+        """Return the JSON of a trace and the number of bytes before it; as `read`."""
         with open_regular(self.path(key, _TRACE), follow_links=False) as stream:
             size = os.fstat(stream.fileno()).st_size
             end = _read_end(stream, size, _END_BYTES)
@@ -236,13 +231,13 @@ class TraceCache:
         return text, before_text
 
     def close(self) -> None:
-        """Close the cache; unless another analysis has it open, remove what exceeds its size."""
+        """Close the cache; the last analysis removes what exceeds its size."""
         self._pool.shutdown()
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._shrink()
         except OSError:
-            pass  # the last analysis to close removes
+            pass
         finally:
             os.close(self._descriptor)
 
@@ -324,7 +319,6 @@ def _own_folder(folder: Path) -> int:
 
 
 def _own_secret(folder: Path) -> bytes:
-    """Return this user's secret, made if it is missing or damaged."""
     os.close(_own_folder(folder))
     path = folder / "cache-key"
     with suppress(OSError), open_regular(path, follow_links=False) as stream:

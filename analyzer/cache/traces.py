@@ -1,4 +1,4 @@
-"""Loads traces; their events wait for their batch in memory, in the user's cache, or in temporary files."""
+"""Loads traces; events wait in memory, in the user's cache, or in temporary files."""
 
 from __future__ import annotations
 
@@ -26,21 +26,17 @@ if TYPE_CHECKING:
     from .store import TraceCache
 
 MOST_EVENTS_IN_MEMORY = 12_000_000
-"""Events that stay in memory, 56 bytes each; the events of further traces wait in files."""
+"""Events in memory, 56 bytes each; further traces wait in files."""
 
 LARGEST_TRACE_IN_MEMORY = 4_000_000
-"""Events of the largest trace that stays in memory; of a larger one, a batch reads only its own events."""
+"""Events of the largest trace in memory; of a larger one, a batch reads only its own."""
 
 
 class TraceLoader:
-    """Loads traces from the cache or from their files.
+    """Loads traces from the cache or from their files; the cache is closed with it.
 
-    Args:
-        cache: the open cache, closed with the loader; None caches nothing.
-        folder: takes temporary files; None makes a folder, removed with the loader.
-
-    Attributes:
-        keys: index of a loaded trace -> its key in the cache.
+    Temporary files are in `folder`, by default one that is removed with the loader. `keys`: index of a loaded trace -> its key in
+    the cache.
     """
 
     def __init__(self, cache: TraceCache | None = None, folder: Path | None = None) -> None:
@@ -57,7 +53,7 @@ class TraceLoader:
         self._left = 0
 
     def load_all(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
-        """Load traces; for a file that is not a trace, which has no index, yield the error."""
+        """Load traces; yield an error, without an index, for a file that is not one."""
         position = 0
         for path in paths:
             loaded = loaded_or_error(self.load, path, position)

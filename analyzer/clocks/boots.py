@@ -1,4 +1,4 @@
-"""Boots of a device, and its wall clock against its monotonic clock, from its sessions."""
+"""Boots of a device, and its wall clock against its monotonic clock."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def machine_of(session: Session) -> str:
 
 
 def share_boot(one: Session, other: Session | None) -> bool | None:
-    """Return whether two sessions are of one boot of one machine, None where a boot id is missing."""
+    """Return whether two sessions are of one boot; None where a boot id is missing."""
     ids = boot_id_of(one), boot_id_of(other) if other is not None else None
     return None if None in ids else ids[0] == ids[1]
 
@@ -65,7 +65,7 @@ def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, in
 
 
 def ping_wall_offsets(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Return the ping's wall clock minus its monotonic clock in ns by run_id, where the run names its session."""
+    """Return the ping's wall clock minus its monotonic clock in ns, by run_id, where known."""
     offsets = {session.session_id: _monotonic_zero_ns(session) for session in sessions}
     return {run.run_id: offsets[s] for run in runs if (s := session_of_run(run)) in offsets}
 

@@ -56,7 +56,6 @@ class ClockSegment:
     """A stretch of time in which neither clock was stepped; times on the ping's monotonic clock.
 
     Attributes:
-        start_ns: first message.
         at_ns: instant at which the bound of the offset is smallest.
         offset_ns: relay's clock minus ping's clock at `at_ns`.
         bound_ns: largest error of the offset.
@@ -79,12 +78,11 @@ class ClockSegment:
 
 @dataclass(frozen=True, slots=True)
 class ClockStep:
-    """A jump of one clock against the other: a clock that was set, a suspend, a reboot.
+    """A jump of the relay's clock against the ping's: a clock that was set, a suspend, a reboot.
 
     Attributes:
         after_ns: last message surely before the step, ping's monotonic clock.
         before_ns: first message surely after it.
-        size_ns: jump of the relay's clock against the ping's.
     """
 
     after_ns: int
@@ -125,11 +123,9 @@ class ClockOffsets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelayedMessages:
-    """The messages of one fit: int64 arrays T1, T3, T4, T2 of one length, in any order.
+    """The messages of one fit: int64 arrays T1, T3, T4, T2 of one length, in any order; the rest as in `ClockFit`.
 
     Attributes:
-        boot: as in `ClockFit`.
-        relay_boot: as in `ClockFit`.
         same_boot: whether both sides are of one boot of one machine (`boots.share_boot`); None lets names decide.
     """
 
@@ -209,7 +205,7 @@ class _Points:
         return cls(points, order, time_origin_ns, offset_origin_ns, same_clock)
 
     def offsets(self, offset_ns: Int64, bound_ns: Int64) -> ClockOffsets:
-        """Return the offset at each message, in the order of the input, if possible in these arrays."""
+        """Return the offsets in the order of the input, if possible in these arrays."""
         if self.same_clock:
             zero = np.zeros(len(offset_ns), np.int64)
             return ClockOffsets(zero, zero)

@@ -1,4 +1,4 @@
-"""Convex hulls of many windows at once: the points that all lines of a window pass below, or above.
+"""Convex hulls of many windows at once: what all lines of a window pass below, or above.
 
 Rows of a matrix are windows.
 """

@@ -180,7 +180,7 @@ def least_height(time: Float64, height: Float64, slope: Float64) -> Float64:
 
 
 def _hulls(points: OffsetIntervals, edges: Intp, centre: Float64) -> Iterator[tuple[Intp, Float64, Float64]]:
-    """Yield messages, instants from the centre and heights of each window's hull: of the upper, then the negated lower ends."""
+    """Yield messages, instants from the centre and heights of each window's hull: of upper, then of negated lower ends."""
     heights = points.upper, -points.lower
     lowest = [lowest_of_parts(height, edges) for height in heights]
     both = np.concatenate(lowest)

@@ -1,7 +1,7 @@
 """Slews: stretches of time in which a clock was made to run fast or slow.
 
-Between two devices a slew shows in the steps of their fit (`fit.py`), whose drift ends at `lines.DRIFT_LIMIT_PPB`, or below that
-in knots whose rates differ; on one device where CLOCK_MONOTONIC gains on CLOCK_MONOTONIC_RAW, which nobody slews.
+Between two devices a slew shows in the steps of their fit, whose drift ends at `lines.DRIFT_LIMIT_PPB`, or below that in knots
+whose rates differ; on one device where CLOCK_MONOTONIC gains on CLOCK_MONOTONIC_RAW, which nobody slews.
 """
 
 from __future__ import annotations
@@ -35,8 +35,7 @@ jumps by many bounds.
 """
 
 _GAIN_NS = 100_000
-"""Gain on CLOCK_MONOTONIC_RAW in ten seconds, beyond the steady rate, that is a slew: NTP changes its frequency by well under
-1 ppm at once (10 us).
+"""Gain on CLOCK_MONOTONIC_RAW in ten seconds, beyond the steady rate, that is a slew: NTP changes it by well under 1 ppm (10 us).
 """
 
 _NEARLY = 0.95
@@ -85,7 +84,6 @@ class Slew:
         after: index after the stretch of its last step; equal to `first` without a step.
         start_ns: start of the time with the best known rate, ping's monotonic clock.
         rate_ppm: mean rate at which the relay's clock gained in that time.
-        bound_ppm: largest error of the rate.
     """
 
     first: int
@@ -102,8 +100,8 @@ def find_slews(
     """Yield each chain of steps the same way that a slew left, then each bent stretch that is in no chain.
 
     A step continues a chain within a window of the previous step, or if it is barely more than its bound and the clock may have
-    run fast since. A chain is a slew with three steps, or if all are barely more than their bounds and the clock surely ran fast next
-    to one. The arrays are of the knots, by time, as in `ClockKnot`.
+    run fast since. A chain is a slew with three steps, or if all are barely more than their bounds and the clock surely ran
+    fast next to one. The arrays are of the knots, by time, as in `ClockKnot`.
     """
     slewed: set[int] = set()
     for first, after in _chains(stretches):
@@ -161,7 +159,7 @@ def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:
 
 
 def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int64, bound_ns: Int64) -> Slew:
-    """Take the rate of the longest pair of knots that proves nearly the fastest one."""
+    """Take the longest pair of knots that proves nearly the fastest rate."""
     one, other = np.triu_indices(len(at_ns), 1)
     lasted_ns = np.maximum(at_ns[other] - at_ns[one], 1).astype(np.float64)
     gain_ns = (offset_ns[other] - offset_ns[one]).astype(np.float64)
@@ -183,7 +181,7 @@ def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int
 def slewed_ppm(monotonic_ns: Int64, raw_ns: Int64) -> float:
     """Return the fastest slew of a device's monotonic clock in parts per million, 0 if it ran steadily.
 
-    The arrays are CLOCK_MONOTONIC of each host sample, ascending, and CLOCK_MONOTONIC_RAW at the same instants.
+    The arrays are the two clocks at each host sample, by time.
     """
     if len(monotonic_ns) < _STEPS:
         return 0.0

@@ -23,7 +23,7 @@ WINDOW_NS = 10_000_000_000
 """Length of a window: crystals wander by well under 0.1 ppm in ten seconds, and 10 Hz gives 100 messages."""
 
 HALF_MESSAGES = 16
-"""Least messages of a half that is checked: of fewer, perhaps none was fast both ways."""
+"""Least messages of a checked half: of fewer, perhaps none was fast both ways."""
 
 _BLOCK_MESSAGES = 1 << 18
 _BLOCK_WINDOWS = 1 << 12
@@ -96,8 +96,8 @@ def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -
     """Fit the lines of every window of some stretches, and narrow the bounds of `points` by them in place.
 
     A window is at most `WINDOW_NS` long, and halved until a line agrees with it and its halves do (`_are_bent`). A stretch is the
-    first message and the message after its last; stretches ascend, each of one fit. Only the tightest messages shape the lines; a
-    message that no line reaches keeps its bounds.
+    first message and the message after its last; stretches ascend, each of one fit. Only the tightest messages shape the lines; one
+    that no line reaches keeps its bounds.
     """
     fitted: list[Windows] = []
     if not stretches:

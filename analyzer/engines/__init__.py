@@ -1,1 +1,1 @@
-"""A campaign in batches that fit into memory, worked through here or on a cluster, and merged."""
+"""A campaign in batches that fit into memory, processed here or on a cluster, and merged."""

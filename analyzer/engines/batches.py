@@ -22,7 +22,7 @@ BATCH_EVENTS = 1_000_000
 """
 
 BATCH_GROUPS = 250
-"""Most groups of a batch: each costs a millisecond however few its messages, and thousands would be the work of one core."""
+"""Most groups of a batch: each costs a millisecond, and thousands would be the work of one core."""
 
 REUSED_BLOCK_BYTES = 31 << 20
 """Largest freed block of memory that is reused; glibc allows 32 MB."""
@@ -40,8 +40,8 @@ def keep_freed_memory() -> None:
 def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
     """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs.
 
-    Some groups, chosen by their own parameters and events, end their batch though it is not full: a new run then changes few
-    other batches, and the cached results of the rest stay valid.
+    Some groups, drawn by their own parameters and events, end their batch before it is full: a new run then changes few other
+    batches, and the cached results of the rest stay valid.
     """
     exchanges, groups = grouping.exchanges, grouping.group_of_exchange
     events_before = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()
@@ -108,7 +108,7 @@ def _parts_of_group(exchanges: Sequence[Exchange]) -> list[tuple[int, int]]:
 
 
 def is_large(batch: Batch) -> bool:
-    """Return whether one group, or one run of a group, has more events than a batch should have."""
+    """Return whether a batch exceeds `BATCH_EVENTS`: it is one group, or one run."""
     return batch.events > BATCH_EVENTS
 
 

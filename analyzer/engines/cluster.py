@@ -1,7 +1,7 @@
 """A Dask cluster as an `Engine`: one worker reads a trace, one worker processes a batch.
 
 Events stay with the workers that read them, and go to the worker whose batch needs them; the scheduler recomputes what is lost with
-a worker. Workers read the traces from a folder that all machines see under the same path, or from object storage.
+a worker. Workers read traces from a folder that all machines see under the same path, or from object storage.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class ClusterEngine:
         self._loaded: list[_Future[LoadedTrace | str]] = []
 
     def load(self, location: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Read every trace of a location, each on a worker; only the descriptions come here."""
+        """Read every trace on a worker; only the descriptions come here."""
         folder, *roots = (
             path if ":" in os.fspath(path) else path.resolve() for path in (location.folder, *location.parts)
         )
@@ -135,10 +135,10 @@ class ClusterEngine:
             yield pending.pop().result()
 
     def has_workers_with(self, file: Path) -> bool:
-        """Return whether there are workers, and all of them see this file under this path."""
+        """Return whether all workers see this file under this path."""
         try:
             seen = self._client.run(_size_and_time, os.fspath(file))
-        except OSError:  # one was lost just now
+        except OSError:  # one was just lost
             return False
         return set(seen.values()) == {_size_and_time(os.fspath(file))}
 

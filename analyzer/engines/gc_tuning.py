@@ -1,4 +1,4 @@
-"""GC tuning for analysis processes; the command applies it before it imports anything heavy."""
+"""GC tuning of analysis processes, applied before any heavy import."""
 
 import atexit
 import gc

@@ -1,4 +1,4 @@
-"""Engines do the work of an analysis: the cores of this machine here, of a cluster in `engines/cluster.py`."""
+"""Engines do the work of an analysis: this machine here, a cluster in `cluster.py`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FILES_FOR_PROCESSES = 300
 """Traces from which on worker processes pay: starting one costs half a second of a core."""
 
 BYTES_FOR_FILES = 150_000_000
-"""Size of all traces from which on their events wait in files, where worker processes can read them."""
+"""Size of all traces from which on their events wait in files, for worker processes to read."""
 
 COST_FOR_PROCESSES = 8_000_000
 """Events of all batches from which on worker processes pay (`docs/explanation/performance.md`)."""
@@ -49,7 +49,7 @@ COST_FOR_PROCESSES = 8_000_000
 _COST_OF_GROUP = 10_000  # in events
 
 _MOST_EVENTS_AHEAD = 8_000_000
-"""Events of batches in progress, or whose results wait; a batch with more events is processed on its own."""
+"""Events of batches in progress, or whose results wait; a larger batch is processed on its own."""
 
 _FILES_PER_JOB = 16
 """Traces that a worker reads before it reports."""
@@ -65,10 +65,10 @@ class Engine(Protocol):
         """Yield rows and results of the batches, in their order."""
 
     def has_workers_with(self, file: Path) -> bool:
-        """Return whether there are other processes for `map` that see this file under this path."""
+        """Return whether other processes for `map` see this file under this path."""
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return the function's results in order; function and items are sent to other processes."""
+        """Return results in order; function and items are sent to other processes."""
 
     def close(self) -> None:
         """Release memory, files and connections."""
@@ -124,7 +124,7 @@ class LocalEngine:
         return self._workers is not None
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return the function's results in order, by the worker processes if there are any."""
+        """Return results in order, by the worker processes if there are any."""
         return map(function, items) if self._workers is None else self._workers.map(function, items)
 
     def close(self) -> None:

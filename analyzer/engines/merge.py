@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """The results of all batches of a campaign; `copies` are left out, as another trace has them."""
+    """The results of all batches of a campaign."""
 
     summary: Summary
     frames: Frames
@@ -42,12 +42,9 @@ class Merged:
 
 
 def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch: bool) -> Merged:
-    """Merge the results of batches as they come.
+    """Merge the results of batches as they come, in the order of groups.
 
-    Args:
-        results: in the order of groups; of a part of a group with its values, unless it is a sketch.
-        grouping: the groups of the campaign.
-        sketch: take percentiles from histograms, also for whole groups.
+    A part of a group brings its values, unless it is a `sketch`, which takes percentiles from histograms, also for whole groups.
     """
     frames: list[Frames] = []
     counts: list[pl.DataFrame] = []
@@ -78,7 +75,7 @@ def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch:
 
 
 class _ValueSpool:
-    """The values of a group that comes in parts: a file for each metric, one at a time in memory."""
+    """The values of a group that comes in parts: a file for each metric."""
 
     def __init__(self, group: int) -> None:
         self.group = group
@@ -104,7 +101,7 @@ class _ValueSpool:
 
 
 def merge_sketches(parts: Statistics) -> Statistics:
-    """Merge statistics of parts of groups, in any order: percentiles by histogram, the rest exactly."""
+    """Merge statistics of parts of groups: percentiles by histogram, the rest exactly."""
     moments = {
         key: merge_moments(frame)
         for key, frame in parts.frame.partition_by(
@@ -137,7 +134,7 @@ def merge_sketches(parts: Statistics) -> Statistics:
 
 
 def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
-    """Merge samples, mean, standard deviation and extremes of the parts of one group and metric."""
+    """Merge samples, mean, standard deviation and extremes of one group and metric."""
     samples, mean, squares = 0, 0.0, 0.0
     for n, mean_of_part, std in (
         parts.filter(pl.col("samples") > 0).select("samples", "mean", "std").iter_rows()
@@ -156,13 +153,7 @@ def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
 
 
 def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64], quantile: float) -> float:
-    """Interpolate a percentile of counted values, each taken to be the centre of its bucket.
-
-    Args:
-        value_ns: centres of the buckets, ascending.
-        count: values in each bucket, at least one in all.
-        quantile: 0 to 1.
-    """
+    """Interpolate a percentile of values counted in buckets with ascending centres."""
     cumulative = np.cumsum(count.astype(np.int64))
     last = int(cumulative[-1]) - 1
     position = quantile * last

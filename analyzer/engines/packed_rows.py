@@ -36,11 +36,7 @@ _OPTIONS = pa.ipc.IpcWriteOptions(compression="lz4")
 
 
 def pack_rows(rows: RoundTrips, sink: pa.NativeFile) -> int:
-    """Write rows as `PackedRows` reads them; return the offset of the stream of rows.
-
-    Raises:
-        OSError: they cannot be written.
-    """
+    """Write rows as `PackedRows` reads them; return the offset of the stream of rows."""
     _write_frames(sink, iter([rows.counts]))
     _write_frames(sink, iter([rows.clock_knots]))
     offset: int = sink.tell()
@@ -91,8 +87,7 @@ class PackedRows(PairedRows):
     """Rows that are read on demand, column by column or batch by batch.
 
     Attributes:
-        source: the streams, or the file that has them.
-        offset: offset of the stream of rows in it.
+        offset: offset of the stream of rows in the source.
         is_temporary: whether the file is for these rows only.
     """
 

@@ -79,11 +79,10 @@ class BatchResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchOutput:
-    """The rows of a batch and its result.
+    """The rows of a batch, part by part, if requested, and its result.
 
     Attributes:
-        rows: part by part; empty if rows are not requested.
-        stored: for each part of `rows` the same rows in the cache, None where they could not be written there.
+        stored: the cached rows of each part, None where they could not be written.
     """
 
     rows: Sequence[RoundTrips | PackedRows]
@@ -103,7 +102,7 @@ class BatchOutput:
         return self.measured.result() if isinstance(self.measured, Future) else self.measured
 
     def packed(self, folder: Path | None) -> BatchOutput:
-        """Return the same for another process: rows that are not in the cache in files of `folder`, None for in memory.
+        """Return the same for another process: rows that are not cached in files of `folder`, None for in memory.
 
         Raises:
             OutputError: the rows cannot be written.

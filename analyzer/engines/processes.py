@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     from .process import BatchOutput
 
     Stored = tuple[str, LoadedTrace | TraceFormatError]
-    """Key in the cache, "" without one, and the trace, or why the file is not a trace."""
+    """Key in the cache or "", and the trace, or why the file is not one."""
 
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 _CHUNKS_PER_WORKER = 8
-"""Chunks of mapped items for each worker: few to send, enough that no worker waits long for another."""
+"""Chunks of mapped items for each worker: few to send, none long to wait for."""
 
 
 class Workers:
@@ -90,7 +90,7 @@ class Workers:
 
     @contextmanager
     def explaining_kills(self) -> Iterator[None]:
-        """Turn the end of a process into an error that names a likely cause."""
+        """Turn a killed process into an error that names a likely cause."""
         try:
             yield
         except BrokenProcessPool as err:
@@ -122,7 +122,7 @@ class Workers:
 class Worker:
     """Does the jobs of one process; `is_here` in the process of the analysis, which can take rows in memory.
 
-    `folder` takes temporary files; the open cache is closed with the worker.
+    `folder` takes temporary files; the cache is closed with the worker.
     """
 
     def __init__(self, folder: Path, cache: TraceCache | None, *, is_here: bool = False) -> None:
@@ -172,9 +172,9 @@ def can_start_workers() -> bool:
 
 
 def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecutor:
-    """Start `count` worker processes, which end with this one whatever ends it.
+    """Start processes that end with this one whatever ends it.
 
-    The caller removes `folder`, which takes temporary files, after the workers have ended.
+    The caller removes `folder`, which takes temporary files, after they have ended.
     """
     # A fork would copy locks that other threads, also in polars, have taken.
     context = multiprocessing.get_context("spawn")

@@ -48,7 +48,7 @@ _UNUSABLE = (OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsEr
 
 
 class ResultCache:
-    """Reads results of earlier analyses and writes new ones; `trace_keys` by index of the trace in the campaign."""
+    """Reads and writes results of analyses; `trace_keys` by index of the trace."""
 
     def __init__(self, cache: TraceCache, trace_keys: Mapping[int, str]) -> None:
         self._cache = cache
@@ -56,7 +56,7 @@ class ResultCache:
         self._texts: dict[int, tuple[Run | Session, str]] = {}  # one session is part of many exchanges
 
     def key_of(self, batch: Batch, parts: Mapping[EventKey, Sequence[EventPart]]) -> str:
-        """Return the key of everything that results depend on; of the numbers of groups only their order counts."""
+        """Return the key of everything that results depend on; of groups only the order counts."""
         options, groups = batch.options, batch.group_of_exchange.tolist()
         exchanges = [
             (
@@ -89,7 +89,7 @@ class ResultCache:
         return None
 
     def write_frames(self, key: str, frames: Frames, first_group: int) -> None:
-        """Write frames for `read_frames`, unless they are too large; a full disk costs only the cache."""
+        """Write frames unless they are too large; a full disk costs only the cache."""
         packed = pack_frames(_renumbered(frames, -first_group))
         with suppress(OSError):
             if len(packed) <= MOST_BYTES:
@@ -97,7 +97,7 @@ class ResultCache:
                     stream.write(packed)
 
     def read_rows(self, key: str, batch: Batch) -> PackedRows | None:
-        """Return the rows of a batch, None if the cache does not have them."""
+        """Return the rows of a batch, None if they are not cached."""
         with suppress(*_UNUSABLE):
             content = self._cache.read(self._hashed(key), "rows")
             path = self._cache.path(self._hashed(key), "rows")
@@ -124,7 +124,7 @@ class ResultCache:
 
 @cache
 def code_of_analysis() -> tuple[object, ...]:
-    """Return what invalidates a cached result: versions, and size and mtime of our own files."""
+    """Return what invalidates cached results: versions, and size and mtime of our files."""
     rooms = (Path(__file__).parents[1], Path(dds_trace.tracefile.__file__).parent)
     files = sorted(file for room in rooms for file in room.rglob("*.py"))
     return (

@@ -1,1 +1,1 @@
-"""The traces of a folder as one campaign (`campaign`), and the paths where they are (`place`)."""
+"""The traces of a folder as one campaign, and the paths where they are."""

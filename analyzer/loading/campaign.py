@@ -1,4 +1,4 @@
-"""A campaign: the traces of a folder, their sessions and runs, and the index of their events."""
+"""The traces of a folder, their sessions and runs, and the index of their events."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     """Called before each trace is read with the number done, the number of all, and its path."""
 
     LoadAll = Callable[[Sequence[Path]], Iterator[LoadedTrace | TraceFormatError]]
-    """Yields each trace at its index among those that are one, or why a file is none."""
+    """Yields each trace at its index among traces, or why a file is none."""
 
 _FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
-"""Files that `dds-sweep` writes next to its traces; they are not listed as skipped."""
+"""Files that `dds-sweep` writes; they are not listed as skipped."""
 
 _NAMED_AT_MOST = 5
 """Files that an error message names."""
@@ -48,7 +48,7 @@ class Campaign:
         traces: without their events.
         session_traces: indices of the traces that name a session.
         run_traces: indices of the traces that describe a run.
-        copies: the events of each trace that another trace has as well.
+        copies: the events of each trace that another trace has, too.
     """
 
     folder: Path
@@ -163,7 +163,7 @@ def _session_age(session: Session) -> tuple[int, bool, int]:
 
 
 def part_of(session: Session) -> int:
-    """Return the number of a description's file within its recording (`--rotate`), 1 for a single file."""
+    """Return the number of a file within its recording (`--rotate`), 1 for a single file."""
     part = session.extra.get("part")
     return part if isinstance(part, int) else 1
 

@@ -24,7 +24,7 @@ OUTPUT_FOLDER = "analysis"
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the traces of an analysis are: `parts`, at or below `folder`, to which names of traces are relative."""
+    """`parts` are at or below `folder`, to which names of traces are relative."""
 
     folder: Path
     parts: tuple[Path, ...]
@@ -68,7 +68,7 @@ class Place:
 
     @property
     def own_folders(self) -> set[Path]:
-        """Default folders of results, of all parts together and of each; they are not searched for traces."""
+        """Default folders of results, of all parts and of each; they are not searched for traces."""
         default_outputs = {Place.of(part).default_output for part in self.parts}
         return default_outputs if self._is_scattered else default_outputs | {self.default_output}
 

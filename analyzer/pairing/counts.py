@@ -52,7 +52,7 @@ first of their message; `least_payload_bytes`, `most_payload_bytes`: of its T1. 
 def count_messages(
     published: Published, paired: PairedMessages, *, unsent: int = 0, in_flight: int = 0
 ) -> dict[str, int | None]:
-    """Count the messages of one exchange that have a row: its row of `COUNT_SCHEMA`."""
+    """Count the messages of one exchange: its row of `COUNT_SCHEMA`."""
     t0, t1, t2 = published.scheduled_ns, published.publish_ns, paired.receive_ns
     t3, t4 = paired.relay_in_ns, paired.relay_out_ns
     replied, relayed, left = t2 != MISSING, t3 != MISSING, t4 != MISSING

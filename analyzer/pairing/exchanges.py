@@ -1,4 +1,4 @@
-"""Who exchanged messages with whom, under which parameters: one `Exchange` per run and relay."""
+"""Who exchanged messages with whom, under which parameters."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Exchange:
         return RunSpan(self.start_ns, self.end_ns, self.run.run_id, machine_of(self.ping))
 
     def event_keys(self) -> tuple[EventKey, EventKey, EventKey, EventKey]:
-        """Return the keys of its events in the event index, T1 to T4; T1 is shared by all relays of the run."""
+        """Return its keys in the event index, T1 to T4; all relays of the run share T1."""
         run_id, relay_id = self.run.run_id, self.relay_id
         return (
             (Stage.T1, run_id, NO_RELAY),
@@ -92,12 +92,11 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Unplaced:
-    """Events that belong to no row.
+    """Events that belong to no row, copies left out.
 
     Attributes:
         reason: a key of the table of reasons in `findings/runs.py`.
         relay_id: the relay that they name, 0 for none.
-        events: number of events, copies left out.
         traces: indices of the traces with these events.
     """
 

@@ -1,7 +1,4 @@
-"""Runs of one machine at the same time: the number of flows of each run, and which runs overlap.
-
-Both follow from the same spans: a run that counts among the flows of another overlaps with it.
-"""
+"""Runs of one machine at the same time: flows of each run, and overlaps."""
 
 from __future__ import annotations
 
@@ -44,7 +41,7 @@ class Overlap:
 
     Attributes:
         share: common time over the duration of the shorter run, 0 to 1.
-        is_mutual: whether each went on in the middle of the other, so that the flows of both count it.
+        is_mutual: whether each went on in the middle of the other, so that both count it as a flow.
     """
 
     one: int
@@ -54,7 +51,7 @@ class Overlap:
 
 
 def count_flows(spans: Iterable[RunSpan]) -> dict[int, int]:
-    """Return for each run_id the number of runs of its machine at its middle, itself included."""
+    """Return by run_id the number of runs of its machine at its middle, itself included."""
     flows: dict[int, int] = {}
     for spans_of_machine in _by_machine(spans):
         middles = np.array([span.middle_ns for span in spans_of_machine])
@@ -65,7 +62,7 @@ def count_flows(spans: Iterable[RunSpan]) -> dict[int, int]:
 
 
 def find_overlaps(spans: Iterable[RunSpan]) -> Iterator[Overlap]:
-    """Yield each pair of runs of one machine that overlap by a second, or at the middle of one of them."""
+    """Yield pairs of runs of one machine that overlap by a second, or at the middle of one."""
     for spans_of_machine in _by_machine(spans):
         going_on: list[RunSpan] = []
         for span in sorted(spans_of_machine):

@@ -173,7 +173,7 @@ def _is_bounded(fit: ClockFit) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FitInput:
-    """The messages that take part in the fit of an exchange: its index, their rows and stamps."""
+    """The messages of an exchange that take part in its fit."""
 
     number: int
     at: slice | NDArray[np.intp]

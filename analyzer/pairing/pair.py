@@ -53,7 +53,6 @@ class Published:
         sequence: uint64, strictly ascending.
         publish_ns: int64, T1.
         scheduled_ns: int64, T0, or MISSING throughout if the run had no schedule.
-        warmup_messages: messages below this sequence number are not counted.
         with_warmup: distinct messages with a T1, warm-up included.
         repeated: T1 events beyond the first of their message; none in a sound trace.
     """
@@ -99,7 +98,7 @@ class PairedMessages:
         outcome: uint8, index of `OUTCOMES`.
         duplicates: uint16, T2 events beyond the first.
         reordered: bool, T2 came after the T2 of a later sequence.
-        orphans: T2, T3 and T4 events without a T1, warm-up left out.
+        orphans: T2, T3 and T4 events without a T1.
     """
 
     receive_ns: NDArray[np.int64]
@@ -184,10 +183,7 @@ def first_replies(published: Published, t2: EventColumns) -> NDArray[np.int64]:
 def middleware_stamps(
     published: Published, events: EventColumns, instant_ns: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], ...]:
-    """Return `source_ns` and `received_ns` of the event of each message, 0 where there is none; () if no event has them.
-
-    `events` are T2 or T3; `instant_ns` is the instant of each message's event, or MISSING.
-    """
+    """Return `source_ns` and `received_ns` of each message's T2 or T3 `events` at `instant_ns`, 0 without; () if none has them."""
     if not (events.source_ns.any() or events.received_ns.any()):
         return ()
     if _are_its_own(published, events) and np.array_equal(instant_ns, events.monotonic_ns):
@@ -205,7 +201,7 @@ def middleware_stamps(
 def _earliest(
     published: Published, events: EventColumns
 ) -> tuple[NDArray[np.int64], NDArray[np.uint16], int]:
-    """Return each message's earliest event, its number of further events, and the number of events without a message."""
+    """Return each message's earliest event, its number of further events, and the number of orphans."""
     extra = np.zeros(len(published), np.uint16)
     if _are_its_own(published, events):
         return events.monotonic_ns, extra, 0

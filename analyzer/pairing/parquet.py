@@ -46,12 +46,9 @@ _ARROW_TYPES = {
 def roundtrips_writer(
     path: Path, provenance: Mapping[str, str] | None = None
 ) -> Iterator[Callable[[pa.Table], None]]:
-    """Write `roundtrips.parquet` table by table; the file takes its place once it is complete.
+    """Write `roundtrips.parquet`, complete or not at all; yield a function that writes a table of `tables_of`.
 
     Times ascend by steps or stay within a range: delta encoding takes a quarter of the bytes and time of plain values under zstd.
-
-    Yields:
-        A function that writes a table of `tables_of`.
 
     Raises:
         OutputError: the folder or the file cannot be written.
@@ -139,7 +136,7 @@ def _array(values: NDArray[np.generic]) -> pa.Array:
 
 
 def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:
-    """Write `summary.parquet`; the file takes its place once it is complete.
+    """Write `summary.parquet`, complete or not at all.
 
     Raises:
         OutputError: the folder or the file cannot be written.

@@ -1,4 +1,4 @@
-"""The paired events of a batch: one row per published message and relay of its run."""
+"""The paired events of a batch: one row per published message and relay."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ MIDDLEWARE_STAMPS = {
     Stage.T3: ("relay_source_ns", "relay_received_ns"),
     Stage.T2: ("reply_source_ns", "reply_received_ns"),
 }
-"""Columns of `source_ns` and `received_ns` of a row's T3 and T2: i64, ns since 1970, 0 if unknown."""
+"""Columns of `source_ns` and `received_ns` of T3 and T2: i64, ns since 1970, 0 if unknown."""
 
 RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.values())
 """Stamps of reception; without any of them the others are not used."""
@@ -59,7 +59,7 @@ RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.value
 STAMP_NAMES = tuple(name for names in MIDDLEWARE_STAMPS.values() for name in names)
 
 ROWS_PER_FRAME = 1 << 20
-"""Rows in one frame of `PairedRows.frames`, and in one row group of the Parquet file."""
+"""Rows of a frame of `PairedRows.frames`, and of a row group of the Parquet file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,7 +218,7 @@ def pair_exchanges(
 
 
 class _Filled:
-    """Columns of all exchanges, zero by default; a single exchange is not copied and must not be written."""
+    """Columns of all exchanges, zero by default; a single exchange is not copied: do not write to it."""
 
     def __init__(self, rows: int) -> None:
         self._rows = rows

@@ -1,4 +1,4 @@
-"""The rows of `roundtrips`: written table by table, then read from memory where they are few, else from their Parquet file."""
+"""The rows of `roundtrips`: written table by table, read from memory where they are few, else from Parquet."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RowStore(ABC):
 
     @staticmethod
     def of(rows: pl.DataFrame | Path, summary: pl.DataFrame | None = None) -> RowStore:
-        """Return a store of a frame or a Parquet file; `summary` of these rows gives its `groups`."""
+        """Return a store of a frame or a Parquet file; `summary` gives its `groups`."""
         store = RowsInFile(rows) if isinstance(rows, Path) else RowsInMemory(rows)
         if summary is not None:
             store.locate(summary)
@@ -100,7 +100,7 @@ class RowsInMemory(RowStore):
 
     @property
     def file(self) -> Path | None:
-        """Absolute path of the file, if there is one."""
+        """Path of the file, if there is one."""
         return None if self._path is None else self._path.resolve()
 
     def load(self) -> pl.DataFrame:
@@ -128,7 +128,7 @@ class RowsInFile(RowStore):
 
     @property
     def file(self) -> Path:
-        """Absolute path of the file."""
+        """Path of the file."""
         return self._path.resolve()
 
     def load(self) -> pl.DataFrame:

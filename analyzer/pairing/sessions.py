@@ -1,4 +1,4 @@
-"""Which recording process made the events of a run: the one that the run names, else one of the traces with the events."""
+"""Which session recorded the events of a run: the named one, else one of the traces with the events."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """More than one session could have made these events; the last one started before them was taken."""
+    """Several sessions could have made these events; the last one started before them was taken."""
 
     role: str
     run_id: int

@@ -1,4 +1,4 @@
-"""The end of a run: messages that were due but never sent, and messages in flight when the ping died."""
+"""The end of a run: messages due but never sent, and messages in flight when the ping died."""
 
 from __future__ import annotations
 
@@ -21,14 +21,13 @@ if TYPE_CHECKING:
 
 
 _PATIENCE_NS = 2 * SECOND_NS
-"""Time that a reply may take in a run without any: a ping waits that long at its end."""
+"""Time that a reply may take in a run without any: a ping's wait at its end."""
 
 
 def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
     """Return the number of counted messages that were due when the run ended and never published.
 
-    The run ended at its `ended_ns`, else at the last T1 or T2. A message in flight when the ping died was published. Of a
-    live topic, which has no plan, the skipped messages were never sent.
+    The run ended at its `ended_ns`, else at the last T1 or T2. A live topic has no plan: its skipped messages were never sent.
     """
     skipped = run.extra.get("skipped_messages")
     if isinstance(skipped, int):

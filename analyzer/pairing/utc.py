@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .exchanges import Exchange
 
 _SANE_NS = 1 << 61
-"""Instants and offsets beyond (73 years) are damaged and have no UTC; the sum of two others fits into an int64."""
+"""Instants and offsets beyond (73 years) are damaged; the sum of two others fits into an int64."""
 
 _STA_UNSYNC = 0x40
 """Bit of the kernel's clock status: nothing has synchronized it (adjtimex(2))."""
@@ -62,7 +62,7 @@ def utc_columns(
 
 
 def is_synchronized(session: Session) -> bool | None:
-    """Return whether the kernel regarded the wall clock as synchronized at the start of the session; None if unknown."""
+    """Return whether the kernel's clock was synchronized at the start of the session; None if unknown."""
     clock = session.extra.get("clock")
     begin = clock.get("begin") if isinstance(clock, dict) else None
     status = begin.get("status") if isinstance(begin, dict) else None

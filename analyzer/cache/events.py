@@ -1,7 +1,7 @@
 """Events in a file of our own: the columns of each stage, run and relay, written piece by piece.
 
-A column of one value (run, relay, payload size), or that counts up by one (sequence numbers), is described; others are written
-as they are in memory. That is a third of the bytes of the events.
+A column of one value, or that counts up by one (sequence numbers), is described; others are written as they are in memory. That is
+a third of the bytes of the events.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def find_anywhere(path: Path, skip: Collection[Path]) -> list[Path]:
 
     Raises:
         MissingEventsError: there is nothing at `path`.
-        BackendUnavailableError: the package for this storage is missing, or the storage does not answer.
+        BackendUnavailableError: the storage's package is missing, or it does not answer.
     """
     if not is_remote(path):
         return find_traces(path, skip=skip)

@@ -35,8 +35,7 @@ LARGEST_TRACE_IN_MEMORY = 4_000_000
 class TraceLoader:
     """Loads traces from the cache or from their files; the cache is closed with it.
 
-    Temporary files are in `folder`, by default one that is removed with the loader. `keys`: index of a loaded trace -> its key in
-    the cache.
+    Without a `folder` for temporary files, it makes one. `keys`: index of a loaded trace -> its key in the cache.
     """
 
     def __init__(self, cache: TraceCache | None = None, folder: Path | None = None) -> None:

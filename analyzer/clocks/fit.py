@@ -9,11 +9,10 @@ slower one way looks like a clock that is off by half the difference.
 
 Two assumptions give a slow message the interval of its fast neighbours:
 - clocks part by at most `DRIFT_LIMIT_PPB`. A message out of reach shows a step (clock set, suspend, reboot) and splits the fit;
-- within a window of `WINDOW_NS` theta is a straight line, and the bound is what the lines that respect every message leave
-  open (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002; S. Moon,
-  P. Skelly, D. Towsley, INFOCOM 1999; fastest messages: Huygens, NSDI 2018, RFC 5905, section 10). A window without such a line,
-  or with a half whose offset is outside its bound, is halved: for a clock that bends by 100 ppm, wrong bounds fall from 24 %
-  of the messages to 3 %.
+- within a window theta is a straight line, and the bound is what the lines that respect every message leave open
+  (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002; S. Moon, P. Skelly,
+  D. Towsley, INFOCOM 1999; Huygens, NSDI 2018; RFC 5905, section 10). A window without such a line, or with a half whose offset is
+  outside its bound, is halved: for a clock that bends by 100 ppm, wrong bounds fall from 24 % of the messages to 3 %.
 """
 
 from __future__ import annotations
@@ -97,10 +96,10 @@ class ClockFit:
 
     Attributes:
         boot: number of the boot of the ping's device (`boots.ping_boots`).
-        same_clock: both sides are of one boot of one machine (without boot ids: have one name), and an offset of zero agrees
-            with every message. One-way times are then exact.
+        same_clock: both sides are of one boot of one machine (without boot ids: have one name), and zero agrees with every
+            message. One-way times are then exact.
         segments: in order of time; empty without a message that has all four stamps.
-        steps: jumps between the segments, one fewer than these.
+        steps: jumps between the segments.
         relay_boot: the kernel's id of the boot of the relay's device; None if unknown.
     """
 

@@ -47,12 +47,7 @@ _MOST_KNOTS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """What a slew needs of a segment of a fit; times on the ping's monotonic clock.
-
-    Attributes:
-        drift_ppb: rate at which the relay's clock gains.
-        step_ns: jump that began it; 0 for the first of a fit.
-    """
+    """A segment of a fit, times on the ping's monotonic clock; `step_ns` is the jump that began it, 0 for the first."""
 
     start_ns: int
     end_ns: int

@@ -90,8 +90,8 @@ class LocalEngine:
     def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
         """Yield rows and results of the batches, processed on all cores; one batch waits in memory for its turn.
 
-        Threads process a large batch, and measure it while the caller writes its rows. Small batches would wait for Python's lock
-        here; worker processes take them where they pay.
+        Threads process a large batch, and measure it while the caller writes its rows. Worker processes take small batches,
+        which would wait for Python's lock here, where they pay.
         """
         if self._workers is None and _cost_of_small(batches) >= COST_FOR_PROCESSES:
             self._workers = self._start_workers()

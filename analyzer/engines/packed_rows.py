@@ -1,4 +1,4 @@
-"""Paired rows outside of memory: in the user's cache, in a temporary file, or on their way from another machine.
+"""Paired rows outside of memory: cached, in a temporary file, or on their way from another machine.
 
 Three Arrow streams: `counts`, `clock_knots`, and the rows, a batch for each of `PairedRows.frames`.
 """

@@ -118,8 +118,8 @@ class _Part:
 
     Attributes:
         key: None where it must not be cached.
-        cached: its rows in the cache, if they were there.
-        run_frames: frames of its runs from the cache, if they were there.
+        cached: its rows in the cache, if any.
+        run_frames: frames of its runs in the cache, if any.
         rows: in memory unless rows and frames were in the cache.
     """
 
@@ -176,12 +176,7 @@ def process(
 ) -> BatchOutput:
     """Pair and measure a batch.
 
-    Args:
-        batch: the batch.
-        parts: its events.
-        cache: None caches nothing.
-        pool: does what can be done in parallel; None does everything here.
-        threads: measures while the caller writes the rows; None measures first.
+    `pool` does what can be done in parallel; `threads` measure while the caller writes the rows. Without, all is done here.
     """
     pool, threads = pool or InlineExecutor(), threads or InlineExecutor()
     cache = cache if batch.options.details else None

@@ -54,7 +54,7 @@ _CHUNKS_PER_WORKER = 8
 class Workers:
     """The workers of one analysis, at least two; the first free one takes the next job.
 
-    This process is a worker because it has imported everything already (a third of a second) and has little else to do.
+    This process is one: it has imported everything already (a third of a second) and has little else to do.
     """
 
     def __init__(self, count: int, *, cache: bool) -> None:

@@ -45,7 +45,6 @@ class Campaign:
     Attributes:
         folder: the folder, or the only file.
         sources: every file in it; before `with_copies` without the copies of events.
-        traces: without their events.
         session_traces: indices of the traces that name a session.
         run_traces: indices of the traces that describe a run.
         copies: the events of each trace that another trace has, too.

@@ -43,9 +43,10 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
 `published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary. `relay_gaps`: replies without T3 or T4.
 `unscheduled`: messages without T0. `negative_*`: times below zero. `publish_span_ns`, `relay_span_ns`, `reply_span_ns`: first
 to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
-`orphans`: T2, T3 and T4 without T1. Of the run: `with_warmup`: messages with a T1, warm-up included; `repeated`: T1 beyond the
-first of their message; `least_payload_bytes`, `most_payload_bytes`: of its T1. `unsent`: messages due and never published.
-`in_flight`: messages without a row: the ping was killed before their fate was known (both `unsent.py`).
+`orphans`: T2, T3 and T4 of counted messages without T1. Of the run: `with_warmup`: messages with a T1, warm-up included;
+`repeated`: T1 beyond the first of their message; `least_payload_bytes`, `most_payload_bytes`: of its T1. `unsent`: messages
+due and never published. `in_flight`: messages without a row: the ping was killed before their fate was known (both
+`unsent.py`).
 """
 
 

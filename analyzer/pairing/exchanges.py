@@ -41,8 +41,8 @@ class Exchange:
         start_ns: the run's first T1, wall clock by the anchor of the ping.
         end_ns: the run's last T1, likewise.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
-        relays: number of relays that took part in the run.
-        flows: number of runs of the ping's machine at the middle of this one, itself included.
+        relays: relays that took part in the run.
+        flows: runs of the ping's machine at the middle of this one, itself included.
         replied_ns: first and last T2 of the relay, ping's monotonic clock; None without a reply.
     """
 
@@ -109,13 +109,7 @@ class Unplaced:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchanges:
-    """All exchanges of a campaign, and what could not be placed.
-
-    Attributes:
-        placed: in the order of their rows: run by start, then relay.
-        doubts: exchanges whose sessions are not certain.
-        copies: copies among the events that belong to no exchange.
-    """
+    """All exchanges of a campaign, by start of the run, then relay; what could not be placed, and its copies."""
 
     placed: tuple[Exchange, ...]
     unplaced: tuple[Unplaced, ...]

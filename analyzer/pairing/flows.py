@@ -41,7 +41,7 @@ class Overlap:
 
     Attributes:
         share: common time over the duration of the shorter run, 0 to 1.
-        is_mutual: whether each went on in the middle of the other, so that both count it as a flow.
+        is_mutual: each went on in the middle of the other, so that both count it as a flow.
     """
 
     one: int

@@ -1,7 +1,7 @@
 """One-way times of each run and relay, and the clock of each pair of devices over the campaign.
 
-A run is fitted on its own (`clocks/fit.py`), so its one-way times do not depend on what else is analyzed. The campaign's fit of two
-devices takes the knots of all runs as messages, and finds a step between two runs like one within a run.
+A run is fitted on its own, so its one-way times do not depend on what else is analyzed. The campaign's fit of two devices takes the
+knots of all runs as messages, and finds a step between two runs like one within a run.
 """
 
 from __future__ import annotations
@@ -183,10 +183,7 @@ class _FitInput:
 def _usable(
     stamps: Mapping[str, NDArray[np.int64]], here: slice, damaged: Sequence[str]
 ) -> NDArray[np.bool_]:
-    """Return which rows have all four stamps, none damaged, and less time in the relay than under way.
-
-    Only the stamps named by `damaged` are missing or damaged in some row.
-    """
+    """Return which rows have all four stamps, sane where named as `damaged`, and less time in the relay than under way."""
     t1, t3, t4, t2 = (stamps[name][here] for name in _FOUR_STAMPS)
     usable: NDArray[np.bool_] = t2 - t1 >= t4 - t3
     for name in damaged:

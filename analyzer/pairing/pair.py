@@ -1,8 +1,8 @@
 """Pairing: the events T1..T4 of one exchange become one row per published message.
 
-A message's row is its sequence number minus the first one, without a join; where T1 events are missing or numbers are absurd,
-bisection finds it. Nothing is allocated by the size of a number in a file. Of several events of one message the earliest counts;
-events that agree in message and instant are one event.
+A message's row is its sequence number minus the first one; where T1 events are missing or numbers are absurd, bisection finds it.
+Nothing is allocated by the size of a number in a file. Of several events of one message the earliest counts; events that agree in
+message and instant are one event.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class PairedMessages:
         outcome: uint8, index of `OUTCOMES`.
         duplicates: uint16, T2 events beyond the first.
         reordered: bool, T2 came after the T2 of a later sequence.
-        orphans: T2, T3 and T4 events without a T1.
+        orphans: T2, T3 and T4 events without a T1, warm-up left out.
     """
 
     receive_ns: NDArray[np.int64]

@@ -1,7 +1,7 @@
 """The instants of messages in UTC, as far as their devices knew it.
 
-A session reads both clocks once, when it starts, and stamps events by the monotonic clock. UTC follows from that reading,
-whatever changes the wall clock later, and is as wrong as the device's clock was then.
+A session reads both clocks once, when it starts. UTC follows from that reading, whatever changes the wall clock later, and is as
+wrong as the device's clock was then.
 """
 
 from __future__ import annotations

@@ -117,8 +117,13 @@ def _cut(time: Float64, stretches: Sequence[tuple[int, int]]) -> tuple[Intp, Int
     for start, stop in stretches:
         cuts = np.array([start, stop])
         duration = time[stop - 1] - time[start]
-        if duration > WINDOW_NS:
-            edges = np.linspace(time[start], time[stop - 1], int(np.ceil(duration / WINDOW_NS)) + 1)
+        windows = int(np.ceil(duration / WINDOW_NS))
+        if windows > stop - start:  # few messages, far apart: no array has the length of a time
+            number = np.floor((time[start:stop] - time[start]) * (windows / duration))
+            inside = start + 1 + np.flatnonzero(np.diff(number))
+            cuts = np.unique(np.concatenate([cuts, inside]))
+        elif windows > 1:
+            edges = np.linspace(time[start], time[stop - 1], windows + 1)
             inside = start + np.searchsorted(time[start:stop], edges[1:-1])
             cuts = np.unique(np.concatenate([cuts, inside]))
         starts.append(cuts[:-1])

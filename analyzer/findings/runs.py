@@ -47,6 +47,18 @@ def undescribed_sessions(evidence: Evidence) -> Iterator[Observation]:
     return _unplaced(evidence, "no_ping_session", what)
 
 
+@check(
+    "too_many_relays",
+    Severity.ERROR,
+    Subject.FILE,
+    "Look for a program that forges replies, or a recorder with a new relay_id for each message.",
+)
+def too_many_relays(evidence: Evidence) -> Iterator[Observation]:
+    """More relays replied than a run can have rows for."""
+    what = "These runs have replies of more relays than their messages explain; those with the fewest events were left out."
+    return _unplaced(evidence, "too_many_relays", what)
+
+
 def _unplaced(evidence: Evidence, reason: str, what: str) -> Iterator[Observation]:
     alike: dict[tuple[int, tuple[int, ...]], list[Unplaced]] = defaultdict(list)
     for unplaced in evidence.exchanges.unplaced:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted, format_duration
@@ -15,7 +16,7 @@ from .check import Subject, check
 from .evidence import Observation, some
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from dds_trace.tracefile.format.descriptions import Session
 
@@ -130,7 +131,7 @@ def missing_files(evidence: Evidence) -> Iterator[Observation]:
                 parts[session.session_id][part_of(session)] = session
     for session_id, by_part in parts.items():
         last = max(by_part)
-        missing = [str(part) for part in range(1, last) if part not in by_part]
+        missing = list(_missing_numbers(sorted(by_part)))
         if by_part[last].extra.get("followed"):
             missing.append(f"those after {last}")
         if missing:
@@ -138,6 +139,14 @@ def missing_files(evidence: Evidence) -> Iterator[Observation]:
                 evidence.session_name(evidence.campaign.sessions[session_id]),
                 f"Of the {last} files of this recording (--rotate) some are not here: {some(missing)}.",
             )
+
+
+def _missing_numbers(parts: Sequence[int]) -> Iterator[str]:
+    """Yield the numbers from 1 on that are not among `parts` (ascending), a range as `2 to 5`: a number may be huge."""
+    for previous, following in pairwise((0, *parts)):
+        first, last = previous + 1, following - 1
+        if first <= last:
+            yield str(first) if first == last else f"{first} to {last}"
 
 
 @check(

@@ -22,6 +22,7 @@ CHECKS: tuple[Check, ...] = (
     runs.runs_without_ping,
     runs.undescribed_runs,
     runs.undescribed_sessions,
+    runs.too_many_relays,
     runs.runs_without_relay,
     runs.missing_relay_traces,
     runs.incomplete_relay_traces,

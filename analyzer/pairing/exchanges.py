@@ -18,7 +18,7 @@ from .flows import RunSpan, count_flows
 from .sessions import Doubt, find_ping_session, find_relay_session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from dds_trace.tracefile.format.descriptions import Run, Session
 
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     """The traces that have events of one stage, run and relay."""
 
 NO_RELAY = 0
+
+_ANY_RELAYS = 16
+_ROWS_PER_EVENT = 4
+"""Beyond so many relays a run has at most so many rows for each of their events: made-up relays must not make rows without bound."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,11 +132,11 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
     unplaced: list[Unplaced] = []
     doubts: list[Doubt] = []
     for run_id in sorted({*published, *relayed}):
-        relays = relayed.get(run_id, {})
+        every_relay = relayed.get(run_id, {})
         if run_id not in published:
             unplaced += (
                 _unplaced("no_ping_trace", run_id, relay_id, stages.values())
-                for relay_id, stages in sorted(relays.items())
+                for relay_id, stages in sorted(every_relay.items())
             )
             continue
         t1 = published[run_id]
@@ -142,6 +146,9 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
             reason = "no_ping_session" if run else "no_run_description"
             unplaced.append(_unplaced(reason, run_id, NO_RELAY, [t1]))
             continue
+        relays, surplus = _within_bounds(every_relay, _count(t1))
+        if surplus:
+            unplaced.append(_unplaced("too_many_relays", run_id, NO_RELAY, surplus))
         for relay_id, stages in sorted(relays.items()) or [(NO_RELAY, {})]:
             t2, t3, t4 = (stages.get(stage, ()) for stage in (Stage.T2, Stage.T3, Stage.T4))
             first_ns = _first_ns(t3 or t4)
@@ -175,6 +182,19 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
     flows = count_flows(exchange.span() for exchange in placed)
     placed = sorted((replace(exchange, flows=flows[exchange.run.run_id]) for exchange in placed), key=_start)
     return Exchanges(tuple(placed), tuple(unplaced), tuple(doubts), tuple(copies))
+
+
+def _within_bounds(
+    relays: Mapping[int, Mapping[Stage, Parts]], published: int
+) -> tuple[Mapping[int, Mapping[Stage, Parts]], list[Parts]]:
+    """Return the relays that get rows, those with the most events first, and the events of all others."""
+    if len(relays) <= _ANY_RELAYS:
+        return relays, []
+    events = {relay_id: sum(map(_count, stages.values())) for relay_id, stages in relays.items()}
+    most = max(_ANY_RELAYS, _ROWS_PER_EVENT * sum(events.values()) // published)
+    order = sorted(relays, key=lambda relay_id: (-events[relay_id], relay_id))
+    surplus = [parts for relay_id in order[most:] for parts in relays[relay_id].values()]
+    return {relay_id: relays[relay_id] for relay_id in order[:most]}, surplus
 
 
 def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, dict[Stage, Parts]]]]:

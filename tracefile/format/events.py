@@ -63,6 +63,9 @@ class Stage(Enum):
         return f"/dds_trace/{self.value}"
 
 
+MOST_STAMP_NS = 1 << 62
+"""Largest absolute value of a stamp, 146 years: differences of two fit into 64 bits, and none is a mark for "missing"."""
+
 STAGE_OF_TOPIC = {stage.topic: stage for stage in Stage}
 SESSION_TOPIC = "/dds_trace/session"
 RUN_TOPIC = "/dds_trace/run"

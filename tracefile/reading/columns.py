@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..format.events import EVENT_DTYPE, EventColumns, Stage
+from ..format.events import EVENT_DTYPE, MOST_STAMP_NS, EventColumns, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,6 +23,7 @@ _WIDE = tuple(name for name in _NAMES if EVENT_DTYPE[name].itemsize == 8)
 _NARROW = _NAMES[len(_WIDE) :]
 _WIDE_BYTES = 8 * len(_WIDE)
 _SMALLEST_GROWTH = 1 << 14
+_INSTANTS, _OPTIONAL = slice(2, 4), slice(4, 6)  # of the wide columns: T and T0; the middleware's stamps
 
 
 class ColumnsMemory:
@@ -66,9 +67,13 @@ class ColumnsBuilder:
         filled = sum(columns.filled for columns in self._columns.values())
         return filled > 0 and filled + events > self._most_events
 
-    def append(self, stage: Stage, records: Records) -> None:
-        """Append `records`, a contiguous array of `EVENT_DTYPE`, to the events of the stage."""
-        self._columns[stage].append(records)
+    def append(self, stage: Stage, records: Records) -> int:
+        """Append `records`, a contiguous array of `EVENT_DTYPE`, to the events of the stage.
+
+        Returns:
+            The number of records that were left out, since their instant is beyond `MOST_STAMP_NS`.
+        """
+        return self._columns[stage].append(records)
 
     def finish(self) -> dict[Stage, EventColumns]:
         """Return all events; the builder may not be used again."""
@@ -92,7 +97,7 @@ class _StageColumns:
         except MemoryError:  # the claim of the file may be wrong; the columns grow as events come
             self._reserve(0)
 
-    def append(self, records: Records) -> None:
+    def append(self, records: Records) -> int:
         start, end = self.filled, self.filled + len(records)
         if end > self._wide.shape[1]:
             wide, narrow = self._wide[:, :start], self._narrow[:, :start]
@@ -101,7 +106,18 @@ class _StageColumns:
         count, step = len(records), EVENT_DTYPE.itemsize
         self._wide[:, start:end] = np.ndarray((len(_WIDE), count), "<i8", records, 0, (8, step))
         self._narrow[:, start:end] = np.ndarray((len(_NARROW), count), "<u4", records, _WIDE_BYTES, (4, step))
+        left_out = 0
+        if _is_beyond(self._wide[_OPTIONAL, start:end]):
+            optional = self._wide[_OPTIONAL, start:end]
+            optional[_beyond(optional)] = 0  # unknown
+        if _is_beyond(self._wide[_INSTANTS, start:end]):
+            kept = np.flatnonzero(~_beyond(self._wide[_INSTANTS, start:end]).any(axis=0))
+            left_out = count - len(kept)
+            end = start + len(kept)
+            self._wide[:, start:end] = self._wide[:, start + kept]
+            self._narrow[:, start:end] = self._narrow[:, start + kept]
         self.filled = end
+        return left_out
 
     def finish(self) -> EventColumns:
         """Return views of the filled part; a stage without events refers to no memory."""
@@ -116,3 +132,11 @@ class _StageColumns:
         split = count * _WIDE_BYTES
         self._wide = memory[:split].view("<i8").reshape(len(_WIDE), count)
         self._narrow = memory[split:].view("<u4").reshape(len(_NARROW), count)
+
+
+def _is_beyond(stamps: NDArray[np.int64]) -> bool:
+    return bool(stamps.size) and (int(stamps.min()) < -MOST_STAMP_NS or int(stamps.max()) > MOST_STAMP_NS)
+
+
+def _beyond(stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return (stamps < -MOST_STAMP_NS) | (stamps > MOST_STAMP_NS)

@@ -70,7 +70,7 @@ def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], mo
                     take(columns.finish())
                     columns = ColumnsBuilder(expected, most_events, memory)
                 for stage, events in batch.events:
-                    columns.append(stage, events)
+                    builder.unreadable += columns.append(stage, events)
         take(columns.finish())
         return builder.trace({})
 
@@ -88,7 +88,9 @@ def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, Ev
         with _workers() as pool, open_source(file, pool) as source:
             for batch in builder.batches_of(file, source, ring):
                 for stage, events in batch.events:
-                    yield stage, EventColumns.from_records(events)
+                    columns = ColumnsBuilder({stage: len(events)})
+                    columns.append(stage, events)
+                    yield stage, columns.finish()[stage]
     builder.check()
 
 

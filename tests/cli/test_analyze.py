@@ -135,7 +135,7 @@ def test_several_paths_and_patterns_are_one_analysis(runs, tmp_path, capsys, mon
     assert analyze("runs", "gone") == 4
     assert "gone: no such file or folder" in capsys.readouterr().err
     assert analyze("s3://bucket/a", "runs") == 2
-    assert "of object storage one path is read" in capsys.readouterr().err
+    assert "only one path in object storage" in capsys.readouterr().err
     assert analyze(*runs.glob("*.mcap"), "--topics") == 0  # the topics of both files, ours or not
     assert "/dds_trace/t1" in capsys.readouterr().out
 

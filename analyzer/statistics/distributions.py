@@ -99,6 +99,22 @@ def poisson_cdf(count: int, mean: float) -> float:
     return math.fsum(math.exp(k * math.log(mean) - mean - math.lgamma(k + 1)) for k in range(count + 1))
 
 
+def chi_square_cdf(value: float, degrees: float) -> float:
+    """Return the probability that a chi-square variable is at most `value`, by the series of NIST DLMF 8.7.1."""
+    if value <= 0:
+        return 0.0
+    if value > degrees + 20 * math.sqrt(2 * degrees) + 100:  # beyond it is below 1e-20, and the series overflows
+        return 1.0
+    half, exponent = value / 2, degrees / 2
+    term = total = 1 / exponent
+    index = exponent
+    while term > 1e-16 * total:
+        index += 1
+        term *= half / index
+        total += term
+    return min(1.0, total * math.exp(exponent * math.log(half) - half - math.lgamma(exponent)))
+
+
 def incomplete_beta(x: float, a: float, b: float) -> float:
     """Return the regularized incomplete beta function `I_x(a, b)` (NIST DLMF 8.17.22, by Lentz's method)."""
     if x <= 0 or x >= 1:

@@ -32,6 +32,19 @@ def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:
     return _in_order(np.minimum(steps, 1.0), order)
 
 
+def hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
+    """Return p values that bound the probability of a single false alarm in the family, in the order of the tests.
+
+    The i-th smallest of m becomes the smallest `(m - j + 1) p_j` from it on (Y. Hochberg, Biometrika 75, 1988), for tests that are
+    independent or positively dependent; none is larger than Holm's.
+    """
+    values = np.asarray(p_values, np.float64)
+    order = np.argsort(values, kind="stable")
+    steps = values[order] * np.arange(len(values), 0, -1)
+    falling = np.minimum.accumulate(steps[::-1])[::-1]
+    return _in_order(np.minimum(falling, 1.0), order)
+
+
 def benjamini_hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
     """Return p values that bound the expected share of false alarms among all alarms, in the order of the tests.
 

@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from .analysis import Details
-from .clocks.boots import ping_boots
+from .clocks.boots import ping_boots, ping_wall_offsets
 from .groups.batch import DEADLINE_METRIC, Batch
 from .groups.frames import DETAIL_MAKERS
 from .groups.host_samples import host_sample_frame
@@ -74,7 +74,13 @@ def collect_details(
     }
     with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:  # while `mapper` may use other processes
         clock_fits = pool.submit(lambda: segment_table(fit_devices(frames["clock_knots"], boots)))
-        answers = find_answers(judged, passes=passes, mapper=mapper)
+        answers = find_answers(
+            judged,
+            passes=passes,
+            mapper=mapper,
+            wall_offsets_ns=ping_wall_offsets(campaign.sessions.values(), campaign.runs.values()),
+            options=options.ranking,
+        )
     return Details(
         **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=clock_fits.result(),

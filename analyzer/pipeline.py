@@ -26,6 +26,7 @@ from .pairing.parquet import write_summary
 from .pairing.provenance import provenance
 from .pairing.rows import RowWriter
 from .verdicts.cases import UnbarredRows
+from .verdicts.ranking import RankingOptions
 
 if TYPE_CHECKING:
     import os
@@ -58,6 +59,8 @@ def analyze(
     deadline_ns: int | None = None,
     deadline_metric: str = DEADLINE_METRIC,
     job: Job | None = None,
+    margin: float = 0.05,
+    trust_order: bool = False,
 ) -> Analysis:
     """Analyze every trace in a folder.
 
@@ -80,6 +83,8 @@ def analyze(
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
         deadline_metric: metric of the deadline: `response`, `latency`, `rtt`, `outbound` ...
         job: what to recommend settings for (`Analysis.details.recommendation`).
+        margin: the least lead of a setup that is called fastest; 0.05 means that the next takes 5 % longer.
+        trust_order: compare setups that were recorded one after the other, too.
         progress: called before each trace is read with the number done, the number of all, and its path.
 
     Raises:
@@ -101,6 +106,7 @@ def analyze(
             deadline_ns=deadline_ns,
             deadline_metric=deadline_metric,
             job=job,
+            ranking=RankingOptions(margin, trust_order),
         )
         return _analyze(engine, location, target, options, progress)
     finally:

@@ -147,6 +147,17 @@ def main_command(
             "Rank the setups for a job: 'data=binary size=502KB rate=20 deadline=50ms reliability=0.999'.",
         ),
     ] = None,
+    margin: Annotated[
+        str | None,
+        option(
+            "--margin PERCENT",
+            "Call a setup fastest only if the next takes at least this much longer. Default: 5%",
+        ),
+    ] = None,
+    trust_order: Annotated[
+        bool,
+        option("--trust-order", "Compare setups that were recorded one after the other, too."),
+    ] = False,
     export: Annotated[
         list[ExportKind] | None,
         option("--export KIND", "Write csv or arrow in addition to Parquet; repeatable."),
@@ -181,6 +192,7 @@ def main_command(
     from dds_trace.analyzer.model.finding import Severity
     from dds_trace.analyzer.pipeline import analyze, default_output
     from dds_trace.analyzer.verdicts.job import parse_job
+    from dds_trace.recorder.option_values import parse_percentage
     from dds_trace.reports.reporters import write_reports
 
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
@@ -189,6 +201,7 @@ def main_command(
     target = default_output(traces) if out is None else out
     deadline_ns, deadline_metric = _parse_deadline(deadline)
     job = None if recommend is None else parse_job(recommend)
+    least_lead = 0.05 if margin is None else parse_percentage("--margin", margin)
     if topics:
         _show_topics(traces, target)
         return
@@ -203,6 +216,8 @@ def main_command(
             deadline_ns=deadline_ns,
             deadline_metric=deadline_metric,
             job=job,
+            margin=least_lead,
+            trust_order=trust_order,
         )
     kinds = report or ["terminal"]
     if open_it and HTML not in kinds:

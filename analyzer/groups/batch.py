@@ -13,6 +13,7 @@ import polars as pl
 from ..model.applied import words_not_applied
 from ..model.metrics import METRICS, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, Parameters
+from ..verdicts.ranking import RankingOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -84,6 +85,7 @@ class AnalysisOptions:
     deadline_ns: int | None = None
     deadline_metric: str = DEADLINE_METRIC
     job: Job | None = None
+    ranking: RankingOptions = field(default_factory=RankingOptions)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

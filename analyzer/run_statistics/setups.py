@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import combinations
+from string import ascii_letters
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..statistics.distributions import chi_square_cdf
-from ..statistics.power import holm_adjusted
 from .two_samples import StudentTest
 
 if TYPE_CHECKING:
@@ -75,11 +75,11 @@ def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
     is_pooled = spreads_are_alike(residuals.values())
     means: dict[Key, SetupMean] = {}
     for pool, keys in pools.items():
-        own = residuals[pool]
-        pooled = pooled_variance(own)
-        for key, row in zip(keys, own, strict=True):
+        rows = residuals[pool]
+        pooled = pooled_variance(rows)
+        for key, row in zip(keys, rows, strict=True):
             variance, degrees = pooled if is_pooled else pooled_variance(row[np.newaxis])
-            means[key] = SetupMean(float(runs[key].values.mean()), variance / own.shape[1], degrees)
+            means[key] = SetupMean(float(runs[key].values.mean()), variance / len(row), degrees)
     return means
 
 
@@ -109,12 +109,6 @@ def spreads_are_alike(residuals: Iterable[Float64]) -> bool:
     return not freedom or 1 - chi_square_cdf(statistic, freedom) >= ALIKE_FROM
 
 
-def different_pairs(p_values: Mapping[tuple[Hashable, str, str], float], alpha: float) -> set[tuple[Hashable, str, str]]:
-    """Return which pairs of setups differ, adjusted by Holm over all pairs of all kinds of message."""
-    adjusted = holm_adjusted(list(p_values.values())).tolist() if p_values else []
-    return {pair for pair, p in zip(p_values, adjusted, strict=True) if p <= alpha}
-
-
 def tier_letters(names: Sequence[str], different: Collection[tuple[str, str]]) -> dict[str, str]:
     """Return the letters of each name: two names share one exactly if they do not differ.
 
@@ -124,16 +118,22 @@ def tier_letters(names: Sequence[str], different: Collection[tuple[str, str]]) -
     for one, other in combinations(names, 2):
         if (one, other) not in different and (other, one) not in different:
             continue
-        split = [part for tier in tiers for part in ((tier - {one}, tier - {other}) if {one, other} <= tier else (tier,))]
+        split = [
+            part
+            for tier in tiers
+            for part in ((tier - {one}, tier - {other}) if {one, other} <= tier else (tier,))
+        ]
         unique = list(dict.fromkeys(split))
         tiers = [tier for tier in unique if not any(tier < larger for larger in unique)]
     index = {name: number for number, name in enumerate(names)}
     tiers.sort(key=lambda tier: sorted(index[name] for name in tier))
-    return {name: "".join(_letter(number) for number, tier in enumerate(tiers) if name in tier) for name in names}
+    return {
+        name: "".join(_letter(number) for number, tier in enumerate(tiers) if name in tier) for name in names
+    }
 
 
 def _letter(number: int) -> str:
-    return chr(ord("a") + number) if number < 26 else f"({number + 1})"
+    return ascii_letters[number] if number < len(ascii_letters) else chr(0x100 + number)
 
 
 def overlap_in_time(one: Sequence[int], other: Sequence[int]) -> bool:

@@ -1,15 +1,14 @@
 """Answers: which middleware and bridge is fastest for which kind of message, and where the traces are inconclusive.
 
-For each kind of message the setups' p99, or p50 where not all have an interval for p99, is compared. One setup leads if it is
-faster than each of the others by the test of their runs (`run_statistics.change`), adjusted by Holm. Lost messages count as
-infinitely late, and a setup that receives significantly less than another one never leads.
+For each kind of message the medians of the setups are compared, and their p99 where all have an interval for it: a verdict for
+each (`ranking`). Lost messages count as infinitely late. A setup that receives significantly less than another one, or that a report
+advises against because of its losses, never leads.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from operator import attrgetter
@@ -18,28 +17,30 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import polars as pl
 
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
-from ..model.runs import passes_of
 from ..run_statistics.between_runs import estimates_of_runs
-from ..run_statistics.change import Verdict, change_of_estimates
+from ..run_statistics.change import Verdict
 from ..run_statistics.received import change_of_received
 from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis
-from ..statistics.power import holm_adjusted
 from .cases import (
     CONDITIONS,
     Contender,
     contender_names,
+    is_lossy,
     is_too_large,
     partition_groups,
     with_conditions,
 )
 from .matching import MatchedGroup
+from .ranking import Kind, RankingOptions, SetupRuns, rank_setups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from ..run_statistics.between_runs import Estimate
+    from ..model.runs import RunRows
+    from ..statistics.intervals import Interval
     from .cases import ContenderNames, GroupRows, Setting
+    from .ranking import Ranking
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -66,17 +67,21 @@ class CaseAnswer:
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message.
         rate_hz: planned rate.
-        percentile: the compared one, `p99` or `p50`.
-        clarity: whether one of them leads.
+        percentile: the one by which `contenders` are sorted, `p99` or `p50`.
+        clarity: whether one of them leads at the median, at p99, or at both; two different leaders are inconclusive.
         contenders: setups, best first.
-        leaders: setups that cannot be ranked below the best.
+        leaders: the one that leads, the two that lead at one percentile each, else all that are not shown to be slower than the best.
         ping_device: device of the ping.
         relay_device: device of the relay, None without its trace.
         conditions: what surrounded the runs, as in `setting`.
         basis: `between runs`, or `within one run` where a setup has fewer than three: then there is no verdict.
         fewest_runs: runs of the setup that has the fewest.
         leader_p50: setup whose median is clearly below every other's; empty if none is.
-        leader_p99: the same of the p99; empty also where `percentile` is p50.
+        leader_p99: the same of the p99; empty also where some setup has no interval for it.
+        repeats_p50: repeats that would probably tell the best median from those not told apart from it; None if there are none.
+        repeats_p99: the same of the p99.
+        interleaved: False if some setups were recorded one after the other.
+        drift_ratio: the smallest drift between these that a test would call a difference of medians.
     """
 
     connectivity: str
@@ -95,6 +100,10 @@ class CaseAnswer:
     fewest_runs: int = 0
     leader_p50: str = ""
     leader_p99: str = ""
+    repeats_p50: int | None = None
+    repeats_p99: int | None = None
+    interleaved: bool = True
+    drift_ratio: float | None = None
 
 
 class Mapper(Protocol):
@@ -109,18 +118,36 @@ def find_answers(
     confidence: float = 0.95,
     passes: Mapping[int, int] | None = None,
     mapper: Mapper = map,
+    *,
+    wall_offsets_ns: Mapping[int, int] | None = None,
+    options: RankingOptions = RankingOptions(),  # noqa: B008 - frozen
 ) -> tuple[CaseAnswer, ...]:
-    """Answer each kind of message of at most `cases.MOST_COMPARED_ROWS` round trips, one at a time, sorted by `CASE_COLUMNS`.
+    """Answer each kind of message of at most `cases.MOST_COMPARED_ROWS` round trips, sorted by `CASE_COLUMNS`.
 
-    `passes` (run_id -> repeat) compares setups repeat by repeat where all runs have one; `mapper` answers the kinds.
+    Args:
+        rows: the round trips.
+        confidence: of the intervals, and of the verdicts of all kinds together.
+        passes: run_id -> repeat of the sweep.
+        mapper: measures the kinds, whose rows are in memory one at a time.
+        wall_offsets_ns: run_id -> wall clock minus the clock of its stamps; the order of other runs is trusted.
+        options: what a verdict needs.
     """
     if not rows.has_rows:
         return ()
     groups = without_sockets(rows.groups)
     names = contender_names(groups)
-    cases = partition_groups(with_conditions(groups), (*CASE_COLUMNS, CONDITIONS))
-    answer = partial(_answer_case, rows=rows, names=names, confidence=confidence, passes=passes or {})
-    return tuple(mapper(answer, [case for case in cases if not is_too_large(case)]))
+    parts = partition_groups(with_conditions(groups), (*CASE_COLUMNS, CONDITIONS))
+    measure = partial(
+        _measure_case,
+        rows=rows,
+        names=names,
+        confidence=confidence,
+        passes=passes or {},
+        wall_offsets_ns=wall_offsets_ns or {},
+    )
+    cases = list(mapper(measure, [part for part in parts if not is_too_large(part)]))
+    rankings = rank_setups([case.kind() for case in cases], confidence, options)
+    return tuple(_answer(case, ranking, confidence) for case, ranking in zip(cases, rankings, strict=True))
 
 
 def without_sockets(groups: pl.DataFrame) -> pl.DataFrame:
@@ -134,112 +161,149 @@ _STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
-    """A setup's round trips, and its estimates of `_STATISTICS`."""
+    """What is kept of a setup's round trips."""
 
     setting: Setting
-    group: MatchedGroup
-    estimates: Mapping[str, Estimate]
-
-    @classmethod
-    def of(cls, setting: Setting, group: MatchedGroup, confidence: float) -> _Setup:
-        estimates = estimates_of_runs(group.delivered("latency"), list(_STATISTICS.values()), confidence)
-        return cls(setting, group, dict(zip(_STATISTICS, estimates, strict=True)))
-
-    def contender(self, name: str, percentile: str, confidence: float) -> Contender:
-        return Contender(
-            name=name,
-            setting=self.setting,
-            latency=self.estimates[percentile].interval,
-            received=self.group.received_ratio(confidence),
-            survivors_ns=self.group.of_survivors("latency", _STATISTICS[percentile]),
-            p50_ns=self.estimates["p50"].interval.value,
-            p99_ns=self.estimates["p99"].interval.value,
-        )
+    runs: SetupRuns
+    received: Interval
+    survivors_ns: Mapping[str, float | None]
+    loses_more: bool
 
 
-def _answer_case(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Case:
+    """One kind of message: values of its columns, and its setups by name."""
+
+    columns: dict[str, Any]
+    setups: Mapping[str, _Setup]
+
+    @property
+    def has_tails(self) -> bool:
+        intervals = (setup.runs.estimates["p99"].interval for setup in self.setups.values())
+        return all(interval.is_two_sided for interval in intervals)
+
+    def kind(self) -> Kind:
+        family = tuple(self.columns[name] for name in _HEADLINE_KEY)
+        percentiles = tuple(_STATISTICS) if self.has_tails else ("p50",)
+        return Kind(family, {name: setup.runs for name, setup in self.setups.items()}, percentiles)
+
+
+def _measure_case(
     case: pl.DataFrame,
     rows: GroupRows,
     names: ContenderNames,
     confidence: float,
     passes: Mapping[int, int],
-) -> CaseAnswer:
-    setups: dict[str, _Setup] = {}
-    for groups in partition_groups(case, CONTENDER_COLUMNS):
-        setting = groups.select(CONTENDER_COLUMNS).row(0, named=True)
-        group = MatchedGroup(rows.frame(groups, _ROW_COLUMNS))
-        setups[names[tuple(setting.values())]] = _Setup.of(setting, group, confidence)
-    has_tails = all(setup.estimates["p99"].interval.is_two_sided for setup in setups.values())
-    percentile = "p99" if has_tails else "p50"
-    contenders = [setup.contender(name, percentile, confidence) for name, setup in setups.items()]
-    ranked = sorted(_with_losses(contenders, setups, confidence), key=Contender.order)
-    by_median = sorted(ranked, key=_median_order)
-    beaten_at_p50 = _beaten(by_median if has_tails else ranked, setups, "p50", confidence, passes)
-    beaten = _beaten(ranked, setups, "p99", confidence, passes) if has_tails else beaten_at_p50
+    wall_offsets_ns: Mapping[int, int],
+) -> _Case:
+    groups: dict[str, tuple[Setting, MatchedGroup]] = {}
+    setting: Setting
+    for part in partition_groups(case, CONTENDER_COLUMNS):
+        setting = part.select(CONTENDER_COLUMNS).row(0, named=True)
+        groups[names[tuple(setting.values())]] = setting, MatchedGroup(rows.frame(part, _ROW_COLUMNS))
+    received = {name: group.received_ratio(confidence) for name, (_, group) in groups.items()}
+    usable = {name for name, interval in received.items() if not is_lossy(interval)} or set(groups)
+    losers = _losers({name: group for name, (_, group) in groups.items()}, received, confidence)
+    setups = {}
+    for name, (setting, group) in groups.items():
+        estimates = estimates_of_runs(group.delivered("latency"), list(_STATISTICS.values()), confidence)
+        setups[name] = _Setup(
+            setting,
+            SetupRuns(
+                estimates=dict(zip(_STATISTICS, estimates, strict=True)),
+                repeats=_repeats(group.runs, passes),
+                starts_ns=_starts_ns(group.runs, wall_offsets_ns),
+                may_lead=name in usable and name not in losers,
+            ),
+            received[name],
+            {key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
+            loses_more=name in losers,
+        )
+    return _Case(case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True), setups)
+
+
+def _losers(
+    groups: Mapping[str, MatchedGroup], received: Mapping[str, Interval], confidence: float
+) -> set[str]:
+    """Return the setups that receive significantly less than the one that receives most."""
+    most = max(groups, key=lambda name: (received[name].value or 0.0, name))
+    base = groups[most].received
+    return {
+        name
+        for name, group in groups.items()
+        if name != most and change_of_received(base, group.received, confidence).verdict() is Verdict.WORSE
+    }
+
+
+def _repeats(runs: Sequence[RunRows], passes: Mapping[int, int]) -> tuple[int, ...]:
+    repeats = [passes[run.run_id] for run in runs if run.run_id in passes]
+    return tuple(repeats) if len(set(repeats)) == len(runs) else ()
+
+
+def _starts_ns(runs: Sequence[RunRows], wall_offsets_ns: Mapping[int, int]) -> tuple[int, ...]:
+    starts = [
+        wall_offsets_ns[run.run_id] + first
+        for run in runs
+        if run.run_id in wall_offsets_ns and isinstance(first := run.sent_ns.min(), int)
+    ]
+    return tuple(starts) if len(starts) == len(runs) else ()
+
+
+def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float) -> CaseAnswer:
+    median, tail = rankings["p50"], rankings.get("p99")
+    leaders = list(dict.fromkeys(ranking.leader for ranking in rankings.values() if ranking.leader))
+    percentile = "p99" if tail is not None and (tail.leader or not median.leader) else "p50"
+    by_name = {name: _contender(name, setup, percentile, rankings) for name, setup in case.setups.items()}
+    ranked = sorted(by_name.values(), key=Contender.order)
     if len(ranked) == 1:
         clarity = Clarity.ONLY_ONE
     else:
-        clarity = Clarity.CLEAR if len(beaten) == len(ranked) - 1 else Clarity.INCONCLUSIVE
+        clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
+    letters = rankings[percentile].letters
+    undecided = [
+        one
+        for one in ranked
+        if one is ranked[0] or (set(letters[one.name]) & set(letters[ranked[0].name]) and not one.loses_more)
+    ]
     is_between = all(one.latency.basis is Basis.BETWEEN_RUNS for one in ranked)
     return CaseAnswer(
-        **case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True),
+        **case.columns,
         percentile=percentile,
         clarity=clarity,
         contenders=tuple(ranked),
-        leaders=tuple(
-            one for one in ranked if one is ranked[0] or not (one.name in beaten or one.loses_more)
-        ),
+        leaders=tuple(by_name[name] for name in leaders) or tuple(undecided),
         basis=(Basis.BETWEEN_RUNS if is_between else Basis.WITHIN_RUN).value,
         fewest_runs=min(one.latency.runs for one in ranked),
-        leader_p50=_leader(by_median if has_tails else ranked, beaten_at_p50),
-        leader_p99=_leader(ranked, beaten) if has_tails else "",
+        leader_p50=median.leader,
+        leader_p99=tail.leader if tail else "",
+        repeats_p50=_repeats_to_decide(median, confidence),
+        repeats_p99=_repeats_to_decide(tail, confidence) if tail else None,
+        interleaved=median.is_interleaved,
+        drift_ratio=median.drift_ratio,
     )
 
 
-def _leader(ranked: Sequence[Contender], beaten: set[str]) -> str:
-    return ranked[0].name if len(ranked) > 1 and len(beaten) == len(ranked) - 1 else ""
+def _repeats_to_decide(ranking: Ranking, confidence: float) -> int | None:
+    """Return the repeats that would probably decide all that is open about the best setup."""
+    counts = [pair.repeats_to_decide(confidence) for pair in ranking.undecided]
+    known = [count for count in counts if count is not None]
+    return max(known) if known and len(known) == len(counts) else None
 
 
-def _median_order(contender: Contender) -> tuple[bool, float, str]:
-    median_ns = math.inf if contender.p50_ns is None else contender.p50_ns
-    return contender.loses_more, median_ns, contender.name
-
-
-def _with_losses(
-    contenders: Sequence[Contender], setups: Mapping[str, _Setup], confidence: float
-) -> list[Contender]:
-    most = max(contenders, key=lambda one: (one.received.value or 0.0, one.name))
-
-    def loses_more(one: Contender) -> bool:
-        base, new = (setups[name].group.received for name in (most.name, one.name))
-        return one is not most and change_of_received(base, new, confidence).verdict() is Verdict.WORSE
-
-    return [replace(one, loses_more=loses_more(one)) for one in contenders]
-
-
-def _beaten(
-    ranked: Sequence[Contender],
-    setups: Mapping[str, _Setup],
-    percentile: str,
-    confidence: float,
-    passes: Mapping[int, int],
-) -> set[str]:
-    """Return the setups that the first one beats, by tests adjusted by Holm over all others."""
-    best, *others = (setups[one.name] for one in ranked)
-    changes = [
-        change_of_estimates(
-            best.estimates[percentile],
-            other.estimates[percentile],
-            passes_of(best.group.runs, other.group.runs, passes),
-        )
-        for other in others
-    ]
-    adjusted = holm_adjusted([1.0 if change.p_value is None else change.p_value for change in changes])
-    return {
-        other.name
-        for other, change, p in zip(ranked[1:], changes, adjusted.tolist(), strict=True)
-        if change.verdict(0.0) is Verdict.WORSE and p <= 1 - confidence
-    }
+def _contender(name: str, setup: _Setup, percentile: str, rankings: Mapping[str, Ranking]) -> Contender:
+    intervals = {key: estimate.interval for key, estimate in setup.runs.estimates.items()}
+    return Contender(
+        name=name,
+        setting=setup.setting,
+        latency=intervals[percentile],
+        received=setup.received,
+        survivors_ns=setup.survivors_ns[percentile],
+        loses_more=setup.loses_more,
+        p50_ns=intervals["p50"].value,
+        p99_ns=intervals["p99"].value,
+        letters_p50=rankings["p50"].letters[name],
+        letters_p99=rankings["p99"].letters[name] if "p99" in rankings else "",
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -87,6 +87,15 @@ def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
     return groups.with_columns(pl.Series(CONDITIONS, list(conditions), pl.String))
 
 
+LOSSY_SHARE = 0.01
+"""Share of lost messages above which a report advises against a setup, as its p99 is a lost message."""
+
+
+def is_lossy(received: Interval) -> bool:
+    """Return whether more than `LOSSY_SHARE` of the messages were lost."""
+    return 1.0 - (received.value or 0.0) > LOSSY_SHARE
+
+
 def is_too_large(groups: pl.DataFrame) -> bool:
     """Return whether groups have more than `MOST_COMPARED_ROWS` round trips together."""
     return int(groups["published"].sum()) > MOST_COMPARED_ROWS
@@ -118,6 +127,8 @@ class Contender:
         loses_more: whether it receives significantly less than another setup of the case.
         p50_ns: median of a typical run, below three runs of all messages, ns; infinite if a lost message sets it.
         p99_ns: p99, likewise; None where all messages do not support it.
+        letters_p50: letters of its tiers at the median: two setups share one exactly if their medians are not shown to differ.
+        letters_p99: the same at p99; empty where not all setups have an interval for it.
     """
 
     name: str
@@ -128,6 +139,13 @@ class Contender:
     loses_more: bool = False
     p50_ns: float | None = None
     p99_ns: float | None = None
+    letters_p50: str = ""
+    letters_p99: str = ""
+
+    @property
+    def lost(self) -> float:
+        """Share of the messages that were lost."""
+        return 1.0 - (self.received.value or 0.0)
 
     def order(self) -> tuple[bool, float, float, str]:
         """Return the key by which setups are ranked."""

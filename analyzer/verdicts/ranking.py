@@ -1,0 +1,269 @@
+"""Ranks the setups of every kind of message by each percentile: who leads, who differs from whom, what decides the rest.
+
+"Faster than each other setup" is one claim, so its p value is the largest of its pairs' (intersection-union test; R. Berger,
+Technometrics 24, 1982), adjusted by Hochberg over kinds of message. Claims about other pairs are adjusted by Holm over all pairs
+of all kinds. Both also need an estimated lead of the margin. Setups recorded one after the other are not compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..run_statistics.between_runs import Scale, scale_of
+from ..run_statistics.change import change_of_estimates
+from ..run_statistics.setups import RunLogarithms, overlap_in_time, setup_means, tier_letters
+from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Mapping, Sequence
+
+    from ..run_statistics.between_runs import Estimate
+    from ..run_statistics.setups import SetupMean
+
+TAIL_ONLY = 0.2
+"""Part of the significance level for a difference at p99 where the medians do not differ: two verdicts err little more than one."""
+
+
+@dataclass(frozen=True, slots=True)
+class RankingOptions:
+    """What a verdict needs in addition to a test.
+
+    Attributes:
+        margin: the least lead of a winner; 0.05 means that the next takes 5 % longer.
+        trust_order: compare setups that were recorded one after the other, too.
+    """
+
+    margin: float = 0.05
+    trust_order: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetupRuns:
+    """One setup with one kind of message.
+
+    Attributes:
+        estimates: percentile -> its estimate.
+        repeats: the repeat of each run; empty if some run has none.
+        starts_ns: when each run started by one clock; empty if unknown.
+        may_lead: False for a setup that lost too much.
+    """
+
+    estimates: Mapping[str, Estimate]
+    repeats: tuple[int, ...] = ()
+    starts_ns: tuple[int, ...] = ()
+    may_lead: bool = True
+
+    def logarithms(self, percentile: str) -> RunLogarithms | None:
+        """Return the logarithms of the runs' percentiles; None below three runs, and where one is infinite or not above zero."""
+        units = self.estimates[percentile].units
+        if units is None or scale_of(units.values) is not Scale.LOGARITHM:
+            return None
+        logarithms = np.log(units.values)
+        if len(self.repeats) != len(units):
+            return RunLogarithms(logarithms, tuple(range(len(units))))
+        order = np.argsort(self.repeats)
+        return RunLogarithms(logarithms[order], tuple(sorted(self.repeats)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kind:
+    """One kind of message: its setups, the percentiles that all of them support, and the family whose spreads are pooled."""
+
+    family: Hashable
+    setups: Mapping[str, SetupRuns]
+    percentiles: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SetupPair:
+    """Two setups, the faster first."""
+
+    fast: str
+    slow: str
+    p_value: float
+    ratio: float
+    is_interleaved: bool
+    means: tuple[SetupMean, SetupMean] | None
+    runs: int
+
+    def repeats_to_decide(self, confidence: float) -> int | None:
+        """Return the repeats that would probably show the difference; None where the order of recording hides it, or beyond 1000."""
+        if self.means is None or not self.is_interleaved:
+            return None
+        base, new = (math.sqrt(mean.variance * self.runs) for mean in self.means)
+        count = runs_to_decide(math.log(self.ratio), base, new, confidence)
+        return None if count is None else max(count, self.runs + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """The setups of one kind of message by one percentile.
+
+    Attributes:
+        leader: the setup that is faster than every other one; empty if none is shown to be.
+        letters: setup -> letters of its tiers; two setups share one exactly if they are not shown to differ.
+        undecided: the pairs of the best setup with those that are slower by the margin and not shown to be.
+        is_interleaved: False if some setups were recorded one after the other.
+        drift_ratio: smallest drift that a test of these would call a difference; None if there is no such test.
+    """
+
+    leader: str
+    letters: Mapping[str, str]
+    undecided: tuple[SetupPair, ...]
+    is_interleaved: bool
+    drift_ratio: float | None
+
+    def differ(self, one: str, other: str) -> bool:
+        """Return whether two setups are shown to differ."""
+        return not set(self.letters[one]) & set(self.letters[other])
+
+
+def rank_setups(
+    kinds: Sequence[Kind],
+    confidence: float = 0.95,
+    options: RankingOptions = RankingOptions(),
+) -> list[dict[str, Ranking]]:
+    """Return for each kind of message percentile -> ranking."""
+    rankings: list[dict[str, Ranking]] = [{} for _ in kinds]
+    for percentile in dict.fromkeys(name for kind in kinds for name in kind.percentiles):
+        pairs_of = _pairs(kinds, percentile, trust_order=options.trust_order)
+        lead_p = hochberg_adjusted(
+            [max((pair.p_value for pair in _lead(own)), default=1.0) for own in pairs_of.values() if own]
+        )
+        pair_p = holm_adjusted([pair.p_value for own in pairs_of.values() for pair in own])
+        leads, tests = iter(lead_p.tolist()), iter(pair_p.tolist())
+        for index, own in pairs_of.items():
+            median = rankings[index].get("p50")
+            rankings[index][percentile] = _ranking(
+                kinds[index],
+                [(pair, next(tests)) for pair in own],
+                next(leads) if own else 1.0,
+                median if percentile != "p50" else None,
+                1 - confidence,
+                1 + options.margin,
+            )
+    return rankings
+
+
+def _lead(pairs: Sequence[SetupPair]) -> list[SetupPair]:
+    """Return the pairs of the fastest setup."""
+    return [pair for pair in pairs if pair.fast == pairs[0].fast]
+
+
+def _ranking(
+    kind: Kind,
+    tests: Sequence[tuple[SetupPair, float]],
+    lead_p: float,
+    median: Ranking | None,
+    alpha: float,
+    least_ratio: float,
+) -> Ranking:
+    pairs = [pair for pair, _ in tests]
+    lead = _lead(pairs)
+    names = [lead[0].fast, *(pair.slow for pair in lead)] if lead else list(kind.setups)
+
+    def level(*, has_median: bool) -> float:
+        return alpha if has_median else alpha * TAIL_ONLY
+
+    different = {
+        (pair.fast, pair.slow)
+        for pair, p in tests
+        if pair.ratio >= least_ratio
+        and p <= level(has_median=median is None or median.differ(pair.fast, pair.slow))
+    }
+    is_ahead = (
+        bool(lead)
+        and kind.setups[names[0]].may_lead
+        and lead_p <= level(has_median=median is None or bool(median.leader))
+        and all(pair.ratio >= least_ratio for pair in lead)
+    )
+    if is_ahead:
+        different |= {(pair.fast, pair.slow) for pair in lead}
+    return Ranking(
+        leader=names[0] if is_ahead else "",
+        letters=tier_letters(names, different),
+        undecided=tuple(
+            pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different
+        ),
+        is_interleaved=all(pair.is_interleaved for pair in pairs),
+        drift_ratio=_drift_ratio(pairs, 1 - alpha),
+    )
+
+
+def _pairs(kinds: Sequence[Kind], percentile: str, *, trust_order: bool) -> dict[int, list[SetupPair]]:
+    """Return for the index of each kind the tests of all pairs; those of the fastest setup come first."""
+    families: dict[Hashable, dict[tuple[Hashable, str], RunLogarithms]] = defaultdict(dict)
+    compared = {index: kind for index, kind in enumerate(kinds) if percentile in kind.percentiles}
+    for index, kind in compared.items():
+        for name, setup in kind.setups.items():
+            logarithms = setup.logarithms(percentile)
+            if logarithms is not None:
+                families[kind.family][index, name] = logarithms
+    means = {key: mean for runs in families.values() for key, mean in setup_means(runs).items()}
+    pairs: dict[int, list[SetupPair]] = {}
+    for index, kind in compared.items():
+        order = sorted(kind.setups, key=lambda name: (_value(kind.setups[name], percentile), name))
+        pairs[index] = [
+            _pair(
+                kind,
+                percentile,
+                (fast, slow),
+                (means.get((index, fast)), means.get((index, slow))),
+                trust_order=trust_order,
+            )
+            for fast, slow in combinations(order, 2)
+        ]
+    return pairs
+
+
+def _value(setup: SetupRuns, percentile: str) -> float:
+    value = setup.estimates[percentile].interval.value
+    return math.inf if value is None else value
+
+
+def _pair(
+    kind: Kind,
+    percentile: str,
+    names: tuple[str, str],
+    means: tuple[SetupMean | None, SetupMean | None],
+    *,
+    trust_order: bool,
+) -> SetupPair:
+    fast, slow = (kind.setups[name] for name in names)
+    is_interleaved = not (fast.starts_ns and slow.starts_ns) or overlap_in_time(
+        fast.starts_ns, slow.starts_ns
+    )
+    p_value: float | None
+    ratio: float | None
+    if means[0] is not None and means[1] is not None:
+        tested = means[0], means[1]
+        test = means[0].against(means[1])
+        p_value, ratio = test.p_value, math.exp(test.difference)
+    else:
+        tested = None
+        change = change_of_estimates(fast.estimates[percentile], slow.estimates[percentile])
+        p_value, ratio = change.p_value, change.ratio
+    units = fast.estimates[percentile].units
+    return SetupPair(
+        *names,
+        p_value=1.0 if p_value is None or not (is_interleaved or trust_order) else p_value,
+        ratio=1.0 if ratio is None else ratio,
+        is_interleaved=is_interleaved,
+        means=tested,
+        runs=0 if units is None else len(units),
+    )
+
+
+def _drift_ratio(pairs: Sequence[SetupPair], confidence: float) -> float | None:
+    ratios = []
+    for pair in pairs:
+        if pair.means is not None and not pair.is_interleaved:
+            test = pair.means[0].against(pair.means[1])
+            ratios.append(math.exp(test.reach(confidence) * test.error))
+    return min(ratios, default=None)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 
 from ..clocks.boots import share_boot
 from ..model.finding import Severity
+from ..model.parameters import CASE_COLUMNS
 from ..pairing.flows import find_overlaps
+from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
 from .check import Subject, check
 from .evidence import Observation, percent, some
 
@@ -53,6 +56,32 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
             f"{evidence.run_name(worst.other)} for {percent(worst.share, 1)} of the shorter one.",
             groups,
             worst.share,
+        )
+
+
+@check(
+    "recorded_in_sequence",
+    Severity.WARNING,
+    Subject.RESULT,
+    "Record the setups in turn (dds-sweep does, with repeats), or compare them as they are with --trust-order.",
+)
+def recorded_in_sequence(evidence: Evidence) -> Iterator[Observation]:
+    """Setups were recorded one after the other."""
+    cases = partition_groups(with_conditions(evidence.rows.groups), (*CASE_COLUMNS, CONDITIONS))
+    groups_of = {case.select(*CASE_COLUMNS, CONDITIONS).row(0): case["group"].to_list() for case in cases}
+    columns = attrgetter(*CASE_COLUMNS, CONDITIONS)
+    answers = [answer for answer in evidence.details.answers if not answer.interleaved]
+    groups = sorted({group for answer in answers for group in groups_of[columns(answer)]})
+    if groups:
+        drifts = [answer.drift_ratio - 1 for answer in answers if answer.drift_ratio is not None]
+        tests = (
+            f": a drift of {100 * min(drifts):.3g} % between them passes for a difference" if drifts else ""
+        )
+        yield Observation(
+            some(evidence.group_names[group] for group in groups),
+            f"With {counted(len(answers), 'kind')} of message, nearly all runs of one setup preceded those of another, so a "
+            f"machine that changes looks like a faster setup{tests}.",
+            tuple(groups),
         )
 
 

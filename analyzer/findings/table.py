@@ -54,6 +54,7 @@ CHECKS: tuple[Check, ...] = (
     shapes.rising_latency,
     shapes.two_modes,
     sides.overlapping_pings,
+    sides.recorded_in_sequence,
     sides.unlike_versions,
     sides.wireless_on_one_machine,
     groups.mixed_labels,

@@ -25,6 +25,7 @@ from .groups import (
 )
 from .headline import avoid_sentence, bridge_sentence, loss_sentence, where_sentence, winner_sentences
 from .numbers import finite
+from .outcomes import outcome_of
 from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, place_label, verdicts_info
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusio
 def _who_is_fastest(
     verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
 ) -> tuple[str, ...]:
-    if any(verdict.wins for verdict in verdicts):
+    if any(outcome_of(answer).is_decided for answer in answers):
         return winner_sentences(answers, groups.vendors)
     if verdicts:
         return (_no_winner(verdicts, answers),)
@@ -105,10 +106,13 @@ def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -
         if messages == 1
         else f"for any of the {messages} kinds of message compared"
     )
+    compared = [answer for answer in answers if len(answer.contenders) > 1]
+    if few < messages and not any(answer.interleaved for answer in compared):
+        return f"No clear winner {where}: the setups were recorded one after the other. Interleave them, or give --trust-order."
     if few < messages:
         tested = f"No clear winner: no setup was faster than the others by a test of the runs, {where}."
         return f"{tested} {few} of them had fewer than {MIN_RUNS} runs of each." if few else tested
-    fewest = min(answer.fewest_runs for answer in answers if len(answer.contenders) > 1)
+    fewest = min(answer.fewest_runs for answer in compared)
     verb = "is" if fewest == 1 else "are"
     return f"No clear winner {where}: a verdict needs {MIN_RUNS} runs of each; there {verb} {fewest}."
 

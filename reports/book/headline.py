@@ -6,30 +6,29 @@ Each rests on verdicts within one device pair and link; over several pairs it ha
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.analyzer.verdicts.cases import LOSSY_SHARE
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_size
 
 from .groups import data_type_label, device_pair, domain_label, format_count, format_ratio, joined, way_words
+from .outcomes import PERCENTILES, Stretch, outcome_of, stretches
 from .verdicts import MODES, conditions_label, contender_labels, place_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
     from .groups import Group, Groups, VendorLabels
     from .numbers import Values
-
-LOSSY_SHARE = 0.01
-"""Share of lost messages above which a report advises against a setup, as its p99 is a lost message."""
+    from .outcomes import Outcome
 
 BUSY_SHARE = 0.25
 """Share of recordings with a full processor from which on a report warns."""
@@ -88,7 +87,7 @@ def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
     for answer in answers:
         largest[answer.data_type] = max(answer.payload_bytes, largest.get(answer.data_type, 0))
         for setup in answer.contenders:
-            lost = 1.0 - (setup.received.value or 0.0)
+            lost = setup.lost
             if lost > LOSSY_SHARE:
                 setups = lossy.setdefault(place_of(answer), {})
                 key = answer.data_type, labels[setup.name]
@@ -127,34 +126,6 @@ def _on_pairs(pairs: Sequence[tuple[str, float]], count: int) -> str:
     return f" ({where}up to {worst} lost)"
 
 
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """Neighbouring sizes with the same outcome.
-
-    Attributes:
-        winner: name of the setup that leads, empty where none does, None where it depends on the rate.
-    """
-
-    winner: str | None
-    sizes: tuple[int, ...]
-    cases: tuple[CaseAnswer, ...]
-
-
-def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
-    """Cut the answers of one kind of data and device pair into stretches of sizes."""
-    by_size: dict[int, list[CaseAnswer]] = {}
-    for case in cases:
-        if case.clarity is not Clarity.ONLY_ONE:
-            by_size.setdefault(case.payload_bytes, []).append(case)
-    cut: list[Stretch] = []
-    for size, own in sorted(by_size.items()):
-        won = {case.leaders[0].name for case in own if case.clarity is Clarity.CLEAR}
-        winner = "" if not won else won.pop() if len(won) == 1 else None
-        before = cut.pop() if cut and cut[-1].winner == winner else Stretch(winner, (), ())
-        cut.append(Stretch(winner, (*before.sizes, size), (*before.cases, *own)))
-    return tuple(cut)
-
-
 def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[str, ...]:
     """Say for each kind of data from which size on which setup is fastest, and by which factor."""
     labels = contender_labels(answers, vendors)
@@ -164,29 +135,30 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
         if answer.clarity is not Clarity.ONLY_ONE:
             by_pair = kinds.setdefault((answer.domain_mode, answer.data_type), {})
             by_pair.setdefault(place_of(answer), []).append(answer)
-    knows_p99 = any(answer.leader_p99 for answer in answers)
     sentences = []
     for (mode, data_type), by_pair in sorted(kinds.items(), key=lambda item: item[0][0] != "same"):
-        if not any(case.clarity is Clarity.CLEAR for cases in by_pair.values() for case in cases):
+        if not any(outcome_of(case).is_decided for cases in by_pair.values() for case in cases):
             continue
         words = MODES.get(mode, printable(mode))
         where = f"In the {words}" if mode == "same" else f"Across {words}"
         what = f"{where}, {data_type_label(data_type)}" if several_types else where
-        alike: dict[tuple[tuple[str | None, tuple[int, ...]], ...], list[str]] = {}
+        alike: dict[tuple[tuple[Outcome | None, tuple[int, ...]], ...], list[str]] = {}
         for pair, cases in by_pair.items():
-            outcome = tuple((stretch.winner, stretch.sizes) for stretch in stretches(cases))
+            outcome = tuple((stretch.outcome, stretch.sizes) for stretch in stretches(cases))
             alike.setdefault(outcome, []).append(pair)
         most_pairs_first = sorted(alike.values(), key=lambda pairs: -len(pairs))
         shown = most_pairs_first[: MOST_NAMED if len(by_pair) <= MOST_NAMED else 1]
         for pairs in shown:
             cut = stretches(case for pair in pairs for case in by_pair[pair])
             on = "" if len(by_pair) == 1 else f", on {_pairs(pairs, len(by_pair))}"
-            sentences.append(f"{what}{on}: {_outcome(cut, labels, knows_p99=knows_p99)}.")
+            sentences.append(f"{what}{on}: {_outcomes(cut, labels)}.")
         left = len(by_pair) - sum(map(len, shown))
         if left:
             sentences[-1] += f" For the others see the table ({counted(left, 'pair')} of devices and links)."
-    if sentences and not knows_p99:
-        sentences.append("No difference at p99 can be shown; record longer or more runs.")
+    if sentences and not any(answer.leader_p99 for answer in answers):
+        is_tested = any(setup.letters_p99 for answer in answers for setup in answer.contenders)
+        what = "No difference at p99 can be shown" if is_tested else "Too few messages to judge p99"
+        sentences.append(f"{what}; record longer or more runs.")
     return tuple(sentences)
 
 
@@ -200,36 +172,43 @@ def _pairs(pairs: Sequence[str], count: int) -> str:
     )
 
 
-def _outcome(cut: Sequence[Stretch], labels: Mapping[str, str], *, knows_p99: bool) -> str:
+def _outcomes(cut: Sequence[Stretch], labels: Mapping[str, str]) -> str:
     sizes = [size for stretch in cut for size in stretch.sizes]
-    is_mixed = len(cut) > MOST_NAMED
     parts = []
-    for stretch in _by_winner(cut) if is_mixed else cut:
-        where = _span(stretch.sizes, sizes)
-        if stretch.winner is None:
+    for stretch in _by_outcome(cut) if len(cut) > MOST_NAMED else cut:
+        where, outcome = _span(stretch.sizes, sizes), stretch.outcome
+        if outcome is None:
             parts.append(f"{where} it depends on the rate ({_wins(stretch.cases, labels)})")
-        elif not stretch.winner:
-            parts.append(f"{where} no clear winner")
+        elif outcome.p50 or outcome.p99:
+            parts.append(f"{where} {_leader_words(stretch, outcome, labels)}")
+        elif outcome.slower:
+            parts.append(f"{where} {_tier_words(stretch, outcome, labels)}")
+        elif outcome.is_interleaved:
+            parts.append(f"{where} no clear winner{_repeats_words(stretch.cases)}")
         else:
-            by = _by_how_much(stretch, knows_p99=knows_p99)
-            parts.append(f"{where} {labels[stretch.winner]} is fastest{by}")
-    return f"{'no setup is fastest throughout; ' if is_mixed else ''}{'; '.join(parts)}"
+            parts.append(f"{where} no clear winner: the setups were recorded one after the other")
+    return "; ".join(parts)
 
 
 def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
-    won = Counter(case.leaders[0].name for case in cases if case.clarity is Clarity.CLEAR)
+    won = Counter(name for case in cases if (name := case.leader_p50 or case.leader_p99))
     (first, count), *others = won.most_common()
     lead = f"{labels[first]} is fastest in {count} of {counted(len(cases), 'comparison')}"
     return ", ".join([lead, *(f"{labels[name]} in {wins}" for name, wins in others)])
 
 
-def _by_winner(cut: Sequence[Stretch]) -> list[Stretch]:
-    by_winner: dict[str | None, Stretch] = {}
+def _by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
+    """Join the stretches with the same outcome, those with a winner first."""
+    joined_of: dict[Outcome | None, Stretch] = {}
     for stretch in cut:
-        own = by_winner.get(stretch.winner, Stretch(stretch.winner, (), ()))
+        own = joined_of.get(stretch.outcome, Stretch(stretch.outcome, (), ()))
         sizes, cases = (*own.sizes, *stretch.sizes), (*own.cases, *stretch.cases)
-        by_winner[stretch.winner] = Stretch(stretch.winner, sizes, cases)
-    return sorted(by_winner.values(), key=lambda stretch: (not stretch.winner, -len(stretch.sizes)))
+        joined_of[stretch.outcome] = Stretch(stretch.outcome, sizes, cases)
+
+    def order(stretch: Stretch) -> tuple[bool, int]:
+        return stretch.outcome is None or not stretch.outcome.is_decided, -len(stretch.sizes)
+
+    return sorted(joined_of.values(), key=order)
 
 
 def _span(own: Sequence[int], every: Sequence[int]) -> str:
@@ -245,18 +224,67 @@ def _span(own: Sequence[int], every: Sequence[int]) -> str:
     return f"from {low} on" if last else f"up to {high}" if first else f"from {low} to {high}"
 
 
-def _by_how_much(stretch: Stretch, *, knows_p99: bool) -> str:
+def _leader_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
+    """Return `Zenoh is fastest at the median (the next takes 2 times as long), Fast DDS at p99 (...)`."""
+    leaders = [(getattr(outcome, percentile), percentile, label) for percentile, label in PERCENTILES]
+    leads = [(name, _lead_words(stretch, percentile), label) for name, percentile, label in leaders if name]
+    is_lossy = any(
+        setup.lost > LOSSY_SHARE and setup.name in (outcome.p50, outcome.p99)
+        for case in stretch.cases
+        for setup in case.contenders
+    )
+    start = "all setups lose too much; of them, " if is_lossy else ""
+    if len(leads) == len(leaders) and outcome.p50 == outcome.p99:
+        by = ", ".join(f"{words} {label}" for _, words, label in leads)
+        return f"{start}{labels[outcome.p50]} is fastest (the next takes {by})"
+    parts = [
+        f"{labels[name]}{'' if number else ' is fastest'} {label} (the next takes {words})"
+        for number, (name, words, label) in enumerate(leads)
+    ]
+    is_tested = all(setup.letters_p99 for case in stretch.cases for setup in case.contenders)
+    parts += [
+        f"no clear difference {label}"
+        for name, percentile, label in leaders
+        if not name and (percentile == "p50" or is_tested)
+    ]
+    return start + ", ".join(parts)
+
+
+def _lead_words(stretch: Stretch, percentile: str) -> str:
+    won = [case for case in stretch.cases if getattr(case, f"leader_{percentile}")]
+    factors = [factor for case in won if (factor := _factor(case, percentile)) is not None]
+    within = f" in {len(won)} of {len(stretch.cases)} comparisons" if len(won) < len(stretch.cases) else ""
+    return f"{_factors(factors)} as long{within}" if factors else f"longer, as its messages were lost{within}"
+
+
+def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
+    """Return `Zenoh or Fast DDS, not told apart; Cyclone DDS takes 2.2 times as long as Zenoh`."""
+    first = outcome.best[0]
+    label = dict(PERCENTILES)[outcome.percentile]
+    best = f"{joined([labels[name] for name in outcome.best], 'or')}, not told apart {label}"
+    if len(outcome.best) == 1:  # a setup that loses more is as fast
+        best = f"of setups that lose little, {labels[first]} is fastest {label}"
     parts = []
-    for percentile, label in (("p50", "at the median"), ("p99", "at p99")):
-        won = [case for case in stretch.cases if getattr(case, f"leader_{percentile}") == stretch.winner]
-        factors = [factor for case in won if (factor := _factor(case, percentile)) is not None]
-        if factors:
-            count = len(stretch.cases)
-            within = f" in {len(won)} of {count} comparisons" if len(won) < count else ""
-            parts.append(f"{_factors(factors)} as long {label}{within}")
-        elif percentile == "p50" or knows_p99:
-            parts.append(f"no clear difference {label}")
-    return f" (the next takes {', '.join(parts)})"
+    for name in outcome.slower:
+        ratios = []
+        for case in stretch.cases:
+            times = {setup.name: getattr(setup, f"{outcome.percentile}_ns") for setup in case.contenders}
+            if outcome_of(case) == outcome and times[name] != float("inf"):
+                ratios.append(times[name] / times[first])
+        takes = (
+            f"{_factors(ratios)} as long as {labels[first]}" if ratios else "longer, as messages were lost"
+        )
+        parts.append(f"{labels[name]} takes {takes}")
+    shown = parts[:MOST_NAMED] + (
+        [f"{len(parts) - MOST_NAMED} more take longer"] if parts[MOST_NAMED:] else []
+    )
+    return f"{best}, while {joined(shown)}{_repeats_words(stretch.cases)}"
+
+
+def _repeats_words(cases: Sequence[CaseAnswer]) -> str:
+    """Return how many repeats would probably decide what is open about the fastest."""
+    counts = [case.repeats_p50 for case in cases if case.repeats_p50 is not None]
+    return f" (about {max(counts)} repeats would decide the rest)" if counts else ""
 
 
 def _factor(case: CaseAnswer, percentile: str) -> float | None:
@@ -267,7 +295,7 @@ def _factor(case: CaseAnswer, percentile: str) -> float | None:
 
 
 def _factors(factors: Sequence[float]) -> str:
-    ends = (f"{end:.2g}" if end < 10 else f"{end:.0f}" for end in (min(factors), max(factors)))
+    ends = (f"{end:.3g}" if end < 1000 else f"{end:,.0f}" for end in (min(factors), max(factors)))
     return f"{' to '.join(dict.fromkeys(ends))} times"
 
 

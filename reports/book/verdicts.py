@@ -24,10 +24,11 @@ if TYPE_CHECKING:
     from .groups import VendorLabels
 
 CLEARLY = (
-    "Setups are compared for the same message, on the same devices and link. A setup is called fastest only where its p99 (its "
-    "median, where a sample is too small for that) is below the others by a test of their runs at 95 %, adjusted for "
-    "their number; lost messages count as infinitely late, and a setup that receives significantly less never leads. With fewer than "
-    "three runs, and where the tests find no difference, there is no clear winner. Plain sockets are not a middleware and not compared."
+    "Setups are compared for the same message, on the same devices and link, at the median and, where every setup has enough messages "
+    "for it, at p99. A setup is called fastest only where it is below each other one by a test of their runs at 95 % over all "
+    "messages together, and by at least the margin (5 %, --margin); lost messages count as infinitely late, and a setup that loses "
+    "more than 1 % of the messages, or significantly more than another, never leads where another does not. With fewer than three runs, "
+    "and of setups recorded one after the other, there is no clear winner. Plain sockets are not a middleware and not compared."
 )
 
 WITHIN_ONE_RUN = (

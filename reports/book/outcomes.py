@@ -1,0 +1,94 @@
+"""What is shown about the setups at each size: who leads, or who is slower than whom."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.analyzer.verdicts.cases import LOSSY_SHARE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from dds_trace.analyzer.verdicts.answers import CaseAnswer
+
+PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What is shown for a size: names of setups.
+
+    Attributes:
+        p50: the setup with the lowest median, empty if none is shown to have it; `p99` likewise.
+        best: if nobody leads: the fastest one and those not told apart from it.
+        slower: those that are shown to be slower than the fastest.
+        percentile: by which `slower` are.
+        is_interleaved: False where nothing is shown and setups were recorded one after the other.
+    """
+
+    p50: str = ""
+    p99: str = ""
+    best: tuple[str, ...] = ()
+    slower: tuple[str, ...] = ()
+    percentile: str = ""
+    is_interleaved: bool = True
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether anything is shown."""
+        return bool(self.p50 or self.p99 or self.slower)
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Neighbouring sizes with the same outcome, which is None where it depends on the rate."""
+
+    outcome: Outcome | None
+    sizes: tuple[int, ...]
+    cases: tuple[CaseAnswer, ...]
+
+
+def outcome_of(case: CaseAnswer) -> Outcome:
+    """Return what is shown for one kind of message."""
+    if case.leader_p50 or case.leader_p99:
+        return Outcome(case.leader_p50, case.leader_p99)
+    usable = [one for one in case.contenders if not (one.loses_more or one.lost > LOSSY_SHARE)]
+    for percentile, _ in PERCENTILES:
+        ranked = sorted(
+            (value, setup.name, set(getattr(setup, f"letters_{percentile}")))
+            for setup in usable or case.contenders
+            if (value := getattr(setup, f"{percentile}_ns")) is not None
+        )
+        slower = [name for _, name, letters in ranked if not letters & ranked[0][2]]
+        if slower and ranked[0][2]:
+            first, *rest = (name for _, name, _ in ranked if name not in slower)
+            return Outcome(best=(first, *sorted(rest)), slower=tuple(sorted(slower)), percentile=percentile)
+    return Outcome(is_interleaved=case.interleaved)
+
+
+def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
+    """Cut the answers of one kind of data and device pair into stretches of sizes."""
+    by_size: dict[int, list[CaseAnswer]] = {}
+    for case in cases:
+        if case.clarity is not Clarity.ONLY_ONE:
+            by_size.setdefault(case.payload_bytes, []).append(case)
+    cut: list[Stretch] = []
+    for size, own in sorted(by_size.items()):
+        outcome = _common_outcome(own)
+        before = cut.pop() if cut and cut[-1].outcome == outcome else Stretch(outcome, (), ())
+        cut.append(Stretch(outcome, (*before.sizes, size), (*before.cases, *own)))
+    return tuple(cut)
+
+
+def _common_outcome(cases: Sequence[CaseAnswer]) -> Outcome | None:
+    """Return what is shown at some rate of a size and contradicted at none."""
+    medians, tails = ({case.leader_p50 for case in cases} - {""}, {case.leader_p99 for case in cases} - {""})
+    if len(medians) > 1 or len(tails) > 1:
+        return None
+    if medians or tails:
+        return Outcome(next(iter(medians), ""), next(iter(tails), ""))
+    outcomes = list(dict.fromkeys(map(outcome_of, cases)))
+    decided = [outcome for outcome in outcomes if outcome.is_decided]
+    return decided[0] if len(decided) == 1 else min(outcomes, key=lambda one: one.is_interleaved)

@@ -81,8 +81,8 @@ NULL_PARAMETERS = {
 ADDED = {
     Conclusion: {"points"},
     DataVerdict: {"place", "within_one_run"},
-    CaseAnswer: {"leader_p50", "leader_p99"},
-    Contender: {"p50_ns", "p99_ns"},
+    CaseAnswer: {"leader_p50", "leader_p99", "repeats_p50", "repeats_p99", "interleaved", "drift_ratio"},
+    Contender: {"p50_ns", "p99_ns", "letters_p50", "letters_p99"},
 }
 """Fields that were added to format 1: a report of an earlier version does not have them."""
 

@@ -184,7 +184,7 @@ def _outcomes(cut: Sequence[Stretch], labels: Mapping[str, str]) -> str:
         elif outcome.slower:
             parts.append(f"{where} {_tier_words(stretch, outcome, labels)}")
         elif outcome.is_interleaved:
-            parts.append(f"{where} no clear winner{_repeats_words(stretch.cases)}")
+            parts.append(f"{where} no clear winner{_repeats_words(stretch.cases, '')}")
         else:
             parts.append(f"{where} no clear winner: the setups were recorded one after the other")
     return "; ".join(parts)
@@ -228,12 +228,7 @@ def _leader_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str])
     """Return `Zenoh is fastest at the median (the next takes 2 times as long), Fast DDS at p99 (...)`."""
     leaders = [(getattr(outcome, percentile), percentile, label) for percentile, label in PERCENTILES]
     leads = [(name, _lead_words(stretch, percentile), label) for name, percentile, label in leaders if name]
-    is_lossy = any(
-        setup.lost > LOSSY_SHARE and setup.name in (outcome.p50, outcome.p99)
-        for case in stretch.cases
-        for setup in case.contenders
-    )
-    start = "all setups lose too much; of them, " if is_lossy else ""
+    start = "all setups lose too much; of them, " if outcome.is_lossy else ""
     if len(leads) == len(leaders) and outcome.p50 == outcome.p99:
         by = ", ".join(f"{words} {label}" for _, words, label in leads)
         return f"{start}{labels[outcome.p50]} is fastest (the next takes {by})"
@@ -278,13 +273,13 @@ def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -
     shown = parts[:MOST_NAMED] + (
         [f"{len(parts) - MOST_NAMED} more take longer"] if parts[MOST_NAMED:] else []
     )
-    return f"{best}, while {joined(shown)}{_repeats_words(stretch.cases)}"
+    return f"{best}, while {joined(shown)}{_repeats_words(stretch.cases, ' the rest')}"
 
 
-def _repeats_words(cases: Sequence[CaseAnswer]) -> str:
+def _repeats_words(cases: Sequence[CaseAnswer], what: str) -> str:
     """Return how many repeats would probably decide what is open about the fastest."""
     counts = [case.repeats_p50 for case in cases if case.repeats_p50 is not None]
-    return f" (about {max(counts)} repeats would decide the rest)" if counts else ""
+    return f" (about {max(counts)} repeats would decide{what})" if counts else ""
 
 
 def _factor(case: CaseAnswer, percentile: str) -> float | None:

@@ -25,6 +25,7 @@ class Outcome:
         best: if nobody leads: the fastest one and those not told apart from it.
         slower: those that are shown to be slower than the fastest.
         percentile: by which `slower` are.
+        is_lossy: whether a leader, like all others, lost more than `LOSSY_SHARE`.
         is_interleaved: False where nothing is shown and setups were recorded one after the other.
     """
 
@@ -34,6 +35,7 @@ class Outcome:
     slower: tuple[str, ...] = ()
     percentile: str = ""
     is_interleaved: bool = True
+    is_lossy: bool = False
 
     @property
     def is_decided(self) -> bool:
@@ -53,7 +55,9 @@ class Stretch:
 def outcome_of(case: CaseAnswer) -> Outcome:
     """Return what is shown for one kind of message."""
     if case.leader_p50 or case.leader_p99:
-        return Outcome(case.leader_p50, case.leader_p99)
+        leaders = {case.leader_p50, case.leader_p99}
+        is_lossy = any(one.name in leaders and one.lost > LOSSY_SHARE for one in case.contenders)
+        return Outcome(case.leader_p50, case.leader_p99, is_lossy=is_lossy)
     usable = [one for one in case.contenders if not (one.loses_more or one.lost > LOSSY_SHARE)]
     for percentile, _ in PERCENTILES:
         ranked = sorted(
@@ -88,7 +92,8 @@ def _common_outcome(cases: Sequence[CaseAnswer]) -> Outcome | None:
     if len(medians) > 1 or len(tails) > 1:
         return None
     if medians or tails:
-        return Outcome(next(iter(medians), ""), next(iter(tails), ""))
+        is_lossy = any(outcome_of(case).is_lossy for case in cases)
+        return Outcome(next(iter(medians), ""), next(iter(tails), ""), is_lossy=is_lossy)
     outcomes = list(dict.fromkeys(map(outcome_of, cases)))
     decided = [outcome for outcome in outcomes if outcome.is_decided]
     return decided[0] if len(decided) == 1 else min(outcomes, key=lambda one: one.is_interleaved)

@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 import polars as pl
-from roundtrip_frames import MS, in_runs, rows_by_group, steady
+import pytest
+from roundtrip_frames import MS, S, in_runs, rows_by_group, steady
 
 from dds_trace.analyzer.verdicts.answers import Clarity, Headline, Lead, find_answers, find_headlines
+from dds_trace.analyzer.verdicts.ranking import RankingOptions
 
 
 def noisy(centre_ns, messages=60, seed=0):
@@ -103,22 +105,109 @@ def test_who_loses_more_never_leads_and_bars_the_others_if_it_is_not_slower():
     assert answer.contenders[1].received.value == 0.9
 
 
-def test_a_pass_takes_what_its_runs_share_out_of_the_comparison():
-    # Passes differ by a factor of up to 1.5, the contenders by 10 %: Welch cannot tell, the pairs can.
-    centres = [10 * MS, 12 * MS, 15 * MS, 11 * MS]
+SHARED_FACTORS = (1.0, 1.2, 1.5, 1.1)
+"""What a repeat does to all setups measured in it."""
+
+
+def in_repeats(factors, first_run_id, seed, **parameters):
+    return [
+        steady(noisy(int(10 * MS * factor), seed=seed + i), run_id=first_run_id + i, **parameters)
+        for i, factor in enumerate(factors)
+    ]
+
+
+@pytest.mark.parametrize(("share", "leader"), [(0.9, ""), (0.5, "zenoh")])
+def test_what_a_repeat_does_to_all_setups_widens_the_test(share, leader):
+    # Repeats differ by a factor of up to 1.5; by Welch's test 10 % between the setups are then no difference.
+    zenoh = in_repeats(
+        [share * factor for factor in SHARED_FACTORS], 20, 50, vendor="zenoh", relay_vendor="zenoh"
+    )
+    frame = pl.concat([*in_repeats(SHARED_FACTORS, 10, 0), *zenoh])
+    passes = {first + i: i for first in (10, 20) for i in range(4)}
+    (answer,) = find_answers(rows_by_group(frame), passes=passes)
+    assert answer.leader_p50 == leader
+
+
+def test_a_lead_below_the_margin_names_nobody():
     frame = pl.concat(
         [
-            *(steady(noisy(ns, seed=i), run_id=10 + i) for i, ns in enumerate(centres)),
-            *(
-                steady(noisy(int(0.9 * ns), seed=50 + i), run_id=20 + i, vendor="zenoh")
-                for i, ns in enumerate(centres)
-            ),
+            in_runs(noisy(10 * MS), spread=0.001),
+            in_runs(noisy(9.8 * MS), spread=0.001, vendor="zenoh", run_id=2),
         ]
     )
-    passes = {first + i: i for first in (10, 20) for i in range(4)}
-    (unpaired,) = find_answers(rows_by_group(frame))
-    (paired,) = find_answers(rows_by_group(frame), passes=passes)
-    assert (unpaired.clarity, paired.clarity) == (Clarity.INCONCLUSIVE, Clarity.CLEAR)
+    (within,) = find_answers(rows_by_group(frame))
+    (named,) = find_answers(rows_by_group(frame), options=RankingOptions(margin=0.01))
+    assert (within.leader_p50, within.clarity, len(within.leaders)) == ("", Clarity.INCONCLUSIVE, 2)
+    assert named.leader_p50 == "zenoh to fastdds"
+
+
+def test_equal_setups_of_twenty_sizes_have_no_leader_by_chance():
+    # Each size by itself would have one in twenty: the tests of all sizes are one family.
+    generator = np.random.default_rng(4)
+    frame = pl.concat(
+        run
+        for size in range(1, 21)
+        for number, sides in enumerate(({}, {"vendor": "zenoh", "relay_vendor": "zenoh"}))
+        for run in in_repeats(
+            np.exp(0.2 * generator.standard_normal(4)),
+            100 * size + 10 * number,
+            size,
+            payload_bytes=size,
+            **sides,
+        )
+    )
+    answers = find_answers(rows_by_group(frame))
+    assert [answer.leader_p50 for answer in answers] == [""] * 20
+
+
+def test_tiers_name_who_is_slower_where_nobody_leads():
+    frame = pl.concat(
+        [
+            in_runs(noisy(10 * MS), spread=0.05),
+            in_runs(noisy(10.6 * MS), spread=0.05, vendor="zenoh", relay_vendor="zenoh", run_id=2),
+            in_runs(noisy(30 * MS), spread=0.05, vendor="cyclonedds", relay_vendor="cyclonedds", run_id=3),
+        ]
+    )
+    (answer,) = find_answers(rows_by_group(frame))
+    assert answer.leader_p50 == ""
+    assert {one.name: one.letters_p50 for one in answer.contenders} == {
+        "fastdds": "a",
+        "zenoh": "a",
+        "cyclonedds": "b",
+    }
+    assert [one.name for one in answer.leaders] == ["fastdds", "zenoh"]
+    assert 4 < answer.repeats_p50 < 100
+
+
+def test_setups_recorded_one_after_the_other_have_no_verdict_unless_their_order_is_trusted():
+    frame = pl.concat(
+        [in_runs(noisy(10 * MS)), in_runs(noisy(5 * MS), vendor="zenoh", relay_vendor="zenoh", run_id=2)]
+    )
+    apart = {100 + i: i * S for i in range(3)} | {200 + i: (3 + i) * S for i in range(3)}
+    in_turn = {100 + i: 2 * i * S for i in range(3)} | {200 + i: (2 * i + 1) * S for i in range(3)}
+    rows = rows_by_group(frame)
+    (answer,) = find_answers(rows, wall_offsets_ns=apart)
+    assert (answer.clarity, answer.leader_p50, answer.interleaved) == (Clarity.INCONCLUSIVE, "", False)
+    assert 1.01 < answer.drift_ratio < 1.2
+    (trusted,) = find_answers(rows, wall_offsets_ns=apart, options=RankingOptions(trust_order=True))
+    assert (trusted.leader_p50, trusted.interleaved) == ("zenoh", False)
+    (mixed,) = find_answers(rows, wall_offsets_ns=in_turn)
+    assert (mixed.leader_p50, mixed.interleaved, mixed.drift_ratio) == ("zenoh", True, None)
+
+
+@pytest.mark.parametrize(("lossy", "leader"), [((True, True), "zenoh"), ((False, True), "")])
+def test_who_loses_2_percent_leads_only_where_all_do(lossy, leader):
+    def sent(is_lossy, centre_ns):
+        return [None if is_lossy and i % 50 == 7 else ns for i, ns in enumerate(noisy(centre_ns, 1000))]
+
+    frame = pl.concat(
+        [
+            in_runs(sent(lossy[0], 10 * MS)),
+            in_runs(sent(lossy[1], 5 * MS), vendor="zenoh", relay_vendor="zenoh", run_id=2),
+        ]
+    )
+    (answer,) = find_answers(rows_by_group(frame))
+    assert answer.leader_p50 == leader
 
 
 def test_headlines_count_cases():

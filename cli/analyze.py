@@ -274,7 +274,7 @@ def _show_topics(paths: list[Path], target: Path) -> None:
     report = analyze_topics(paths, skip=[target])
     print_topics(report)
     for source in report.sources:
-        if source.status != "read":
+        if source.status != "read" or source.detail:
             print(f"{source.path}: {source.status}: {source.detail}", file=sys.stderr)
 
 

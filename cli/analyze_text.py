@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 HOW_TO_READ = (
-    "Size: mean. Gaps: intervals longer than two typical ones, where messages are missing. Jitter: standard deviation of the "
+    "Size: mean. Gaps: intervals longer than two typical ones. Jitter: standard deviation of the "
     "intervals. Age: median from the header's stamp, or from publishing, to the recording; between two machines it includes the "
     "difference of their clocks."
 )

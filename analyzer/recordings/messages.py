@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import re
 import struct
+from collections import Counter
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import MessageDefinitionFormat
@@ -23,6 +24,8 @@ from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacke
 from dds_trace.tracefile.mcapfile.chunks import unpack_records
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking
+from dds_trace.tracefile.reading.recording_files import missing_messages, open_recording
+from dds_trace.tracefile.reading.source import unpack_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -32,6 +35,8 @@ if TYPE_CHECKING:
 
 _UNSUSPECTED_MESSAGES, _MESSAGE_BYTES = 2_000_000, 64
 """More messages than the first number, of fewer bytes each than the second, are no recording but an attack."""
+
+_SUFFIXES = (".mcap", ".bag", ".db3", ".mcap.zstd", ".db3.zstd")
 
 LATEST_NS = 2**63 - 1
 """Latest time of a message that 64 bits with a sign hold (year 2262); MCAP has twice that."""
@@ -83,54 +88,77 @@ def find_recordings(
             recordings.append(here)
             folders.clear()
         else:
-            recordings += [here / file for file in files if Path(file).suffix in {".mcap", ".bag", ".db3"}]
+            unpacked = set(files)
+            recordings += [
+                here / file
+                for file in files
+                if file.endswith(_SUFFIXES) and not (file.endswith(".zstd") and file[:-5] in unpacked)
+            ]
     return sorted(recordings)
 
 
-def iter_messages(path: Path) -> Iterator[RecordedMessage]:
-    """Yield the messages of one recording in the order of the file.
+def iter_messages(path: Path, notes: list[str] | None = None) -> Iterator[RecordedMessage]:
+    """Yield the messages of one recording, file by file.
+
+    What was delivered is compared with what the recording says it has (metadata.yaml, statistics of MCAP and SQLite); what is
+    missing is added to `notes`.
 
     Raises:
         TraceFormatError: the path is not a recording, or ends early; complete messages before that were yielded.
     """
-    if path.is_dir():
-        files = sorted(path.glob("*.mcap"))
-        is_mcap = bool(files) and not list(path.glob("*.zstd"))
-    else:
-        files, is_mcap = [path], path.suffix == ".mcap"
-    if is_mcap:
-        for file in files:
-            yield from _mcap_messages(file)
-    else:
-        yield from _bag_messages(path)
+    notes = [] if notes is None else notes
+    delivered = Counter[str]()
+    with open_recording(path) as recording:
+        notes += recording.notes
+        for file in recording.files:
+            of_file = Counter[str]()
+            claims: dict[str, int] = {}
+            messages = _mcap_messages(file, claims) if file.suffix == ".mcap" else _bag_messages(file, claims)
+            for message in messages:
+                of_file[message.topic.name] += 1
+                yield message
+            notes += missing_messages(claims, of_file, file.name)
+            delivered += of_file
+        notes += missing_messages(recording.claimed, delivered, METADATA_NAME)
 
 
-def _mcap_messages(path: Path) -> Iterator[RecordedMessage]:
+def _mcap_messages(path: Path, claims: dict[str, int]) -> Iterator[RecordedMessage]:
     with path.open("rb") as file:
         try:
-            yield from _mcap_stream(file)
+            yield from _mcap_stream(file, claims)
         except Exception as err:  # mcap and the codecs below it raise many kinds on damaged bytes
             raise TraceFormatError(path, f"the recording cannot be read on: {err}", file.tell()) from err
 
 
-def _mcap_stream(file: BinaryIO) -> Iterator[RecordedMessage]:
+def _mcap_stream(file: BinaryIO, claims: dict[str, int]) -> Iterator[RecordedMessage]:
     """Yield the messages with `StreamReader`, which reads a truncated file up to its end."""
     schemas: dict[int, Schema] = {}
     topics: dict[int, tuple[Topic, Callable[[bytes], int | None]]] = {}
-    messages_left = _UNSUSPECTED_MESSAGES + os.fstat(file.fileno()).st_size // _MESSAGE_BYTES
+    size_bytes = os.fstat(file.fileno()).st_size
+    unpacked_bytes, most_bytes = 0, most_unpacked_bytes(size_bytes)
+    messages_left = _UNSUSPECTED_MESSAGES + size_bytes // _MESSAGE_BYTES
     for record in _mcap_records(file):
         if isinstance(record, Message):
             messages_left -= 1
             if messages_left < 0:
                 raise ValueError("it has more messages than so few bytes hold")
             topic, stamp_of = topics[record.channel_id]
+            data = unpack_message(record.data) if topic.encoding == "cdr" else record.data
+            unpacked_bytes += len(data)
+            if unpacked_bytes > most_bytes:
+                raise ValueError(f"it unpacks to more than {LARGEST_FILE_RATIO} times its size")
             yield RecordedMessage(
                 topic=topic,
                 log_ns=_checked(record.log_time),
                 publish_ns=_checked(record.publish_time),
-                stamp_ns=stamp_of(record.data) if topic.has_stamp else None,
-                payload_bytes=len(record.data),
+                stamp_ns=stamp_of(data) if topic.has_stamp else None,
+                payload_bytes=len(data),
             )
+        elif isinstance(record, Statistics):
+            for channel_id, count in record.channel_message_counts.items():
+                if channel_id in topics:
+                    name = topics[channel_id][0].name
+                    claims[name] = claims.get(name, 0) + count
         elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -165,11 +193,11 @@ def _mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
             yield inner_record
 
 
-def _bag_messages(path: Path) -> Iterator[RecordedMessage]:
+def _bag_messages(path: Path, claims: dict[str, int]) -> Iterator[RecordedMessage]:
     """Yield the messages through rosbags, which reads all storages and compressions but only the log time."""
     try:
         with (
-            bounded_unpacking(path),
+            bounded_unpacking(path) as unpack,
             AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader,
         ):
             encoding = "cdr" if reader.is2 else "ros1"
@@ -177,7 +205,10 @@ def _bag_messages(path: Path) -> Iterator[RecordedMessage]:
                 (id(c.owner), c.id): Topic(c.topic, c.msgtype, encoding, _connection_has_stamp(c))
                 for c in reader.connections
             }
-            for connection, log_ns, data in reader.messages():
+            for connection in reader.connections if reader.is2 else ():
+                claims[connection.topic] = claims.get(connection.topic, 0) + connection.msgcount
+            for connection, log_ns, packed in reader.messages():
+                data = unpack(packed) if reader.is2 else packed
                 topic = topics[id(connection.owner), connection.id]
                 stamp_ns = _STAMP_READERS[encoding](bytes(data[:24])) if topic.has_stamp else None
                 yield RecordedMessage(topic, _checked(log_ns), None, stamp_ns, len(data))
@@ -205,7 +236,7 @@ def _stamped_types() -> frozenset[str]:
     )
 
 
-_COMMENT_OR_CONSTANT = re.compile(r"\s*(#.*)?|[^#]*=.*")
+_COMMENT_OR_CONSTANT = re.compile(r"\s*(#.*)?|\s*[^#\s]+\s+\w+\s*=.*")
 _STAMPED = re.compile(r"\s*((std_msgs/(msg/)?)?Header\s+\w+|builtin_interfaces/(msg/)?Time\s+\w+)\s*(#.*)?")
 
 

@@ -34,6 +34,9 @@ GAP_PERIODS = 2.0
 _FEWEST_FOR_P99 = 100
 """Messages below which p99 is null."""
 
+_MOST_NOTES = 10
+"""Notes on one recording in `Source.detail`."""
+
 _NONE = -(2**63)
 """In place of a time that a message does not have."""
 
@@ -83,11 +86,15 @@ def analyze_topics(
             progress(recording)
         columns: dict[Topic, _Columns] = {}
         status, detail = "read", ""
+        notes: list[str] = []
         try:
-            for message in iter_messages(recording):
+            for message in iter_messages(recording, notes):
                 columns.setdefault(message.topic, _Columns()).add(message)
         except TraceFormatError as err:
             status, detail = ("truncated" if columns else "skipped"), err.what
+        detail = "; ".join([*([detail] if detail else []), *notes[:_MOST_NOTES]])
+        if len(notes) > _MOST_NOTES:
+            detail += f"; and {len(notes) - _MOST_NOTES} more"
         messages = sum(len(topic.log_ns) for topic in columns.values())
         sources.append(Source(str(recording), status, detail, messages))
         rows += (

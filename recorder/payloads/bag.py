@@ -15,7 +15,7 @@ from .header import recognize_data_type
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
@@ -39,7 +39,7 @@ def load_payload(
     path = Path(name)
     if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for a writer
         raise OptionError(f"--data bag:{where}: {path} is not a file or a folder")
-    with _open_reader(path) as reader:
+    with _open_reader(path) as (reader, unpack):
         connections = _connections_of(reader, topic, path)
         type_name = connections[0].msgtype
         stamper = _Stamper(reader, type_name, path, own_types)
@@ -47,7 +47,7 @@ def load_payload(
         for _, time_ns, data in reader.messages(connections):
             check_stop(stop)
             check_size(size_bytes + len(data), path)
-            message = stamper(data)
+            message = stamper(unpack(data) if reader.is2 else data)
             messages.append(message)
             times_ns.append(time_ns)
             size_bytes += len(message.data)
@@ -75,13 +75,14 @@ def split_topic(where: str) -> tuple[str, str]:
 
 
 @contextmanager
-def _open_reader(path: Path) -> Iterator[AnyReader]:
-    """Open a reader of the bag; an error of a damaged bag within the block becomes one line."""
+def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], bytes]]]:
+    """Open a reader of the bag, with a function that unpacks a message; an error of a damaged bag within the block becomes one line."""
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only bags need it
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
         from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking  # noqa: PLC0415
+        from dds_trace.tracefile.reading.recording_files import open_recording  # noqa: PLC0415
     except ImportError as err:
         raise BackendUnavailableError(
             "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]'"
@@ -89,10 +90,11 @@ def _open_reader(path: Path) -> Iterator[AnyReader]:
     try:
         # Bags of sqlite3 before ROS 2 Iron have no definitions; the stock types have hardly changed since.
         with (
-            bounded_unpacking(path),
-            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
+            open_recording(path) as recording,
+            bounded_unpacking(path) as unpack,
+            AnyReader(recording.files, default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
         ):
-            yield reader
+            yield reader, unpack
     except (OptionError, BackendUnavailableError, StoppedError):
         raise
     except FileNotFoundError as err:

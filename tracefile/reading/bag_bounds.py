@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.file import MAX_RECORD_BYTES
+from .source import ZSTD_MAGIC
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
     from typing import BinaryIO, Literal
 
@@ -82,9 +83,13 @@ class _CountedFile:
         return data
 
 
+def _no_qos(_: object) -> list[object]:
+    return []
+
+
 @contextmanager
-def bounded_unpacking(bag: Path) -> Iterator[None]:
-    """Limit what rosbags unpacks of a bag: a piece to 64 MiB, all of them as for a trace (`most_unpacked_bytes`).
+def bounded_unpacking(bag: Path) -> Iterator[Callable[[bytes], bytes]]:
+    """Yield a function that unpacks a message that was packed by itself, and limit what rosbags unpacks of a bag: a piece to 64 MiB, all of them as for a trace (`most_unpacked_bytes`).
 
     One bag at a time: the tables are rosbags' own.
     """
@@ -94,6 +99,7 @@ def bounded_unpacking(bag: Path) -> Iterator[None]:
     from rosbags.rosbag1 import reader as ros1  # noqa: PLC0415
     from rosbags.rosbag2 import reader as ros2  # noqa: PLC0415
     from rosbags.rosbag2 import storage_mcap as mcap  # noqa: PLC0415
+    from rosbags.rosbag2 import storage_sqlite3 as sqlite  # noqa: PLC0415
 
     budget = _Budget(bag)
     zstd = _BoundedZstd(vars(ros2)["zstd"], budget)
@@ -113,9 +119,12 @@ def bounded_unpacking(bag: Path) -> Iterator[None]:
             },
         ),
         (vars(ros2), {"zstd": zstd}),
+        # We use no QoS, and a damaged text must not cost the messages.
+        (vars(mcap), {"parse_qos": _no_qos}),
+        (vars(sqlite), {"parse_qos": _no_qos}),
     )
     with ExitStack() as stack:
         for table, own in replacements:
             stack.callback(table.update, {name: table[name] for name in own})
             table.update(own)
-        yield
+        yield lambda data: zstd.decompress(data) if data[:4] == ZSTD_MAGIC else data

@@ -111,7 +111,7 @@ def open_source(file: Path, pool: Executor) -> Iterator[Source]:
         path = file
         if file.suffix == ZSTD_SUFFIX:
             copy = opened.enter_context(tempfile.NamedTemporaryFile(prefix="dds-trace-"))
-            _unpack_file(file, copy)
+            unpack_file(file, copy)
             path = Path(copy.name)
         yield opened.enter_context(closing(opener(path, pool, file)))
 
@@ -122,9 +122,11 @@ def _opener_suffix(file: Path) -> str | None:
     return suffix if suffix in _OPENERS else None
 
 
-def _unpack_file(packed: Path, copy: IO[bytes]) -> None:
+def unpack_file(
+    packed: Path, copy: IO[bytes], ratio: int = LARGEST_RATIO, unsuspected_bytes: int = 0
+) -> None:
     """Unpack a file as far as possible: the copy of a cut off file is cut off, and its reader reports it."""
-    limit = packed.stat().st_size * LARGEST_RATIO
+    limit = max(packed.stat().st_size * ratio, unsuspected_bytes)
     with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:
         written = 0
         while True:
@@ -138,8 +140,6 @@ def _unpack_file(packed: Path, copy: IO[bytes]) -> None:
             if not data:
                 break
             if written > limit:
-                raise TraceFormatError(
-                    packed, f"unpacks to more than {LARGEST_RATIO} times its size; not read"
-                )
+                raise TraceFormatError(packed, f"unpacks to more than {ratio} times its size; not read")
             copy.write(data)
         copy.flush()

@@ -1,0 +1,106 @@
+"""What is delivered of a recording is compared with what the recording says it has; what is missing is said."""
+
+import shutil
+import sqlite3
+
+import pytest
+import zstandard
+from bags import imu, write_bag2
+from rosbags.rosbag2 import StoragePlugin
+
+from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.recorder.payloads.bag import load_payload
+
+MESSAGES = {"/imu": [imu(0.1), imu(0.2)], "/gps": [imu(0.3)]}
+SUFFIX = {StoragePlugin.MCAP: ".mcap", StoragePlugin.SQLITE3: ".db3"}
+
+
+def topics_of(path):
+    report = analyze_topics(path)
+    return dict(report.topics.select("topic", "messages").rows()), "; ".join(s.detail for s in report.sources)
+
+
+def replace_in(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_whole_bag_has_no_note(tmp_path, plugin):
+    assert topics_of(write_bag2(tmp_path / "bag", MESSAGES, plugin)) == ({"/imu": 2, "/gps": 1}, "")
+
+
+def test_a_topic_whose_qos_differs_between_metadata_and_database_is_read(tmp_path):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, StoragePlugin.SQLITE3)
+    with sqlite3.connect(bag / "bag.db3") as database:
+        database.execute("UPDATE topics SET offered_qos_profiles = '- {depth: 7}' WHERE name = '/gps'")
+    assert topics_of(bag) == ({"/imu": 2, "/gps": 1}, "")
+    assert len(load_payload(f"{bag}#/gps", {}).messages) == 1
+
+
+def test_messages_in_a_log_beside_a_database_are_read(tmp_path):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, StoragePlugin.SQLITE3)
+    database = sqlite3.connect(bag / "bag.db3")
+    database.execute("PRAGMA journal_mode=WAL")
+    database.execute("PRAGMA wal_autocheckpoint=0")
+    database.execute(
+        "INSERT INTO messages (topic_id, timestamp, data) SELECT topic_id, timestamp + 5, data FROM messages"
+    )
+    database.commit()
+    before = {file.name: file.read_bytes() for file in bag.iterdir()}
+    topics, detail = topics_of(bag)
+    payload = load_payload(f"{bag}#/gps", {})
+    database.close()
+    assert topics == {"/imu": 4, "/gps": 2}
+    assert "bag.db3-wal" in detail
+    assert "metadata.yaml says that /gps has 1 message, 2 were read" in detail
+    assert len(payload.messages) == 2
+    assert before.keys() >= {"bag.db3", "bag.db3-wal"}
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_file_that_the_bag_does_not_list_is_named_and_not_read(tmp_path, plugin):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
+    shutil.copy(bag / f"bag{SUFFIX[plugin]}", bag / f"copy{SUFFIX[plugin]}")
+    topics, detail = topics_of(bag)
+    assert topics == {"/imu": 2, "/gps": 1}
+    assert detail == f"copy{SUFFIX[plugin]} is not listed in metadata.yaml and was not read"
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_listed_file_that_is_missing_is_named_and_the_rest_is_read(tmp_path, plugin):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
+    listed = f"- bag{SUFFIX[plugin]}"
+    replace_in(bag / "metadata.yaml", listed, f"{listed}\n  - gone{SUFFIX[plugin]}")
+    topics, detail = topics_of(bag)
+    assert topics == {"/imu": 2, "/gps": 1}
+    assert f"gone{SUFFIX[plugin]} is listed" in detail
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_count_that_differs_is_said(tmp_path, plugin):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
+    replace_in(bag / "metadata.yaml", "message_count: 2", "message_count: 9")
+    topics, detail = topics_of(bag)
+    assert topics["/imu"] == 2
+    assert "/imu has 9 messages, 2 were read" in detail
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_packed_file_without_metadata_is_read(tmp_path, plugin):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
+    (bag / "metadata.yaml").unlink()
+    file = bag / f"bag{SUFFIX[plugin]}"
+    packed = zstandard.ZstdCompressor().compress(file.read_bytes())
+    (bag / f"{file.name}.zstd").write_bytes(packed)
+    assert topics_of(bag)[0] == {"/imu": 2, "/gps": 1}
+    file.unlink()
+    assert topics_of(bag)[0] == {"/imu": 2, "/gps": 1}
+
+
+def test_metadata_costs_no_more_memory_than_its_text(tmp_path):
+    bag = write_bag2(tmp_path / "bag", MESSAGES, StoragePlugin.SQLITE3)
+    with (bag / "metadata.yaml").open("a") as file:
+        file.write("  custom_data: [" + "[]," * 1_000_000 + "]\n" + "[" * 100_000 + "\n")
+    assert topics_of(bag)[0] == {"/imu": 2, "/gps": 1}

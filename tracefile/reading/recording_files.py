@@ -1,0 +1,150 @@
+"""Files of a recording that is not ours: those its metadata lists, each readable by itself, and what the recording says it has.
+
+Libraries match topics by the texts of `metadata.yaml`, do not read a log of SQLite beside a database, and take any file of a folder.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sqlite3
+import tempfile
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.files import open_regular
+from dds_trace.base.units import counted
+
+from ..format.bag_metadata import METADATA_NAME
+from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
+from .storage import ZSTD_SUFFIX, storage_files, unpack_file
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+_MOST_METADATA_BYTES = 16 << 20
+"""Of metadata.yaml; a thousand topics with the QoS of ten publishers each have 6 MB."""
+
+
+@dataclass(slots=True)
+class RecordingFiles:
+    """The files to read, under their names, notes on files that are not read, and messages of each topic by `metadata.yaml`."""
+
+    files: list[Path]
+    notes: list[str] = field(default_factory=list)
+    claimed: Mapping[str, int] = field(default_factory=dict)
+
+
+@contextmanager
+def open_recording(path: Path) -> Iterator[RecordingFiles]:
+    """Yield the files of a recording, packed ones and databases with a log as temporary copies.
+
+    Raises:
+        TraceFormatError: the path has no file of a recording, or one cannot be unpacked.
+    """
+    recording = _described(path) if path.is_dir() else RecordingFiles([path])
+    with ExitStack() as stack:
+        for number, file in enumerate(recording.files):
+            log = file.with_name(f"{file.name}-wal")
+            has_log = file.suffix == ".db3" and log.is_file() and log.stat().st_size > 0
+            if file.suffix != ZSTD_SUFFIX and not has_log:
+                continue
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dds-trace-")))
+            copy = folder / (file.stem if file.suffix == ZSTD_SUFFIX else file.name)
+            if has_log:
+                _join_log(file, log, copy)
+                recording.notes.append(f"the messages in {log.name} are included")
+            else:
+                with copy.open("wb") as unpacked:
+                    unpack_file(file, unpacked, LARGEST_FILE_RATIO, most_unpacked_bytes(0))
+            recording.files[number] = copy
+        yield recording
+
+
+def missing_messages(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str) -> Iterator[str]:
+    """Yield a note for each topic whose number of messages is not the claimed one."""
+    for topic, count in claimed.items():
+        got = delivered.get(topic, 0)
+        if got != count:
+            yield f"{who} says that {topic} has {counted(count, 'message')}, {got} {'was' if got == 1 else 'were'} read"
+
+
+def _described(folder: Path) -> RecordingFiles:
+    stored = storage_files(folder)
+    listed, claimed = _read_metadata(folder / METADATA_NAME)
+    if not listed:
+        return RecordingFiles(stored, claimed=claimed)
+    names = {_unpacked_name(name) for name in listed}
+    files = [file for file in stored if _unpacked_name(file.name) in names]
+    missing = sorted(names - {_unpacked_name(file.name) for file in files})
+    notes = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
+    notes += [
+        f"{file.name} is not listed in {METADATA_NAME} and was not read"
+        for file in stored
+        if file not in files
+    ]
+    if not files:
+        raise TraceFormatError(folder, "; ".join(notes[:3]))
+    return RecordingFiles(files, notes, claimed)
+
+
+def _unpacked_name(name: str) -> str:
+    return name.removesuffix(ZSTD_SUFFIX)
+
+
+def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
+    """Return the listed files and the messages of each topic, nothing where the file cannot be read.
+
+    Line by line: a YAML parser makes objects of a thousand times the size of the text.
+    """
+    try:
+        with open_regular(path) as file:
+            text = file.read(_MOST_METADATA_BYTES).decode(errors="replace")
+    except OSError:
+        return [], {}
+    listed: list[str] = []
+    claimed: dict[str, int] = {}
+    section, section_indent = "", 0
+    name, count = None, None
+    for line in text.splitlines():
+        key = _KEY.match(line)
+        if key and len(key["indent"]) <= section_indent and not key["item"]:
+            section = ""
+        if key and not section and key["key"] in {"relative_file_paths", "topics_with_message_count"}:
+            section, section_indent = key["key"], len(key["indent"])
+        elif section == "relative_file_paths" and (item := _ITEM.match(line)):
+            listed.append(Path(_plain(item[1])).name)
+        elif section == "topics_with_message_count" and key:
+            if key["key"] == "name":
+                name = _plain(key["value"])
+            elif key["key"] == "message_count" and _COUNT.fullmatch(key["value"].strip()):
+                count = int(key["value"])
+            if name is not None and count is not None:
+                claimed[name] = claimed.get(name, 0) + count
+                name, count = None, None
+    return listed, claimed
+
+
+_KEY = re.compile(r"(?P<indent> *)(?P<item>- )? *(?P<key>\w+):(?P<value>.*)")
+_ITEM = re.compile(r" *- +(.+)")
+_COUNT = re.compile(r"\d{1,18}")
+
+
+def _plain(text: str) -> str:
+    text = text.strip()
+    return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'" else text
+
+
+def _join_log(database: Path, log: Path, copy: Path) -> None:
+    """Write a copy of a database that contains what is in its log (https://www.sqlite.org/wal.html)."""
+    shutil.copyfile(database, copy)
+    shutil.copyfile(log, copy.with_name(f"{copy.name}-wal"))
+    try:
+        with closing(sqlite3.connect(copy)) as joined:
+            joined.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+            joined.execute("PRAGMA journal_mode=DELETE").fetchall()
+    except sqlite3.Error as err:
+        raise TraceFormatError(database, f"its log {log.name} cannot be read ({err})") from err

@@ -32,8 +32,11 @@ class Severity(Enum):
 class Finding:
     """A doubtful measurement: where, what is doubtful, and what to do about it.
 
-    `groups` are rows of `summary` that it, or its recording, is about; `count` is above one only for the last of very many;
-    `effect` is the share of messages or of the value that it affects.
+    Attributes:
+        code: a stable name such as `loss`, for scripts.
+        groups: rows of `summary` that it is about, or that its recording took part in.
+        count: number of findings in it; more than one only for the last of very many.
+        effect: share of the messages or of the value that it affects, 0 to 1.
     """
 
     severity: Severity

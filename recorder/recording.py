@@ -31,7 +31,7 @@ from .roles.ping import open_ping
 from .roles.plan import check_serialization, plan_run
 from .roles.read_back import ReadBack
 from .roles.relay import Relay
-from .roles.session import default_connectivity, describe_session
+from .roles.session import default_connectivity, describe_session, strangers_field
 from .roles.wire_record import open_wire
 from .service.upkeep import Upkeep
 
@@ -150,7 +150,9 @@ class _Recording:
                 wire.write_relay(relay.progress().relayed, self.session_id, upkeep.sink)
                 read_back.read_end(relay.traffic)
                 relay.close()
-                trace = upkeep.close_trace(**read_back.fields(), **self._clock_at_end())
+                trace = upkeep.close_trace(
+                    **read_back.fields(), **self._clock_at_end(), **strangers_field(node.strangers)
+                )
                 read_back.report(trace.path)
                 return Recorded(trace, session, relay.progress(), error=upkeep.shortage)
 
@@ -192,7 +194,12 @@ class _Recording:
             described: JsonObject = {"error": None if error is None else str(error)}
             if bridge is not None:
                 described = {**described, "bridge": bridge.describe()}
-            trace = sink.close(**described, **read_back.fields(), **self._clock_at_end())
+            trace = sink.close(
+                **described,
+                **read_back.fields(),
+                **self._clock_at_end(),
+                **strangers_field(node.strangers),
+            )
             read_back.report(trace.path)
             return Recorded(trace, session, ping.progress(), run, error)
 
@@ -257,6 +264,12 @@ class _Recording:
         if sink.error is not None and not self._noted_disk:
             self._noted_disk = True
             self.watch.note(f"{sink.error}; the node continues to answer; what was written stays readable")
+
+    def _note_strangers(self, node: Node) -> None:
+        for kind in node.strangers.take_new():
+            self.watch.note(
+                f"somebody else sends here: a {kind} was not accepted; the trace counts further ones"
+            )
 
     def _open_payload(self, ping_options: PingOptions, seed: int) -> AbstractContextManager[Payload]:
         return open_payload(
@@ -323,6 +336,9 @@ class _Recording:
                     enough.set()
                     hopeless.set()
                 self._note_disk(upkeep.sink)
+                self._note_strangers(node)
+                if getattr(self.stop, "is_repeated", False):
+                    hopeless.set()
                 progress = ping.progress()
                 upkeep.look(progress.received, dict)
                 is_over = self.stop.is_set() or node.error is not None or self._left_s(end_ns) <= 0
@@ -346,6 +362,7 @@ class _Recording:
                 upkeep.sink.close()
                 discard(upkeep.destination)
                 raise
+            self._note_strangers(node)
             progress = relay.progress()
             upkeep.look(progress.relayed, read_back.fields)
             self.watch.progress(progress)

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 
+from ..clocks.boots import share_boot
 from ..model.finding import Severity
 from .check import Subject, check
 from .evidence import Observation, exchange_name, percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+
+    from dds_trace.tracefile.format.descriptions import Session
 
     from ..pairing.exchanges import Exchange, Unplaced
     from .evidence import Evidence
@@ -298,6 +301,44 @@ def undescribed_relays(evidence: Evidence) -> Iterator[Observation]:
 def _of_relays(runs: Mapping[int, int], what: str) -> Iterator[Observation]:
     for relay_id, count in runs.items():
         yield Observation(f"relay {relay_id:08x}", f"{counted(count, 'run has', 'runs have')} {what}")
+
+
+@check(
+    "forged_or_foreign",
+    Severity.ERROR,
+    Subject.RUN,
+    "Do not use this result: somebody else answered in the relay's name, or two relays share its id; record where nobody else "
+    "can send, with one relay for each id.",
+)
+def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
+    """Replies disagree with the relay's own trace."""
+    for exchange, group, counts in evidence.counts_by_exchange():
+        relay = exchange.relay
+        if relay is None or not exchange.relay_recorded:
+            continue
+        # A relay stores T3 and T4 before a reply leaves, so its whole trace has both of every reply.
+        foreign = counts["relay_gaps"] if _is_whole(evidence, relay) else 0
+        early = counts["early"] if share_boot(exchange.ping, relay) else counts["negative_latency"]
+        if foreign or early:
+            yield Observation(
+                exchange_name(exchange),
+                f"Of {counted(counts['received'], 'reply', 'replies')} {foreign} are not in the relay's trace, and {early} came "
+                "sooner than the relay can have answered.",
+                (group,),
+                (foreign + early) / max(counts["received"], 1),
+            )
+
+
+def _is_whole(evidence: Evidence, session: Session) -> bool:
+    """Return whether nothing says that events of a session are missing."""
+    campaign = evidence.campaign
+    traces = [campaign.traces[position] for position in campaign.session_traces[session.session_id]]
+    return (
+        session.state == "closed"
+        and not session.dropped_events
+        and not {"stopped", "part"} & session.extra.keys()
+        and not any(trace.truncated or trace.unreadable_messages or trace.notes for trace in traces)
+    )
 
 
 @check("relay_trace_gaps", Severity.WARNING, Subject.RUN, "Use the whole trace of the relay.")

@@ -108,6 +108,21 @@ def stopped_recordings(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
+@check(
+    "strangers",
+    Severity.WARNING,
+    Subject.RECORDING,
+    "Find out who else sends on this domain or port (SECURITY.md), and record where nobody does: their load is in the latency.",
+)
+def strangers(evidence: Evidence) -> Iterator[Observation]:
+    """Somebody else sent what a recording did not accept."""
+    for session in evidence.campaign.sessions.values():
+        counts = session.extra.get("strangers")
+        if isinstance(counts, dict) and counts:
+            kinds = some((f"{counts[kind]} x {str(kind)[:100]}" for kind in sorted(counts, key=str)), 8)
+            yield evidence.recording(session, f"Others sent what was not accepted: {kinds}.")
+
+
 _ERROR_CHARACTERS = 400
 """Longest part of an error that a finding repeats; our own have less."""
 

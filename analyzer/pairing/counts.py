@@ -21,6 +21,7 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
     "duplicates": pl.Int64,
     "reordered": pl.Int64,
     "relay_gaps": pl.Int64,
+    "early": pl.Int64,
     "unscheduled": pl.Int64,
     "negative_rtt": pl.Int64,
     "negative_intermediate": pl.Int64,
@@ -41,6 +42,7 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
 """Columns of the frame `counts`, one row per exchange; all i64.
 
 `published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary. `relay_gaps`: replies without T3 or T4.
+`early`: replies whose T2 is below their T4, which one clock cannot read.
 `unscheduled`: messages without T0. `negative_*`: times below zero. `publish_span_ns`, `relay_span_ns`, `reply_span_ns`: first
 to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
 `orphans`: T2, T3 and T4 of counted messages without T1. Of the run: `with_warmup`: messages with a T1, warm-up included;
@@ -68,6 +70,7 @@ def count_messages(
         "duplicates": int(paired.duplicates.sum()),
         "reordered": np.count_nonzero(paired.reordered),
         "relay_gaps": np.count_nonzero(replied & ~through),
+        "early": np.count_nonzero(replied & left & (t2 < t4)),
         "unscheduled": np.count_nonzero(t0 == MISSING),
         "negative_rtt": np.count_nonzero(replied & (rtt_ns < 0)),
         "negative_intermediate": np.count_nonzero(through & (intermediate_ns < 0)),

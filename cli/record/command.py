@@ -52,6 +52,7 @@ def main_command(
     from dds_trace.base import limits
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends import load_backend
+    from dds_trace.recorder.backends.base import Meeting
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import check_fields
 
@@ -64,15 +65,16 @@ def main_command(
         recover_trace(recover_path)
         return
     command = read_record(CommandOptions, given)
-    given.setdefault("discovery", default_discovery())
+    backend = load_backend(given.get("backend", OPTIONS["backend"].field_default))
+    # Where a relay listens at an address, other devices reach it only if somebody asked for that.
+    is_open = backend.meeting is not Meeting.PEERS or bool(given.get("peers"))
+    given.setdefault("discovery", default_discovery(is_open=is_open))
     if command.self_test:
         given.setdefault("domain_id", default_domain())
         node = read_record(NodeOptions, given)
         limits.check(limits.PATH, None if command.out is None else str(command.out), "--out")
         check_fields(node)
-        backend = given.get("backend", OPTIONS["backend"].field_default)
-        load_backend(backend)
-        report_own_cost(command.out, backend, node)
+        report_own_cost(command.out, backend.name, node)
         return
     if command.role is None or command.out is None:
         raise OptionError("give --role ping or --role relay, and --out PATH for its trace (see --help)")

@@ -41,10 +41,11 @@ def default_domain() -> int:
     return int(text)
 
 
-def default_discovery() -> Discovery:
-    """Return the discovery range of ROS 2's environment, by default the subnet."""
+def default_discovery(*, is_open: bool = True) -> Discovery:
+    """Return the discovery range of ROS 2's environment, by default the subnet, or this machine unless `is_open`."""
     is_local = (
         os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
         or os.environ.get("ROS_LOCALHOST_ONLY") == "1"
     )
-    return Discovery.LOCALHOST if is_local else Discovery.SUBNET
+    is_asked = is_open or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "SUBNET"
+    return Discovery.LOCALHOST if is_local or not is_asked else Discovery.SUBNET

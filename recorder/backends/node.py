@@ -58,7 +58,7 @@ class NodeOptions:
         Discovery.SUBNET,
         "--discovery RANGE",
         Panel.MIDDLEWARE,
-        "How far to look for other nodes: localhost or subnet. Default: as the environment of ROS 2 has it, else subnet",
+        "How far to look for other nodes: localhost or subnet. Default: as the environment of ROS 2 has it, else subnet (socket and zenoh without --peer: localhost)",
         variables=("ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"),
     )
     peers: tuple[str, ...] = detail(

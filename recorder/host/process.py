@@ -128,18 +128,27 @@ def tuned_gc() -> Iterator[None]:
             gc.enable()
 
 
-def stop_at_signals() -> threading.Event:
-    """Return an event that SIGINT and SIGTERM set from now on.
+class StopEvent(threading.Event):
+    """An event that signals set; `is_repeated` once a second one came."""
+
+    is_repeated = False
+
+
+def stop_at_signals() -> StopEvent:
+    """Return an event that SIGINT and SIGTERM set from now on; a third one ends the process at once, and the ring keeps the events.
 
     A handler may run while the main thread has the event's lock in `wait()`, where `set()` would deadlock.
     `SimpleQueue.put` is reentrant, so a thread that reads a queue sets the event.
     """
-    stop = threading.Event()
+    stop = StopEvent()
     received: SimpleQueue[int] = SimpleQueue()
 
     def set_at_first() -> None:
         received.get()
         stop.set()
+        received.get()
+        stop.is_repeated = True
+        os._exit(128 + received.get())
 
     threading.Thread(target=set_at_first, name="stop-signals", daemon=True).start()
     for number in STOP_SIGNALS:

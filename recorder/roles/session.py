@@ -17,7 +17,7 @@ from ..host.fingerprint import host_fingerprint, read_boot_id
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from ..backends.node import Node
+    from ..backends.node import Node, Strangers
     from ..host.clock import ClockAnchor
 
 
@@ -61,6 +61,12 @@ def describe_session(
             **(extra or {}),
         },
     )
+
+
+def strangers_field(strangers: Strangers) -> JsonObject:
+    """Return the session's field `strangers`, kind -> number, if anybody sent what was not accepted."""
+    counts = strangers.counts
+    return {"strangers": dict(sorted(counts.items()))} if counts else {}
 
 
 def default_connectivity(discovery: Discovery, root: Path = Path("/")) -> str:

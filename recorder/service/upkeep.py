@@ -133,7 +133,10 @@ class Upkeep:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._manager.close()
-        self.sink.close()
+        if error is None or not isinstance(error, Exception):
+            self.sink.close()
+        else:  # a trace of a recorder that failed says so
+            self.sink.close(error=str(error) or kind.__name__ if kind else "")
         self._running.close()
 
     def look(self, messages: int, describe: Callable[[], JsonObject]) -> None:

@@ -1,12 +1,14 @@
-"""The greeting that opens each connection of a node on sockets, and how a socket is bound.
+"""The greeting that opens each connection of a node on sockets, the bounds of what peers send, and how a socket is bound.
 
 A frame is a topic's name and a serialized message. The empty name is a greeting, JSON with the node's name, subscriptions
-and publishers; a peer only gets the topics that it subscribes to.
+and publishers; a peer only gets the topics that it subscribes to. Over UDP it also has the cookie that the other side
+gave to this address, as anybody can write a source address.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import socket
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
@@ -20,6 +22,18 @@ if TYPE_CHECKING:
 
 RETRY_S = 0.2
 """Time between two attempts to reach a peer."""
+MAX_PEERS = 64
+"""Most connections, or over UDP addresses, of a node."""
+MAX_GREETING_BYTES = 16_384
+MAX_TOPICS = 256
+"""Most topics that a greeting names on each side; a relay has four."""
+MAX_MESSAGE_BYTES = 1 << 30
+"""Largest message."""
+MEMORY_BYTES = min(2 * MAX_MESSAGE_BYTES, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2)
+"""Memory for the messages that all peers together are sending."""
+
+MALFORMED, CROWD, SLOW = "frame that is none", "connection too many", "subscriber that did not read"
+HALF_OPEN, TOO_LARGE = "connection without a greeting", "frame too large for the memory"
 
 Address: TypeAlias = tuple[str, int]
 """Host and port."""
@@ -29,23 +43,35 @@ Receivers: TypeAlias = "Mapping[str, tuple[Receive[RawMessage], ...]]"
 
 @dataclass
 class Greeting:
-    """A node's name, and topic -> type of its subscriptions and publishers."""
+    """A node's name, topic -> type of its subscriptions and publishers, and the cookie of who gets it (UDP)."""
 
     name: str = ""
     subscriptions: dict[str, str] = field(default_factory=dict)
     publishers: dict[str, str] = field(default_factory=dict)
+    cookie: str = ""
 
-    def to_bytes(self) -> bytes:
-        return json.dumps(vars(self)).encode()
+    def to_bytes(self, cookie: str = "") -> bytes:
+        return json.dumps({**vars(self), "cookie": cookie}).encode()
 
     @classmethod
     def from_bytes(cls, data: RawMessage) -> Greeting | None:
         """Return the greeting in `data`, if it is one."""
+        if len(data) > MAX_GREETING_BYTES:
+            return None
         try:
             fields = json.loads(data)
-            return cls(str(fields["name"]), dict(fields["subscriptions"]), dict(fields["publishers"]))
-        except (ValueError, KeyError, TypeError):
+            subscriptions, publishers = dict(fields["subscriptions"]), dict(fields["publishers"])
+            name, cookie = fields["name"], fields.get("cookie", "")
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return None
+        texts = (name, cookie, *subscriptions, *publishers, *subscriptions.values(), *publishers.values())
+        if max(len(subscriptions), len(publishers)) > MAX_TOPICS or not all(map(_is_name, texts)):
+            return None
+        return cls(name, subscriptions, publishers, cookie)
+
+
+def _is_name(text: object) -> bool:
+    return isinstance(text, str) and text.isascii() and text.isprintable()
 
 
 def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:

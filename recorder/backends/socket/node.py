@@ -53,14 +53,14 @@ class SocketNode(ThreadedNode):
                     f"--congestion-control {options.congestion_control}: UDP has none; leave it out"
                 )
             buffer_bytes = BUFFER_BYTES if options.tuned else None
-            links = UdpLinks(self._own, listen, resolved, self._receivers, buffer_bytes)
+            links = UdpLinks(self._own, listen, resolved, self._receivers, self.strangers, buffer_bytes)
             settings["receive_buffer_bytes"] = str(links.receive_buffer_bytes)
             self._links = links
         else:
             prepare = partial(set_congestion_control, name=options.congestion_control)
             with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
                 settings["congestion_control"] = prepare(trial)
-            self._links = TcpLinks(self._own, listen, resolved, self._receivers, prepare)
+            self._links = TcpLinks(self._own, listen, resolved, self._receivers, prepare, self.strangers)
             if options.tuned:
                 settings["tuned"] = "nothing to tune: the kernel sizes the buffers of TCP itself"
         self._middleware = Middleware("socket", "socket", None, {"kernel": platform.release()}, settings)

@@ -19,8 +19,21 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 from dds_trace.base.threads import FastLock
 
-from ..node import ROUND_S
-from .greeting import RETRY_S, Greeting, bound_socket
+from ..node import ROUND_S, Strangers
+from .greeting import (
+    CROWD,
+    HALF_OPEN,
+    MALFORMED,
+    MAX_GREETING_BYTES,
+    MAX_MESSAGE_BYTES,
+    MAX_PEERS,
+    MEMORY_BYTES,
+    RETRY_S,
+    SLOW,
+    TOO_LARGE,
+    Greeting,
+    bound_socket,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Sequence
@@ -28,13 +41,21 @@ if TYPE_CHECKING:
     from ..node import RawMessage
     from .greeting import Address, Receivers
 
-MAX_MESSAGE_BYTES = 1 << 30
-"""Largest message; a header with a greater length is not a frame."""
+HALF_OPEN_S = 5.0
+"""Longest time from a connection to its greeting."""
+READER_PATIENCE_S = 0.25
+"""Longest wait for a subscriber that has sent no message, which only reads along."""
+SENDER_PATIENCE_S = 1.0
+"""Longest wait for one that sends messages, in which it takes at least `LEAST_READ_BYTES`."""
+LEAST_READ_BYTES = 16_384
+PIECE_BYTES = 1 << 20
+"""Memory grows by as much as has arrived and this: a header may claim anything."""
 
 ALLOWED_CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_allowed_congestion_control")
 """Algorithms that a process without CAP_NET_ADMIN may choose."""
 
 _CONGESTION_NAME_BYTES = 16  # TCP_CA_NAME_MAX of linux/tcp.h
+_TIME = struct.Struct("@ll")  # struct timeval: seconds, microseconds
 _HEADER = struct.Struct("<IH")  # bytes of the message, bytes of the topic's name; then name and message
 
 
@@ -48,7 +69,9 @@ class TcpLinks:
         peers: Sequence[Address],
         receivers: Receivers,
         prepare: Callable[[socket.socket], object],
+        strangers: Strangers,
     ) -> None:
+        self._strangers = strangers
         self._own = own
         self._receivers = receivers
         self._prepare = prepare
@@ -101,13 +124,39 @@ class TcpLinks:
         for address, next_s in list(self._retry_s.items()):
             if now_s >= next_s:
                 self._connect(address)
+        for peer in self._connected:
+            if not peer.has_greeted and now_s - peer.since_s > HALF_OPEN_S:
+                self._drop(peer, HALF_OPEN)
         for key, _ in self._selector.select(ROUND_S):
             key.data()
 
     def _accept(self) -> None:
+        """Accept a connection; of too many the oldest one without a greeting ends, else this one."""
         assert self._listener is not None
-        connection, _ = self._listener.accept()
+        try:
+            connection, _ = self._listener.accept()
+        except OSError:  # it ended meanwhile, or this process has no more files
+            self._strangers.count(CROWD)
+            time.sleep(ROUND_S)
+            return
+        peers = self._connected
+        if len(peers) >= MAX_PEERS:
+            silent = next((peer for peer in peers if not peer.has_greeted), None)
+            if silent is None:
+                connection.close()
+                self._strangers.count(CROWD)
+                return
+            self._drop(silent, CROWD)
+            self._remove(silent)
         self._add(connection, None)
+
+    def _drop(self, peer: _TcpPeer, kind: str) -> None:
+        self._strangers.count(kind)
+        peer.shut_down()
+
+    def _remove(self, peer: _TcpPeer) -> None:
+        with self._changing:
+            self._connected = tuple(other for other in self._connected if other is not peer)
 
     def _connect(self, address: Address) -> None:
         self._retry_s[address] = float("inf")  # while it connects and is connected
@@ -137,7 +186,7 @@ class TcpLinks:
         connection.setblocking(True)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._prepare(connection)
-        peer = _TcpPeer(connection)
+        peer = _TcpPeer(connection, self._has_memory, is_chosen=address is not None)
         with self._changing:
             if self._closing:
                 connection.close()
@@ -151,13 +200,20 @@ class TcpLinks:
     def _serve(self, peer: _TcpPeer, address: Address | None) -> None:
         try:
             peer.read(self._receivers, self._delivering)
+        except (PeerError, MemoryError) as error:
+            self._strangers.count(TOO_LARGE if isinstance(error, MemoryError) else str(error))
         except BaseException as error:  # noqa: BLE001 - a callback's; `poll` raises it
             self._error = self._error or error
-        with self._changing:
-            self._connected = tuple(other for other in self._connected if other is not peer)
+        if peer.is_slow:
+            self._strangers.count(SLOW)
+        self._remove(peer)
         peer.close()
         if address is not None:
             self._retry_s[address] = time.monotonic() + RETRY_S
+
+    def _has_memory(self, peer: _TcpPeer, size: int) -> bool:
+        """Return whether a frame of `size` bytes fits beside those that other peers are sending."""
+        return size + sum(other.frame_bytes for other in self._connected if other is not peer) <= MEMORY_BYTES
 
     def interrupt(self) -> None:
         """End the connections, so that a blocked `send` returns, and no callback runs any more."""
@@ -207,10 +263,30 @@ def _deliver(
     return head, topic, frame_bytes
 
 
-class _TcpPeer:
-    """One connection: any thread writes whole frames, a thread of its own reads them."""
+class PeerError(Exception):
+    """A peer whose bytes end its connection; the text is the kind to count."""
 
-    def __init__(self, connection: socket.socket) -> None:
+
+class _TcpPeer:
+    """One connection: any thread writes whole frames, a thread of its own reads them.
+
+    A peer that the user chose (`is_chosen`) is waited for without end.
+    """
+
+    def __init__(
+        self,
+        connection: socket.socket,
+        has_memory: Callable[[_TcpPeer, int], bool],
+        *,
+        is_chosen: bool,
+    ) -> None:
+        self.since_s = time.monotonic()
+        self.has_greeted = False
+        self.is_slow = False
+        self.frame_bytes = 0  # of the frame that it sends
+        self._has_memory = has_memory
+        self._is_chosen = is_chosen
+        self._has_sent = False
         self.greeting = Greeting()
         self.topics: Container[str] = ()  # its subscriptions
         self.thread: threading.Thread | None = None
@@ -218,6 +294,14 @@ class _TcpPeer:
         self._send, self._receive = connection.sendmsg, connection.recv_into
         self._writing = FastLock()
         self._take, self._give = self._writing.take, self._writing.give
+        if not is_chosen:
+            self._be_patient(READER_PATIENCE_S)
+
+    def _be_patient(self, wait_s: float) -> None:
+        """Set how long one call of the kernel waits for the peer to read."""
+        self._connection.setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDTIMEO, _TIME.pack(int(wait_s), round(wait_s % 1 * 1e6))
+        )
 
     def greet(self, own: Greeting) -> None:
         text = own.to_bytes()
@@ -231,14 +315,28 @@ class _TcpPeer:
             self._writing.wait()
         try:
             sent = self._send((head, message))
-            if sent < len(head) + len(message):  # a signal interrupted it
-                self._connection.sendall((head + message)[sent:])
+            if sent < len(head) + len(message):  # a signal interrupted it, or the peer is slow
+                self._send_rest(memoryview(head + message)[sent:])
+        except BlockingIOError:
+            self.is_slow = True
+            self.shut_down()
         except OSError:
             self.shut_down()
         finally:
             self._give(None)
             if self._writing.is_awaited:
                 self._writing.wake()
+
+    def _send_rest(self, rest: memoryview) -> None:
+        """Send the rest of a frame; raise a `BlockingIOError` once the peer reads too little."""
+        while rest:
+            began_s = time.monotonic()
+            sent = self._connection.send(rest)
+            rest = rest[sent:]
+            waited_s = time.monotonic() - began_s
+            is_late = waited_s > (SENDER_PATIENCE_S if self._has_sent else READER_PATIENCE_S) / 2
+            if rest and not self._is_chosen and is_late and sent < LEAST_READ_BYTES:
+                raise BlockingIOError
 
     def read(self, receivers: Receivers, delivering: FastLock) -> None:
         """Deliver each frame until the connection ends or is broken.
@@ -276,7 +374,11 @@ class _TcpPeer:
             head_bytes = len(head)
 
     def _read_frames(self, data: memoryview) -> list[tuple[bytes, str, bytearray]] | None:
-        """Complete the frames that start in `data`; return head, topic and message of each, None if one is broken."""
+        """Complete the frames that start in `data`; return head, topic and message of each, None at the end.
+
+        Raises:
+            PeerError: one is broken, or comes before the greeting.
+        """
         frames = []
         if not data:
             return None
@@ -287,8 +389,12 @@ class _TcpPeer:
             head, topic, message, data = frame
             if topic:
                 frames.append((head, topic, message))
-            elif not self._greeted(message):
-                return None
+            else:
+                self._take_greeting(message)
+        if frames and not self._has_sent:
+            self._has_sent = True
+            if not self._is_chosen:
+                self._be_patient(SENDER_PATIENCE_S)
         return frames
 
     def _read_frame(self, data: memoryview) -> tuple[bytes, str, bytearray, memoryview] | None:
@@ -296,16 +402,23 @@ class _TcpPeer:
         parts: list[bytearray] = []
         sizes = [_HEADER.size]
         while sizes:
-            part = bytearray(sizes.pop())
-            start = data[: len(part)]
-            part[: len(start)] = start
-            data = data[len(start) :]
-            if not self._fill(memoryview(part)[len(start) :]):
-                return None
+            size = sizes.pop()
+            part = bytearray(data[:size])
+            data = data[len(part) :]
+            while len(part) < size:  # doubled: what arrived is copied once more at most
+                start = len(part)
+                part += bytes(min(size - start, max(start, PIECE_BYTES)))
+                with memoryview(part) as view:
+                    if not self._fill(view[start:]):
+                        return None
             if not parts:
                 body_bytes, name_bytes = _HEADER.unpack(part)
-                if body_bytes > MAX_MESSAGE_BYTES:
-                    return None
+                most = MAX_MESSAGE_BYTES if self.has_greeted and name_bytes else MAX_GREETING_BYTES
+                if body_bytes > most or (name_bytes and not self.has_greeted):
+                    raise PeerError(MALFORMED)
+                if not self._has_memory(self, body_bytes):
+                    raise PeerError(TOO_LARGE)
+                self.frame_bytes = body_bytes
                 sizes = [body_bytes, name_bytes]
             parts.append(part)
         header, name, body = parts
@@ -322,11 +435,12 @@ class _TcpPeer:
             return False
         return True
 
-    def _greeted(self, body: bytearray) -> bool:
+    def _take_greeting(self, body: bytearray) -> None:
         greeting = Greeting.from_bytes(body)
-        if greeting is not None:
-            self.greeting, self.topics = greeting, frozenset(greeting.subscriptions)
-        return greeting is not None
+        if greeting is None:
+            raise PeerError(MALFORMED)
+        self.greeting, self.topics = greeting, frozenset(greeting.subscriptions)
+        self.has_greeted = True
 
     def shut_down(self) -> None:
         with suppress(OSError):

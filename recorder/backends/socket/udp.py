@@ -1,7 +1,13 @@
-"""Frames in UDP datagrams, cut into fragments, without retransmission."""
+"""Frames in UDP datagrams, cut into fragments, without retransmission.
+
+Anybody can write a source address. An unknown address that greets gets a cookie, in a datagram no larger than the greeting;
+only a greeting with that cookie makes it a peer, to which messages go.
+"""
 
 from __future__ import annotations
 
+import hmac
+import secrets
 import socket
 import struct
 import threading
@@ -11,8 +17,18 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ..node import ROUND_S
-from .greeting import RETRY_S, Greeting, bound_socket
+from ..node import ROUND_S, Strangers
+from .greeting import (
+    CROWD,
+    MALFORMED,
+    MAX_MESSAGE_BYTES,
+    MAX_PEERS,
+    MEMORY_BYTES,
+    RETRY_S,
+    TOO_LARGE,
+    Greeting,
+    bound_socket,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -24,6 +40,7 @@ FRAGMENT_BYTES = 60_000
 """Bytes of a message in one UDP datagram (65,507 bytes with its header); Fast DDS cuts at about the same size."""
 MAX_UNFINISHED = 8
 """Most messages of one sender that wait for fragments; then the oldest is lost."""
+MAX_FRAGMENTS = -(-MAX_MESSAGE_BYTES // FRAGMENT_BYTES)
 DATAGRAMS_A_ROUND = 256
 GREETING_S = 1.0
 FORGET_S = 10.0
@@ -31,6 +48,9 @@ FORGET_S = 10.0
 
 _TIME = struct.Struct("@ll")  # struct timeval: seconds, microseconds
 _HEADER = struct.Struct("<IHHH")  # message, fragment, fragments, bytes of the name; then name and fragment
+_COOKIE_MARK = b"cookie "
+_COOKIE_DIGITS = 16
+UNKNOWN = "datagram of an address that did not return its cookie"
 
 
 @dataclass
@@ -39,7 +59,7 @@ class _UdpPeer:
 
     greeting: Greeting = field(default_factory=Greeting)
     heard_s: float = 0.0
-    unfinished: dict[int, list[bytes | None]] = field(default_factory=dict)
+    unfinished: dict[int, dict[int, bytes]] = field(default_factory=dict)
 
 
 class UdpLinks:
@@ -51,8 +71,14 @@ class UdpLinks:
         listen: Address | None,
         peers: Sequence[Address],
         receivers: Receivers,
+        strangers: Strangers,
         buffer_bytes: int | None = None,
     ) -> None:
+        self._strangers = strangers
+        self._is_listening = listen is not None
+        self._secret = secrets.token_bytes(16)
+        self._cookies: dict[Address, str] = {}  # of relays, for our greetings to them
+        self._unfinished_bytes = 0  # of all peers
         self._own = own
         self._receivers = receivers
         self._socket = bound_socket(socket.SOCK_DGRAM, listen or ("", 0))
@@ -82,7 +108,10 @@ class UdpLinks:
 
     def announce(self) -> None:
         for address in {*self._relays, *self._peers}:
-            self._send_to([address], b"", self._own.to_bytes())
+            self._greet(address)
+
+    def _greet(self, address: Address) -> None:
+        self._send_to([address], b"", self._own.to_bytes(self._cookies.get(address, "")))
 
     def sender(self, topic: str) -> Callable[[RawMessage], None]:
         return partial(self._send, topic)
@@ -112,6 +141,7 @@ class UdpLinks:
             self._next_greeting_s = now_s + (GREETING_S if have_met else RETRY_S)
             for address, peer in list(self._peers.items()):
                 if now_s - peer.heard_s > FORGET_S:
+                    self._forget(peer, len(peer.unfinished))
                     del self._peers[address]
             self.announce()
         with suppress(BlockingIOError):  # nothing came within `ROUND_S`
@@ -122,43 +152,81 @@ class UdpLinks:
                     break
 
     def _take(self, datagram: memoryview, address: Address) -> None:
-        if len(datagram) < _HEADER.size:
+        try:
+            name, message = self._parse(datagram, address)
+        except (ValueError, MemoryError) as error:
+            self._strangers.count(TOO_LARGE if isinstance(error, MemoryError) else str(error))
             return
-        number, index, count, name_bytes = _HEADER.unpack_from(datagram)
-        start = _HEADER.size + name_bytes
-        if len(datagram) < start or index >= count:
-            return
-        name, part = bytes(datagram[_HEADER.size : start]).decode(errors="replace"), datagram[start:]
-        peer = self._peers.get(address)
-        if not name:
-            self._greeted(Greeting.from_bytes(bytes(part)), address)
-        elif peer is None:  # a stranger
-            return
-        elif count == 1:
-            self._deliver(name, bytearray(part))
-        else:
-            parts = peer.unfinished.setdefault(number, [None] * count)
-            if len(parts) != count:
-                return
-            parts[index] = bytes(part)
-            if None not in parts:
-                del peer.unfinished[number]
-                self._deliver(name, bytearray().join(part for part in parts if part is not None))
-            elif len(peer.unfinished) > MAX_UNFINISHED:
-                del peer.unfinished[next(iter(peer.unfinished))]
-
-    def _deliver(self, topic: str, message: bytearray) -> None:
-        for receive in self._receivers.get(topic, ()):
+        for receive in self._receivers.get(name, ()) if name else ():
             receive(message)
 
-    def _greeted(self, greeting: Greeting | None, address: Address) -> None:
-        if greeting is None:
+    def _parse(self, datagram: memoryview, address: Address) -> tuple[str, bytearray]:
+        """Return topic and message that a datagram completes, an empty topic if none; raise a ValueError with the kind of a fault."""
+        if len(datagram) < _HEADER.size:
+            raise ValueError(MALFORMED)
+        number, index, count, name_bytes = _HEADER.unpack_from(datagram)
+        start = _HEADER.size + name_bytes
+        part = datagram[start:]
+        if len(datagram) < start or index >= count or count > MAX_FRAGMENTS or len(part) > FRAGMENT_BYTES:
+            raise ValueError(MALFORMED)
+        peer = self._peers.get(address)
+        if not name_bytes:
+            self._take_greeting(bytes(part), address)
+            return "", bytearray()
+        if peer is None:
+            raise ValueError(UNKNOWN)
+        name = bytes(datagram[_HEADER.size : start]).decode(errors="replace")
+        if count == 1:
+            return name, bytearray(part)
+        parts = peer.unfinished.setdefault(number, {})
+        if index not in parts:
+            parts[index] = bytes(part)
+            self._unfinished_bytes += len(part)
+        if len(parts) == count and max(parts) < count:
+            message = bytearray().join(parts[index] for index in range(count))
+            self._unfinished_bytes -= len(message)
+            del peer.unfinished[number]
+            return name, message
+        if len(peer.unfinished) > MAX_UNFINISHED:
+            self._forget(peer, 1)
+        if self._unfinished_bytes > MEMORY_BYTES:
+            self._forget(peer, len(peer.unfinished))
+            raise ValueError(TOO_LARGE)
+        return "", bytearray()
+
+    def _forget(self, peer: _UdpPeer, messages: int) -> None:
+        """Drop the oldest unfinished messages of a peer."""
+        for number in list(peer.unfinished)[:messages]:
+            self._unfinished_bytes -= sum(map(len, peer.unfinished.pop(number).values()))
+
+    def _take_greeting(self, data: bytes, address: Address) -> None:
+        is_relay = address in self._relays
+        if is_relay and data.startswith(_COOKIE_MARK) and len(data) <= len(_COOKIE_MARK) + _COOKIE_DIGITS:
+            self._cookies[address] = data[len(_COOKIE_MARK) :].decode("ascii", "replace")
+            self._greet(address)
             return
+        greeting = Greeting.from_bytes(data)
+        if greeting is None:
+            raise ValueError(MALFORMED)
+        if not is_relay:
+            cookie = self._cookie_of(address)
+            if not self._is_listening:
+                raise ValueError(UNKNOWN)
+            if not hmac.compare_digest(greeting.cookie, cookie):
+                if len(data) > len(_COOKIE_MARK) + len(cookie):  # never more than was sent from there
+                    self._send_to([address], b"", _COOKIE_MARK + cookie.encode())
+                return
         peer = self._peers.get(address)
         if peer is None:
+            if len(self._peers) >= MAX_PEERS:
+                raise ValueError(CROWD)
             peer = self._peers[address] = _UdpPeer()
-            self._send_to([address], b"", self._own.to_bytes())
+            self._greet(address)
         peer.greeting, peer.heard_s = greeting, time.monotonic()
+
+    def _cookie_of(self, address: Address) -> str:
+        """Return the cookie of an address, which only who receives there can know."""
+        return hmac.new(self._secret, repr(address).encode(), "sha256").hexdigest()[:_COOKIE_DIGITS]
 
     def interrupt(self) -> None:
         """Do nothing: sending a datagram never blocks."""

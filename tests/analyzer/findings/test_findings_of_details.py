@@ -353,6 +353,42 @@ def test_a_run_without_an_error_of_its_own_is_no_finding(tmp_path, extra):
     assert "ended_by_error" not in findings(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("extra", "expected"),
+    [({"strangers": {"a": 3, "b": 1}}, "3 x a; 1 x b"), ({"strangers": {}}, None), ({"strangers": 5}, None)],
+)
+def test_what_strangers_sent_is_a_warning(tmp_path, extra, expected):
+    write_pair(tmp_path, drawn(), ping=ping_session(extra=extra))
+    finding = findings(tmp_path).get("strangers")
+    assert (finding is not None) == (expected is not None)
+    if finding is not None:
+        assert expected in finding.what
+        assert finding.severity is Severity.WARNING
+
+
+def test_replies_that_the_relays_whole_trace_does_not_know_are_forged_or_foreign(tmp_path):
+    messages = drawn(count=100)
+    messages[7] = replace(messages[7], t3=None, t4=None)
+    write_pair(tmp_path, messages)
+    finding = findings(tmp_path)["forged_or_foreign"]
+    assert finding.severity is Severity.ERROR
+    assert "1 are not in the relay's trace" in finding.what
+    write_pair(
+        tmp_path, messages, relay=relay_session(dropped_events=2)
+    )  # its recorder may have dropped them
+    assert "forged_or_foreign" not in findings(tmp_path)
+    write_pair(tmp_path, drawn(count=100))
+    assert "forged_or_foreign" not in findings(tmp_path)
+
+
+def test_replies_before_the_relay_sent_them_are_forged_on_one_clock(tmp_path):
+    messages = drawn(count=100)
+    messages[7] = replace(messages[7], t2=messages[7].t4 - 1)
+    boot = {"boot_id": "one"}
+    write_pair(tmp_path, messages, ping=ping_session(extra=boot), relay=relay_session(extra=boot))
+    assert "1 came sooner" in findings(tmp_path)["forged_or_foreign"].what
+
+
 def test_restarted_relay(tmp_path):
     write_restarted_relay(tmp_path, drawn(count=100), drawn(count=100, first=100))
     assert "relay_restarted" in findings(tmp_path)

@@ -40,6 +40,7 @@ def test_every_kind_of_message_is_counted_once():
         "duplicates": 1,
         "reordered": 1,  # 5 came after 6
         "relay_gaps": 1,  # 6 came back, but the relay never saw it
+        "early": 0,
         "unscheduled": 0,
         "negative_rtt": 0,
         "negative_intermediate": 0,

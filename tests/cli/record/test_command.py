@@ -86,6 +86,17 @@ def test_a_bridge_has_the_domains_of_the_paper(parsed):
     assert (options.node.domain_id, options.ping.relay_domain_id) == (6, 7)
 
 
+@pytest.mark.parametrize("backend", ["socket", "zenoh"])
+def test_a_relay_at_an_address_listens_on_this_machine_unless_asked(parsed, monkeypatch, backend):
+    assert parsed("--backend", backend, role="relay").node.discovery is Discovery.LOCALHOST
+    asked = parsed("--backend", backend, "--discovery", "subnet", role="relay")
+    assert asked.node.discovery is Discovery.SUBNET
+    assert parsed("--backend", backend, "--peer", "pi4").node.discovery is Discovery.SUBNET
+    assert parsed(role="relay").node.discovery is Discovery.SUBNET  # DDS has no one address
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    assert parsed("--backend", backend, role="relay").node.discovery is Discovery.SUBNET
+
+
 def test_the_environment_of_ros_counts(parsed, monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import socket
 import statistics
+import struct
 import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -17,8 +20,16 @@ from processes import PATIENCE_S, ping, relay
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
-from dds_trace.recorder.backends.socket import BACKEND
-from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES
+from dds_trace.recorder.backends.socket import BACKEND, tcp
+from dds_trace.recorder.backends.socket.greeting import (
+    CROWD,
+    HALF_OPEN,
+    MALFORMED,
+    MAX_PEERS,
+    SLOW,
+    TOO_LARGE,
+)
+from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES, MAX_FRAGMENTS
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import BINARY, IMU
 from dds_trace.recorder.roles.floor import measure_floor
@@ -178,8 +189,6 @@ def test_a_relay_that_ends_and_comes_again_is_found_again(domain_id):
 
 
 def test_strangers_do_no_harm(domain_id):
-    import socket
-
     got = threading.Event()
     with pair(domain_id, lambda *_: got.set()) as (_, there, publisher):
         for noise in (b"GET / HTTP/1.1\r\n\r\n", b"\xff" * 4096, b"\0" * 6, b""):
@@ -191,8 +200,6 @@ def test_strangers_do_no_harm(domain_id):
 
 
 def test_strangers_on_udp_do_no_harm(domain_id):
-    import socket
-
     got = threading.Event()
     with (
         pair(domain_id, lambda *_: got.set(), transport=Transport.UDP, qos=BEST_EFFORT) as (
@@ -207,6 +214,165 @@ def test_strangers_on_udp_do_no_harm(domain_id):
         while not got.wait(0.1):
             publisher.publish(b"x")
         assert there.error is None
+
+
+def frame(topic, body):
+    return struct.pack("<IH", len(body), len(topic)) + topic + body
+
+
+def greeting(**more):
+    return json.dumps({"name": "x", "subscriptions": {}, "publishers": {}, **more}).encode()
+
+
+def connect(domain_id, *sent):
+    stranger = socket.create_connection(("127.0.0.1", BACKEND.port_of(domain_id)), PATIENCE_S)
+    for part in sent:
+        stranger.sendall(part)
+    return stranger
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+SUBSCRIBED = greeting(subscriptions={BINARY.relay_topic: BINARY.type_name})
+
+
+@pytest.mark.parametrize(
+    ("sent", "kind"),
+    [
+        ([frame(b"", b"[" * 10_000)], MALFORMED),
+        ([frame(b"", b'{"name": "\\u001b[31m", "subscriptions": {}, "publishers": {}}')], MALFORMED),
+        ([frame(b"", greeting(publishers=[["a", 1]]))], MALFORMED),
+        ([frame(BINARY.topic.encode(), b"x")], MALFORMED),  # before a greeting
+        ([struct.pack("<IH", 1 << 30, 5) + b"abcde"], MALFORMED),
+        ([frame(b"", greeting()), struct.pack("<IH", (1 << 30) + 1, 1) + b"a"], MALFORMED),
+        ([frame(b"", greeting()), struct.pack("<IH", 1 << 30, 1) + b"a"] * 3, TOO_LARGE),
+    ],
+)
+def test_a_frame_that_is_none_ends_its_connection_and_nothing_else(domain_id, sent, kind, monkeypatch):
+    monkeypatch.setattr(tcp, "MEMORY_BYTES", (3 << 30) - 1)
+    got = threading.Event()
+    with pair(domain_id, lambda *_: got.set()) as (_, there, publisher):
+        strangers = [connect(domain_id, *sent[at : at + 2]) for at in range(0, len(sent), 2)]
+        before = memory_bytes()
+        wait_for(lambda: there.strangers.counts.get(kind))
+        publisher.publish(b"x")
+        assert got.wait(PATIENCE_S)
+        assert there.error is None
+        assert memory_bytes() - before < 512 << 20  # stacks and arenas of threads included
+        for stranger in strangers:
+            stranger.close()
+
+
+def memory_bytes():
+    """Address space of this process: what a frame claims would be here."""
+    return int(Path("/proc/self/statm").read_text().split()[0]) * 4096
+
+
+def test_idle_connections_are_bounded_and_keep_nobody_out(domain_id):
+    got = threading.Event()
+    with pair(domain_id, lambda *_: got.set()) as (_, there, publisher):
+        strangers = [connect(domain_id) for _ in range(3 * MAX_PEERS)]
+        wait_for(lambda: there.strangers.counts.get(CROWD, 0) >= 2 * MAX_PEERS)
+        assert there.count_participants() <= 1 + MAX_PEERS
+        assert threading.active_count() < MAX_PEERS + 20
+        publisher.publish(b"x")
+        assert got.wait(PATIENCE_S)
+        with open_node("socket", options(domain_id, name="late")) as late:
+            late.start()
+            wait_for(lambda: late.look_at(BINARY.topic).subscriptions)
+        for stranger in strangers:
+            stranger.close()
+
+
+def test_a_connection_without_a_greeting_is_ended(domain_id, monkeypatch):
+    monkeypatch.setattr(tcp, "HALF_OPEN_S", 0.2)
+    with pair(domain_id, lambda *_: None) as (_, there, _publisher), connect(domain_id, b"\1") as stranger:
+        wait_for(lambda: there.strangers.counts.get(HALF_OPEN))
+        while stranger.recv(4096):
+            pass
+
+
+@pytest.mark.parametrize("sends", [False, True])
+def test_a_subscriber_that_reads_nothing_is_dropped(domain_id, sends):
+    """One that only subscribes costs a moment, one that sends messages at most `SENDER_PATIENCE_S` and a little."""
+    got = []
+    with pair(domain_id, lambda *_: None) as (here, there, _):
+        here.create_subscription(BINARY.relay_topic, BINARY.type_name, lambda *_: got.append(1))
+        replies = there.create_publisher(BINARY.relay_topic, BINARY.type_name)
+        sent = [frame(b"x", b"y")] if sends else []
+        with connect(domain_id, frame(b"", SUBSCRIBED), *sent):
+            wait_for(lambda: len(there.look_at(BINARY.relay_topic).subscriptions) == 2)
+            began_s = time.monotonic()
+            for _ in range(100):
+                replies.publish(bytes(500_000))
+            took_s = time.monotonic() - began_s
+        wait_for(lambda: len(got) == 100)
+        assert took_s < (5 if sends else 2)
+        assert there.strangers.counts == {SLOW: 1}
+
+
+@pytest.fixture
+def udp_relay(domain_id):
+    udp_options = options(domain_id, name="relay", listens=True, transport=Transport.UDP, qos=BEST_EFFORT)
+    with open_node("socket", udp_options) as node:
+        node.create_subscription(BINARY.topic, BINARY.type_name, lambda *_: None)
+        node.replies = node.create_publisher(BINARY.relay_topic, BINARY.type_name)
+        node.start()
+        yield node
+
+
+def udp_stranger():
+    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    stranger.settimeout(0.3)
+    return stranger
+
+
+def answers(stranger):
+    received = []
+    with suppress(TimeoutError):
+        while True:
+            received.append(stranger.recv(65_535))
+    return received
+
+
+UDP_HEAD = struct.pack("<IHHH", 1, 0, 1, 0)
+
+
+def test_an_address_that_returns_no_cookie_gets_less_than_it_sent(domain_id, udp_relay):
+    with udp_stranger() as victim:
+        greeted = UDP_HEAD + SUBSCRIBED
+        victim.sendto(greeted, ("127.0.0.1", BACKEND.port_of(domain_id)))
+        time.sleep(0.3)
+        udp_relay.replies.publish(bytes(500_000))
+        time.sleep(1)  # a greeting is due
+        assert sum(map(len, answers(victim))) <= len(greeted)
+        assert udp_relay.count_participants() == 1
+
+
+def test_addresses_are_bounded(domain_id, udp_relay):
+    port = BACKEND.port_of(domain_id)
+    strangers = [udp_stranger() for _ in range(MAX_PEERS + 10)]
+    for stranger in strangers:
+        stranger.sendto(UDP_HEAD + SUBSCRIBED, ("127.0.0.1", port))
+        cookie = stranger.recv(1000)[len(UDP_HEAD) :].removeprefix(b"cookie ").decode()
+        returned = {**json.loads(SUBSCRIBED), "cookie": cookie}
+        stranger.sendto(UDP_HEAD + json.dumps(returned).encode(), ("127.0.0.1", port))
+    wait_for(lambda: udp_relay.strangers.counts.get(CROWD) == 10)
+    assert udp_relay.count_participants() == 1 + MAX_PEERS
+    for index in range(100):  # of a message that is never whole
+        head = struct.pack("<IHHH", index, 7, MAX_FRAGMENTS, 1)
+        strangers[0].sendto(head + b"a" + bytes(1000), ("127.0.0.1", port))
+    wait_for(lambda: udp_relay._links._unfinished_bytes == 8 * 1000)
+    strangers[0].sendto(struct.pack("<IHHH", 1, 0, 65_535, 1) + b"a", ("127.0.0.1", port))
+    wait_for(lambda: udp_relay.strangers.counts.get(MALFORMED))
+    assert udp_relay.error is None
+    for stranger in strangers:
+        stranger.close()
 
 
 @pytest.mark.parametrize(

@@ -25,13 +25,16 @@ TARGETS = {
     "ring": "fuzz_ring",
     "cache": "fuzz_cache",
     "watch": "fuzz_watch",
+    "peers": "fuzz_peers",
 }
 """Name of a target -> its module, whose class `Target` is a `FuzzTarget`."""
 
 INSTRUMENTED = [
     "dds_trace.tracefile",
     "dds_trace.analyzer",
+    "dds_trace.recorder.backends.socket",
     "dds_trace.recorder.payloads",
+    "dds_trace.recorder.roles",
     "dds_trace.recorder.sweep.plan",
     "dds_trace.reports",
 ]

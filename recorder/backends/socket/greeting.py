@@ -41,6 +41,10 @@ Receivers: TypeAlias = "Mapping[str, tuple[Receive[RawMessage], ...]]"
 """Topic -> callbacks; looked up for each frame."""
 
 
+class PeerError(Exception):
+    """A peer whose bytes end its connection; the text is the kind to count."""
+
+
 @dataclass
 class Greeting:
     """A node's name, topic -> type of its subscriptions and publishers, and the cookie of who gets it (UDP)."""

@@ -6,6 +6,7 @@ import platform
 import socket
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
@@ -15,7 +16,7 @@ from ...choices import Discovery, Durability, Reliability, Transport
 from ..node import Endpoint, Middleware, NodeSubscription, ThreadedNode, TopicView
 from ..qos import refuse_durations
 from .greeting import Greeting
-from .tcp import TcpLinks, set_congestion_control
+from .tcp import TcpLinks
 from .udp import UdpLinks
 
 if TYPE_CHECKING:
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
 
     from ..node import NodeOptions, Publisher, RawMessage, Receive, Subscription
     from .greeting import Address
+
+ALLOWED_CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_allowed_congestion_control")
+"""Algorithms that a process without CAP_NET_ADMIN may choose."""
+
+_CONGESTION_NAME_BYTES = 16  # TCP_CA_NAME_MAX of linux/tcp.h
 
 PROTOCOLS = {Transport.DEFAULT: "tcp", Transport.UDP: "udp"}
 
@@ -152,3 +158,17 @@ def _resolve(address: tuple[str, int]) -> tuple[str, int]:
         return socket.gethostbyname(host), port
     except OSError as err:
         raise OptionError(f"--peer {host}: no IPv4 address is known for it ({err})") from err
+
+
+def set_congestion_control(connection: socket.socket, name: str | None) -> str:
+    """Set the congestion control of a TCP socket, unless `name` is None; return what the kernel reports."""
+    if name is not None:
+        try:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, name.encode())
+        except OSError as err:
+            allowed = sorted(ALLOWED_CONGESTION_CONTROL.read_text().split())
+            raise OptionError(
+                f"--congestion-control {name}: the kernel refuses it ({err.strerror}); it allows {', '.join(allowed)}"
+            ) from err
+    read = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, _CONGESTION_NAME_BYTES)
+    return read.rstrip(b"\0").decode("ascii", "replace")

@@ -13,10 +13,8 @@ import struct
 import threading
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.base.errors import OptionError
 from dds_trace.base.threads import FastLock
 
 from ..node import ROUND_S, Strangers
@@ -32,6 +30,7 @@ from .greeting import (
     SLOW,
     TOO_LARGE,
     Greeting,
+    PeerError,
     bound_socket,
 )
 
@@ -51,10 +50,6 @@ LEAST_READ_BYTES = 16_384
 PIECE_BYTES = 1 << 20
 """Memory grows by as much as has arrived and this: a header may claim anything."""
 
-ALLOWED_CONGESTION_CONTROL = Path("/proc/sys/net/ipv4/tcp_allowed_congestion_control")
-"""Algorithms that a process without CAP_NET_ADMIN may choose."""
-
-_CONGESTION_NAME_BYTES = 16  # TCP_CA_NAME_MAX of linux/tcp.h
 _TIME = struct.Struct("@ll")  # struct timeval: seconds, microseconds
 _HEADER = struct.Struct("<IH")  # bytes of the message, bytes of the topic's name; then name and message
 
@@ -232,20 +227,6 @@ class TcpLinks:
         self._selector.close()
 
 
-def set_congestion_control(connection: socket.socket, name: str | None) -> str:
-    """Set the congestion control of a TCP socket, unless `name` is None; return what the kernel reports."""
-    if name is not None:
-        try:
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, name.encode())
-        except OSError as err:
-            allowed = sorted(ALLOWED_CONGESTION_CONTROL.read_text().split())
-            raise OptionError(
-                f"--congestion-control {name}: the kernel refuses it ({err.strerror}); it allows {', '.join(allowed)}"
-            ) from err
-    read = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, _CONGESTION_NAME_BYTES)
-    return read.rstrip(b"\0").decode("ascii", "replace")
-
-
 def _head(topic: bytes, message_bytes: int) -> bytes:
     return _HEADER.pack(message_bytes, len(topic)) + topic
 
@@ -261,10 +242,6 @@ def _deliver(
             for receive in receivers.get(topic, ()):
                 receive(message)
     return head, topic, frame_bytes
-
-
-class PeerError(Exception):
-    """A peer whose bytes end its connection; the text is the kind to count."""
 
 
 class _TcpPeer:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from dds_trace.base.errors import OutputError
+from dds_trace.base.files import remove_drafts
 
 from .analysis import Analysis
 from .cache.event_index import total_copies
@@ -40,6 +41,15 @@ if TYPE_CHECKING:
     from .loading.place import Paths
     from .pairing.exchanges import Exchanges
     from .verdicts.job import Job
+
+
+RESULT_NAMES = (
+    *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
+    *(f"report.{kind}" for kind in ("html", "md", "json")),
+    "latency.derived.mcap",
+    "latency.derived.foxglove.json",
+)
+"""Files of an analysis in its folder, whose drafts a later analysis removes."""
 
 
 def default_output(path: Paths) -> Path:
@@ -120,6 +130,8 @@ def _analyze(
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
     stale_rows = None if options.rows else outputs.pop("roundtrips", None)
 
+    if out is not None:
+        remove_drafts(out, RESULT_NAMES)
     campaign = engine.load(location, own, progress)
     exchanges = find_exchanges(campaign)
     grouping = group_exchanges(exchanges.placed)

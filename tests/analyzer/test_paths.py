@@ -60,3 +60,16 @@ def test_topics_are_analyzed_by_text(trace):
     by_path, by_text = analyze_topics(trace), analyze_topics(str(trace))
     assert by_text.sources == by_path.sources
     assert analyze_topics([str(trace)], skip=[str(trace.parent / "none")]).sources == by_path.sources
+
+
+def test_drafts_of_a_killed_analysis_are_removed_by_the_next_and_files_of_others_are_not(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("roundtrips.parquet", "report.html", "notes.txt"):
+        (out / f"{name}.0123abcd.part").write_text("half")
+    analyze(LOSSES, out=out)
+    assert {file.name for file in out.iterdir()} == {
+        "roundtrips.parquet",
+        "summary.parquet",
+        "notes.txt.0123abcd.part",
+    }

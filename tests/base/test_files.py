@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dds_trace.base.files import replacing
+from dds_trace.base.files import remove_drafts, replacing
 
 
 def test_the_draft_takes_the_place_of_the_old_file(tmp_path):
@@ -74,3 +74,24 @@ def test_a_draft_that_cannot_take_its_place_is_removed(tmp_path):
     with pytest.raises(IsADirectoryError):
         write()
     assert [file.name for file in tmp_path.iterdir()] == ["state.json"]
+
+
+def test_drafts_of_a_dead_process_are_removed_and_nothing_else(tmp_path):
+    others = ["a.csv.0123abcd.part", "report.html", "report.html.part", "report.html.0123ABCD.part"]
+    for name in [*others, "report.html.0123abcd.part"]:
+        (tmp_path / name).write_text("")
+    (tmp_path / "report.html.00000000.part").symlink_to(tmp_path / "report.html")
+    remove_drafts(tmp_path, ["report.html"])
+    assert {file.name for file in tmp_path.iterdir()} == {*others, "report.html.00000000.part"}
+
+
+def test_no_draft_is_removed_while_one_is_written(tmp_path):
+    with replacing(tmp_path / "report.html") as draft:
+        draft.write_text("new")
+        remove_drafts(tmp_path, ["report.html"])
+        assert draft.exists()
+    assert (tmp_path / "report.html").read_text() == "new"
+
+
+def test_a_folder_that_is_missing_has_no_drafts(tmp_path):
+    remove_drafts(tmp_path / "missing", ["report.html"])

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
+import re
 import secrets
 import stat
+import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +16,7 @@ from typing import TYPE_CHECKING
 from .errors import OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from io import BufferedReader
     from typing import BinaryIO
 
@@ -30,17 +33,56 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
     """
     # Random, so that no other process and no link in a shared folder has the same name.
     draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        yield draft
-        if fsync:
-            flush_to_disk(draft)
-        draft.replace(path)
-    except BaseException:
-        with suppress(OSError):  # it was never written
-            draft.unlink()
-        raise
+    with _draft_lock(path.parent):
+        try:
+            yield draft
+            if fsync:
+                flush_to_disk(draft)
+            draft.replace(path)
+        except BaseException:
+            with suppress(OSError):  # it was never written
+                draft.unlink()
+            raise
     if fsync:
         flush_to_disk(path.parent)
+
+
+@contextmanager
+def _draft_lock(folder: Path) -> Iterator[None]:
+    """Share the lock of a folder while a draft is in it, so that `remove_drafts` knows which drafts nobody writes any more."""
+    descriptor = None
+    with suppress(
+        OSError
+    ):  # the folder is not there, or its file system has no locks: then no draft is removed either
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        for _ in range(_LOCK_ATTEMPTS):
+            with suppress(BlockingIOError):
+                fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                break
+            time.sleep(_LOCK_PAUSE_S)
+    try:
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def remove_drafts(folder: Path, names: Iterable[str]) -> None:
+    """Remove the drafts of files of these names that a dead process left in a folder; none while any process has a draft in it."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            draft = re.compile(rf"({'|'.join(map(re.escape, names))})\.[0-9a-f]{{8}}\.part")
+            for path in folder.iterdir():
+                if draft.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+                    path.unlink()
+        finally:
+            os.close(descriptor)
+
+
+_LOCK_ATTEMPTS, _LOCK_PAUSE_S = 20, 0.01
+"""`remove_drafts` has its lock for milliseconds; a stranger who keeps it must not stop us."""
 
 
 def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:

@@ -1,9 +1,9 @@
 """Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
-The `reliability` quantile of the job's metric, with lost messages infinitely late, has an interval from the runs
-(`run_statistics.between_runs`). A setting meets the deadline if the upper end does, misses it if the lower end does, and is
-inconclusive otherwise; with fewer than three runs or without a measurement it is `likely` at best. A run must have sent at the
-planned rate and finished.
+The job is about messages, so a setting meets the deadline if the share of messages that are late (lost ones included) very likely is
+at most what the job allows, with runs as the unit (`run_statistics.late_share`). It misses it if that share, or the `reliability`
+quantile of a typical run, very likely is beyond. Otherwise it is inconclusive; with fewer than three runs or without a measurement it
+is `likely` at best. A run must have sent at the planned rate and finished.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dds_trace.base.units import SECOND_NS, counted
 from ..model.parameters import SETTING_COLUMNS, SITE_COLUMNS
 from ..model.setting import condition_of
 from ..run_statistics.between_runs import interval_of_runs
+from ..run_statistics.late_share import late_share
 from ..run_statistics.runs import Statistic
 from ..run_statistics.spread import runs_to_settle_value
 from ..statistics.intervals import MIN_RUNS, Basis, ranges_overlap
@@ -35,12 +36,17 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run
 
     from ..model.parameters import ParameterValue
+    from ..run_statistics.late_share import LateShare
     from ..statistics.intervals import Interval, Range
     from .cases import Setting
     from .job import Job, SizeAndRate
 
 LEAST_RATE = 0.98
 """Share of the planned rate below which another job was measured."""
+
+
+RARE_KIND = 0.1
+"""Share of the runs that are of a kind which may have been missed, as the answer states it."""
 
 
 class Fit(Enum):
@@ -79,6 +85,9 @@ class Candidate:
         runs: runs of the job's size and rate, 0 for a guess.
         basis: `between runs` or `within one run`; empty for a guess.
         episodes: bursts that the messages beyond the quantile came in; None where there is none, and for a guess.
+        late_ratio: share of the messages that were late or lost; None for a guess.
+        late_ratio_upper: upper limit of that share for further runs; None for a guess and below three runs.
+        unseen_ratio: probability that these runs miss a kind of run that comes once in ten; None for a guess.
         latency_ns: deprecated since 0.2.0, use `value_ns`, which is equal.
     """
 
@@ -100,6 +109,9 @@ class Candidate:
     runs: int = 0
     basis: str = ""
     episodes: int | None = None
+    late_ratio: float | None = None
+    late_ratio_upper: float | None = None
+    unseen_ratio: float | None = None
     latency_ns: float | None = None
 
     @property
@@ -195,6 +207,7 @@ class _Measurement:
 
     rate_hz: float
     interval: Interval
+    late: LateShare | None
     received_ratio: float | None
     survivors_ns: float | None
     rate_share: float | None
@@ -221,11 +234,13 @@ class _Measurement:
 
 def _measure(rows: pl.DataFrame, request: _Request) -> _Measurement:
     group, statistic = MatchedGroup(rows), Statistic(request.job.reliability)
+    delivered = group.delivered(request.job.metric)
     rate_hz = float(rows["rate_hz"][0])
     shares = [_share_of_rate(run.sent_ns, rate_hz) for run in group.runs]
     return _Measurement(
         rate_hz=rate_hz,
-        interval=interval_of_runs(group.delivered(request.job.metric), statistic, request.confidence),
+        interval=interval_of_runs(delivered, statistic, request.confidence),
+        late=late_share(delivered, request.job.deadline_ns, request.confidence),
         received_ratio=group.received_ratio(request.confidence).value,
         survivors_ns=group.of_survivors(request.job.metric, statistic),
         rate_share=min((share for share in shares if share is not None), default=None),
@@ -273,22 +288,40 @@ def _measured(setting: Setting, measurement: _Measurement, request: _Request) ->
         runs=interval.runs,
         basis=interval.basis.value,
         episodes=interval.episodes,
+        late_ratio=measurement.late.observed if measurement.late else None,
+        late_ratio_upper=measurement.late.upper if measurement.late else None,
+        unseen_ratio=(1 - RARE_KIND) ** interval.runs,
         latency_ns=interval.value,
     )
 
 
 def _fit_of_measurement(measurement: _Measurement, request: _Request) -> tuple[Fit, str]:
-    deadline_ns, interval = request.job.deadline_ns, measurement.interval
+    deadline_ns, interval, late = request.job.deadline_ns, measurement.interval, measurement.late
+    allowed = 1 - request.job.reliability + _ROUNDING
     fit = _fit(interval.range, deadline_ns)
-    if measurement.is_slow:
-        return Fit.MISSES, measurement.failure(deadline_ns)
-    if measurement.unfinished and fit is not Fit.MISSES:
-        return Fit.INCONCLUSIVE, measurement.failure(deadline_ns)
-    if fit is Fit.INCONCLUSIVE:
-        return fit, _why_inconclusive(interval, request)
-    if fit is Fit.MEETS and interval.basis is Basis.WITHIN_RUN:
+    is_late = late is not None and late.observed > allowed
+    misses = late is not None and is_late and (fit is Fit.MISSES or (late.lower or 0.0) > allowed)
+    if measurement.is_slow or (measurement.unfinished and not misses):
+        return Fit.MISSES if measurement.is_slow else Fit.INCONCLUSIVE, measurement.failure(deadline_ns)
+    if misses:
+        return Fit.MISSES, ""
+    if fit is Fit.INCONCLUSIVE or late is None:
+        return Fit.INCONCLUSIVE, _why_inconclusive(interval, request)
+    if is_late or fit is Fit.MISSES or (late.upper or 0.0) > allowed:
+        return Fit.INCONCLUSIVE, _why_late(late, request)
+    if interval.basis is Basis.WITHIN_RUN:
         return Fit.LIKELY, f"{interval.basis.value}: it takes {MIN_RUNS} runs, there are {interval.runs}"
     return fit, ""
+
+
+_ROUNDING = 1e-12
+"""Error of `1 - reliability` in floats, and more."""
+
+
+def _why_late(late: LateShare, request: _Request) -> str:
+    allowed = 100 * (1 - request.job.reliability)
+    limit = "" if late.upper is None else f", of further runs up to {100 * late.upper:.3g} %"
+    return f"{100 * late.observed:.3g} % of the messages were late{limit}, the job allows {allowed:.3g} %; record more runs"
 
 
 def _why_inconclusive(interval: Interval, request: _Request) -> str:

@@ -16,7 +16,7 @@ from .groups import METRIC_LABELS, data_type_label, format_ratio, joined, settin
 from .verdicts import place_label
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from dds_trace.analyzer.verdicts.cases import Setting
     from dds_trace.analyzer.verdicts.job import Job
@@ -76,7 +76,7 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
     ]
     return Advice(
         job=_job_words(recommendation.job),
-        sentence=" ".join(sentences) or _NOTHING,
+        sentence=" ".join([*sentences, *_unseen(recommendation.best)]) or _NOTHING,
         rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, full_names, strict=True)),
     )
 
@@ -123,6 +123,14 @@ def _sentence(named: Sequence[tuple[Candidate, str]], deadline: str, *, opens: b
     else:
         words = f"nothing is shown to meet {deadline}, and nothing to miss it for sure."
     return words[0].upper() + words[1:] if opens else words
+
+
+def _unseen(candidates: Iterable[Candidate]) -> Iterator[str]:
+    """Yield how likely a kind of run was not seen, if something is said to meet the deadline."""
+    chances = [(c.runs, c.unseen_ratio) for c in candidates if c.unseen_ratio is not None]
+    if chances:
+        runs, ratio = min(chances)
+        yield f"With {counted(runs, 'run')}, a kind of run that comes once in ten is missed in {100 * ratio:.2g} %."
 
 
 def _row(candidate: Candidate, name: str) -> tuple[str, ...]:

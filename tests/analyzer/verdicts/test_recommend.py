@@ -296,3 +296,21 @@ def test_devices_links_and_conditions_are_no_alternatives():
     assert len({place_of(one.setting) for one in ranking.best}) == len(ranking.best) == 4
     assert {one.setting["vendor"] for one in ranking.best} == {"fastdds"}
     assert ranking.is_conclusive
+
+
+@pytest.mark.parametrize(("runs", "slow"), [(20, 2), (20, 1), (10, 2), (5, 1)])
+def test_a_setting_with_runs_that_are_wholly_late_does_not_meet(runs, slow):
+    levels = [10 * MS] * (runs - slow) + [30 * MS] * slow
+    frame = pl.concat(steady(noisy(ns, seed=n), run_id=n + 1) for n, ns in enumerate(levels))
+    job = Job("binary", 33_000, 10.0, 20 * MS, 0.99, metric="latency")
+    (candidate,) = recommend_settings(frame, job).candidates
+    assert candidate.fit is Fit.INCONCLUSIVE
+    assert candidate.late_ratio == pytest.approx(slow / runs)
+    assert candidate.late_ratio < candidate.late_ratio_upper
+    assert candidate.unseen_ratio == pytest.approx(0.9**runs)
+
+
+def test_equal_runs_meet_and_say_how_likely_a_slow_kind_was_missed():
+    (candidate,) = recommend_settings(in_runs(noisy(10 * MS), runs=20, spread=0.001), JOB).candidates
+    assert (candidate.fit, candidate.late_ratio) == (Fit.MEETS, 0.0)
+    assert candidate.unseen_ratio == pytest.approx(0.12, abs=0.002)

@@ -43,8 +43,16 @@ def check_statistic(text: str) -> tuple[str, str]:
     return metric, statistic
 
 
+UNTIL_CONFIDENCE = 0.995
+"""Confidence of an interval that is looked at after each repeat: of all looks from 3 to 40 runs 5 % see any that lacks the truth.
+
+A repeated confidence interval (C. Jennison and B. Turnbull, Journal of the Royal Statistical Society B 51, 1989), the level by 6000
+simulated series of normal runs.
+"""
+
+
 def half_widths(
-    rows: pl.DataFrame, runs: Mapping[str, Collection[int]], text: str, confidence: float = 0.95
+    rows: pl.DataFrame, runs: Mapping[str, Collection[int]], text: str, confidence: float = UNTIL_CONFIDENCE
 ) -> dict[str, float]:
     """Return the half width of a statistic's interval between runs, in percent of the value, for each named set of run ids.
 

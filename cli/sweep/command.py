@@ -73,7 +73,7 @@ def main_command(
         ),
     ] = None,
     max_passes: Annotated[
-        int | None, option("--max-passes N", "Maximum number of repeats for --until. Default: 20", min=1)
+        int | None, option("--max-passes N", "Maximum number of repeats for --until. Default: 40", min=1)
     ] = None,
     against: Annotated[
         str | None,

@@ -27,18 +27,24 @@ if TYPE_CHECKING:
 SUSTAINED_SHARE = 0.95
 """Share of the requested rate that the sender has to reach."""
 
+LOST_BY_CHANCE = 0.05
+"""Probability below which losses are not chance: one of 225 messages says nothing about a limit of 0.1 %."""
+
 MESSAGES_FOR_PERCENTILE = 1.0
 """Messages beyond a percentile: p99 takes 100 messages."""
 
-KNEE_STEPS = 10
+KNEE_STEPS = 16
 """Most steps by which repeats may move the rate after the bisection."""
+
+_ROUNDED = 1.01
+"""Factor by which rates of three digits may exceed the resolution."""
 
 
 class RateAnswer(Enum):
     """Meaning of a rate."""
 
     FOUND = "found"
-    AT_LEAST = "at least"  # even the highest rate of the plan is sustained
+    AT_LEAST = "at least"  # the highest rate of the plan is sustained, or repeats still raised the rate when the steps ran out
     BELOW = "below"  # not even the lowest rate of the plan is
     FAILED = "failed"  # a trial could not be run
 
@@ -88,7 +94,7 @@ class Bisection:
             middle = round_rate(math.sqrt(low * high))
             if not low < middle < high:
                 break
-            if reason := self.trial(middle, 1):
+            if reason := self._confirmed(middle):
                 high, why = middle, reason
             else:
                 low, is_low_sustained = middle, True
@@ -100,20 +106,32 @@ class Bisection:
         return self._settle(low, high, why)
 
     def _settle(self, low: float, high: float, reason: str) -> Knee:
-        """Repeat the trials at the knee; a majority against the single trial moves it."""
+        """Repeat the trials at the knee; a majority moves it, upwards by strides that double, and the range is halved again."""
+        stride, is_open = self.search.resolution, False
         for _ in range(KNEE_STEPS):
             if why := self._majority(low):
-                high, reason = low, why
+                high, reason, is_open = low, why, False
                 low = round_rate(max(self.search.min_rate, low / self.search.resolution))
                 if high <= self.search.min_rate:
                     return Knee(RateAnswer.BELOW, high, high, reason)
             elif why := self._majority(high):
-                return Knee(RateAnswer.FOUND, low, high, why)
+                reason, is_open, stride = why, False, self.search.resolution
+                if high / low <= _ROUNDED * self.search.resolution:
+                    return Knee(RateAnswer.FOUND, low, high, why)
+                middle = round_rate(math.sqrt(low * high))
+                low, high = (low, middle) if self._confirmed(middle) else (middle, high)
             else:
-                low, high = high, round_rate(min(self.search.max_rate, high * self.search.resolution))
+                low, high = high, round_rate(min(self.search.max_rate, high * stride))
+                stride, is_open = stride * stride, True
                 if low >= self.search.max_rate:
                     return Knee(RateAnswer.AT_LEAST, low, None, "")
-        return Knee(RateAnswer.FOUND, low, high, reason)
+        return (
+            Knee(RateAnswer.AT_LEAST, low, None, "") if is_open else Knee(RateAnswer.FOUND, low, high, reason)
+        )
+
+    def _confirmed(self, rate_hz: float) -> str:
+        """Return why a rate was not sustained if the majority says so: the rates above a failure are not tried again."""
+        return self.trial(rate_hz, 1) and self._majority(rate_hz)
 
     def _majority(self, rate_hz: float) -> str:
         repeats = self.search.knee_repeats
@@ -147,11 +165,23 @@ def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str
             achieved_hz < SUSTAINED_SHARE * rate_hz,
             f"{achieved_hz:.0f} of {counted(rate_hz, 'message', text=f'{rate_hz:g}')} a second sent",
         ),
-        (result.loss_percent > search.loss_percent, f"{result.loss_percent:.3g} % lost"),
+        (_loses_more(result, search.loss_percent), f"{result.loss_percent:.3g} % lost"),
         (response_ms > search.deadline_ms, f"response {percentile} {response_ms:.3g} ms"),
         (bool(result.not_applied), f"not applied: {result.not_applied}"),
     )
     return "; ".join(text for failed, text in conditions if failed)
+
+
+def _loses_more(result: CellResult, percent: float) -> bool:
+    """Return whether more was lost than allowed, and than single losses of the allowed share explain (Poisson, 5 %)."""
+    lost = round(result.loss_percent * result.published / 100)
+    allowed = percent * result.published / 100
+    fewer = (
+        math.fsum(math.exp(n * math.log(allowed) - allowed - math.lgamma(n + 1)) for n in range(lost))
+        if allowed
+        else 1.0
+    )
+    return result.loss_percent > percent and 1 - fewer < LOST_BY_CHANCE
 
 
 def search_plan(plan: Plan) -> Plan:

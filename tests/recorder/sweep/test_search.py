@@ -8,6 +8,7 @@ from collections import Counter
 from dataclasses import replace
 from xml.etree import ElementTree as ET
 
+import numpy as np
 import pytest
 
 from dds_trace.recorder.sweep.max_rate_report import COLUMNS, max_rate_rows, max_rate_svg, write_max_rates
@@ -44,7 +45,9 @@ def test_limit_is_found_within_the_resolution(limit_hz):
     assert answer is RateAnswer.FOUND
     assert rate_hz <= limit_hz < failing_hz <= rate_hz * 1.11
     assert reason == f"{failing_hz:g} is too much"
-    assert sum(trials.values()) <= 14  # 7 halvings of a factor of 1000 to 1.1, and the repeats at the knee
+    assert (
+        sum(trials.values()) <= 23
+    )  # 7 halvings of a factor of 1000 to 1.1, failures confirmed, and the repeats at the knee
 
 
 @pytest.mark.parametrize(
@@ -95,6 +98,8 @@ def result(**changes):
         ({}, ""),
         ({"received": 999}, ""),
         ({"received": 990}, "1 % lost"),
+        ({"planned": 225, "published": 225, "received": 224}, ""),  # one lost says nothing about 0.1 %
+        ({"planned": 225, "published": 225, "received": 223}, "0.889 % lost"),
         ({"achieved_rate_hz": 95.0}, ""),
         ({"achieved_rate_hz": 94.0}, "94 of 100 messages a second sent"),
         ({"achieved_rate_hz": None}, "0 of 100 messages a second sent"),
@@ -153,3 +158,30 @@ def test_figure_escapes_its_texts_and_takes_an_empty_list():
     assert "<b>" not in max_rate_svg(ANSWERS, SEARCH)
     assert "&lt;b&gt;" in max_rate_svg(ANSWERS, SEARCH)
     ET.fromstring(max_rate_svg([], replace(SEARCH, min_rate=3, max_rate=7)))
+
+
+@pytest.mark.parametrize("truth_hz", [100, 1000])
+def test_single_losses_of_half_the_limit_seldom_halve_the_answer(truth_hz):
+    """0.05 % of the messages are lost one by one, 0.1 % are allowed; 23 % of answers were below half of 1000 Hz."""
+    settings, low = Search(), 0
+    for seed in range(200):
+        losses: dict[tuple[float, int], str] = {}
+        draws = np.random.default_rng(seed)
+
+        def trial(rate_hz, number, losses=losses, draws=draws):
+            sent = max(100, int(rate_hz * settings.seconds))
+            lost = result(
+                published=sent, received=sent - int(draws.binomial(sent, 5e-4)), achieved_rate_hz=rate_hz
+            )
+            why = why_not_sustained(settings, rate_hz, lost)
+            return losses.setdefault((rate_hz, number), why or "late" * (rate_hz > truth_hz))
+
+        knee = Bisection(settings, trial).run()
+        low += knee.answer is RateAnswer.BELOW or knee.rate_hz < truth_hz / 2
+    assert low <= 4
+
+
+def test_the_answer_is_at_least_the_rate_where_the_steps_run_out_on_the_way_up(monkeypatch):
+    monkeypatch.setattr("dds_trace.recorder.sweep.search.KNEE_STEPS", 1)
+    knee = Bisection(SEARCH, lambda rate, _: "late" * (rate > 900))._settle(30, 33, "late once")
+    assert knee == (RateAnswer.AT_LEAST, 33, None, "")

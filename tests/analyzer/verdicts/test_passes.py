@@ -13,14 +13,14 @@ PASS_FACTORS = (1.0, 1.3, 0.8, 1.6, 1.1)
 """The machine's speed in each pass: it varies by far more than the 10 % that lie between the ways."""
 
 
-def record(folder, *, labelled):
+def record(folder, *, labelled, in_turn=True):
     """Fast DDS, Cyclone DDS 10 % quicker, and Fast DDS through a bridge 10 % slower, in each of five passes."""
     ways = (("fastdds", "none", 1.0), ("cyclonedds", "none", 0.9), ("fastdds", "builtin", 1.1))
     number = 0
     for place, factor in enumerate(PASS_FACTORS, 1):
-        for vendor, bridge, share in ways:
+        for way_number, (vendor, bridge, share) in enumerate(ways):
             number += 1
-            start = number * 100_000 * MS
+            start = (number if in_turn else 10 * way_number + place) * 100_000 * MS
             messages = []
             for s in range(MESSAGES):
                 t, way = start + s * 100 * MS, int(10 * MS * factor * share) + (s * 37 % 101) * 1000
@@ -45,7 +45,7 @@ def record(folder, *, labelled):
                     )
                 ],
             )
-    return analyze(folder).details
+    return analyze(folder)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def record(folder, *, labelled):
 def test_bridge_costs_are_paired_where_runs_tell_their_pass_and_answers_are_not(
     tmp_path, labelled, verdict, pairs
 ):
-    details = record(tmp_path, labelled=labelled)
+    details = record(tmp_path, labelled=labelled).details
     (answer,) = (one for one in details.answers if one.domain_mode == "same")
     assert (answer.clarity.value, answer.fewest_runs) == ("inconclusive", 5)
     (cost,) = details.bridge_costs.filter(statistic="p50", metric="latency").iter_rows(named=True)
@@ -63,3 +63,16 @@ def test_bridge_costs_are_paired_where_runs_tell_their_pass_and_answers_are_not(
     spread = details.intervals.filter(metric="latency", percentile="p50")
     assert spread["between"].min() > 0.2  # of the logarithms of 0.8 to 1.6
     assert spread["within"].max() < 0.01
+
+
+@pytest.mark.parametrize("in_turn", [True, False])
+def test_setups_recorded_one_after_the_other_are_found(tmp_path, in_turn):
+    analysis = record(tmp_path, labelled=False, in_turn=in_turn)
+    (answer,) = (one for one in analysis.details.answers if one.domain_mode == "same")
+    found = [finding for finding in analysis.findings if finding.code == "recorded_in_sequence"]
+    assert answer.interleaved is in_turn
+    assert len(found) == (not in_turn)
+    for finding in found:
+        assert len(finding.groups) == 2
+        assert "--trust-order" in finding.action
+        assert f"a drift of {100 * (answer.drift_ratio - 1):.3g} % between them" in finding.what

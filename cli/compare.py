@@ -65,6 +65,17 @@ def compare_command(
             "--paired", "Compare repeat by repeat: both sides were measured in the same repeats of one sweep."
         ),
     ] = False,
+    looks: Annotated[
+        int,
+        option(
+            "--looks N",
+            "How often growing recordings are compared until a gate decides, at most: each look is stricter, so that all of "
+            "them together err as often as one.",
+            show_default=True,
+            min=1,
+            max=10,
+        ),
+    ] = 1,
     report: Annotated[
         ComparisonReport,
         option("--report KIND", "Report to write: terminal, md, json, junit or html.", show_default=True),
@@ -86,12 +97,13 @@ def compare_command(
 
     The run is the unit: with fewer than three runs per side nothing is called better or worse. A gate fails only if the
     whole confidence interval is beyond its limit, or if a result of the base is missing or receives nothing on the new
-    side. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive (too few runs or messages); 22 nothing to
-    compare (no result in common).
+    side. A run that did not finish lets no gate pass. Exit codes: 0 passed, or no gate given; 20 regressed; 21 inconclusive
+    (too few runs or messages); 22 nothing to compare (no result in common).
 
         dds-analyze compare main/ branch/ --fail-if default --report md
     """
     from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.statistics.power import confidence_at_each
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
     from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
     from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
@@ -108,7 +120,8 @@ def compare_command(
     gates = parse_gates(fail_if or [])  # before anything is read
     match = match_without(filter(None, map(str.strip, ignore.split(","))))
     before, after = (analyze(folder, details=False) for folder in (base, new))
-    comparison = compare(before, after, options_for(gates, CompareOptions(match=match, paired=paired)))
+    options = CompareOptions(match=match, paired=paired, confidence=confidence_at_each(looks))
+    comparison = compare(before, after, options_for(gates, options))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
     for folder, side in ((base, before), (new, after)):
         for finding in side.findings:

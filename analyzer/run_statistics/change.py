@@ -18,7 +18,7 @@ from ..statistics.distributions import shift_for_power, student_quantile
 from ..statistics.intervals import Basis, Interval
 from ..statistics.power import POWER, smallest_shift
 from .between_runs import Scale, estimates_of_runs, scale_of
-from .two_samples import fieller_ends, mover_ends, paired_test, welch_test
+from .two_samples import fieller_ends, mover_ends, paired_test, permutation_p_value, welch_test
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -196,6 +196,8 @@ def _change_of_reciprocals(
         return Change(base, new, Basis.BETWEEN_RUNS)
     test = welch_test(above, below)
     ratio_low, ratio_high = fieller_ends(above, below, test, base.confidence)
+    # Where all runs of one side are lost their reciprocals do not vary, and Student's t takes five runs for certainty.
+    p_value = max(test.p_value, permutation_p_value(above, below))
     return Change(
         base=base,
         new=new,
@@ -206,7 +208,7 @@ def _change_of_reciprocals(
         ratio=float(above.mean() / below.mean()) if below.any() else math.inf,
         ratio_low=ratio_low,
         ratio_high=ratio_high,
-        p_value=test.p_value,
+        p_value=p_value,
         degrees=test.degrees,
     )
 

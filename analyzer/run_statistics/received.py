@@ -2,13 +2,13 @@
 
 The rarer of losses and replies decides. If it came in few episodes, their number is Poisson (F. Garwood, Biometrika 28, 1936); if
 in many, E. B. Wilson's interval (1927) holds for as many independent messages as the variance between the runs, or within one
-or two, implies.
+or two, implies. A change is tested by run.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,14 +18,17 @@ from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
 from ..statistics.power import smallest_shift
 from .bursts import COSINES, episode_sizes, share_inflation
 from .change import Verdict
-from .two_samples import mover_ends
+from .two_samples import mover_ends, welch_test
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from .two_samples import StudentTest
+
     Bools = NDArray[np.bool_]
+    Float64 = NDArray[np.float64]
     Int64 = NDArray[np.int64]
 
 LEAST_VARIANCE_SHARE = 0.25
@@ -105,6 +108,30 @@ def wilson_ends(share: float, independent: float, quantile: float) -> tuple[floa
     return max(0.0, (centre - reach) / scale), min(1.0, (centre + reach) / scale)
 
 
+def _loss_angles(base: Sequence[Bools], new: Sequence[Bools]) -> tuple[Float64, Float64, float]:
+    """Return the arcsine of the square root of the share lost by each run of both sides, and the least variance of one.
+
+    The arcsine gives single losses the variance 1 / (4 messages), whatever their share (M. S. Bartlett, Biometrics 3, 1947).
+    Its mean depends on the length of the runs, so longer ones count with their first messages only.
+    """
+    sides = [[run for run in side if len(run)] for side in (base, new)]
+    messages = min(max(map(len, side)) for side in sides)
+    angles = (
+        np.array([math.asin(math.sqrt(1 - float(run[:messages].mean()))) for run in side]) for side in sides
+    )
+    return next(angles), next(angles), 1 / (4 * messages)
+
+
+def loss_test(base: Float64, new: Float64, least_variance: float) -> StudentTest:
+    """Return Welch's test of the angles of the runs: the run is the unit, as losses come in outages.
+
+    Unequal numbers of runs have the degrees of freedom of the fewer: by Welch's, 11 % of equal sides with outages differ.
+    """
+    test = welch_test(base, new, least_variance)
+    fewest, most = sorted(map(len, (base, new)))
+    return test if fewest == most else replace(test, degrees=fewest - 1)
+
+
 @dataclass(frozen=True, slots=True)
 class DeliveryChange:
     """Received ratios of both sides; what the samples do not support is None.
@@ -114,8 +141,10 @@ class DeliveryChange:
         new: the same of the new side.
         difference: new - base, between -1 and 1.
         basis: between runs only if both sides have three.
-        smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %, with the reach
-            below the difference as Student's t.
+        smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %; None where not
+            even the loss of everything would be.
+        p_value: of a difference like this between equal sides (`loss_test`).
+        degrees: degrees of freedom of that test.
     """
 
     base: Interval
@@ -125,39 +154,71 @@ class DeliveryChange:
     difference_high: float | None
     basis: Basis
     smallest_drop: float | None = None
+    p_value: float | None = None
+    degrees: float | None = None
 
-    def verdict(self, same_within: float = 0.0) -> Verdict:
-        """Return the verdict: the same if the difference is wholly within `+- same_within`."""
+    def verdict(self, same_within: float = 0.0, p_adjusted: float | None = None) -> Verdict:
+        """Return the verdict: the same if the difference is wholly within `+- same_within`.
+
+        `p_adjusted` replaces `p_value` where the change is one of several.
+        """
         low, high = self.difference_low, self.difference_high
         if self.basis is Basis.WITHIN_RUN or low is None or high is None:
             return Verdict.INCONCLUSIVE
         if -same_within <= low and high <= same_within:
             return Verdict.SAME
+        p_value = self.p_value if p_adjusted is None else p_adjusted
+        if p_value is not None and p_value > 1 - self.base.confidence:
+            return Verdict.INCONCLUSIVE
         if high < 0:
             return Verdict.WORSE
         return Verdict.BETTER if low > 0 else Verdict.INCONCLUSIVE
 
 
-def change_of_received(
-    base: Sequence[NDArray[np.bool_]], new: Sequence[NDArray[np.bool_]], confidence: float = 0.95
-) -> DeliveryChange:
-    """Return the change of the received ratio, its ends by R. Newcombe (Statistics in Medicine 17, 1998, method 10)."""
-    sides = [received_interval(side, confidence) for side in (base, new)]
-    is_between = all(side.basis is Basis.BETWEEN_RUNS for side in sides)
+def change_of_received(base: Sequence[Bools], new: Sequence[Bools], confidence: float = 0.95) -> DeliveryChange:
+    """Return the change of the received ratio.
+
+    The ends follow from the ones of both sides (R. Newcombe, Statistics in Medicine 17, 1998, method 10), between runs widened to
+    the ones of `loss_test`, so that they exclude no change where the test does not.
+    """
+    before, after = (received_interval(side, confidence) for side in (base, new))
+    is_between = before.basis is after.basis is Basis.BETWEEN_RUNS
     basis = Basis.BETWEEN_RUNS if is_between else Basis.WITHIN_RUN
-    before, after = sides
     ends = [
         (side.value, side.lower, side.upper)
-        for side in sides
+        for side in (before, after)
         if side.value is not None and side.lower is not None and side.upper is not None
     ]
-    if len(ends) < len(sides):
+    if len(ends) < 2:
         return DeliveryChange(before, after, None, None, None, basis)
-    low, high = mover_ends(*ends)
     difference = ends[1][0] - ends[0][0]
-    smallest = None
-    if is_between:
-        degrees = min(side.runs for side in sides) - 1
-        error = (difference - low) / student_quantile((1 + confidence) / 2, degrees)
-        smallest = smallest_shift(error, degrees, confidence)
-    return DeliveryChange(before, after, difference, low, high, basis, smallest)
+    low, high = mover_ends(*ends)
+    if not is_between:
+        return DeliveryChange(before, after, difference, low, high, basis)
+    base_angles, new_angles, least_variance = _loss_angles(base, new)
+    test = loss_test(base_angles, new_angles, least_variance)
+    reach, base_angle = test.reach(confidence), float(base_angles.mean())
+    fewer, more = mover_ends(
+        _shares(base_angle, reach * test.base_error),
+        _shares(base_angle + test.difference, reach * test.new_error),
+    )
+    shift = base_angle + smallest_shift(test.error, test.degrees, confidence)
+    return DeliveryChange(
+        base=before,
+        new=after,
+        difference=difference,
+        difference_low=max(-1.0, min(low, difference, -more)),
+        difference_high=min(1.0, max(high, difference, -fewer)),
+        basis=basis,
+        smallest_drop=_share(shift) - _share(base_angle) if shift <= math.pi / 2 else None,
+        p_value=test.p_value,
+        degrees=test.degrees,
+    )
+
+
+def _shares(angle: float, reach: float) -> tuple[float, float, float]:
+    return _share(angle), _share(angle - reach), _share(angle + reach)
+
+
+def _share(angle: float) -> float:
+    return math.sin(min(max(angle, 0.0), math.pi / 2)) ** 2

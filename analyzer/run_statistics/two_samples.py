@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..statistics.distributions import student_cdf, student_quantile
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     Float64 = NDArray[np.float64]
@@ -44,9 +46,12 @@ class StudentTest:
         return student_quantile((1 + confidence) / 2, self.degrees)
 
 
-def welch_test(base: Float64, new: Float64) -> StudentTest:
-    """Return the test of two independent samples whose variances may differ (B. L. Welch, Biometrika 34, 1947)."""
-    variances = [float(side.var(ddof=1)) / len(side) for side in (base, new)]
+def welch_test(base: Float64, new: Float64, least_variance: float = 0.0) -> StudentTest:
+    """Return the test of two independent samples whose variances may differ (B. L. Welch, Biometrika 34, 1947).
+
+    `least_variance` is a lower bound of the variance of a value: samples that are equal by chance do not make the mean surer.
+    """
+    variances = [max(float(side.var(ddof=1)), least_variance) / len(side) for side in (base, new)]
     weights = [variance**2 / (len(side) - 1) for variance, side in zip(variances, (base, new), strict=True)]
     degrees = sum(variances) ** 2 / sum(weights) if sum(weights) else len(base) + len(new) - 2.0
     errors = [math.sqrt(variance) for variance in variances]
@@ -58,6 +63,24 @@ def paired_test(base: Float64, new: Float64) -> StudentTest:
     apart = new - base
     error = float(apart.std(ddof=1)) / math.sqrt(2 * len(apart))
     return StudentTest(float(apart.mean()), error, error, len(apart) - 1, len(apart))
+
+
+MOST_PERMUTATIONS = 20_000
+"""Ways to deal the values of two samples that are counted; more of them leave Welch's test as it is."""
+
+
+def permutation_p_value(base: Float64, new: Float64) -> float:
+    """Return the share of the ways to deal the values in which the means differ as much (R. A. Fisher, 1935); 0 if they are too many.
+
+    Of zeros and ones this is Fisher's exact test.
+    """
+    values = np.concatenate([base, new])
+    if math.comb(len(values), len(base)) > MOST_PERMUTATIONS:
+        return 0.0
+    dealt = np.array(list(itertools.combinations(range(len(values)), len(base))))
+    # The difference of the means follows from the sum of one side, which has the same mean over all ways.
+    apart = np.abs(values[dealt].sum(axis=1) - values.sum() * len(base) / len(values))
+    return float((apart >= apart[0] * (1 - 1e-9)).mean())
 
 
 def mover_ends(base: Ends, new: Ends) -> tuple[float, float]:

@@ -65,6 +65,18 @@ def _in_order(sorted_values: Float64, order: NDArray[np.intp]) -> Float64:
     return values
 
 
+POCOCK_LEVELS = (0.05, 0.0294, 0.0221, 0.0182, 0.0158, 0.0142, 0.0130, 0.0120, 0.0112, 0.0106)
+"""Level of each of 1 to 10 looks at data that grow by equal parts, for 5 % over all of them (S. J. Pocock, Biometrika 64, 1977).
+
+The spending function is `0.05 log(1 + (e - 1) t)` of the share t of the data (K. Lan and D. DeMets, Biometrika 70, 1983).
+"""
+
+
+def confidence_at_each(looks: int) -> float:
+    """Return the confidence of each of up to ten looks that keeps 95 % over all of them."""
+    return 1 - POCOCK_LEVELS[looks - 1]
+
+
 POWER = 0.8
 MOST_RUNS = 1000
 """Runs a side beyond which no number is given."""

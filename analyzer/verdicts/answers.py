@@ -7,6 +7,7 @@ advises against because of its losses, never leads.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
@@ -22,6 +23,7 @@ from ..run_statistics.change import Verdict
 from ..run_statistics.received import change_of_received
 from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis
+from ..statistics.power import holm_adjusted
 from .cases import (
     CONDITIONS,
     Contender,
@@ -225,13 +227,20 @@ def _measure_case(
 def _losers(
     groups: Mapping[str, MatchedGroup], received: Mapping[str, Interval], confidence: float
 ) -> set[str]:
-    """Return the setups that receive significantly less than the one that receives most."""
+    """Return the setups that receive significantly less than the one that receives most.
+
+    That one is picked by what it received, so the tests are adjusted by Holm over all pairs.
+    """
     most = max(groups, key=lambda name: (received[name].value or 0.0, name))
+    others = [name for name in groups if name != most]
     base = groups[most].received
+    changes = [change_of_received(base, groups[name].received, confidence) for name in others]
+    p_values = [1.0 if change.p_value is None else change.p_value for change in changes]
+    adjusted = holm_adjusted([*p_values, *[1.0] * (math.comb(len(groups), 2) - len(others))])
     return {
         name
-        for name, group in groups.items()
-        if name != most and change_of_received(base, group.received, confidence).verdict() is Verdict.WORSE
+        for name, change, p in zip(others, changes, adjusted.tolist(), strict=False)
+        if change.verdict(p_adjusted=p) is Verdict.WORSE
     }
 
 

@@ -1,8 +1,8 @@
 """Two sets of round trips against each other: per group and statistic the change, its interval, a verdict.
 
 With three runs a side the interval comes from the runs (`run_statistics.change`), with fewer there is no verdict. A lost message
-is an infinitely late one. `better` and `worse` require that the p value, adjusted by Benjamini and Hochberg over the groups of a
-metric and statistic, stays below 1 - confidence.
+is an infinitely late one. `better` and `worse` require that the p value, adjusted by Benjamini and Hochberg over all groups,
+metrics and statistics (losses: over the groups), stays below 1 - confidence.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ from .sides import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from dds_trace.tracefile.format.descriptions import Run, Session
 
@@ -75,7 +75,7 @@ STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PER
 COMPARED_STATISTICS = tuple(STATISTIC_BY_NAME)
 """Statistics of a metric that can be compared."""
 
-FAMILY = "Benjamini-Hochberg over groups"
+FAMILY = "Benjamini-Hochberg over groups and statistics"
 """How p values of the verdicts are adjusted, in words."""
 
 
@@ -120,6 +120,8 @@ class Comparison:
         interleaved: how the parameters of interleaved groups differ, a sentence for each.
         ignored: what each side has in the columns that were not matched, a sentence each.
         order: a sentence if one side was recorded wholly before the other.
+        unfinished: match columns of a group -> its runs without an end; no gate passes there.
+        same_recordings: whether both sides are the same runs.
         row_keys: group of either side -> the match columns of its rows.
     """
 
@@ -137,6 +139,8 @@ class Comparison:
     interleaved: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
     order: str = ""
+    unfinished: Mapping[Key, int] = field(default_factory=dict)
+    same_recordings: bool = False
     row_keys: Mapping[Key, Key] = field(default_factory=dict)
 
     def sights(self) -> tuple[DetectableChange, ...]:
@@ -192,6 +196,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         with_partners(after, run_partners, match) if run_partners else after,
         replace(options, paired=options.paired or bool(run_partners)),
         passes=pass_numbers([*base.runs, *new.runs]),
+        unfinished=frozenset(run.run_id for run in (*base.runs, *new.runs) if run.state != "finished"),
     )
 
     def keys_of(side: pl.DataFrame, side_names: Mapping[str, str]) -> list[Key]:
@@ -211,6 +216,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         interleaved=partner_differences(partners, match),
         ignored=ignored_sentences(base.summary, new.summary, match),
         order=recorded_apart(base.sessions, new.sessions),
+        same_recordings={run.run_id for run in base.runs} == {run.run_id for run in new.runs},
         errors=(
             *errors_of("base", base.findings, keys_of(base.summary, {})),
             *errors_of("new", new.findings, keys_of(new.summary, names)),
@@ -223,13 +229,16 @@ def compare_roundtrips(
     new: pl.DataFrame,
     options: CompareOptions | None = None,
     passes: Mapping[int, int] | None = None,
+    unfinished: Collection[int] = (),
 ) -> Comparison:
-    """Compare the groups of two frames of round trips; `passes` is run_id -> repeat."""
+    """Compare the groups of two frames of round trips.
+
+    `passes` is run_id -> repeat; `unfinished` are the ids of runs without an end.
+    """
     options = options or CompareOptions()
     new = with_devices(new, replaced_devices(base, new))
-    return compare_groups(
-        match_groups(base, options.match), match_groups(new, options.match), base.schema, options, passes
-    )
+    before, after = (match_groups(side, options.match, unfinished) for side in (base, new))
+    return compare_groups(before, after, base.schema, options, passes)
 
 
 def compare_groups(
@@ -243,7 +252,7 @@ def compare_groups(
     pairs = pair_keys(before, after, options.match)
     row_keys: dict[Key, Key] = {}
     labels: list[Label] = []
-    deliveries: list[tuple[DeliveryRow, DeliveryChange]] = []
+    deliveries: list[DeliveryChange] = []
     rows: list[tuple[Label, ChangeRow, Change]] = []
     distributions: list[Label] = []
     for key, partner in pairs.items():
@@ -251,13 +260,19 @@ def compare_groups(
         row_keys[key] = row_keys[partner] = completed_key(key, partner, options.match)
         label: Label = dict(zip(options.match, row_keys[key], strict=True))
         labels.append(label)
-        deliveries.append(_delivery(base, new, options.confidence))
-        for distribution, changes in _changes(base, new, deliveries[-1][1], options, passes or {}):
+        deliveries.append(change_of_received(base.received, new.received, options.confidence))
+        for distribution, changes in _changes(base, new, deliveries[-1], options, passes or {}):
             distributions.append(label | asdict(distribution))
             rows += ((label, *changed) for changed in changes)
     match_schema = {name: schema[name] for name in options.match}
     change_rows = [label | asdict(row) for label, row, _ in rows]
-    delivery_rows = [label | asdict(row) for label, (row, _) in zip(labels, deliveries, strict=True)]
+    losses = _adjusted_p_values([change.p_value for change in deliveries])
+    delivery_rows = [
+        label | asdict(_delivery_row(before[key], after[partner], change, p_adjusted))
+        for label, (key, partner), change, p_adjusted in zip(
+            labels, pairs.items(), deliveries, losses, strict=True
+        )
+    ]
     return Comparison(
         rows=_adjusted(pl.DataFrame(change_rows, {**match_schema, **COMPARISON_SCHEMA}), options.confidence),
         delivery=pl.DataFrame(delivery_rows, {**match_schema, **DELIVERY_SCHEMA}),
@@ -266,14 +281,19 @@ def compare_groups(
         only_new=pl.DataFrame(list(unmatched(after, pairs.values())), match_schema, orient="row"),
         options=options,
         changes=tuple(change for _, __, change in rows),
-        deliveries=tuple(change for _, change in deliveries),
+        deliveries=tuple(deliveries),
+        unfinished={
+            row_keys[key]: before[key].unfinished + after[partner].unfinished
+            for key, partner in pairs.items()
+        },
         row_keys=row_keys,
     )
 
 
-def _delivery(base: MatchedGroup, new: MatchedGroup, confidence: float) -> tuple[DeliveryRow, DeliveryChange]:
-    change = change_of_received(base.received, new.received, confidence)
-    row = DeliveryRow(
+def _delivery_row(
+    base: MatchedGroup, new: MatchedGroup, change: DeliveryChange, p_adjusted: float | None
+) -> DeliveryRow:
+    return DeliveryRow(
         base_published=len(base),
         base_received_ratio=change.base.value,
         base_received_ratio_low=change.base.lower,
@@ -285,15 +305,16 @@ def _delivery(base: MatchedGroup, new: MatchedGroup, confidence: float) -> tuple
         difference=change.difference,
         difference_low=change.difference_low,
         difference_high=change.difference_high,
-        verdict=change.verdict().value,
+        verdict=change.verdict(p_adjusted=p_adjusted).value,
         basis=change.basis.value,
         base_runs=change.base.runs,
         new_runs=change.new.runs,
         is_dead=new.is_dead and not base.is_dead,
         environment=UNKNOWN,
         smallest_drop=change.smallest_drop,
+        p_value=change.p_value,
+        p_adjusted=p_adjusted,
     )
-    return row, change
 
 
 def _changes(
@@ -350,15 +371,15 @@ def _changes(
         yield DistributionRow(metric, at_levels(before.ordered), at_levels(after.ordered)), changes
 
 
+def _adjusted_p_values(p_values: Sequence[float | None]) -> list[float | None]:
+    """Return the p values adjusted by Benjamini and Hochberg over the tests that there are."""
+    adjusted = iter(benjamini_hochberg_adjusted([p for p in p_values if p is not None]).tolist())
+    return [None if p is None else next(adjusted) for p in p_values]
+
+
 def _adjusted(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
-    """Fill `p_adjusted` over the groups of each metric and statistic, and withdraw verdicts that it does not support."""
-    adjusted: list[float | None] = [None] * len(rows)
-    tests = rows.with_row_index("index").filter(pl.col("p_value").is_not_null())
-    for family in tests.partition_by("metric", "statistic") if len(tests) else ():
-        values = benjamini_hochberg_adjusted(family["p_value"].to_numpy()).tolist()
-        for index, value in zip(family["index"].to_list(), values, strict=True):
-            adjusted[index] = value
-    p_adjusted = pl.Series("p_adjusted", adjusted, pl.Float64)
+    """Fill `p_adjusted` over all rows, and withdraw verdicts that it does not support."""
+    p_adjusted = pl.Series("p_adjusted", _adjusted_p_values(rows["p_value"].to_list()), pl.Float64)
     is_unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (
         p_adjusted.fill_null(0.0) > 1 - confidence
     )

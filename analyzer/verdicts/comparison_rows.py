@@ -52,7 +52,7 @@ class ChangeRow:
         basis: between runs, or within one run.
         pairs: repeats that were compared one by one; 0 without.
         p_value: of no difference; null within one run.
-        p_adjusted: adjusted over the groups of the metric and statistic.
+        p_adjusted: adjusted over the groups, metrics and statistics.
         smallest_ratio: change that this group by itself would have shown with a probability of 80 %.
     """
 
@@ -113,6 +113,8 @@ class DeliveryRow:
         is_dead: whether messages were received on the base and none on the new side.
         environment: same, unknown (no fingerprint), or unlike: with the fields that differ.
         smallest_drop: loss of share that would have been shown with a probability of 80 %.
+        p_value: of no difference; null within one run.
+        p_adjusted: adjusted over the groups.
     """
 
     base_published: int
@@ -133,6 +135,8 @@ class DeliveryRow:
     is_dead: bool
     environment: str
     smallest_drop: float | None
+    p_value: float | None
+    p_adjusted: float | None
 
 
 @dataclass(frozen=True, slots=True)

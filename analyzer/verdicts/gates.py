@@ -10,6 +10,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from dds_trace.base.units import counted
+
 from ..model.names import group_words, varying_parameters
 from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from ..statistics.distributions import student_cdf, student_quantile
@@ -65,6 +67,8 @@ class GateResult:
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
+    """The value that a gate judges; `p_of_lost` is the p value of runs that are all lost, where the interval is infinite."""
+
     where: str
     group: Key
     value: float | None
@@ -75,14 +79,16 @@ class _Measured:
     advice: str
     smallest_ratio: float | None
     smallest_drop: float | None = None
+    p_of_lost: float = 0.0
 
     def p_beyond(self, limit: float, confidence: float, *, is_ratio: bool) -> float:
         """Return the probability of an estimate this far beyond a limit that is the truth."""
         value, end = self.value, self.low if self.value is not None and self.value > limit else self.high
         if value is None or end is None:
             return (1 - confidence) / 2
+        least = self.p_of_lost if any(map(math.isinf, (value, self.low or 0, self.high or 0))) else 0.0
         if math.isinf(end):
-            return 0.0
+            return least
         if math.isinf(value):
             far, near, at = 0.0, -1 / end, -1 / limit
         elif is_ratio and min(value, end, limit) > 0:
@@ -90,10 +96,10 @@ class _Measured:
         else:
             far, near, at = value, end, limit
         if far == near:
-            return 0.0
+            return least
         degrees = math.inf if self.degrees is None else self.degrees
         reach = student_quantile((1 + confidence) / 2, degrees)
-        return student_cdf(-reach * (far - at) / (far - near), degrees)
+        return max(least, student_cdf(-reach * (far - at) / (far - near), degrees))
 
 
 def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOptions:
@@ -173,6 +179,9 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True)):
         is_barred = group.group in comparison.barred
         reason = _reason(comparison, group, outcome, len(groups) if index in by_chance else 0)
+        unfinished = comparison.unfinished.get(group.group, 0)
+        if unfinished and not reason and outcome is GateOutcome.PASSED:
+            reason = f"{counted(unfinished, 'run')} did not finish: record {'it' if unfinished == 1 else 'them'} again"
         yield GateResult(
             gate=gate,
             where=f"{group.where}; {NOT_APPLIED}" if is_barred else group.where,
@@ -199,7 +208,7 @@ def _reason(comparison: Comparison, group: _Measured, outcome: GateOutcome, by_c
 
 def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
     unit = "" if gate.against is Against.RATIO else "_ns"
-    is_of_new = gate.against is Against.NEW
+    is_of_new, alpha = gate.against is Against.NEW, 1 - comparison.options.confidence
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
         if row["metric"] != gate.metric or row["statistic"] != gate.statistic:
             continue
@@ -213,6 +222,8 @@ def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
             degrees=max(1, change.new.units - 1) if is_of_new else change.degrees,
             advice=_advice(gate, change),
             smallest_ratio=change.smallest_ratio,
+            # A typical run at the limit is beyond it in every second run.
+            p_of_lost=min(alpha / 2, 0.5**change.new.units) if is_of_new else (change.p_value or 0.0) / 2,
         )
 
 
@@ -267,7 +278,7 @@ def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Itera
             low=low,
             high=high,
             basis=change.new.basis if is_of_new else change.basis,
-            degrees=max(1, min(side.runs for side in sides) - 1),
+            degrees=max(1, change.new.runs - 1) if is_of_new else change.degrees,
             advice=_advice_on_received(gate.limit, value, low, high, sides),
             smallest_ratio=None,
             smallest_drop=None if is_of_new else change.smallest_drop,

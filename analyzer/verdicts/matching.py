@@ -20,7 +20,7 @@ from ..run_statistics.received import received_interval
 from ..run_statistics.runs import Runs, joined_runs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -49,11 +49,18 @@ AGAINST_LABEL = "against"
 """Label of a run with the name of the base's cell that it was interleaved with."""
 
 
-class MatchedGroup:
-    """The round trips of one group by run."""
+LEAST_OF_A_RUN = 0.5
+"""Share of the messages of a group's longest run below which an unfinished run is left out: it would weigh like a whole one."""
 
-    def __init__(self, rows: pl.DataFrame) -> None:
-        self.runs = split_runs(rows)
+
+class MatchedGroup:
+    """The round trips of one group by run; `unfinished` counts the runs of `unfinished` ids, the fragments left out included."""
+
+    def __init__(self, rows: pl.DataFrame, unfinished: Collection[int] = ()) -> None:
+        runs = split_runs(rows)
+        least = LEAST_OF_A_RUN * max((len(run.rows) for run in runs), default=0)
+        self.runs = tuple(run for run in runs if run.run_id not in unfinished or len(run.rows) >= least)
+        self.unfinished = sum(run.run_id in unfinished for run in runs)
         self._published = int((rows["outcome"] != UNSENT).sum())
         self._delivered: dict[str, Runs] = {}
         self._survivors: dict[str, Run] = {}
@@ -113,7 +120,9 @@ def _names(frame: pl.DataFrame, column: str) -> list[str]:
     return [str(name) for name in frame[column].drop_nulls().unique().sort()]
 
 
-def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, MatchedGroup]:
+def match_groups(
+    roundtrips: pl.DataFrame, match: Sequence[str], unfinished: Collection[int] = ()
+) -> dict[Key, MatchedGroup]:
     """Split round trips into groups by the values of the match columns; sorted by these, null first.
 
     A run that received nothing may have no trace of its relay: it belongs to the only group that agrees in everything else.
@@ -138,7 +147,7 @@ def match_groups(roundtrips: pl.DataFrame, match: Sequence[str]) -> dict[Key, Ma
     def nulls_first(key: Key) -> list[tuple[bool, ParameterValue]]:
         return [(value is not None, value) for value in key]
 
-    return {key: MatchedGroup(parts[key]) for key in sorted(parts, key=nulls_first)}
+    return {key: MatchedGroup(parts[key], unfinished) for key in sorted(parts, key=nulls_first)}
 
 
 def pair_keys(

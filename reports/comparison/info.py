@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.compare import Comparison
     from dds_trace.analyzer.verdicts.gates import GateResult
 
+MOST_RATIO = 10.0
+"""A smallest visible change beyond which the messages are too few to judge the statistic."""
+
 SHOWN_STATISTICS = ("p50", "p99")
 """Statistics in the row of a result; its details have all of them."""
 
@@ -126,7 +129,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     unlike = () if groups else tuple(Unlike(name, *both) for name, both in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
     return ComparisonInfo(
-        said=_answer(groups)
+        said=("Both sides are the same recordings. " if comparison.same_recordings else "") + _answer(groups)
         if groups
         else "The two sides have no result in common: there is nothing to compare.",
         seen=_seen(sights, groups) if groups else _unlike_words(unlike, ignore),
@@ -259,17 +262,24 @@ def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -
     parts = [
         f"of {_with_article(sight.statistic)} below {change_words(sight.smallest_ratio).removeprefix('+')}"
         for sight in own
-        if sight.smallest_ratio is not None
+        if sight.smallest_ratio is not None and sight.smallest_ratio <= MOST_RATIO
     ]
-    if not parts:
-        return ""
     unclear = [
         f"the {statistic_words(sight.statistic)} in {sight.groups - sight.told} of {counted(sight.groups, 'result')}"
         for sight in own
         if sight.told < sight.groups
     ]
-    rest = f"; there is no verdict on {' and '.join(unclear)}" if unclear else ""
-    return f"Changes {' and '.join(parts)} would not be seen{rest}."
+    unjudged = [
+        f"the {statistic_words(sight.statistic)}"
+        for sight in own
+        if sight.smallest_ratio is not None and sight.smallest_ratio > MOST_RATIO
+    ]
+    sentences = [f"Changes {' and '.join(parts)} would not be seen"] if parts else []
+    if parts and unclear:
+        sentences[0] += f"; there is no verdict on {' and '.join(unclear)}"
+    if unjudged:
+        sentences.append(f"There are too few messages to judge {' and '.join(unjudged)}")
+    return "".join(f"{sentence}. " for sentence in sentences).rstrip()
 
 
 def _with_article(statistic: str) -> str:
@@ -315,6 +325,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
         ("Measured in turns", comparison.interleaved),
         ("Unlike environments", comparison.environment),
         ("Order", [comparison.order] if comparison.order else []),
+        ("Unfinished", [_unfinished(comparison)] if any(comparison.unfinished.values()) else []),
         ("Finding of severity error", [error.text for error in comparison.errors]),
     )
     return tuple(
@@ -322,13 +333,18 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
     )
 
 
+def _unfinished(comparison: Comparison) -> str:
+    runs = counted(sum(comparison.unfinished.values()), "run")
+    return f"{runs} did not finish; what has less than half of the messages of the longest run is left out."
+
+
 def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
-    within, share = f"{comparison.options.same_within:.0%}", f"{comparison.options.confidence:.0%}"
+    within, share = f"{comparison.options.same_within:.0%}", f"{100 * comparison.options.confidence:.3g}%"
     gates = f", gates by {GATE_FAMILY}" if gated else ""
     return (
         f"Changes and intervals ({share}) are of new / base; 'the same' is a result whose intervals here are within {within}.",
         "A lost message is infinitely late.",
         f"The run is the unit: a verdict needs {MIN_RUNS} runs a side.",
-        f"Verdicts are adjusted for the number of results ({FAMILY}){gates}.",
+        f"Verdicts are adjusted for their number ({FAMILY}){gates}.",
         "A change that would not be seen is one that these runs would have missed in more than 20 of 100 repetitions.",
     )

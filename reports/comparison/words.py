@@ -54,8 +54,12 @@ def side_words(row: Mapping[str, Any], side: str) -> str:
     return f"{words} ({bursts})" if bursts else words
 
 
+MOST_PERCENT = 1000
+"""Change from which on a factor is written."""
+
+
 def change_words(ratio: float | None) -> str:
-    """Format a ratio as a change, as in `+20 %` or `-0.35 %`."""
+    """Format a ratio as a change of three digits, as in `+20 %` or `-0.352 %`, or as in `31.2 times`."""
     if ratio is None:
         return MISSING
     if math.isinf(ratio):
@@ -63,7 +67,7 @@ def change_words(ratio: float | None) -> str:
     percent = 100 * (ratio - 1)
     if abs(percent) < 0.005:
         return "0 %"
-    return f"{percent:+,.0f} %" if abs(percent) >= 99.5 else f"{percent:+.2g} %"
+    return f"{percent:+.3g} %" if percent < MOST_PERCENT - 0.5 else f"{float(f'{ratio:.3g}'):,.0f} times"
 
 
 def interval_words(row: Mapping[str, Any]) -> str:
@@ -111,7 +115,7 @@ def why_words(result: GateResult) -> str:
         )
     elif result.smallest_drop is not None:
         smallest = (
-            f"drops from {100 * result.smallest_drop:.2f} points on are found with a probability of 80 %"
+            f"drops from {100 * result.smallest_drop:.3g} points on are found with a probability of 80 %"
         )
     return "; ".join(text for text in (result.reason, smallest) if text)
 

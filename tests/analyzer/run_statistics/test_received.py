@@ -18,7 +18,7 @@ from dds_trace.analyzer.run_statistics.received import (
     received_interval,
     wilson_ends,
 )
-from dds_trace.analyzer.statistics.distributions import student_quantile
+from dds_trace.analyzer.statistics.distributions import student_cdf, student_quantile
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.statistics.power import smallest_shift
 
@@ -165,6 +165,35 @@ def test_equal_losses_are_rarely_told_apart():
     assert np.mean([verdict is not Verdict.INCONCLUSIVE for verdict in verdicts]) <= 0.07
 
 
+@pytest.mark.parametrize("length", [8, 20, 40, 100])
+def test_one_outage_in_one_run_of_five_is_no_verdict(length):
+    base = [losing(400)] * 5
+    change = change_of_received(base, [*base[1:], losing(400, (100, 100 + length))])
+    assert change.verdict() is Verdict.INCONCLUSIVE
+    assert change.difference_low < 0 < change.difference_high
+    assert change.p_value > 0.3
+
+
+@pytest.mark.parametrize(
+    ("runs", "messages"), [((5, 5), (400, 400)), ((3, 10), (400, 400)), ((5, 5), (200, 1000))]
+)
+@pytest.mark.parametrize("together", [1, 20, 100])
+def test_equal_sides_with_outages_are_rarely_told_apart(together, runs, messages):
+    generator = np.random.default_rng(6)
+
+    def draw(number, count):  # 5 % are lost, in outages that begin at any message
+        begins = generator.random((number, count + together)) < 0.05 / together
+        return [~(np.convolve(one, np.ones(together))[together : together + count] > 0) for one in begins]
+
+    changes = [change_of_received(*map(draw, runs, messages)) for _ in range(300)]
+    assert np.mean([change.verdict() is not Verdict.INCONCLUSIVE for change in changes]) <= 0.07
+
+
+def test_a_drop_that_could_not_be_seen_is_none():
+    unlike = [losing(100, (0, lost)) for lost in (5, 50, 95)]
+    assert change_of_received(unlike, unlike).smallest_drop is None
+
+
 @pytest.mark.parametrize(
     ("ends", "verdict"),
     [
@@ -195,12 +224,21 @@ def test_the_ends_of_a_change_are_those_of_its_sides():
     one, other = received_interval(base, 0.9), received_interval(new, 0.9)
     assert (change.base, change.new, change.basis) == (one, other, Basis.BETWEEN_RUNS)
     assert change.difference == other.value - one.value == pytest.approx(-7 / 400)
+    # Newcombe's low end is the farther one, the high one is that of the angles: 0.0707 of each run of the base (2 of 400), 0.1506
+    # (9 of 400) of three and of one run of the new side 0.1506: no spread, so each run has the variance 1 / 1600.
     low = change.difference - math.hypot(other.value - other.lower, one.upper - one.value)
-    high = change.difference + math.hypot(other.upper - other.value, one.value - one.lower)
-    assert (change.difference_low, change.difference_high) == pytest.approx((low, high))
-    # Two degrees of freedom, as the side with fewer runs has.
-    error = (change.difference - low) / student_quantile(0.95, 2)
-    assert change.smallest_drop == pytest.approx(smallest_shift(error, 2, 0.9))
+    assert change.difference_low == pytest.approx(low)
+    angles = [math.asin(math.sqrt(lost / 400)) for lost in (2, 9)]
+    errors = [1 / 40 / math.sqrt(runs) for runs in (3, 4)]
+    reach = student_quantile(0.95, 2)  # two degrees of freedom, as the side with fewer runs has
+    shares = [math.sin(angle) ** 2 for angle in angles]
+    fewest = max(0.0, angles[1] - reach * errors[1]), angles[0] + reach * errors[0]
+    near = math.hypot(shares[1] - math.sin(fewest[0]) ** 2, math.sin(fewest[1]) ** 2 - shares[0])
+    assert change.difference_high == pytest.approx(near - (shares[1] - shares[0]))
+    error = math.hypot(*errors)
+    assert change.p_value == pytest.approx(2 * student_cdf(-(angles[1] - angles[0]) / error, 2))
+    farthest = angles[0] + smallest_shift(error, 2, 0.9)
+    assert change.smallest_drop == pytest.approx(math.sin(farthest) ** 2 - shares[0])
     single = change_of_received(base[:2], new)
     assert (single.basis, single.smallest_drop) == (Basis.WITHIN_RUN, None)
     assert change_of_received([], new).difference_low is None

@@ -175,7 +175,9 @@ class DeliveryChange:
         return Verdict.BETTER if low > 0 else Verdict.INCONCLUSIVE
 
 
-def change_of_received(base: Sequence[Bools], new: Sequence[Bools], confidence: float = 0.95) -> DeliveryChange:
+def change_of_received(
+    base: Sequence[Bools], new: Sequence[Bools], confidence: float = 0.95
+) -> DeliveryChange:
     """Return the change of the received ratio.
 
     The ends follow from the ones of both sides (R. Newcombe, Statistics in Medicine 17, 1998, method 10), between runs widened to

@@ -117,6 +117,10 @@ bench-report *args: setup
 coverage *args: setup
     {{bin}}/python benchmarks/coverage.py {{args}}
 
+# How often comparisons err and find: losses, 1 to 50 results, looks at growing recordings (--quick: some minutes)
+coverage-comparisons *args: setup
+    {{bin}}/python benchmarks/comparisons.py {{args}}
+
 # How often comparisons of equal sides err, by drawing pairs from the recordings of a sweep (twenty repeats: docs/results/coverage.md)
 real-aa *args: setup
     {{bin}}/python benchmarks/real_aa.py {{args}}

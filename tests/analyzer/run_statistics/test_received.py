@@ -172,6 +172,11 @@ def test_one_outage_in_one_run_of_five_is_no_verdict(length):
     assert change.verdict() is Verdict.INCONCLUSIVE
     assert change.difference_low < 0 < change.difference_high
     assert change.p_value > 0.3
+    # The mean angle is a fifth of the run's, and so is its error.
+    angle = math.asin(math.sqrt(length / 400)) / 5
+    assert change.p_value == pytest.approx(
+        2 * student_cdf(-angle / math.hypot(angle, 0.025 / math.sqrt(5)), change.degrees)
+    )
 
 
 @pytest.mark.parametrize(
@@ -224,21 +229,17 @@ def test_the_ends_of_a_change_are_those_of_its_sides():
     one, other = received_interval(base, 0.9), received_interval(new, 0.9)
     assert (change.base, change.new, change.basis) == (one, other, Basis.BETWEEN_RUNS)
     assert change.difference == other.value - one.value == pytest.approx(-7 / 400)
-    # Newcombe's low end is the farther one, the high one is that of the angles: 0.0707 of each run of the base (2 of 400), 0.1506
-    # (9 of 400) of three and of one run of the new side 0.1506: no spread, so each run has the variance 1 / 1600.
+    # Newcombe's ends are the farther ones.
     low = change.difference - math.hypot(other.value - other.lower, one.upper - one.value)
-    assert change.difference_low == pytest.approx(low)
+    high = change.difference + math.hypot(other.upper - other.value, one.value - one.lower)
+    assert (change.difference_low, change.difference_high) == pytest.approx((low, high))
+    # No spread: each run has the variance of single losses, 1 / 1600; two degrees, as the side with fewer runs has.
     angles = [math.asin(math.sqrt(lost / 400)) for lost in (2, 9)]
     errors = [1 / 40 / math.sqrt(runs) for runs in (3, 4)]
-    reach = student_quantile(0.95, 2)  # two degrees of freedom, as the side with fewer runs has
-    shares = [math.sin(angle) ** 2 for angle in angles]
-    fewest = max(0.0, angles[1] - reach * errors[1]), angles[0] + reach * errors[0]
-    near = math.hypot(shares[1] - math.sin(fewest[0]) ** 2, math.sin(fewest[1]) ** 2 - shares[0])
-    assert change.difference_high == pytest.approx(near - (shares[1] - shares[0]))
     error = math.hypot(*errors)
     assert change.p_value == pytest.approx(2 * student_cdf(-(angles[1] - angles[0]) / error, 2))
     farthest = angles[0] + smallest_shift(error, 2, 0.9)
-    assert change.smallest_drop == pytest.approx(math.sin(farthest) ** 2 - shares[0])
+    assert change.smallest_drop == pytest.approx(math.sin(farthest) ** 2 - math.sin(angles[0]) ** 2)
     single = change_of_received(base[:2], new)
     assert (single.basis, single.smallest_drop) == (Basis.WITHIN_RUN, None)
     assert change_of_received([], new).difference_low is None

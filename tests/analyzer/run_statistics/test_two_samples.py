@@ -10,7 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dds_trace.analyzer.run_statistics.change import probability_of_superiority
-from dds_trace.analyzer.run_statistics.two_samples import fieller_ends, mover_ends, paired_test, welch_test
+from dds_trace.analyzer.run_statistics.two_samples import (
+    fieller_ends,
+    mover_ends,
+    paired_test,
+    permutation_p_value,
+    welch_test,
+)
 
 numbers = st.lists(st.floats(-100, 100), min_size=3, max_size=8)
 
@@ -88,3 +94,18 @@ def test_how_often_one_of_a_side_is_faster_is_a_count_of_pairs():
         base, new = (np.sort(draw.integers(0, 6, int(draw.integers(1, 9)))) for _ in range(2))
         pairs = [(other < one) + (other == one) / 2 for one in base for other in new]
         assert probability_of_superiority(base, new) == pytest.approx(np.mean(pairs), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("base", "new", "p_value"),
+    [
+        ([1, 1, 1, 1, 1], [0, 0, 0, 0, 0], 2 / 252),  # Fisher's exact test of 5 of 5 against none
+        ([1, 1, 1, 1, 0], [0, 0, 0, 0, 0], 2 * math.comb(6, 1) / 252),
+        ([1, 1, 1], [0, 0, 0], 2 / 20),
+        ([1, 2, 3], [1, 2, 3], 1.0),
+        ([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], 2 / 20),
+        ([1] * 10, [0] * 10, 0.0),  # 184,756 ways are too many
+    ],
+)
+def test_permutations_by_hand(base, new, p_value):
+    assert permutation_p_value(np.array(base, float), np.array(new, float)) == pytest.approx(p_value)

@@ -14,6 +14,7 @@ from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.statistics.power import (
     _fewest,
     benjamini_hochberg_adjusted,
+    confidence_at_each,
     holm_adjusted,
     messages_to_close,
     runs_to_decide,
@@ -148,3 +149,9 @@ def test_a_twentieth_of_the_alarms_is_false():
         for found in (benjamini_hochberg_adjusted(draw) <= 0.05 for draw in draws)
     ]
     assert np.mean(false) <= 0.05
+
+
+def test_looks_are_stricter_by_pocock():
+    assert [confidence_at_each(looks) for looks in (1, 2, 5, 10)] == pytest.approx(
+        [0.95, 0.9706, 0.9842, 0.9894]
+    )

@@ -73,7 +73,7 @@ def test_the_second_sentence_says_which_changes_would_not_be_seen():
     info = comparison_info(compared_at(5))
     assert info.said == "Nothing is shown to be slower in 1 result."
     # The runs agree to 0.1 %, yet a change within 5 % is called the same.
-    assert info.seen == "Changes of the median below 4.8 % would not be seen."
+    assert info.seen == "Changes of the median below 4.84 % would not be seen."
     assert (
         comparison_info(compared_at(6)).said
         == "Slower in 1 of 1 result, most the median of the latency: +20 %."

@@ -216,7 +216,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         interleaved=partner_differences(partners, match),
         ignored=ignored_sentences(base.summary, new.summary, match),
         order=recorded_apart(base.sessions, new.sessions),
-        same_recordings={run.run_id for run in base.runs} == {run.run_id for run in new.runs},
+        same_recordings=before.equals(after),
         errors=(
             *errors_of("base", base.findings, keys_of(base.summary, {})),
             *errors_of("new", new.findings, keys_of(new.summary, names)),

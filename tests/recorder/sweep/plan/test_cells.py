@@ -18,7 +18,7 @@ def test_name_can_be_a_file_name_whatever_the_data():
     assert Cell(data="file:/home/x/a b.png").name == "ros2_same_file--home-x-a-b.png_10Hz"
 
 
-CHANGES = {
+CHANGES = {name: {bool: True, int: 3, float: 3.0}.get(axis.kind, "other") for name, axis in AXES.items()} | {
     "backend": "zenoh",
     "rmw": "rmw_x_cpp",
     "relay_backend": "cyclonedds",

@@ -58,7 +58,8 @@ test-lowest *args:
     @uv pip install --quiet --python {{lowest}}/bin/python --no-deps -e .
     {{lowest}}/bin/python -m pytest -W ignore::DeprecationWarning -m 'not slow and not middleware and not browser' -n 2 -q {{args}} \
         tests/base tests/tracefile/reading tests/tracefile/mcapfile tests/analyzer/test_sample_traces.py tests/analyzer/groups \
-        tests/analyzer/exports tests/analyzer/saving tests/cli/test_help.py tests/cli/test_analyze_options.py
+        tests/analyzer/exports tests/analyzer/saving tests/cli/test_analyze_options.py \
+        --deselect tests/analyzer/groups/test_intervals.py::test_metrics_side_by_side_are_each_as_by_themselves
 
 # Record sample_traces/ again
 samples: setup

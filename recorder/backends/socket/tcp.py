@@ -207,7 +207,7 @@ class TcpLinks:
             self._retry_s[address] = time.monotonic() + RETRY_S
 
     def _has_memory(self, peer: _TcpPeer, size: int) -> bool:
-        """Return whether a frame of `size` bytes fits beside those that other peers are sending."""
+        """Return whether a frame of `size` bytes fits in addition to those that other peers are sending."""
         return size + sum(other.frame_bytes for other in self._connected if other is not peer) <= MEMORY_BYTES
 
     def interrupt(self) -> None:

@@ -159,8 +159,8 @@ def fit_exchanges(
     columns = []
     for name in ONE_WAY_COLUMNS:
         column = pl.Series(name, values[name] if values else np.zeros(rows, np.int64))
-        is_known = is_bounded if name == "clock_bound_ns" else is_fitted
-        columns.append(column if is_known.all() else column.set(pl.Series(~is_known), None))
+        has_value = is_bounded if name == "clock_bound_ns" else is_fitted
+        columns.append(column if has_value.all() else column.set(pl.Series(~has_value), None))
     return OneWay(tuple(columns), tuple(fits))
 
 

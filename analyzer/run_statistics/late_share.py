@@ -80,7 +80,7 @@ def _predicted_limit(logs: list[Float64], deadline: float, probability: float) -
     normal, ratio = _pivots(len(levels))
     deviation = math.sqrt(max(variance, 1e-18)) * ratio
     level = mean + normal * deviation / math.sqrt(len(levels))
-    # The upper edge of each bin stands for its residuals: the limit gets no lower.
+    # The upper edge of each bin replaces its residuals: the limit gets no lower.
     beyond = (level[:, None] + edges[1:] - deadline) / deviation[:, None]
     late = np.interp(beyond, _GRID, _CUMULATIVE) @ (counts / len(residuals)) + (1 - is_finite.mean())
     return float(np.quantile(late, probability))

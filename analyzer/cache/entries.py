@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     Fill = Callable[["StoredParts"], Trace]
     """Adds all events of a trace and returns the trace without them."""
 
-_FORMAT = 4
-"""Version of an entry; another version is ignored. 2: seals of the events; 3: events in pieces; 4: one file."""
+_FORMAT = 5
+"""Version of an entry; another version is ignored. 2: seals of the events; 3: events in pieces; 4: one file; 5: no impossible
+instants."""
 
 
 class StoredParts:

@@ -108,7 +108,9 @@ def change_of_runs(
     return change_of_estimates(before, after, passes)
 
 
-def change_of_estimates(base: Estimate, new: Estimate, passes: Passes | None = None) -> Change:
+def change_of_estimates(
+    base: Estimate, new: Estimate, passes: Passes | None = None, p_of_losses: float = 1.0
+) -> Change:
     """Return the change between two estimates of one statistic; `passes` are the repeats of both sides' runs.
 
     If a run's statistic is infinite, the reciprocals are compared. If one is not above zero, there is a difference and no ratio.
@@ -119,11 +121,9 @@ def change_of_estimates(base: Estimate, new: Estimate, passes: Passes | None = N
     scale = scale_of(np.concatenate([base.units.values, new.units.values]))
     if scale is Scale.NONE:
         return Change(*sides, Basis.BETWEEN_RUNS)
-    compare = {
-        Scale.LOGARITHM: _change_of_logarithms,
-        Scale.LINEAR: _change_of_values,
-        Scale.RECIPROCAL: _change_of_reciprocals,
-    }[scale]
+    if scale is Scale.RECIPROCAL:
+        return _change_of_reciprocals(*sides, base.units, new.units, p_of_losses)
+    compare = _change_of_logarithms if scale is Scale.LOGARITHM else _change_of_values
     return compare(*sides, base.units, new.units, passes)
 
 
@@ -188,7 +188,7 @@ def _change_of_values(
 
 
 def _change_of_reciprocals(
-    base: Interval, new: Interval, base_units: Units, new_units: Units, _: object
+    base: Interval, new: Interval, base_units: Units, new_units: Units, p_of_losses: float
 ) -> Change:
     """Compare mean reciprocals: base over new is new / base of the statistic."""
     above, below = 1 / base_units.values, 1 / new_units.values
@@ -196,8 +196,9 @@ def _change_of_reciprocals(
         return Change(base, new, Basis.BETWEEN_RUNS)
     test = welch_test(above, below)
     ratio_low, ratio_high = fieller_ends(above, below, test, base.confidence)
-    # Where all runs of one side are lost their reciprocals do not vary, and Student's t takes five runs for certainty.
-    p_value = max(test.p_value, permutation_p_value(above, below))
+    # Where all runs of one side are lost their reciprocals do not vary, and Student's t takes five runs for certainty;
+    # `p_of_losses` is the p value of the losses themselves.
+    p_value = max(test.p_value, min(permutation_p_value(above, below), p_of_losses))
     return Change(
         base=base,
         new=new,

@@ -325,6 +325,7 @@ def _changes(
     passes: Mapping[int, int],
 ) -> Iterator[tuple[DistributionRow, list[tuple[ChangeRow, Change]]]]:
     paired = passes_of(base.runs, new.runs, passes) if options.paired else None
+    p_of_losses = 1.0 if received.p_value is None else received.p_value
     for metric in options.metrics:
         before, after = base.delivered(metric), new.delivered(metric)
         superiority = probability_of_superiority(before.ordered, after.ordered)
@@ -332,7 +333,7 @@ def _changes(
         estimates = (estimates_of_runs(side, statistics, options.confidence) for side in (before, after))
         changes = []
         for name, statistic, one, other in zip(options.statistics, statistics, *estimates, strict=True):
-            change = change_of_estimates(one, other, paired)
+            change = change_of_estimates(one, other, paired, p_of_losses)
             row = ChangeRow(
                 metric=metric,
                 statistic=name,

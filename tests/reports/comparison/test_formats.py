@@ -75,7 +75,7 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first():
             < text.index("1 ms → 2 ms")
             < text.rindex("Binary 1 KB at")
         )
-        assert "to 109)" in text
+        assert "109)" in text
         assert "Only in the base:\n  Binary 7 B at 10 Hz" in text
     assert whole.count("the same\n") == 29
     assert short.count("the same\n") == 9

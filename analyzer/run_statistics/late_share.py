@@ -44,7 +44,7 @@ class LateShare:
 def late_share(runs: Runs, deadline_ns: float, confidence: float = 0.95) -> LateShare | None:
     """Return the late share of runs of values in ns, infinite for a lost message; None without a message.
 
-    Each limit is wrong with half of the rest of the confidence. The first upper limit is Student's of the runs' late shares. Alone it
+    Each limit is wrong with half of the rest of the confidence. The first upper limit is Student's of the runs' late shares. By itself it
     fails where no run was late yet: with levels that spread by 20 % and a true late share of 2 %, 25 to 70 % of its limits are below
     1 %. The second one takes the logarithm of a value as the run's level plus a residual, and levels as normal.
     """

@@ -80,7 +80,7 @@ class CaseAnswer:
         fewest_runs: runs of the setup that has the fewest.
         leader_p50: setup whose median is clearly below every other's; empty if none is.
         leader_p99: the same of the p99; empty also where some setup has no interval for it.
-        repeats_p50: repeats that would probably tell the best median from those not told apart from it; None if there are none.
+        repeats_p50: repeats that would probably prove the best median's lead over the setups without a proven difference; None if there are none.
         repeats_p99: the same of the p99.
         interleaved: False if some setups were recorded one after the other.
         drift_ratio: the smallest drift between these that a test would call a difference of medians.

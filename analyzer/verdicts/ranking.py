@@ -197,7 +197,7 @@ def _ranking(
 
 
 def _pairs(kinds: Sequence[Kind], percentile: str, *, trust_order: bool) -> dict[int, list[SetupPair]]:
-    """Return for the index of each kind the tests of all pairs; those of the fastest setup come first."""
+    """Return for the index of each kind the tests of all pairs, the fastest setup's first."""
     families: dict[Hashable, dict[tuple[Hashable, str], RunLogarithms]] = defaultdict(dict)
     compared = {index: kind for index, kind in enumerate(kinds) if percentile in kind.percentiles}
     for index, kind in compared.items():

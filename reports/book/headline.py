@@ -253,10 +253,10 @@ def _lead_words(stretch: Stretch, percentile: str) -> str:
 
 
 def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
-    """Return `Zenoh or Fast DDS, not told apart; Cyclone DDS takes 2.2 times as long as Zenoh`."""
+    """Return `Zenoh or Fast DDS, no difference proven; Cyclone DDS takes 2.2 times as long as Zenoh`."""
     first = outcome.best[0]
     label = dict(PERCENTILES)[outcome.percentile]
-    best = f"{joined([labels[name] for name in outcome.best], 'or')}, not told apart {label}"
+    best = f"{joined([labels[name] for name in outcome.best], 'or')}, no difference proven {label}"
     if len(outcome.best) == 1:  # a setup that loses more is as fast
         best = f"of setups that lose little, {labels[first]} is fastest {label}"
     parts = []

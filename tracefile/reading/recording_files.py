@@ -1,6 +1,6 @@
 """Files of a recording that is not ours: those its metadata lists, each readable by itself, and what the recording says it has.
 
-Libraries match topics by the texts of `metadata.yaml`, do not read a log of SQLite beside a database, and take any file of a folder.
+Libraries match topics by the texts of `metadata.yaml`, do not read the log (`-wal`) of a SQLite database, and take any file of a folder.
 """
 
 from __future__ import annotations

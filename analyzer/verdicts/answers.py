@@ -216,6 +216,7 @@ def _measure_case(
                 repeats=_repeats(group.runs, passes),
                 starts_ns=_starts_ns(group.runs, wall_offsets_ns),
                 may_lead=name in usable and name not in losers,
+                received=group.received,
             ),
             received[name],
             {key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},

@@ -17,11 +17,14 @@ import numpy as np
 
 from ..run_statistics.between_runs import Scale, scale_of
 from ..run_statistics.change import change_of_estimates
+from ..run_statistics.received import change_of_received
 from ..run_statistics.setups import RunLogarithms, overlap_in_time, setup_means, tier_letters
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from ..run_statistics.between_runs import Estimate
     from ..run_statistics.setups import SetupMean
@@ -52,12 +55,14 @@ class SetupRuns:
         repeats: the repeat of each run; empty if some run has none.
         starts_ns: when each run started by one clock; empty if unknown.
         may_lead: False for a setup that lost too much.
+        received: for each run and message whether its reply came back.
     """
 
     estimates: Mapping[str, Estimate]
     repeats: tuple[int, ...] = ()
     starts_ns: tuple[int, ...] = ()
     may_lead: bool = True
+    received: tuple[NDArray[np.bool_], ...] = ()
 
     def logarithms(self, percentile: str) -> RunLogarithms | None:
         """Return the logarithms of the runs' percentiles; None below three runs, and where one is infinite or not above zero."""
@@ -247,7 +252,12 @@ def _pair(
         p_value, ratio = test.p_value, math.exp(test.difference)
     else:
         tested = None
-        change = change_of_estimates(fast.estimates[percentile], slow.estimates[percentile])
+        losses = change_of_received(fast.received, slow.received).p_value
+        change = change_of_estimates(
+            fast.estimates[percentile],
+            slow.estimates[percentile],
+            p_of_losses=1.0 if losses is None else losses,
+        )
         p_value, ratio = change.p_value, change.ratio
     units = fast.estimates[percentile].units
     return SetupPair(

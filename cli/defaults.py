@@ -32,6 +32,12 @@ _WITHOUT_DEFAULT = frozenset(
 )
 """Options without a configured default: they overwrite, or do something else than the command."""
 
+OWN_ONLY = frozenset(
+    ("against", "bridge", "bridge-listen", "bridge-peer", "cluster", "file-mode", "host", "keep", "listen", "open")
+    + ("out", "peer", "port", "rmw", "topic", "type")
+)
+"""Options that name code, an address, an output or what is sent: a file in a working folder may belong to somebody else."""
+
 
 @dataclass(frozen=True, slots=True)
 class Default:
@@ -47,10 +53,14 @@ def find_files() -> list[Path]:
     if named is not None:
         return [Path(named)] if named else []
     nearest = next((path for folder in _folders() if (path := folder / FILE_NAME).is_file()), None)
-    config = os.environ.get("XDG_CONFIG_HOME") or os.path.join(_home(), ".config")  # noqa: PTH118 - no home, no folder
-    own = Path(config, "dds-trace", FILE_NAME)
-    paths = [path for path in (nearest, own) if path is not None]
+    paths = [path for path in (nearest, _own_file()) if path is not None]
     return [path for path in dict.fromkeys(paths) if path.is_file()]
+
+
+def _own_file() -> Path | None:
+    """Return the path in the user's configuration folder; a relative one would be a working folder's."""
+    config = Path(os.environ.get("XDG_CONFIG_HOME") or Path(_home(), ".config"))
+    return config / "dds-trace" / FILE_NAME if config.is_absolute() else None
 
 
 def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]) -> dict[str, Default]:
@@ -62,7 +72,7 @@ def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]
         options: name without dashes -> whether it is repeatable.
 
     Raises:
-        OptionError: a file cannot be read, belongs to another user, or has an unknown key.
+        OptionError: a file cannot be read, belongs to another user, has an unknown key, or one of `OWN_ONLY` in a working folder.
     """
     defaults: dict[str, Default] = {}
     for path in reversed(files):
@@ -98,10 +108,20 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
         own.allow(*allowed)
         if isinstance(value, dict) or (isinstance(value, list) and not options[key]):
             raise OptionError(f"{own.where}: {key} is {limits.shown(value)}; write one value")
+        if _is_own_only(key, value) and VARIABLE not in os.environ and path != _own_file():
+            raise OptionError(
+                f"{own.where}: {key} = {limits.shown(value)} cannot come from a working folder: give --{key}, or set it in "
+                f"{_own_file() or VARIABLE}; {VARIABLE}= in the environment ignores this file"
+            )
     return {
         key: value if isinstance(value, list) or not options[key] else [value]
         for key, value in own.values.items()
     }
+
+
+def _is_own_only(key: str, value: object) -> bool:
+    """Return whether only the user may set this; `data` names a file, a bag or a running topic by its colon."""
+    return key in OWN_ONLY or (key == "data" and ":" in str(value))
 
 
 def _folders() -> Iterator[Path]:

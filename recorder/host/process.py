@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import Json
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 SWITCH_INTERVAL_S = 0.0005
 """Longest time that a computing thread delays one that received a message (by default 5 ms)."""
@@ -135,7 +135,9 @@ class StopEvent(threading.Event):
 
 
 def stop_at_signals() -> StopEvent:
-    """Return an event that SIGINT and SIGTERM set from now on; a third one ends the process at once, and the ring keeps the events.
+    """Return an event that SIGINT, SIGTERM and SIGHUP (not under `nohup`) set from now on; a third one ends the process at once.
+
+    The ring keeps the events.
 
     A handler may run while the main thread has the event's lock in `wait()`, where `set()` would deadlock.
     `SimpleQueue.put` is reentrant, so a thread that reads a queue sets the event.
@@ -152,6 +154,8 @@ def stop_at_signals() -> StopEvent:
 
     threading.Thread(target=set_at_first, name="stop-signals", daemon=True).start()
     for number in STOP_SIGNALS:
+        if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
+            continue
         signal.signal(number, lambda number, _: received.put(number))
     return stop
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 
 import pytest
+import typer
 
-from dds_trace.cli import analyze, bridge
-from dds_trace.cli.defaults import FILE_NAME, VARIABLE, find_files
+from dds_trace.cli import analyze, bridge, compare, watch
+from dds_trace.cli.defaults import _WITHOUT_DEFAULT, FILE_NAME, OWN_ONLY, VARIABLE, find_files
 from dds_trace.cli.program import run_command
 from dds_trace.cli.record import command as record
 from dds_trace.cli.sweep import command as sweep
@@ -166,6 +168,85 @@ def test_what_cannot_be_a_default_is_one_line_with_its_file(home, run, text, sai
     assert err.count("\n") == 1
 
 
+# Free texts with a grammar of their own: none of them names code, an address, a file or what is sent.
+DESCRIBING_TEXTS = {
+    "record": "backend congestion-control connectivity cpu-affinity data deadline device fail-if-lost keep-free label lifespan "
+    "rotate setting size",
+    "bridge": "deadline lifespan",
+    "sweep": "until",
+    "analyze": "deadline recommend report",
+    "compare": "fail-if ignore",
+    "watch": "",
+}
+TABLES = {
+    "record": record.app,
+    "bridge": bridge.app,
+    "sweep": sweep.app,
+    "analyze": analyze.app,
+    "compare": compare.app,
+    "watch": watch.app,
+}
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_each_option_with_a_free_value_is_the_users_own_or_describes_the_measurement(table):
+    command = typer.main.get_command(TABLES[table])
+    options = {option.opts[-1].lstrip("-"): option for option in command._options()}
+    free = {
+        name
+        for name, option in options.items()
+        if not re.search("int|float|bool|choice", option.type.name + type(option.type).__name__, re.IGNORECASE)
+    }
+    assert free - OWN_ONLY - _WITHOUT_DEFAULT == set(DESCRIBING_TEXTS[table].split())
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        ("sweep", "against = 'evil'"),
+        ("sweep", "out = '/tmp/x'"),
+        ("analyze", "cluster = 'tcp://127.0.0.1:1'"),
+        ("analyze", "out = '/tmp/x'"),
+        ("analyze", "open = true"),
+        ("compare", "out = '/tmp/x'"),
+        ("watch", "host = '0.0.0.0'"),
+        ("watch", "port = 1"),
+        ("bridge", "listen = '0.0.0.0:1'"),
+        ("bridge", "topic = ['/a:std_msgs/msg/String']"),
+        ("record", "peer = ['192.0.2.1']"),
+        ("record", "bridge = 'builtin'"),
+        ("record", "bridge-peer = '192.0.2.1:1'"),
+        ("record", "type = ['a/msg/B']"),
+        ("record", "rmw = 'rmw_x_cpp'"),
+        ("record", "data = 'file:/etc/passwd'"),
+        ("record", "data = 'bag:x#/y'"),
+        ("record", "data = 'topic:/camera'"),
+        ("record", "out = 'x.mcap'"),
+        ("record", "keep = 1"),
+        ("record", "file-mode = '0666'"),
+    ],
+)
+def test_a_working_folder_sets_no_program_address_or_output(home, run, table, line, monkeypatch):
+    key = line.split(" ")[0]
+    path = write(home / "repository", f"[{table}]\n{line}\n")
+    code, out, err = run(TABLES[table], "x", "--print-config")
+    assert (code, out) == (2, "")
+    assert f"{path}: [{table}]: {key} = " in err
+    assert "cannot come from a working folder" in err
+    path.rename(write(home / ".config/dds-trace", ""))
+    assert "working folder" not in run(TABLES[table], "x", "--print-config")[2]
+    named = write(home / "elsewhere", f"[{table}]\n{line}\n")
+    monkeypatch.setenv(VARIABLE, str(named))
+    assert "working folder" not in run(TABLES[table], "x", "--print-config")[2]
+
+
+def test_a_relative_configuration_folder_is_not_the_users(home, run, monkeypatch):
+    monkeypatch.chdir(home / "repository")
+    write(home / "repository/conf/dds-trace", "[sweep]\nagainst = 'evil'\n")
+    monkeypatch.setenv("XDG_CONFIG_HOME", "conf")
+    assert find_files() == []
+
+
 def test_a_named_file_that_is_missing_and_one_of_a_stranger_are_refused(home, run, monkeypatch):
     path = write(home / "repository", "[record]\n")
     real = path.stat()
@@ -179,7 +260,7 @@ def test_a_named_file_that_is_missing_and_one_of_a_stranger_are_refused(home, ru
 
 
 def test_a_sweep_has_defaults_and_its_recordings_have_none(home, run, monkeypatch):
-    write(home / "repository", "[record]\nreliability = 'best_effort'\n[sweep]\nout = 'there'\n")
+    write(home / ".config/dds-trace", "[record]\nreliability = 'best_effort'\n[sweep]\nout = 'there'\n")
     (home / "plan.toml").write_text("[run]\nmessages = 1\n")
     folders, checked = [], []
 

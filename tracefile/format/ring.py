@@ -91,7 +91,7 @@ STAGE_MARKS = (0, *(number << 56 for number in range(1, len(Stage) + 1)))
 
 TICKET_MASK = np.uint64((1 << 56) - 1)  # numpy 1 mixes no Python int with a single uint64
 _TICKETS = np.uint64(1 << 40)
-"""More than a session has: twelve days at a million a second."""
+"""More events than a session records or drops: twelve days at a million a second."""
 
 STAGE_NUMBERS = dict(enumerate(Stage, start=1))
 """Number of a stage in slots, and of its channel in our files -> stage."""
@@ -219,6 +219,8 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
         )
     if len(content) < slots_at + slot_count * SLOT_BYTES or RING_HEADER.size + text_bytes > slots_at:
         raise TraceFormatError(path, "the ring file is shorter than its header says")
+    if dropped >= _TICKETS:
+        raise TraceFormatError(path, "its number of dropped events is damaged", DROPPED_AT)
     session = _session(content[RING_HEADER.size : RING_HEADER.size + text_bytes], path)
     slots = np.frombuffer(content, SLOT_DTYPE, slot_count, slots_at)
     return _pending(slots, slot_count, events_in_trace, session, dropped, recording=recording)
@@ -248,7 +250,18 @@ def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> R
             return None
     whole = min(slot_count, (len(content) - slots_at) // SLOT_BYTES)
     slots = np.frombuffer(content, SLOT_DTYPE, whole, slots_at)
-    return _pending(slots, slot_count, events_in_trace, session, dropped, recording=recording)
+    return _pending(
+        slots, slot_count, events_in_trace, session, dropped if dropped < _TICKETS else 0, recording=recording
+    )
+
+
+def is_recorded(trace: Path) -> bool:
+    """Return whether a living recorder has the ring of a trace."""
+    try:
+        with open_regular(ring_path(trace)) as stream:
+            return _is_locked(stream.fileno())
+    except OSError:
+        return False
 
 
 def _read(path: Path) -> tuple[bytes, bool]:

@@ -10,7 +10,7 @@ from dds_trace.base.errors import OutputExistsError
 from dds_trace.base.files import OWNER_AND_GROUP, flush_to_disk, output_error
 
 from ..format.bag_metadata import METADATA_NAME
-from ..format.ring import ring_path
+from ..format.ring import is_recorded, ring_path
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -96,13 +96,15 @@ def make_room(destination: TraceDestination) -> None:
     """Create the folder of the trace; refuse existing files of the same names, or remove them with `force`.
 
     Raises:
-        OutputExistsError: a file exists, without `force`.
+        OutputExistsError: a file exists, without `force`, or is still being recorded.
         OutputError: the folder cannot be created, or a file cannot be removed.
     """
     ours = _files_of(destination)
     existing = [path for path in (destination.path, *ours) if os.path.lexists(path)]  # a dangling link too
     if existing and not destination.force:
         raise OutputExistsError(f"{existing[0]} is there already; choose another name or use --force")
+    if is_recorded(destination.trace_path):
+        raise OutputExistsError(f"{destination.path} is still being recorded; choose another name or stop its recorder")
     try:
         for path in ours:
             path.unlink(missing_ok=True)

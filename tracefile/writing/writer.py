@@ -94,7 +94,7 @@ class TraceWriter:
         for topic in TEXT_TOPICS:
             self._channel(topic, STRING_SCHEMA)
         try:
-            self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
         except OSError as err:
             raise output_error(path, err) from err
         self._is_open = True
@@ -190,6 +190,7 @@ class TraceWriter:
         footer = encode_record(Footer(summary_start, offsets_start, 0))[:-4]  # its CRC covers all but itself
         summary += offsets + footer
         self._append([encode_record(DataEnd(0)), summary, struct.pack("<I", crc32(summary)), MAGIC])
+        self._check_unchanged()
         self.abandon()
 
     def abandon(self) -> None:
@@ -261,10 +262,9 @@ class TraceWriter:
 
     def _append(self, parts: Sequence[bytes | memoryview]) -> None:
         """Write `parts` at the end, all or nothing: bytes of an incomplete write are cut off again."""
+        self._check_unchanged()
         end = self._end
         try:
-            if os.fstat(self._descriptor).st_nlink == 0:
-                raise FileNotFoundError(errno.ENOENT, "deleted")
             end += os.pwritev(self._descriptor, parts, end)
             rest = memoryview(b"")
             if end - self._end < sum(map(len, parts)):  # a disk fills up during a write
@@ -279,6 +279,21 @@ class TraceWriter:
                 os.ftruncate(self._descriptor, self._end)
             raise output_error(self.path, err) from err
         self._end = end
+
+    def _check_unchanged(self) -> None:
+        """Raise an `OutputError` if another program deleted, moved, replaced or truncated the file."""
+        try:
+            status = os.fstat(self._descriptor)
+            if status.st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "deleted")
+            is_ours = os.path.samestat(status, os.stat(self.path, follow_symlinks=False))
+            if not is_ours or status.st_size != self._end:
+                raise OSError(errno.ESTALE, f"{status.st_size} bytes, not {self._end}")
+            # A file truncated during a write has its length again, and a hole at its start.
+            if self._end and os.pread(self._descriptor, len(MAGIC), 0) != MAGIC:
+                raise OSError(errno.ESTALE, "overwritten")
+        except OSError as err:
+            raise output_error(self.path, err) from err
 
 
 class TraceFiles:

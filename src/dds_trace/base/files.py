@@ -150,6 +150,7 @@ _ADVICE = {
     errno.EACCES: "no permission to write here; choose another --out",
     errno.EPERM: "no permission to write here; choose another --out",
     errno.ENOENT: "the file or its folder was deleted or moved; record to a folder that stays",
+    errno.ESTALE: "another program truncated, replaced or overwrote it; keep copies and log rotation away from it",
     errno.ENOTDIR: "a part of the path is not a folder; choose another --out",
 }
 

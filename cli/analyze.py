@@ -15,6 +15,7 @@ import typer
 from dds_trace.analyzer.engines.gc_tuning import tune_gc
 from dds_trace.base import limits
 from dds_trace.base.errors import MissingEventsError
+from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
 
@@ -236,7 +237,7 @@ def main_command(
             print(f"Wrote {path}")
     for finding in analysis.findings:
         if finding.severity is Severity.ERROR:
-            print(f"{finding.where}: {finding.what} {finding.action}", file=sys.stderr)
+            say(f"{finding.where}: {finding.what} {finding.action}")
     _show_page([path for path in reports if path is not None and path.suffix == ".html"], open_it=open_it)
 
 
@@ -275,7 +276,7 @@ def _show_topics(paths: list[Path], target: Path) -> None:
     print_topics(report)
     for source in report.sources:
         if source.status != "read" or source.detail:
-            print(f"{source.path}: {source.status}: {source.detail}", file=sys.stderr)
+            say(f"{source.path}: {source.status}: {source.detail}")
 
 
 def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
@@ -304,13 +305,13 @@ def _reading_bar() -> Iterator[Callable[[int, int, Path], None] | None]:
     if not sys.stderr.isatty():
         yield None
         return
-    from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=plain_console(stderr=True), transient=True) as bar:
         task = bar.add_task("")
         yield lambda done, total, path: bar.update(
-            task, completed=done, total=total, description=f"reading {path.name}"
+            task, completed=done, total=total, description=escape(f"reading {path.name}")
         )
 
 

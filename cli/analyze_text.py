@@ -1,12 +1,13 @@
 """Tables of the topics of other tools' recordings."""
 
+import sys
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from dds_trace.base.printable import printable
+from dds_trace.base.streams import plain_console
 from dds_trace.base.units import format_duration, format_rate, format_size
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ _COLUMNS = (("Messages", 8), ("Rate", 8), ("Gaps", 5), ("Jitter", 7), ("Size", 7
 
 def print_topics(report: "TopicReport") -> None:
     """Print a table for each recording, a row for each topic."""
-    console = Console(width=None if Console().is_terminal else WIDTH)
+    console = plain_console(width=None if sys.stdout.isatty() else WIDTH)
     for (recording,), rows in report.topics.group_by("recording", maintain_order=True):
         console.print(Text(printable(recording), style="bold"), soft_wrap=True)
         table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")

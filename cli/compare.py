@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dds_trace.base import limits
+from dds_trace.base.streams import say
 
 from .quick_help import argument, command_app, declare_command, option
 
@@ -126,7 +127,7 @@ def compare_command(
     for folder, side in ((base, before), (new, after)):
         for finding in side.findings:
             if finding.code == "not_applied":
-                print(f"{folder}: {finding.where}: {finding.what}", file=sys.stderr)
+                say(f"{folder}: {finding.where}: {finding.what}")
     if comparison.delivery.is_empty():
         outcome = GateOutcome.NOTHING_TO_COMPARE
     else:

@@ -33,8 +33,24 @@ _WITHOUT_DEFAULT = frozenset(
 """Options without a configured default: they overwrite, or do something else than the command."""
 
 OWN_ONLY = frozenset(
-    ("against", "bridge", "bridge-listen", "bridge-peer", "cluster", "file-mode", "host", "keep", "listen", "open")
-    + ("out", "peer", "port", "rmw", "topic", "type")
+    [
+        "against",
+        "bridge",
+        "bridge-listen",
+        "bridge-peer",
+        "cluster",
+        "file-mode",
+        "host",
+        "keep",
+        "listen",
+        "open",
+        "out",
+        "peer",
+        "port",
+        "rmw",
+        "topic",
+        "type",
+    ]
 )
 """Options that name code, an address, an output or what is sent: a file in a working folder may belong to somebody else."""
 

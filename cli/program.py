@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import sys
 from difflib import get_close_matches
 from functools import partial
-from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-from dds_trace.base.errors import OptionError
+from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
+from dds_trace.base.streams import plain_streams, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -30,13 +31,16 @@ def run_program(
 ) -> None:
     """Run the command that the first word names, or the one without a name."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    needs_stdout = name != "dds-record"  # its product is the trace
     completed = _take_completed_command(name, app, commands)
     if completed is not None:
-        run_command(partial(commands[completed], [], prog_name=name))
+        run_command(partial(commands[completed], [], prog_name=name), needs_stdout=needs_stdout)
     elif given and given[0] in commands:
-        run_command(partial(commands[given[0]], given[1:], prog_name=f"{name} {given[0]}"))
+        run_command(
+            partial(commands[given[0]], given[1:], prog_name=f"{name} {given[0]}"), needs_stdout=needs_stdout
+        )
     else:
-        run_command(partial(_run_nameless, name, app, commands, given))
+        run_command(partial(_run_nameless, name, app, commands, given), needs_stdout=needs_stdout)
 
 
 def _run_nameless(name: str, app: typer.Typer, commands: Collection[str], given: list[str]) -> None:
@@ -75,33 +79,47 @@ _EXTRA = re.compile(r"""(?P<package>[\w-]+).*\bextra == ['"](?P<extra>\w+)['"]""
 _TOO_LARGE = "not enough memory; request smaller or fewer messages, or give a part of the traces"
 
 
-def run_command(command: Callable[[], object]) -> None:
-    """Call a command's app; end the process with one line at a user's error."""
-    # Escape what the terminal's encoding lacks.
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+def run_command(command: Callable[[], object], *, needs_stdout: bool = True) -> None:
+    """Call a command's app; end the process with one line at a user's error.
+
+    Words that stderr does not take are lost; so are those of stdout, which is an error where `needs_stdout`.
+    """
+    ended: SystemExit | None = None
+    with plain_streams() as stdout:
+        try:
+            _run(command)
+        except SystemExit as end:
+            ended = end
+    failure = stdout.failure
+    if failure is not None and needs_stdout and not (ended and ended.code):
+        if failure.errno == errno.EPIPE:  # `| head` has read enough
+            sys.exit(1)
+        with plain_streams():
+            _print_error(f": stdout cannot be written ({failure.strerror}); free space or write elsewhere")
+        sys.exit(OutputError.exit_code)
+    if ended is not None:
+        raise ended
+
+
+def _run(command: Callable[[], object]) -> None:
     try:
         command()
     except MemoryError:
-        print(f"{Path(sys.argv[0]).name}: {_TOO_LARGE}", file=sys.stderr)
+        _print_error(f": {_TOO_LARGE}")
         sys.exit(1)
     except ModuleNotFoundError as error:
         extra = _extra_with(error.name or "")
         if extra is None:
             raise
-        from dds_trace.base.errors import BackendUnavailableError
-
-        what = f"needs {error.name}, which is not installed: pip install 'dds-trace[{extra}]'"
-        print(f"{Path(sys.argv[0]).name} {what}", file=sys.stderr)
+        _print_error(f" needs {error.name}, which is not installed: pip install 'dds-trace[{extra}]'")
         sys.exit(BackendUnavailableError.exit_code)
-    except Exception as error:
-        from dds_trace.base.errors import TraceError
-
-        if not isinstance(error, TraceError):
-            raise
-        print(f"{Path(sys.argv[0]).name}: {error}", file=sys.stderr)
+    except TraceError as error:
+        _print_error(f": {error}")
         sys.exit(error.exit_code)
+
+
+def _print_error(text: str) -> None:
+    say(f"{Path(sys.argv[0]).name}{text}")
 
 
 def _extra_with(module: str) -> str | None:

@@ -36,7 +36,7 @@ class QuickHelpCommand(DefaultedCommand):
                 "\n" + (f"      {text}\n" if is_command else _filled(text, "  ", formatter.width))
             )
         for title, rows in self._panels(ctx).items():
-            formatter.write("\n" + typer.style(f"{title}:", bold=True) + "\n")
+            formatter.write(f"\n{title}:\n")
             column = 4 + max(len(name) for name, _ in rows if len(name) <= WIDEST_NAME)
             for name, text in rows:
                 filled = _filled(text, " " * column, formatter.width)

@@ -6,13 +6,14 @@ import io
 import math
 from typing import TYPE_CHECKING
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from dds_trace.analyzer.statistics.intervals import MIN_EPISODES, MIN_RUNS
 from dds_trace.base.printable import printable
+from dds_trace.base.streams import plain_console
 from dds_trace.base.units import MISSING, format_duration, format_rate, format_size
 
 from .book.groups import METRIC_LABELS, format_ratio
@@ -47,7 +48,7 @@ def render(book: Book) -> str:
 
 def write(book: Book, folder: Path) -> None:  # noqa: ARG001 - every reporter has this signature
     """Print the report to stdout, in colours if stdout is a terminal."""
-    console = Console(legacy_windows=False)
+    console = plain_console()
     console.print(_report(book), width=min(console.width, 120) if console.is_terminal else WIDTH)
 
 
@@ -58,7 +59,7 @@ def render_advice(book: Book) -> str:
 
 def _plain(part: RenderableType) -> str:
     text = io.StringIO()
-    Console(file=text, width=WIDTH, color_system=None, legacy_windows=False).print(part)
+    plain_console(file=text, width=WIDTH, color_system=None).print(part)
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n"
 
 

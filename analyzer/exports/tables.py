@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pyarrow.parquet as pq
+from polars import selectors
 from polars.exceptions import PolarsError
 
 from dds_trace.base.errors import OutputError
@@ -22,8 +23,18 @@ if TYPE_CHECKING:
 
     from ..analysis import Analysis
 
+_FORMULA = r"^[=+\-@\t\r]"
+_HIDDEN = r"[\p{Cc}\p{Cf}\p{Co}\p{Zl}\p{Zp}]"
+
+
+def _inert(rows: pl.LazyFrame) -> pl.LazyFrame:
+    """Return rows whose texts a spreadsheet does not compute (an apostrophe precedes them) and that hide nothing."""
+    texts = selectors.string(include_categorical=True).cast(str)
+    return rows.with_columns(texts.str.replace(_FORMULA, "'$0").str.replace_all(_HIDDEN, "\ufffd"))
+
+
 EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
-    "csv": lambda rows, path: rows.sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
+    "csv": lambda rows, path: _inert(rows).sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
     "arrow": lambda rows, path: rows.sink_ipc(path),
 }
 """Kind and suffix of the files -> function that streams rows into a file."""

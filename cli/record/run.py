@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
 from dds_trace.base.errors import OutputError
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import counted, format_duration
 from dds_trace.recorder.errors import LossesError
 from dds_trace.recorder.host.process import stop_at_signals
@@ -46,7 +46,7 @@ class TerminalWatch:
     """A `Watch` on stderr: notes are lines; on a terminal, progress is one line that is redrawn."""
 
     def __init__(self) -> None:
-        self._console = Console(stderr=True, highlight=False)
+        self._console = plain_console(stderr=True)
         # Without a thread of its own: drawing holds the interpreter lock, and a received message would wait.
         self._live = Live(
             console=self._console,
@@ -71,9 +71,9 @@ class TerminalWatch:
     def note(self, text: str) -> None:
         """Print a line that stays."""
         if self._console.is_terminal:
-            self._console.print(Text(text))
+            self._console.print(Text(printable(text, MAX_FINDING_CHARACTERS)))
         else:
-            print(text, file=sys.stderr, flush=True)
+            say(text)
 
     def progress(self, progress: PingProgress | RelayProgress) -> None:
         """Redraw the line."""

@@ -6,6 +6,8 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
+
 from ..quick_help import command_app, declare_command, option
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ def status_command(as_json: Annotated[bool, option("--json", "Print the list as 
         print(json.dumps([_as_json(recording) for recording in recordings]))
         return
     for recording in recordings:
-        print("\n".join(_lines(recording)))
+        print("\n".join(printable(line, MAX_FINDING_CHARACTERS) for line in _lines(recording)))
     if not recordings:
         print("no recording runs on this machine")
 

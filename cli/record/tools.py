@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceError
+from dds_trace.base.streams import say
 from dds_trace.base.units import format_duration
 from dds_trace.recorder.host.recorder_cost import measure_recorder_cost
 from dds_trace.recorder.rehearsal import rehearse
@@ -39,7 +39,7 @@ class _Notes:
 
     def note(self, text: str) -> None:
         """Print a line."""
-        print(text, file=sys.stderr)
+        say(text)
 
     def progress(self, progress: PingProgress | RelayProgress) -> None:
         """Do nothing: a rehearsal has no progress."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
@@ -91,8 +91,6 @@ def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path
 
 def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
     """Record both sides and print how to compare them; return the exit code."""
-    from rich.console import Console
-
     from dds_trace.recorder.sweep.against import run_against
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
@@ -101,7 +99,7 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
         replace(base, name=f"{_name(base, other)}-base"),
         replace(other.plan, name=f"{_name(base, other)}-new"),
         out / _name(base, other),
-        make_progress(Console(stderr=True)),
+        make_progress(plain_console(stderr=True)),
         commands=(None, other.command),
     )
     sides = {"base": done.base, "new": done.new}
@@ -131,7 +129,7 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
             print(_in_words(alarms))
     for side, reasons in missing.items():
         for name, reason in reasons.items():
-            print(f"{side} {name}: {reason}", file=sys.stderr)
+            say(f"{side} {name}: {reason}")
     return INCOMPLETE_EXIT_CODE if any(missing.values()) else 0
 
 

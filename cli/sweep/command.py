@@ -14,6 +14,7 @@ import typer
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
+from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import counted
 
 from ..program import run_program
@@ -143,14 +144,12 @@ def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> 
 
 
 def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
-    from rich.console import Console
-
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, run_sweep
 
     from .dry_run import relay_commands
 
-    console = Console(stderr=True)
+    console = plain_console(stderr=True)
     progress = make_progress(console)
     if plan.by_hand:
         for line in relay_commands(plan):
@@ -168,7 +167,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
         print(f"Wrote {done.folder}")
         print(f"{complete} of {counted(done.cells, 'recording is', 'recordings are')} complete")
     for name, reason in done.missing.items():
-        print(f"{name}: {reason}", file=sys.stderr)
+        say(f"{name}: {reason}")
     for name, width in done.too_wide.items():
         assert until is not None
         precision = f"known to +-{width:.1f} %" if math.isfinite(width) else "without a two-sided interval"
@@ -179,7 +178,6 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
 
 
 def _search(plan: Plan, out: Path, as_json: bool) -> int:
-    from rich.console import Console
     from rich.table import Table
 
     from dds_trace.recorder.sweep.max_rate_report import COLUMNS, max_rate_rows, write_max_rates
@@ -187,7 +185,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
     from dds_trace.recorder.sweep.search import RateAnswer
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, run_search
 
-    folder, answers = run_search(plan, out, make_progress(Console(stderr=True)))
+    folder, answers = run_search(plan, out, make_progress(plain_console(stderr=True)))
     written = write_max_rates(folder, answers, plan.search)
     rows = max_rate_rows(answers)
     if as_json:
@@ -197,7 +195,7 @@ def _search(plan: Plan, out: Path, as_json: bool) -> int:
         for row in rows:
             table.add_row(*row)
         # A file gets whole lines.
-        Console(width=None if sys.stdout.isatty() else 200).print(table)
+        plain_console(width=None if sys.stdout.isatty() else 200).print(table)
         for path in written:
             print(f"Wrote {path}")
     return INCOMPLETE_EXIT_CODE if any(highest.answer is RateAnswer.FAILED for highest in answers) else 0

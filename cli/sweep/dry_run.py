@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.streams import say
 from dds_trace.base.units import counted
 
 from .against import shown_sides, side_folders
@@ -76,11 +76,11 @@ def _print_reasons(refused: Mapping[str, str]) -> None:
         names[reason].append(name)
     for reason, cells in names.items():
         more = f" and {counted(len(cells) - 1, 'more recording')}" if len(cells) > 1 else ""
-        print(f"{cells[0]}{more} cannot start: {reason}", file=sys.stderr)
+        say(f"{cells[0]}{more} cannot start: {reason}")
 
 
 def _note(text: str) -> None:
-    print(text, file=sys.stderr)
+    say(text)
 
 
 def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str]]:

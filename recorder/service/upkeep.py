@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, OutputExistsError
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 from dds_trace.tracefile.writing.sink import TraceSink
 
@@ -72,7 +73,7 @@ class ServiceManager:
             assignments.insert(0, "READY=1")
         if self._clock_s() - self._status_s >= STATUS_PERIOD_S:
             self._status_s = self._clock_s()
-            assignments.append(f"STATUS={status}")
+            assignments.append(f"STATUS={printable(status, MAX_FINDING_CHARACTERS)}")
         self._send(assignments)
 
     def close(self) -> None:

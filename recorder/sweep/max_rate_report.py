@@ -10,6 +10,7 @@ from dataclasses import asdict
 from html import escape
 from typing import TYPE_CHECKING
 
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import spell_size
 
 from .folder import replace_text
@@ -69,12 +70,18 @@ def max_rate_rows(answers: list[MaxRate]) -> list[tuple[str, ...]]:
     ]
 
 
+def _inert(row: tuple[str, ...]) -> list[str]:
+    """Return cells that a spreadsheet does not compute: an apostrophe precedes a formula."""
+    cells = (printable(cell, MAX_FINDING_CHARACTERS) for cell in row)
+    return [f"'{cell}" if cell.startswith(("=", "+", "-", "@")) else cell for cell in cells]
+
+
 def max_rate_csv(answers: list[MaxRate]) -> str:
     """Return the rows as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows(max_rate_rows(answers))
+    writer.writerows(map(_inert, max_rate_rows(answers)))
     return text.getvalue()
 
 

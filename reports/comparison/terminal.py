@@ -6,11 +6,12 @@ import io
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.base.streams import plain_console
 from dds_trace.base.units import counted
 
 from ..book.verdicts import received_words
@@ -38,13 +39,13 @@ _OUTCOME_COLORS = {GateOutcome.REGRESSED: "red", GateOutcome.PASSED: "green"}
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
     """Return the comparison as plain text of 80 columns, without colours."""
     text = io.StringIO()
-    Console(file=text, width=WIDTH, color_system=None, legacy_windows=False).print(_report(info, shows_all))
+    plain_console(file=text, width=WIDTH, color_system=None).print(_report(info, shows_all))
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n"
 
 
 def write(info: ComparisonInfo, *, shows_all: bool = False) -> None:
     """Print the comparison to stdout, in colours if stdout is a terminal."""
-    console = Console(legacy_windows=False)
+    console = plain_console()
     console.print(_report(info, shows_all), width=min(console.width, 120) if console.is_terminal else WIDTH)
 
 

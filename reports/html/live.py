@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.analyzer.pipeline import analyze, default_output
 from dds_trace.base.errors import OutputError, TraceError
+from dds_trace.base.streams import say
 
 from ..book.book import Book
 from .page import live_script, render_live, without_plotly
@@ -165,7 +166,7 @@ class Watcher:
         return render_live(Book(analysis), version)
 
     def _failed(self, why: str, version: str) -> Shown:
-        print(f"{self._options.folder}: {why}", file=sys.stderr)
+        say(f"{self._options.folder}: {why}")
         if not self._report:
             return _waiting(version, why)
         notice = f'<p class="notice" role="status">The latest analysis failed: {escape(why)}</p>'
@@ -210,7 +211,7 @@ def _server_class(host: str) -> type[ThreadingHTTPServer]:
             """Print one line, but nothing for a closed tab."""
             error = sys.exc_info()[1]
             if not isinstance(error, ConnectionError | TimeoutError):
-                print(f"{client_address}: {type(error).__name__}: {error}", file=sys.stderr)
+                say(f"{client_address}: {type(error).__name__}: {error}")
 
     return Server
 

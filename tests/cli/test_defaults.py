@@ -195,7 +195,9 @@ def test_each_option_with_a_free_value_is_the_users_own_or_describes_the_measure
     free = {
         name
         for name, option in options.items()
-        if not re.search("int|float|bool|choice", option.type.name + type(option.type).__name__, re.IGNORECASE)
+        if not re.search(
+            "int|float|bool|choice", option.type.name + type(option.type).__name__, re.IGNORECASE
+        )
     }
     assert free - OWN_ONLY - _WITHOUT_DEFAULT == set(DESCRIBING_TEXTS[table].split())
 
@@ -240,7 +242,7 @@ def test_a_working_folder_sets_no_program_address_or_output(home, run, table, li
     assert "working folder" not in run(TABLES[table], "x", "--print-config")[2]
 
 
-def test_a_relative_configuration_folder_is_not_the_users(home, run, monkeypatch):
+def test_a_relative_configuration_folder_is_not_the_users(home, monkeypatch):
     monkeypatch.chdir(home / "repository")
     write(home / "repository/conf/dds-trace", "[sweep]\nagainst = 'evil'\n")
     monkeypatch.setenv("XDG_CONFIG_HOME", "conf")

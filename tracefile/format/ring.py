@@ -188,6 +188,7 @@ class RingContents:
     Attributes:
         slots: array of `SLOT_DTYPE` by ticket.
         missing_events: tickets in neither file before the ring's last; only a power failure loses any.
+        fault: damage of the header that costs no event, or None.
     """
 
     session: Session
@@ -195,6 +196,7 @@ class RingContents:
     missing_events: int
     dropped_events: int
     recording: bool
+    fault: str | None = None
 
 
 def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
@@ -219,8 +221,6 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
         )
     if len(content) < slots_at + slot_count * SLOT_BYTES or RING_HEADER.size + text_bytes > slots_at:
         raise TraceFormatError(path, "the ring file is shorter than its header says")
-    if dropped >= _TICKETS:
-        raise TraceFormatError(path, "its number of dropped events is damaged", DROPPED_AT)
     session = _session(content[RING_HEADER.size : RING_HEADER.size + text_bytes], path)
     slots = np.frombuffer(content, SLOT_DTYPE, slot_count, slots_at)
     return _pending(slots, slot_count, events_in_trace, session, dropped, recording=recording)
@@ -250,9 +250,7 @@ def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> R
             return None
     whole = min(slot_count, (len(content) - slots_at) // SLOT_BYTES)
     slots = np.frombuffer(content, SLOT_DTYPE, whole, slots_at)
-    return _pending(
-        slots, slot_count, events_in_trace, session, dropped if dropped < _TICKETS else 0, recording=recording
-    )
+    return _pending(slots, slot_count, events_in_trace, session, dropped, recording=recording)
 
 
 def is_recorded(trace: Path) -> bool:
@@ -291,8 +289,9 @@ def _pending(
         session=session,
         slots=slots[pending],
         missing_events=end - events_in_trace - len(pending),
-        dropped_events=dropped,
+        dropped_events=dropped if dropped < _TICKETS else 0,
         recording=recording,
+        fault=None if dropped < _TICKETS else "its number of dropped events is damaged",
     )
 
 

@@ -153,6 +153,8 @@ class RingBeside:
         slots = self.contents.slots
         slots = slots[(slots["mark"] & TICKET_MASK) >= events_in_file]
         batch = Batch(events_by_stage(slots))
+        if self.contents.fault:
+            batch.notes.append(f"the ring: {self.contents.fault}")
         if len(slots):
             last = int(slots["mark"][-1] & TICKET_MASK)
             missing = last + 1 - events_in_file - len(slots)

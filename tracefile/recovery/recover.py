@@ -17,12 +17,14 @@ from ..format.descriptions import Session
 from ..format.events import SESSION_TOPIC
 from ..format.ring import RING_SUFFIX, read_ring, ring_path, salvage_ring
 from ..mcapfile.file import RecordFile
+from ..reading.reader import read_trace_in_pieces
 from ..writing.writer import TraceWriter
 from .salvage import Salvage, SalvagedText
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
+    from ..format.events import EventColumns, Stage
     from ..format.ring import RingContents, Slots
 
 KILLED_SUFFIX = ".killed"
@@ -88,7 +90,7 @@ def recover(
             `NAME.mcap.killed`, its ring to `NAME.mcap.killed.ring`; a kill at any moment leaves a readable trace.
 
     Raises:
-        TraceFormatError: `path` is not a trace of ours, or neither file nor ring has a session.
+        TraceFormatError: `path` is not a trace of ours, or neither file nor ring has a session, or the new file cannot be read.
         OptionError: the trace is still being recorded.
         OutputExistsError: `destination` exists already.
         OutputError: the new file cannot be written.
@@ -122,6 +124,7 @@ def recover(
     try:
         unfinished.unlink(missing_ok=True)
         writer = _write(unfinished, killed, report)
+        _check_readable(unfinished, report)
         if destination is not None:
             return report
         originals = _swap_files(trace, unfinished)
@@ -208,11 +211,12 @@ def _read_ring(
     if not ring.exists():
         return None, None
     try:
-        return read_ring(ring, events_in_trace), None
+        contents = read_ring(ring, events_in_trace)
     except TraceFormatError as damaged:
         return salvage_ring(ring, events_in_trace, session), damaged.what
     except OSError as err:
         return None, f"it cannot be read ({err.strerror})"
+    return contents, contents.fault if contents else None
 
 
 def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText]:
@@ -245,6 +249,29 @@ def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> Tr
         writer.write_text(SESSION_TOPIC, session.to_json(), writer.time_range_ns[1])
         writer.finish()
     return writer
+
+
+def _check_readable(unfinished: Path, report: RecoveryReport) -> None:
+    """Read the new trace as an analysis does; remove it and raise a `TraceFormatError` unless it has every event."""
+    events = 0
+
+    def count(piece: Mapping[Stage, EventColumns]) -> None:
+        nonlocal events
+        events += sum(map(len, piece.values()))
+
+    expected, fault = report.file_events + report.ring_events, None
+    try:
+        read_trace_in_pieces(unfinished, count)
+    except TraceFormatError as err:
+        fault = err.what
+    if fault is None and events != expected:
+        fault = f"{events} of {counted(expected, 'event')}"
+    if fault is not None:
+        unfinished.unlink()
+        raise TraceFormatError(
+            report.path,
+            f"what was recovered cannot be read ({fault}); file and ring are as they were, please report this",
+        )
 
 
 def _swap_files(trace: Path, unfinished: Path) -> tuple[Path, ...]:

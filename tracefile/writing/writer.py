@@ -89,6 +89,7 @@ class TraceWriter:
         self._first_ns = 0
         self._last_ns = 0
         self._end = 0
+        self._length = 0  # more than `_end` where an incomplete write could not be cut off
         for topic in EVENT_TOPICS:
             self._channel(topic, EVENT_SCHEMA)
         for topic in TEXT_TOPICS:
@@ -277,23 +278,30 @@ class TraceWriter:
         except OSError as err:
             with suppress(OSError):
                 os.ftruncate(self._descriptor, self._end)
+            with suppress(OSError):
+                self._length = os.fstat(self._descriptor).st_size
             raise output_error(self.path, err) from err
+        self._length = max(self._length, end)
         self._end = end
 
     def _check_unchanged(self) -> None:
-        """Raise an `OutputError` if another program deleted, moved, replaced or truncated the file."""
-        try:
-            status = os.fstat(self._descriptor)
-            if status.st_nlink == 0:
-                raise FileNotFoundError(errno.ENOENT, "deleted")
-            is_ours = os.path.samestat(status, os.stat(self.path, follow_symlinks=False))
-            if not is_ours or status.st_size != self._end:
-                raise OSError(errno.ESTALE, f"{status.st_size} bytes, not {self._end}")
-            # A file truncated during a write has its length again, and a hole at its start.
-            if self._end and os.pread(self._descriptor, len(MAGIC), 0) != MAGIC:
-                raise OSError(errno.ESTALE, "overwritten")
-        except OSError as err:
-            raise output_error(self.path, err) from err
+        """Raise an `OutputError` if another program deleted, replaced or truncated the file."""
+        number = self._change()
+        if number:
+            cause = OSError(number, "changed")
+            raise output_error(self.path, cause) from cause
+
+    def _change(self) -> int:
+        """Return the error number of what another program did to the file, 0 for nothing."""
+        status = os.fstat(self._descriptor)
+        if status.st_nlink == 0:
+            return errno.ENOENT
+        with suppress(FileNotFoundError, NotADirectoryError):  # its folder was moved: it is still written
+            if not os.path.samestat(status, self.path.lstat()):
+                return errno.ESTALE
+        # A file truncated during a write has its length again, and a hole at its start.
+        is_whole = not self._end or os.pread(self._descriptor, len(MAGIC), 0) == MAGIC
+        return 0 if is_whole and status.st_size == self._length else errno.ESTALE
 
 
 class TraceFiles:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
@@ -61,7 +62,9 @@ class PlainProgress(SweepProgress):
 
     def note(self, text: str) -> None:
         """Print a line without markup, as it may be a program's."""
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(
+            printable(text, MAX_FINDING_CHARACTERS), markup=False, highlight=False, soft_wrap=True
+        )
 
 
 class RichProgress(PlainProgress):
@@ -70,12 +73,12 @@ class RichProgress(PlainProgress):
     def __init__(self, console: Console) -> None:
         super().__init__(console)
         self._progress = Progress(
-            TextColumn("{task.fields[cell]}"),
+            TextColumn("{task.fields[cell]}", markup=False),
             BarColumn(bar_width=20),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            TextColumn("{task.fields[left]}"),
-            TextColumn("{task.fields[last]}"),
+            TextColumn("{task.fields[left]}", markup=False),
+            TextColumn("{task.fields[last]}", markup=False),
             console=console,
             transient=True,
         )

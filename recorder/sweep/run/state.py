@@ -9,6 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError, TraceFormatError
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 
 from ..folder import is_segment_name, replace_text
 from .result import CellResult
@@ -84,7 +85,7 @@ class SweepState:
         return self._cells.get(name, CellState())
 
     def __setitem__(self, name: str, cell: CellState) -> None:
-        self._cells[name] = cell
+        self._cells[name] = replace(cell, reason=printable(cell.reason, MAX_FINDING_CHARACTERS))
         self._save()
 
     def in_segment(self, segment: str) -> dict[str, CellState]:

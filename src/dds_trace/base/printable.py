@@ -24,10 +24,11 @@ def printable(text: object, most: int = MAX_SHOWN_CHARACTERS) -> str:
         shown = shown[: most - 1] + "…"
     if shown.isprintable():  # the common case
         return shown
-    return "".join(_spelled(c) if _is_hidden(c) else c for c in shown)
+    return "".join(_spelled(c) if is_hidden(c) else c for c in shown)
 
 
-def _is_hidden(character: str) -> bool:
+def is_hidden(character: str) -> bool:
+    """Return whether a character has no glyph of its own."""
     # XML 1.0 forbids U+FFFE and U+FFFF.
     return unicodedata.category(character) in _HIDDEN_CATEGORIES or ord(character) & 0xFFFE == 0xFFFE
 

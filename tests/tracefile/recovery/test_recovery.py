@@ -18,7 +18,7 @@ from trace_files import ping_session, run, write_trace
 from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
 from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.format.events import HOST_TOPIC, Stage
-from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.format.ring import RING_HEADER, ring_path
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.mcapfile.channels import ChannelTable
 from dds_trace.tracefile.mcapfile.file import RecordFile
@@ -308,6 +308,7 @@ DAMAGED_HEADERS = [
     (48, b"[", "names no session", EVENTS),
     (8, b"\7", "ring of version 7", EVENTS - PART),  # nobody knows where its slots are
     (24, b"\0\0\0\0\0\1\0\0", "shorter than its header says", EVENTS - PART),
+    (39, b"\x80", "dropped events is damaged", EVENTS),
 ]
 
 
@@ -322,6 +323,34 @@ def test_beside_a_damaged_ring_all_that_is_whole_is_kept(tmp_path, offset, value
     assert any(fault in line for line in report.lines())
     assert sequences(trace) == list(range(events))
     assert report.originals[1].read_bytes() == data
+
+
+@pytest.mark.parametrize("at", [*range(RING_HEADER.size), RING_HEADER.size + 20, RING_HEADER.size + 150])
+def test_a_flipped_bit_of_the_rings_header_leaves_a_trace_that_is_read(tmp_path, at):
+    trace = killed(tmp_path)
+    ring, file = ring_path(trace).read_bytes(), trace.read_bytes()
+    for bit in range(8):
+        data = bytearray(ring)
+        data[at] ^= 1 << bit
+        ring_path(trace).write_bytes(data)
+        destination = tmp_path / f"{bit}.mcap"
+        report = recover(trace, destination)
+        assert len(sequences(destination)) == report.file_events + report.ring_events >= EVENTS - PART
+        assert report.dropped_events < 1 << 40
+        as_it_lies = read_trace(trace)
+        assert as_it_lies.event_count >= EVENTS - PART
+        assert as_it_lies.sessions[0].dropped_events < 1 << 40
+    assert trace.read_bytes() == file
+
+
+def test_what_was_recovered_is_read_before_it_is_called_well(tmp_path, monkeypatch):
+    trace = killed(tmp_path)
+    before = [path.read_bytes() for path in (trace, ring_path(trace))]
+    monkeypatch.setattr("dds_trace.tracefile.recovery.recover.read_trace_in_pieces", lambda *_: None)
+    with pytest.raises(TraceFormatError, match="what was recovered cannot be read"):
+        recover(trace)
+    assert [path.read_bytes() for path in (trace, ring_path(trace))] == before
+    assert sorted(path.name for path in trace.parent.iterdir()) == [trace.name, ring_path(trace).name]
 
 
 @pytest.mark.parametrize("slots", [0, 1, 100, EVENTS - 1, LARGE_RING - 1])

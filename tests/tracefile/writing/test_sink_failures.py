@@ -15,7 +15,8 @@ import pytest
 from limited_sinks import open_sink, sequences, stamp
 from trace_files import run
 
-from dds_trace.base.errors import OutputError
+from dds_trace.base.errors import OutputError, OutputExistsError
+from dds_trace.tracefile.format.encoding import MAGIC
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 
@@ -84,6 +85,69 @@ def test_a_folder_that_vanishes(tmp_path, name):
     closed = sink.close()
     assert (closed.events, closed.ring_events, closed.dropped_events) == (100, 500, 100)
     assert closed.error is sink.error
+
+
+def truncate(path):
+    path.write_bytes(b"")
+
+
+def replace(path):
+    other = path.with_name("other")
+    other.write_bytes(path.read_bytes())
+    other.replace(path)
+
+
+def rotate(path):
+    path.rename(path.with_name("a.mcap.1"))
+    path.write_bytes(b"")
+
+
+def copy_onto(path):
+    path.write_bytes(bytes(path.stat().st_size))
+
+
+def append(path):
+    with path.open("ab") as file:
+        file.write(b"x")
+
+
+@pytest.mark.parametrize("act", [truncate, rotate, copy_onto, append, replace])
+@pytest.mark.parametrize("further", [0, 100])
+def test_another_program_that_changes_the_file_is_an_error(tmp_path, act, further):
+    path = tmp_path / "a.mcap"
+    sink = open_sink(path)
+    stamp(sink, 0, 100)
+    sink.write_run(run(state="started"))
+    act(path)
+    stamp(sink, 100, 100 + further)
+    closed = sink.close()
+    assert closed.error is not None
+    assert ("another program" if act is not replace else "deleted") in str(closed.error)
+    assert closed.ring_events == further
+
+
+def test_a_change_during_the_last_write_is_an_error(tmp_path, monkeypatch):
+    path = tmp_path / "a.mcap"
+    sink = open_sink(path)
+    real = os.pwritev
+
+    def write(descriptor, parts, offset):
+        if parts[-1] == MAGIC:
+            truncate(path)
+        return real(descriptor, parts, offset)
+
+    monkeypatch.setattr(os, "pwritev", write)
+    assert "another program" in str(sink.close().error)
+
+
+def test_force_leaves_a_living_recording_alone(tmp_path):
+    sink = open_sink(tmp_path / "a.mcap")
+    stamp(sink, 0, 100)
+    with pytest.raises(OutputExistsError, match="still being recorded"):
+        open_sink(tmp_path / "a.mcap", force=True)
+    assert sink.close().error is None
+    assert sequences(tmp_path / "a.mcap") == list(range(100))
+    open_sink(tmp_path / "a.mcap", force=True).close()
 
 
 def test_a_folder_that_moves_is_still_written(tmp_path):

@@ -1,0 +1,139 @@
+"""The door of all text to a terminal or a log: nothing that a device, peer, file or trace contains commands its reader.
+
+`plain_streams` replaces stdout and stderr for a command. A text that goes through them has no control or invisible characters,
+and no line that a runner of GitHub takes for a command (`::name::` at its start, `##[name]` anywhere). Rich writes its own
+escapes past that, so `plain_console` cleans each segment before it is drawn. What comes from outside is made one line by
+`printable` where it enters a sentence.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import contextmanager, suppress
+from io import TextIOWrapper
+from typing import TYPE_CHECKING, Any
+
+from .printable import MAX_FINDING_CHARACTERS, is_hidden, printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from rich.console import Console
+
+
+def plain(text: str) -> str:
+    r"""Return lines of text with all but line feeds and tabs spelled out as in JSON: `\u001b`, so that JSON stays JSON."""
+    if text.isprintable():
+        return text
+    return "".join(c if c in "\n\t" or not is_hidden(c) else _spelled(c) for c in text)
+
+
+def _spelled(character: str) -> str:
+    return "".join(
+        f"\\u{int.from_bytes(unit, 'big'):04x}"
+        for unit in _units(character.encode("utf-16-be", "surrogatepass"))
+    )
+
+
+def _units(encoded: bytes) -> Iterable[bytes]:
+    return (encoded[at : at + 2] for at in range(0, len(encoded), 2))
+
+
+class PlainStream:
+    """A text stream that is written plainly; where it cannot be written, words are lost and nothing else.
+
+    Attributes:
+        failure: why something could not be written, or None.
+        rich_proxied_file: where rich writes to instead of here.
+    """
+
+    def __init__(self, stream: Any, *, has_escapes: bool = False) -> None:
+        self._stream = stream
+        self._has_escapes = has_escapes
+        self._is_at_start = True
+        self.failure: OSError | None = None
+        if not has_escapes:
+            self.rich_proxied_file = PlainStream(stream, has_escapes=True)
+
+    def write(self, text: str) -> int:
+        """Write text; return its length."""
+        try:
+            self._stream.write(self._without_commands(text if self._has_escapes else plain(text)))
+        except OSError as err:
+            self._give_up(err)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is buffered."""
+        try:
+            self._stream.flush()
+        except OSError as err:
+            self._give_up(err)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write each text."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def _without_commands(self, text: str) -> str:
+        lines = []
+        for line in text.replace("##[", "#\\u0023[").split("\n"):
+            start = line.lstrip()
+            if self._is_at_start and start.startswith("::"):
+                line = line.replace("::", ":\\u003a", 1)  # noqa: PLW2901 - the same line
+            lines.append(line)
+            self._is_at_start = True
+        self._is_at_start = not lines[-1].strip() and (len(lines) > 1 or self._is_at_start)
+        return "\n".join(lines)
+
+    def _give_up(self, err: OSError) -> None:
+        """Let what follows, and what is buffered, go nowhere: Python would fail again at its end."""
+        self.failure = self.failure or err
+        with suppress(OSError, ValueError):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._stream.fileno())
+            os.close(nowhere)
+
+
+@contextmanager
+def plain_streams() -> Iterator[PlainStream]:
+    """Replace stdout and stderr by plain streams within the block; yield stdout."""
+    before = sys.stdout, sys.stderr
+    for stream in before:
+        if isinstance(stream, TextIOWrapper):  # escape what its encoding lacks
+            stream.reconfigure(errors="backslashreplace")
+    out, err = PlainStream(before[0]), PlainStream(before[1])
+    sys.stdout, sys.stderr = out, err
+    try:
+        yield out
+    finally:
+        out.flush()
+        err.flush()
+        out.failure = out.failure or out.rich_proxied_file.failure
+        sys.stdout, sys.stderr = before
+
+
+def say(text: object) -> None:
+    """Print one line to stderr."""
+    print(printable(text, MAX_FINDING_CHARACTERS), file=sys.stderr, flush=True)
+
+
+def plain_console(**options: Any) -> Console:
+    """Return a rich console that draws plain text: no markup, and no control characters but its own."""
+    from rich.console import Console  # noqa: PLC0415 - slow, and not needed for most commands
+    from rich.segment import Segment  # noqa: PLC0415
+
+    class PlainConsole(Console):
+        def render(self, renderable: Any, options: Any = None) -> Iterable[Segment]:
+            for segment in super().render(renderable, options):
+                yield segment if segment.control else Segment(plain(segment.text), segment.style)
+
+    stream = sys.stderr if options.pop("stderr", False) else sys.stdout
+    options.setdefault("file", getattr(stream, "rich_proxied_file", stream))
+    return PlainConsole(
+        **{"markup": False, "highlight": False, "emoji": False, "legacy_windows": False, **options}
+    )

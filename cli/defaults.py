@@ -28,7 +28,19 @@ TABLES = ("record", "bridge", "sweep", "analyze", "compare", "watch")
 _MOST_BYTES = 1 << 20
 
 _WITHOUT_DEFAULT = frozenset(
-    ("force", "recover", "self-test", "check", "dry-run", "print", "print-config", "version", "help", "list")
+    (
+        "force",
+        "recover",
+        "self-test",
+        "check",
+        "dry-run",
+        "rehearse",
+        "print",
+        "print-config",
+        "version",
+        "help",
+        "list",
+    )
 )
 """Options without a configured default: they overwrite, or do something else than the command."""
 

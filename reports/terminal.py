@@ -13,7 +13,7 @@ from rich.text import Text
 
 from dds_trace.analyzer.statistics.intervals import MIN_EPISODES, MIN_RUNS
 from dds_trace.base.printable import printable
-from dds_trace.base.streams import plain_console
+from dds_trace.base.streams import plain_console, without_commands
 from dds_trace.base.units import MISSING, format_duration, format_rate, format_size
 
 from .book.groups import METRIC_LABELS, format_ratio
@@ -60,7 +60,7 @@ def render_advice(book: Book) -> str:
 def _plain(part: RenderableType) -> str:
     text = io.StringIO()
     plain_console(file=text, width=WIDTH, color_system=None).print(part)
-    return "\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n"
+    return without_commands("\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n")
 
 
 def _report(book: Book) -> RenderableType:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from ..analysis import Analysis
 
-_FORMULA = r"^[=+\-@\t\r]"
+_FORMULA = r"^([=+\-@\t\r]|::)"
 _HIDDEN = r"[\p{Cc}\p{Cf}\p{Co}\p{Zl}\p{Zp}]"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -124,7 +125,8 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
             print(
                 f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete"
             )
-        print(f"Compare: dds-analyze compare {done.base.folder} {done.new.folder} --paired")
+        folders = shlex.join([str(done.base.folder), str(done.new.folder)])
+        print(f"Compare: dds-analyze compare {folders} --paired")
         if alarms is not None:
             print(_in_words(alarms))
     for side, reasons in missing.items():

@@ -52,7 +52,14 @@ def main_command(
         bool,
         option(
             "--dry-run",
-            "Show the recordings and how long they take, and check that each kind of them can start; record nothing.",
+            "Show the recordings and how long they take, and check their options; run nothing of the plan.",
+        ),
+    ] = False,
+    rehearse: Annotated[
+        bool,
+        option(
+            "--rehearse",
+            "As --dry-run, and check that each kind of recording can start: runs the plan's programs, here and by ssh.",
         ),
     ] = False,
     printed: Annotated[
@@ -112,9 +119,14 @@ def main_command(
     requested = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)
-    if dry_run:
-        raise typer.Exit(dry_run_of(requested, out, other, target, max_rate=max_rate, as_json=as_json))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if dry_run or rehearse:
+        code = dry_run_of(
+            requested, out, other, target, max_rate=max_rate, as_json=as_json, rehearses=rehearse
+        )
+        raise typer.Exit(code)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+            signal.signal(number, signal.default_int_handler)
     try:
         if max_rate:
             code = _search(requested, out, as_json)

@@ -1,8 +1,9 @@
-"""`dds-sweep --dry-run`: the recordings, their duration, and a rehearsal of each kind of them."""
+"""`dds-sweep --dry-run` and `--rehearse`: the recordings, their duration, and which of them cannot start."""
 
 from __future__ import annotations
 
 import json
+import shlex
 from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Any
 
@@ -29,10 +30,17 @@ LOOPBACK_MBIT_S = 10_000
 
 
 def dry_run(
-    plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, max_rate: bool, as_json: bool
+    plan: Plan,
+    out: Path,
+    other: NewSide | None,
+    until: Until | None,
+    *,
+    max_rate: bool,
+    as_json: bool,
+    rehearses: bool,
 ) -> int:
-    """Show a sweep and rehearse it; return the exit code."""
-    from dds_trace.recorder.sweep.rehearsal import rehearse_plan
+    """Show a sweep and check its options, or rehearse it; return the exit code."""
+    from dds_trace.recorder.sweep.rehearsal import check_plan, rehearse_plan
     from dds_trace.recorder.sweep.search import search_plan
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
@@ -46,7 +54,10 @@ def dry_run(
         sides = [(recorded, out / recorded.name, None)]
     refused: dict[str, str] = {}
     for side, folder, command in sides:
-        refused |= rehearse_plan(side, folder, check_arguments, note=_note, command=command)
+        if rehearses:
+            refused |= rehearse_plan(side, folder, check_arguments, note=say, command=command)
+        else:
+            refused |= check_plan(side, folder, check_arguments)
     if as_json:
         print(json.dumps({**described, "cannot_start": refused}))
     _print_reasons(refused)
@@ -77,10 +88,6 @@ def _print_reasons(refused: Mapping[str, str]) -> None:
     for reason, cells in names.items():
         more = f" and {counted(len(cells) - 1, 'more recording')}" if len(cells) > 1 else ""
         say(f"{cells[0]}{more} cannot start: {reason}")
-
-
-def _note(text: str) -> None:
-    say(text)
 
 
 def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str]]:
@@ -158,5 +165,5 @@ def relay_commands(plan: Plan) -> list[str]:
             f"relay {group.number}: {printed_command(relay_arguments(plan, group.need, group.cells[0].repeat), group.number)}"
         )
         if group.bridge:
-            lines.append(f"next to it: dds-bridge {' '.join(half_arguments(plan, group))}")
+            lines.append(f"next to it: dds-bridge {shlex.join(half_arguments(plan, group))}")
     return lines

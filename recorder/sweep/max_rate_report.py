@@ -73,7 +73,7 @@ def max_rate_rows(answers: list[MaxRate]) -> list[tuple[str, ...]]:
 def _inert(row: tuple[str, ...]) -> list[str]:
     """Return cells that a spreadsheet does not compute: an apostrophe precedes a formula."""
     cells = (printable(cell, MAX_FINDING_CHARACTERS) for cell in row)
-    return [f"'{cell}" if cell.startswith(("=", "+", "-", "@")) else cell for cell in cells]
+    return [f"'{cell}" if cell.startswith(("=", "+", "-", "@", "::")) else cell for cell in cells]
 
 
 def max_rate_csv(answers: list[MaxRate]) -> str:

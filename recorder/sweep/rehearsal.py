@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, TraceError
 
+from ..options import DEFAULT_WAIT_S
 from ..payloads import is_live
 from .plan.cells import DEFAULTS
 from .plan.commands import half_arguments, ping_arguments, relay_arguments
@@ -19,7 +20,7 @@ from .station.programs import rehearse_program
 from .station.station import open_station
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from .plan.cells import Cell
     from .plan.plan import Plan
@@ -31,6 +32,38 @@ if TYPE_CHECKING:
 
 _TOO_OLD = "No such option: --check"
 """What an older `dds-record` of another environment prints."""
+
+
+def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dict[str, str]:
+    """Return each cell, of all repeats, whose options are refused, with the reason; nothing of the plan is run."""
+    _check_folder(plan, folder)
+    refused: dict[Cell, str] = {}
+    for group in group_by_relay(plan, plan.cells):
+        relay_reason = _refusal(check_arguments, relay_arguments(plan, group.need), folder)
+        for cell in group.cells:
+            arguments = ping_arguments(plan, cell, DEFAULT_WAIT_S, plan.relay.reached_at)
+            reason = _refusal(check_arguments, arguments, folder)
+            if reason is None and relay_reason is not None:
+                reason = f"its relay: {relay_reason}"
+            if reason is not None:
+                refused[cell] = reason
+    return _of_all_repeats(plan, refused)
+
+
+def _of_all_repeats(plan: Plan, refused: Mapping[Cell, str]) -> dict[str, str]:
+    return {
+        replace(cell, repeat=number).name: reason
+        for number in range(1, plan.run.repeats + 1)
+        for cell, reason in refused.items()
+    }
+
+
+def _refusal(check_arguments: CheckArguments, arguments: Sequence[str], folder: Path) -> str | None:
+    try:
+        check_arguments([*arguments, "--out", str(folder / "rehearsal.mcap")])
+    except TraceError as err:
+        return str(err)
+    return None
 
 
 def rehearse_plan(
@@ -56,11 +89,7 @@ def rehearse_plan(
         rehearsal = _Rehearsal(plan, station, Path(scratch), check_arguments, note)
         for group in group_by_relay(plan, plan.cells):
             refused |= rehearsal.refused_cells(group)
-    return {
-        replace(cell, repeat=number).name: reason
-        for number in range(1, plan.run.repeats + 1)
-        for cell, reason in refused.items()
-    }
+    return _of_all_repeats(plan, refused)
 
 
 def _check_folder(plan: Plan, folder: Path) -> None:
@@ -118,11 +147,7 @@ class _Rehearsal:
         return ping_arguments(self._plan, cell, self._station.wait_s, self._station.relay_address)
 
     def _refusal(self, arguments: Sequence[str]) -> str | None:
-        try:
-            self._check_arguments([*arguments, "--out", str(self._scratch / "rehearsal.mcap")])
-        except TraceError as err:
-            return str(err)
-        return None
+        return _refusal(self._check_arguments, arguments, self._scratch)
 
     def _unless_old(self, environment: str, reason: str | None) -> str | None:
         """Return the reason, or None with a note if the environment has no `--check`."""

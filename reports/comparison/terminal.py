@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.base.streams import plain_console
+from dds_trace.base.streams import plain_console, without_commands
 from dds_trace.base.units import counted
 
 from ..book.verdicts import received_words
@@ -40,7 +40,7 @@ def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
     """Return the comparison as plain text of 80 columns, without colours."""
     text = io.StringIO()
     plain_console(file=text, width=WIDTH, color_system=None).print(_report(info, shows_all))
-    return "\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n"
+    return without_commands("\n".join(line.rstrip() for line in text.getvalue().splitlines()) + "\n")
 
 
 def write(info: ComparisonInfo, *, shows_all: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""`dds-sweep --dry-run` as a proof: what passes it starts, shown with the real recorder over plain sockets."""
+"""`dds-sweep --rehearse` as a proof: what passes it starts, shown with the real recorder over plain sockets."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def plan(tmp_path, domains):
     ],
 )
 def test_what_the_recorder_would_refuse_is_known_before_it_starts(call, plan, tmp_path, text, reason):
-    code, out, err = call(plan(f"[axes]\nbackend = 'socket'\n{text}\n"), "--dry-run", "--out", tmp_path)
+    code, out, err = call(plan(f"[axes]\nbackend = 'socket'\n{text}\n"), "--rehearse", "--out", tmp_path)
     assert code == 10, err
     assert "cannot start: " in err
     assert reason in err
@@ -76,20 +76,55 @@ def test_what_the_recorder_would_refuse_is_known_before_it_starts(call, plan, tm
 @pytest.mark.middleware
 def test_a_plan_that_can_start_ends_with_0_and_names_what_cannot_in_json(call, plan, tmp_path):
     two = plan("[axes]\nbackend = 'socket'\ntransport = ['default', 'shm']\n")
-    code, out, _ = call(two, "--dry-run", "--json", "--out", tmp_path)
+    code, out, _ = call(two, "--rehearse", "--json", "--out", tmp_path)
     shown = json.loads(out)
     assert code == 10
     ((name, reason),) = shown["cannot_start"].items()
     assert (name in [cell["name"] for cell in shown["cells"]], "--transport shm" in reason) == (True, True)
     one = plan("[axes]\nbackend = 'socket'\n")
-    assert call(one, "--dry-run", "--json", "--out", tmp_path)[0] == 0
+    assert call(one, "--rehearse", "--json", "--out", tmp_path)[0] == 0
+
+
+CODE = """[axes]
+backend = "socket"
+environment = ["", "{folder}/evil"]
+[devices.relay]
+ssh = "relay.invalid"
+setup = "touch {folder}/setup"
+path = "$(touch {folder}/path)"
+ssh_options = ["-o", "ProxyCommand=touch {folder}/proxy"]
+"""
+
+
+@pytest.mark.parametrize("ssh", [True, False])
+def test_a_dry_run_runs_nothing_of_a_plan(call, plan, tmp_path, monkeypatch, ssh):
+    evil = tmp_path / "evil/bin"
+    evil.mkdir(parents=True)
+    for program in (evil / "dds-record", tmp_path / "ssh"):
+        program.write_text(f"#!/bin/sh\ntouch {tmp_path}/ran-$(basename $0)\nexit 1\n")
+        program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    text = CODE.replace('environment = ["", "{folder}/evil"]\n', "") if ssh else CODE.partition("[devices")[0]
+    text = plan(text.replace("{folder}", str(tmp_path)))
+    before = sorted(path.name for path in tmp_path.iterdir())
+    assert call(text, "--dry-run", "--out", tmp_path)[0] == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert call(text, "--rehearse", "--out", tmp_path)[0] != 0
+    assert any(path.name.startswith("ran-") for path in tmp_path.iterdir())
+
+
+def test_a_dry_run_checks_options(call, plan, tmp_path):
+    code, _, err = call(
+        plan("[axes]\nbackend = 'socket'\ntransport = 'shm'\n"), "--dry-run", "--out", tmp_path
+    )
+    assert (code, "--transport shm" in err) == (10, True)
 
 
 @pytest.mark.parametrize("name", ["../elsewhere", "/etc/important", "a/b", "..", ".", "", "line\nbreak"])
 def test_names_cannot_leave_out(call, tmp_path, name):
     path = tmp_path / "plan.toml"
     path.write_text(f"name = {json.dumps(name)}\n[axes]\nbackend = 'socket'\n")
-    code, _, err = call(path, "--dry-run", "--out", tmp_path / "runs")
+    code, _, err = call(path, "--rehearse", "--out", tmp_path / "runs")
     assert code == OptionError.exit_code
     assert "write a name: not empty, no slash" in err
     assert len(err.splitlines()) == 1
@@ -110,7 +145,7 @@ def test_names_cannot_leave_out(call, tmp_path, name):
 def test_a_plan_of_a_billion_cells_ends_in_one_line(call, tmp_path, text, cells):
     path = tmp_path / "plan.toml"
     path.write_text(text)
-    code, out, err = call(path, "--dry-run")
+    code, out, err = call(path, "--rehearse")
     assert (code, out) == (OptionError.exit_code, "")
     assert len(err.splitlines()) == 1
     assert cells in err
@@ -119,7 +154,7 @@ def test_a_plan_of_a_billion_cells_ends_in_one_line(call, tmp_path, text, cells)
 def test_a_billion_further_passes_end_in_one_line(call, tmp_path):
     path = tmp_path / "plan.toml"
     path.write_text("[axes]\nrate = [1, 2]\n")
-    code, _, err = call(path, "--dry-run", "--until", "latency_p99:5%", "--max-passes", 10**9)
+    code, _, err = call(path, "--rehearse", "--until", "latency_p99:5%", "--max-passes", 10**9)
     assert (code, len(err.splitlines())) == (OptionError.exit_code, 1)
 
 
@@ -138,7 +173,7 @@ def test_a_cell_that_would_be_another_pass_of_one_is_refused(tmp_path):
 @needs_namespaces("ip", "iproute2")
 def test_namespaces_are_made_for_the_rehearsal_and_gone_behind_it(call, plan, tmp_path):
     text = plan("[axes]\nbackend = 'socket'\n[network]\nnamespaces = true\n")
-    code, _, err = call(text, "--dry-run", "--out", tmp_path)
+    code, _, err = call(text, "--rehearse", "--out", tmp_path)
     assert (code, err) == (0, "")
     assert f"ddstrace-{os.getpid()}-" not in ip("netns", "list")
 
@@ -147,7 +182,7 @@ def test_namespaces_are_made_for_the_rehearsal_and_gone_behind_it(call, plan, tm
 def test_namespaces_that_cannot_be_made_are_known_before(call, plan, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     text = plan("[axes]\nbackend = 'socket'\n[network]\nnamespaces = true\n")
-    code, _, err = call(text, "--dry-run", "--out", tmp_path)
+    code, _, err = call(text, "--rehearse", "--out", tmp_path)
     assert code == OptionError.exit_code
     assert "need root to make network namespaces" in err
 

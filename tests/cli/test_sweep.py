@@ -132,9 +132,9 @@ def test_quick_plan_is_the_three_kinds_of_data_in_one_domain_and_two():
 
 @pytest.fixture
 def unrehearsed(monkeypatch):
-    """Leaves the rehearsal of a dry run out, which `test_dry_run.py` is about; what it would refuse may be set."""
+    """Leaves the checks of a dry run out, which `test_dry_run.py` is about; what it would refuse may be set."""
     refused = {}
-    monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.rehearse_plan", lambda *_, **__: refused)
+    monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.check_plan", lambda *_: refused)
     return refused
 
 

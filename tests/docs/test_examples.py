@@ -103,6 +103,7 @@ def run(line, monkeypatch):
     """Run a command in this process as far as its first message; how it ended."""
     monkeypatch.setattr("dds_trace.cli.record.tools.rehearse", lambda *_: None)
     monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.rehearse_plan", lambda *_, **__: {})
+    monkeypatch.setattr("dds_trace.recorder.sweep.rehearsal.check_plan", lambda *_: {})
     program, *arguments = shlex.split(line)
     (command,) = entry_points(group="console_scripts", name=program)
     shown = {"--list", "--print-config"} & set(arguments)

@@ -58,8 +58,7 @@ class SshDevice(RelayDevice):
             *("ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-o", "ServerAliveInterval=5"),
             *(*settings.ssh_options, "--", settings.ssh),  # whatever it begins with, it is a host
         ]
-        # Not quoted, so that the shell there expands its ~.
-        path = f"PATH={settings.path}:$PATH" if settings.path else ":"
+        path = f"PATH={quoted_path(settings.path)}:$PATH" if settings.path else ":"
         # The setup prints to stderr, so that its output is not taken for an answer.
         self._setup = (
             f"export {DEFAULTS_VARIABLE}=; {{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
@@ -192,7 +191,9 @@ class SshDevice(RelayDevice):
             raise BackendUnavailableError(f"{self._host}: {fault}; look at the device and its network")
         if code != 0:
             lines = said or [f"status {code}"]
-            raise BackendUnavailableError(f"{self._host}: {lines[-1]}; try it by hand: ssh {self._host}")
+            raise BackendUnavailableError(
+                f"{self._host}: {lines[-1]}; try it by hand: ssh -- {shlex.quote(self._host)}"
+            )
 
 
 def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int) -> str | None:
@@ -210,6 +211,12 @@ def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int
         output.write(data)
         copied += len(data)
     return f"no end of its answer within {SSH_TIMEOUT_S:g} s"
+
+
+def quoted_path(path: str) -> str:
+    """Return a path for a shell, which expands `~/` at its start and nothing else."""
+    home, rest = ("~/", path[2:]) if path.startswith("~/") else ("", path)
+    return home + (shlex.quote(rest) if rest else "")
 
 
 def folder_there(plan: str, folder: Path) -> str:

@@ -40,6 +40,16 @@ def _units(encoded: bytes) -> Iterable[bytes]:
     return (encoded[at : at + 2] for at in range(0, len(encoded), 2))
 
 
+def without_commands(text: str, *, is_at_start: bool = True) -> str:
+    """Return text without what GitHub's runner takes for a command; `is_at_start` if it begins a line."""
+    first, *others = text.replace("##[", "#\\u0023[").split("\n")
+    return "\n".join([_without_command(first) if is_at_start else first, *map(_without_command, others)])
+
+
+def _without_command(line: str) -> str:
+    return line.replace("::", ":\\u003a", 1) if line.lstrip().startswith("::") else line
+
+
 class PlainStream:
     """A text stream that is written plainly; where it cannot be written, words are lost and nothing else.
 
@@ -80,15 +90,10 @@ class PlainStream:
         return getattr(self._stream, name)
 
     def _without_commands(self, text: str) -> str:
-        lines = []
-        for line in text.replace("##[", "#\\u0023[").split("\n"):
-            start = line.lstrip()
-            if self._is_at_start and start.startswith("::"):
-                line = line.replace("::", ":\\u003a", 1)  # noqa: PLW2901 - the same line
-            lines.append(line)
-            self._is_at_start = True
-        self._is_at_start = not lines[-1].strip() and (len(lines) > 1 or self._is_at_start)
-        return "\n".join(lines)
+        shown = without_commands(text, is_at_start=self._is_at_start)
+        last = text.rpartition("\n")
+        self._is_at_start = not last[2].strip() and (bool(last[1]) or self._is_at_start)
+        return shown
 
     def _give_up(self, err: OSError) -> None:
         """Let what follows, and what is buffered, go nowhere: Python would fail again at its end."""

@@ -464,4 +464,4 @@ def test_channels_by_the_thousand_cost_no_square_of_their_number(tmp_path, monke
     plain = ChannelTable.items
     monkeypatch.setattr(ChannelTable, "items", lambda table: looks.append(1) or plain(table))
     assert recover(trace, tmp_path / "recovered.mcap").file_events > 0
-    assert looks == []
+    assert len(looks) < 10  # of the reading of the new file, which has six channels

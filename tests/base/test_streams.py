@@ -1,0 +1,85 @@
+"""The door of texts: what leaves a command neither commands a terminal nor a runner, and costs no more than words."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.table import Table
+
+from dds_trace.base.printable import is_hidden
+from dds_trace.base.streams import PlainStream, plain, plain_console, plain_streams, say
+
+PIECES = st.lists(
+    st.sampled_from(
+        ["::", " ", ":", "\n", "\t", "##[", "a", "\x1b[2J", "\u202e", "\r", "\x9b", "\U000e0001", "é"]
+    )
+)
+
+
+def is_plain(text):
+    commands = [line for line in text.split("\n") if line.lstrip().startswith("::")]
+    return not commands and "##[" not in text and not any(is_hidden(c) for c in text if c not in "\n\t")
+
+
+@given(pieces=PIECES)
+def test_no_text_commands_its_reader(pieces):
+    whole, apart = io.StringIO(), io.StringIO()
+    PlainStream(whole).write("".join(pieces))
+    assert is_plain(whole.getvalue())
+    stream = PlainStream(apart)
+    for piece in pieces:
+        stream.write(piece if piece != ":" else "a")
+    assert "##[" not in apart.getvalue()
+    assert not any(line.lstrip().startswith("::") for line in apart.getvalue().split("\n"))
+
+
+@given(text=st.text())
+def test_json_stays_json(text):
+    stream = io.StringIO()
+    PlainStream(stream).write(json.dumps({"a": text + "##[\x7f"}, ensure_ascii=False))
+    assert json.loads(stream.getvalue(), strict=False) == {"a": text + "##[\x7f"}
+    assert is_plain(plain(text))
+
+
+def test_rich_draws_its_own_escapes_and_nobody_elses(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    table = Table("a", box=None, header_style="bold")
+    table.add_row("[red]\x1b]0;x\x07\n::error::y")
+    with plain_streams():
+        plain_console(width=80).print(table)
+        say("one\nline\x1b")
+    out, err = capsys.readouterr()
+    assert "\x1b[1m" in out
+    assert ("\x1b]" in out, "[red]" in out, "\n::" in out) == (False, True, False)
+    assert err == "one\\x0aline\\x1b\n"
+
+
+@pytest.mark.parametrize(
+    ("stream", "program", "code"),
+    [("stderr", "dds-record", 0), ("stdout", "dds-record", 0), ("stdout", "dds-sweep", 6)],
+)
+def test_a_full_stream_costs_words(tmp_path, stream, program, code):
+    script = (
+        "import sys, typer\n"
+        "from dds_trace.cli.program import run_program\n"
+        "app = typer.Typer()\n"
+        "@app.command()\n"
+        "def f():\n"
+        "    for _ in range(3):\n"
+        "        print('a' * 10_000, flush=True); print('b' * 10_000, file=sys.stderr)\n"
+        "    open('done', 'w').write('done')\n"
+        f"run_program({program!r}, app, {{}}, [])\n"
+    )
+    with Path("/dev/full").open("w") as full:
+        outputs = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}
+        ended = subprocess.run([sys.executable, "-c", script], **outputs, cwd=tmp_path, check=False)
+    assert (tmp_path / "done").read_text() == "done"
+    assert ended.returncode == code
+    assert b"Traceback" not in (ended.stderr or b"")

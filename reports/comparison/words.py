@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.verdicts.gate import Against
-from dds_trace.base.printable import printable
+from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import MISSING, format_duration
 
 from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
@@ -117,7 +117,7 @@ def why_words(result: GateResult) -> str:
         smallest = (
             f"drops from {100 * result.smallest_drop:.3g} points on are found with a probability of 80 %"
         )
-    return "; ".join(text for text in (result.reason, smallest) if text)
+    return printable("; ".join(text for text in (result.reason, smallest) if text), MAX_FINDING_CHARACTERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ class Gated:
         """The outcome in one line."""
         why = why_words(self.result)
         return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (
-            f": {printable(why)}" if why else ""
+            f": {why}" if why else ""
         )
 
 

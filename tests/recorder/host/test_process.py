@@ -152,7 +152,7 @@ def test_a_signal_inside_the_lock_of_the_event_ends_too():
     # Where `wait()` is interrupted in its first or last steps, and where one handler interrupts another.
     stop = stop_at_signals()
     with stop._cond:
-        for number in STOP_SIGNALS:
+        for number in STOP_SIGNALS[:2]:  # a third one ends the process
             signal.raise_signal(number)
     assert stop.wait(PATIENCE_S)
 

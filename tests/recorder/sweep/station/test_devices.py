@@ -247,7 +247,9 @@ def test_other_version_on_the_other_device_is_refused(remote, method):
 
 
 def test_device_that_does_not_answer_is_named(remote):
-    with pytest.raises(BackendUnavailableError, match=r"nobody@127\.0\.0\.1: .*try it by hand: ssh nobody@"):
+    with pytest.raises(
+        BackendUnavailableError, match=r"nobody@127\.0\.0\.1: .*try it by hand: ssh -- nobody@"
+    ):
         remote(destination="nobody@127.0.0.1").prepare()
 
 

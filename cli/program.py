@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
-from dds_trace.base.streams import plain_streams, say
+from dds_trace.base.streams import plain_streams
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -119,7 +119,7 @@ def _run(command: Callable[[], object]) -> None:
 
 
 def _print_error(text: str) -> None:
-    say(f"{Path(sys.argv[0]).name}{text}")
+    print(f"{Path(sys.argv[0]).name}{text}", file=sys.stderr)  # some errors have several lines
 
 
 def _extra_with(module: str) -> str | None:

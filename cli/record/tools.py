@@ -10,7 +10,6 @@ from dds_trace.base.units import format_duration
 from dds_trace.recorder.host.recorder_cost import measure_recorder_cost
 from dds_trace.recorder.rehearsal import rehearse
 from dds_trace.recorder.roles.floor import measure_floor
-from dds_trace.tracefile.recovery.recover import recover
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,6 +21,8 @@ if TYPE_CHECKING:
 
 def recover_trace(path: Path) -> None:
     """Close the trace at `path`; print its path and what was recovered."""
+    from dds_trace.tracefile.recovery.recover import recover  # reads traces: a recording needs no SQLite
+
     report = recover(path)
     if report.recovered is not None:
         print(f"Wrote {report.recovered}")

@@ -174,7 +174,7 @@ DESCRIBING_TEXTS = {
     "rotate setting size",
     "bridge": "deadline lifespan",
     "sweep": "until",
-    "analyze": "deadline recommend report",
+    "analyze": "deadline margin recommend report",
     "compare": "fail-if ignore",
     "watch": "",
 }

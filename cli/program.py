@@ -82,7 +82,7 @@ _TOO_LARGE = "not enough memory; request smaller or fewer messages, or give a pa
 def run_command(command: Callable[[], object], *, needs_stdout: bool = True) -> None:
     """Call a command's app; end the process with one line at a user's error.
 
-    Words that stderr does not take are lost; so are those of stdout, which is an error where `needs_stdout`.
+    Words that stderr or stdout does not take are lost; for stdout that is an error where `needs_stdout`.
     """
     ended: SystemExit | None = None
     with plain_streams() as stdout:

@@ -80,7 +80,7 @@ def recorded_in_sequence(evidence: Evidence) -> Iterator[Observation]:
         yield Observation(
             some(evidence.group_names[group] for group in groups),
             f"With {counted(len(answers), 'kind')} of message, nearly all runs of one setup preceded all runs of another, so a "
-            f"machine that changes looks like a faster setup{tests}.",
+            f"machine that changes looks like a difference between setups{tests}.",
             tuple(groups),
         )
 

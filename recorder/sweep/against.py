@@ -54,8 +54,8 @@ def interleave(base: Plan, new: Plan) -> list[InterleavedRun]:
     """
     if len(base.cells) != len(new.cells):
         raise OptionError(
-            f"the base has {counted(len(base.cells), 'cell')} and the new side {len(new.cells)}; "
-            "give plans with the same number of cells, in the same order"
+            f"the base has {counted(len(base.cells), 'result')} and the new side {len(new.cells)}; "
+            "give plans with the same number of results, in the same order"
         )
     indices = {cell.name: index for index, cell in enumerate(base.cells)}
     runs = []

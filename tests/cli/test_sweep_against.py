@@ -107,7 +107,7 @@ def test_plans_of_unlike_length_are_refused_in_one_line_before_anything_is_recor
     done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", two)
     assert (done.status, done.stdout) == (2, "")
     assert done.stderr.endswith(
-        ": the base has 1 cell and the new side 2; give plans whose cells stand in the same order, one for one\n"
+        ": the base has 1 result and the new side 2; give plans with the same number of results, in the same order\n"
     )
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "runs").exists()

@@ -82,7 +82,7 @@ class CaseAnswer:
         leader_p99: the same of the p99; empty also where some setup has no interval for it.
         repeats_p50: repeats that would probably prove the best median's lead over the setups without a proven difference; None if there are none.
         repeats_p99: the same of the p99.
-        interleaved: False if some setups were recorded one after the other.
+        interleaved: False if some setups of three runs or more were recorded one after the other.
         drift_ratio: the smallest drift between these that a test would call a difference of medians.
     """
 

@@ -19,6 +19,7 @@ from ..run_statistics.between_runs import Scale, scale_of
 from ..run_statistics.change import change_of_estimates
 from ..run_statistics.received import change_of_received
 from ..run_statistics.setups import RunLogarithms, overlap_in_time, setup_means, tier_letters
+from ..statistics.intervals import MIN_RUNS
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class SetupRuns:
     Attributes:
         estimates: percentile -> its estimate.
         repeats: the repeat of each run; empty if some run has none.
-        starts_ns: when each run started by one clock; empty if unknown.
+        starts_ns: when each run started by one clock; empty if unknown. Below three runs there is no verdict, and no order.
         may_lead: False for a setup that lost too much.
         received: for each run and message whether its reply came back.
     """
@@ -114,7 +115,7 @@ class Ranking:
         leader: the setup that is faster than every other one; empty if none is shown to be.
         letters: setup -> letters of its tiers; two setups share one exactly if they are not shown to differ.
         undecided: the pairs of the best setup with those that are slower by the margin and not shown to be.
-        is_interleaved: False if some setups were recorded one after the other.
+        is_interleaved: False if some setups of three runs or more were recorded one after the other.
         drift_ratio: smallest drift that a test of these would call a difference; None if there is no such test.
     """
 
@@ -241,9 +242,8 @@ def _pair(
     trust_order: bool,
 ) -> SetupPair:
     fast, slow = (kind.setups[name] for name in names)
-    is_interleaved = not (fast.starts_ns and slow.starts_ns) or overlap_in_time(
-        fast.starts_ns, slow.starts_ns
-    )
+    fewest = min(len(fast.starts_ns), len(slow.starts_ns))
+    is_interleaved = fewest < MIN_RUNS or overlap_in_time(fast.starts_ns, slow.starts_ns)
     p_value: float | None
     ratio: float | None
     if means[0] is not None and means[1] is not None:

@@ -193,6 +193,18 @@ def test_setups_recorded_one_after_the_other_have_no_verdict_unless_their_order_
     assert (trusted.leader_p50, trusted.interleaved) == ("zenoh", False)
     (mixed,) = find_answers(rows, wall_offsets_ns=in_turn)
     assert (mixed.leader_p50, mixed.interleaved, mixed.drift_ratio) == ("zenoh", True, None)
+    (at_once,) = find_answers(rows, wall_offsets_ns=dict.fromkeys(apart, 0))
+    assert (at_once.leader_p50, at_once.interleaved) == ("zenoh", True)
+
+
+def test_the_order_of_setups_with_fewer_than_three_runs_is_not_to_blame():
+    frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(5 * MS), vendor="zenoh", run_id=2)])
+    (answer,) = find_answers(rows_by_group(frame), wall_offsets_ns={1: 0, 2: 1000 * S})
+    assert (answer.clarity, answer.basis, answer.interleaved) == (
+        Clarity.INCONCLUSIVE,
+        "within one run",
+        True,
+    )
 
 
 @pytest.mark.parametrize(("lossy", "leader"), [((True, True), "zenoh"), ((False, True), "")])

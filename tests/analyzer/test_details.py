@@ -21,6 +21,7 @@ from trace_files import (
 )
 
 import dds_trace.analyzer.pairing.rows
+from dds_trace.analyzer.clocks.boots import ping_wall_offsets
 from dds_trace.analyzer.groups.freshness import OUTAGE_SCHEMA
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.answers import find_answers
@@ -246,7 +247,8 @@ def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a
     monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_ROWS_IN_MEMORY", held_rows)
     analysis = analyze(tmp_path)
     details, rows = analysis.details, analysis.load_roundtrips()
-    assert details.answers == find_answers(rows_by_group(rows))
+    wall_offsets_ns = ping_wall_offsets(analysis.sessions, analysis.runs)
+    assert details.answers == find_answers(rows_by_group(rows), wall_offsets_ns=wall_offsets_ns)
     assert [(a.domain_mode, a.payload_bytes, len(a.contenders)) for a in details.answers] == [
         ("different", 33_000, 2),
         ("different", 502_000, 2),

@@ -31,14 +31,15 @@ LATENCY = {"whole": 5 * MS, "half": MS}
 
 
 def record(folder, kind, *, first=0, vendor=None, domain_id=5, bridge="none"):
-    """Three runs, each in a folder of its own, 1 % slower and faster in turn."""
+    """Three runs, each in a folder of its own, 1 % slower and faster in turn; those of another `first` are recorded in between."""
     vendor = vendor or VENDORS[kind]
     for number in range(first, first + 3):
+        start = (number - first) * 10**12 + first * DUE * PERIOD
         way = round(LATENCY[kind] * (0.99 + 0.01 * (number - first)))
         messages = [
             Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way)
             for s in range(SENT[kind])
-            for t in [number * 10**12 + s * PERIOD]
+            for t in [start + s * PERIOD]
         ]
         described = run(
             run_id=70 + number,
@@ -48,7 +49,7 @@ def record(folder, kind, *, first=0, vendor=None, domain_id=5, bridge="none"):
             bridge=bridge,
             extra={
                 "session_id": f"{50 + number:016x}",
-                "ended_ns": number * 10**12 + (DUE - 1) * PERIOD + MS,
+                "ended_ns": start + (DUE - 1) * PERIOD + MS,
             },
         )
         write_pair(

@@ -26,5 +26,5 @@ def answer_elsewhere(monkeypatch):
     def here(*_arguments, **_options):
         raise AssertionError("answered here")
 
-    here.__module__, here.__qualname__ = answers.__name__, "_answer_case"  # sent by its name
-    return lambda: monkeypatch.setattr(answers, "_answer_case", here)
+    here.__module__, here.__qualname__ = answers.__name__, "_measure_case"  # sent by its name
+    return lambda: monkeypatch.setattr(answers, "_measure_case", here)

@@ -124,9 +124,7 @@ class Analysis:
     @property
     def barred_groups(self) -> pl.DataFrame:
         """The rows of `summary` in which a requested setting was not applied (finding `not_applied`)."""
-        barred = {
-            group for finding in self.findings if finding.code == "not_applied" for group in finding.groups
-        }
+        barred = {group for finding in self.findings if finding.code == "not_applied" for group in finding.groups}
         return self.summary[sorted(barred)]
 
     def scan_roundtrips(self) -> pl.LazyFrame:
@@ -206,9 +204,7 @@ class Presenter(Protocol):
     def first_screen(self, analysis: Analysis) -> str:
         """Return the first screen as HTML."""
 
-    def plot(
-        self, analysis: Analysis, name: str, *, panels: str | None, metric: str | None, statistic: str
-    ) -> Figure:
+    def plot(self, analysis: Analysis, name: str, *, panels: str | None, metric: str | None, statistic: str) -> Figure:
         """Return a figure."""
 
     def show(self, analysis: Analysis, folder: Path | None) -> Path:
@@ -225,8 +221,7 @@ def _presenter() -> Presenter:
 
 _CONTENT, _ROUNDTRIPS = "content.json", "roundtrips.parquet"
 _FRAMES, DETAIL_FRAMES = (
-    tuple(field.name for field in fields(kind) if field.type == "pl.DataFrame")
-    for kind in (Analysis, Details)
+    tuple(field.name for field in fields(kind) if field.type == "pl.DataFrame") for kind in (Analysis, Details)
 )
 
 

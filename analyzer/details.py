@@ -62,9 +62,7 @@ def collect_details(
     passes = pass_numbers(campaign.runs.values())
     boots = ping_boots(campaign.sessions.values(), campaign.runs.values())
     intervals = [
-        row
-        for group in in_parts
-        for row in interval_rows(group, _column_of(rows, group), _run_of_row(rows, group))
+        row for group in in_parts for row in interval_rows(group, _column_of(rows, group), _run_of_row(rows, group))
     ]
     one_way = [row for group in in_parts for row in one_way_rows(group, _column_of(rows, group))]
     frames = {

@@ -105,9 +105,7 @@ def analyze(
     location, target = Place.of(path), Path(out) if out is not None else None
     if target is not None and target in location.own_folders and target.is_symlink():
         # The author of the traces chose where it leads, not the user who analyzes them.
-        raise OutputError(
-            f"{target} is a link to {target.readlink()}; give that folder, or another, with --out"
-        )
+        raise OutputError(f"{target} is a link to {target.readlink()}; give that folder, or another, with --out")
     engine: Engine = ClusterEngine(cluster) if cluster is not None else LocalEngine(cache=cache)
     try:
         options = AnalysisOptions(

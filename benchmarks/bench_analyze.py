@@ -122,9 +122,7 @@ def time_shape(folder: Path, shape: Shape, rounds: int, *, is_full: bool) -> lis
     for number in range(rounds):
         # Nothing is removed meanwhile: ext4 makes a new file in a millisecond where thousands were just removed, in 10 us elsewhere.
         cache = folder / f"cache{number}"
-        start_up = min(
-            analyze(folder / "tiny", folder / "tiny_out", folder / "tiny_cache").wall_s for _ in range(2)
-        )
+        start_up = min(analyze(folder / "tiny", folder / "tiny_out", folder / "tiny_cache").wall_s for _ in range(2))
         first = analyze(folder / "runs", out, cache)
         if job is None:
             job = floor_job(traces, out / "roundtrips.parquet", folder / "again.parquet")
@@ -166,16 +164,11 @@ def clock_bar(*, is_full: bool) -> Bar:
         ahead_ns = 5_000_000 + relay_in_ns * 2 // 1_000_000
         runs.append(
             RelayedMessages(
-                publish_ns,
-                relay_in_ns + ahead_ns,
-                relay_in_ns + ahead_ns + 100_000,
-                relay_in_ns + 100_000 + back,
+                publish_ns, relay_in_ns + ahead_ns, relay_in_ns + ahead_ns + 100_000, relay_in_ns + 100_000 + back
             )
         )
     taken_s = [seconds(lambda: fit_clocks(runs)) for _ in range(CLOCK_ROUNDS)]
-    return Bar(
-        "clocks of an hour at 100 Hz, ms", median(taken_s) * 1e3, MOST_CLOCK_MS if is_full else math.inf
-    )
+    return Bar("clocks of an hour at 100 Hz, ms", median(taken_s) * 1e3, MOST_CLOCK_MS if is_full else math.inf)
 
 
 def growth_bars(folder: Path) -> list[Bar]:
@@ -197,11 +190,7 @@ def growth_bars(folder: Path) -> list[Bar]:
                 file=sys.stderr,
             )
         linear = times[-1] / times[0] / GROWTH[-1]
-        bars.append(
-            Bar(
-                f"{shape.groups} groups of {shape.runs} runs: 16x over 16 times 1x", linear, MOST_TIMES_LINEAR
-            )
-        )
+        bars.append(Bar(f"{shape.groups} groups of {shape.runs} runs: 16x over 16 times 1x", linear, MOST_TIMES_LINEAR))
     return bars
 
 
@@ -209,18 +198,13 @@ def huge_bar(folder: Path) -> Bar:
     """Return the peak memory of 200 M events."""
     write_campaign(folder / "runs", HUGE)
     ran = analyze(folder / "runs", folder / "out", folder / "cache")
-    print(
-        f"{HUGE.name}: {ran.wall_s:.0f} s, {ran.cpu_s / ran.wall_s:.2f} of {os.cpu_count()} cores",
-        file=sys.stderr,
-    )
+    print(f"{HUGE.name}: {ran.wall_s:.0f} s, {ran.cpu_s / ran.wall_s:.2f} of {os.cpu_count()} cores", file=sys.stderr)
     return Bar(f"{HUGE.name}: peak RSS, GB", ran.peak_bytes / 1e9, MOST_RSS_OF_HUGE_BYTES / 1e9)
 
 
 def main() -> int:
     """Measure, print, and say by the exit code whether every bar is passed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--full", action="store_true", help="20 M events in each campaign")
     parser.add_argument("--only", choices=SHAPES, help="one of the campaigns")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="rounds of each campaign")

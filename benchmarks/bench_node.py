@@ -52,10 +52,7 @@ DOMAIN_ID = 71
 LOCALHOST = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(DOMAIN_ID)}
 CYCLONE = {
     "CYCLONEDDS_URI": ",".join(
-        (
-            cyclone_loopback(Discovery.LOCALHOST, {}),
-            cyclone_settings(Discovery.LOCALHOST, tuned=False, environment={}),
-        )
+        (cyclone_loopback(Discovery.LOCALHOST, {}), cyclone_settings(Discovery.LOCALHOST, tuned=False, environment={}))
     )
 }
 
@@ -90,9 +87,7 @@ def on_processor(place: int) -> tuple[str, ...]:
 
 
 @contextmanager
-def serving(
-    command: Sequence[object], ready: str, environment: Mapping[str, str] | None = None
-) -> Iterator[None]:
+def serving(command: Sequence[object], ready: str, environment: Mapping[str, str] | None = None) -> Iterator[None]:
     """Run a process from its line that matches `ready` to the end of the block."""
     process = subprocess.Popen(
         [*on_processor(1), *(str(word) for word in command)],
@@ -186,10 +181,7 @@ def blocking_python(load: Load, _folder: Path) -> float:
 
 def bare_rclpy(load: Load, _folder: Path) -> float:
     """Measure serialized messages through rclpy alone, on the middleware that ours chooses."""
-    environment = {
-        **LOCALHOST,
-        "RMW_IMPLEMENTATION": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
-    }
+    environment = {**LOCALHOST, "RMW_IMPLEMENTATION": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")}
     with serving([sys.executable, PLAIN, "ros2-echo", load.size_bytes], "ready", environment):
         count = load.warm_up + load.messages
         ping = [sys.executable, PLAIN, "ros2-ping", load.size_bytes, load.rate_hz, count]
@@ -202,16 +194,7 @@ def sockperf(load: Load, _folder: Path) -> float:
     common = ["--tcp", "-i", "127.0.0.1", "-p", PORT + 1, "-m", load.size_bytes]
     with serving([program, "server", *common], r"LISTEN|listen on"):
         time.sleep(0.3)  # it says so before it listens
-        ping = [
-            program,
-            "ping-pong",
-            *common,
-            "--mps",
-            load.rate_hz,
-            "-t",
-            load.seconds + WARM_UP_S,
-            "--full-rtt",
-        ]
+        ping = [program, "ping-pong", *common, "--mps", load.rate_hz, "-t", load.seconds + WARM_UP_S, "--full-rtt"]
         printed = output_of(ping)
     found = re.search(r"percentile 50\.000 =\s+([\d.]+)", printed)
     assert found, printed
@@ -296,9 +279,7 @@ def measure_load(contests: Sequence[Contest], load: Load, rounds: int, folder: P
                     other[contest.name].append(contest.measure(load, folder))
     found = []
     for contest in contests:
-        ratios = [
-            mine / theirs for mine, theirs in zip(own[contest.backend], other[contest.name], strict=True)
-        ]
+        ratios = [mine / theirs for mine, theirs in zip(own[contest.backend], other[contest.name], strict=True)]
         found.append(
             Result(
                 contest.backend,
@@ -317,25 +298,17 @@ def measure_load(contests: Sequence[Contest], load: Load, rounds: int, folder: P
 
 def main() -> int:
     """Print the table; the exit code says whether every bar holds."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument(
-        "--seconds", type=float, default=2, help="of each program and load, warm-up not included"
-    )
+    parser.add_argument("--seconds", type=float, default=2, help="of each program and load, warm-up not included")
     parser.add_argument("--backend", action="append", choices=sorted({each.backend for each in CONTESTS}))
     parser.add_argument("--size", type=int, action="append", help=f"bytes (default: {SIZES_BYTES})")
     parser.add_argument("--rate", type=int, action="append", help=f"messages a second (default: {RATES_HZ})")
     parser.add_argument(
-        "--unpinned",
-        action="store_true",
-        help="let the scheduler put both sides on one processor, where it likes to",
+        "--unpinned", action="store_true", help="let the scheduler put both sides on one processor, where it likes to"
     )
     parser.add_argument(
-        "--awake",
-        action="store_true",
-        help="keep every core awake, as a robot's are not: for all programs alike",
+        "--awake", action="store_true", help="keep every core awake, as a robot's are not: for all programs alike"
     )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()

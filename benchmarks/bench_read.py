@@ -169,13 +169,9 @@ def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> 
     path = write_event_trace(folder / f"{codec or 'none'}_{events}.mcap", events, codec)
     bars, ours_s, says = [], list[float](), list[str]()
     if codec in UNPACKERS:
-        rounds = [
-            of_round for _ in range(WARM_PROCESSES) for of_round in in_new_process("warm-read", path, codec)
-        ]
+        rounds = [of_round for _ in range(WARM_PROCESSES) for of_round in in_new_process("warm-read", path, codec)]
         ratio = statistics.median(ours / theirs for ours, theirs in rounds)
-        bars.append(
-            Bar(codec, events, "times unpacking alone", ratio, MOST_TIMES_UNPACKING[codec], at_most=True)
-        )
+        bars.append(Bar(codec, events, "times unpacking alone", ratio, MOST_TIMES_UNPACKING[codec], at_most=True))
         bars.append(first_read_bar(path, codec, events))
         ours_s += [ours for ours, _ in rounds]
         says.append(f"unpacking alone {statistics.median(theirs for _, theirs in rounds):.3f} s")
@@ -188,9 +184,7 @@ def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> 
         else:
             ours_s = ours_s or [ours for ours, _ in side_by_side(path, lambda: None, LEAST_ROUNDS)]
             ratio = events / EVENTS * public[name] / statistics.median(ours_s)
-        bars.append(
-            Bar(codec, events, f"times faster than {name}", ratio, LEAST_TIMES_FASTER[name], at_most=False)
-        )
+        bars.append(Bar(codec, events, f"times faster than {name}", ratio, LEAST_TIMES_FASTER[name], at_most=False))
         says.append(f"{name} {public[name] * events / EVENTS:.1f} s")
     median_s = statistics.median(ours_s)
     print(
@@ -206,9 +200,7 @@ def bars_of(folder: Path, codec: str, events: int, public: dict[str, float]) -> 
 
 def main() -> int:
     """Measure, print, and say by the exit code whether every bar is passed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--large", action="store_true", help="20 M events too")
     parser.add_argument("--codec", choices=["zstd", "lz4", "none"], help="only this one")
     parser.add_argument("--json", action="store_true", help="print JSON in place of the table")

@@ -206,17 +206,12 @@ class Bar:
 
     def holds(self, ratio: float) -> bool:
         """Whether the ratio sink / inline is good enough."""
-        return (self.at_most is None or ratio <= self.at_most) and (
-            self.at_least is None or ratio >= self.at_least
-        )
+        return (self.at_most is None or ratio <= self.at_most) and (self.at_least is None or ratio >= self.at_least)
 
 
 BARS = [
     Bar(
-        "one event at 1 kHz (cold), median",
-        "ns",
-        lambda name, path: cold_path_ns(RECORDERS[name], path),
-        at_most=1 / 2,
+        "one event at 1 kHz (cold), median", "ns", lambda name, path: cold_path_ns(RECORDERS[name], path), at_most=1 / 2
     ),
     Bar(
         "stamp to hand-over at 1 kHz (cold)",
@@ -225,24 +220,14 @@ BARS = [
         at_most=1 / 5,
     ),
     Bar("hot path, mean", "ns", lambda name, path: hot_path_ns(RECORDERS[name], path), at_most=1 / 5),
-    Bar(
-        "stamp to hand-over, median",
-        "ns",
-        lambda name, path: handover_ns(STAMPERS[name], path),
-        at_most=1 / 10,
-    ),
+    Bar("stamp to hand-over, median", "ns", lambda name, path: handover_ns(STAMPERS[name], path), at_most=1 / 10),
     Bar(
         "stamp to publish with a header, median",
         "ns",
         lambda name, path: publish_ns(STAMPERS[name], path),
         at_most=1 / 7,
     ),
-    Bar(
-        "worst stall of ten events at 1 kHz",
-        "ns",
-        lambda name, path: stall_ns(RECORDERS[name], path),
-        at_most=1 / 20,
-    ),
+    Bar("worst stall of ten events at 1 kHz", "ns", lambda name, path: stall_ns(RECORDERS[name], path), at_most=1 / 20),
     Bar("sustained", "events/s", lambda name, path: sustained_per_s(RECORDERS[name], path), at_least=3),
 ]
 
@@ -277,9 +262,7 @@ def run_bar(bar: Bar, rounds: int, folder: Path) -> Result:
 
 def main() -> int:
     """Print the table; the exit code says whether every bar holds."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--folder", type=Path, help="where the files go (default: the temporary folder)")
@@ -295,7 +278,7 @@ def main() -> int:
             missed = "" if result.holds else "  MISSED"
             print(
                 f"{result.name:40}{result.sink:>14,.0f}{result.inline:>14,.0f}{ratio:>10}{result.bar:>10}"
-                f"  {result.unit}{missed}",
+                f"  {result.unit}{missed}"
             )
     return 0 if all(result.holds for result in results) else 1
 

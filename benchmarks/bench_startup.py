@@ -53,28 +53,15 @@ class Startup:
 
 def commands(folder: Path) -> dict[str, tuple[list[str], float | None]]:
     """Return name -> (arguments, most seconds) of everything that is started."""
-    subcommands = [
-        "dds-record",
-        "dds-sweep",
-        "dds-bridge",
-        "dds-analyze",
-        "dds-analyze compare",
-        "dds-analyze watch",
-    ]
+    subcommands = ["dds-record", "dds-sweep", "dds-bridge", "dds-analyze", "dds-analyze compare", "dds-analyze watch"]
     return {
         BARE: ([sys.executable, "-c", "pass"], None),
-        "import numpy, polars, pyarrow": (
-            [sys.executable, "-c", "import numpy, polars, pyarrow.parquet"],
-            None,
-        ),
+        "import numpy, polars, pyarrow": ([sys.executable, "-c", "import numpy, polars, pyarrow.parquet"], None),
         **{
             f"{name} --help": ([str(BIN / name.split()[0]), *name.split()[1:], "--help"], HELP_S)
             for name in subcommands
         },
-        ANALYSIS: (
-            [str(BIN / "dds-analyze"), str(SAMPLE), "--no-cache", "--out", str(folder / "out")],
-            ANALYSIS_S,
-        ),
+        ANALYSIS: ([str(BIN / "dds-analyze"), str(SAMPLE), "--no-cache", "--out", str(folder / "out")], ANALYSIS_S),
     }
 
 
@@ -105,9 +92,7 @@ def measure(rounds: int) -> list[Startup]:
             command,
             statistics.median(wall for wall, _ in times[command]),
             statistics.median(cpu for _, cpu in times[command]),
-            statistics.median(
-                wall / bare for (wall, _), (bare, _) in zip(times[command], times[BARE], strict=True)
-            ),
+            statistics.median(wall / bare for (wall, _), (bare, _) in zip(times[command], times[BARE], strict=True)),
             most_s,
         )
         for command, (_, most_s) in started.items()
@@ -116,9 +101,7 @@ def measure(rounds: int) -> list[Startup]:
 
 def main() -> int:
     """Measure, print, and say by the exit code whether every bar is passed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
     options = parser.parse_args()
@@ -126,9 +109,7 @@ def main() -> int:
     if options.json:
         print(json.dumps([{**asdict(startup), "passed": startup.passed} for startup in startups], indent=1))
     else:
-        print(
-            f"{'command':36}{'wall':>9}{'CPU':>9}{'x python':>10}  bar; load average {os.getloadavg()[0]:.1f}"
-        )
+        print(f"{'command':36}{'wall':>9}{'CPU':>9}{'x python':>10}  bar; load average {os.getloadavg()[0]:.1f}")
         for startup in startups:
             bar = "" if startup.bar_s is None else f"<= {startup.bar_s * 1e3:.0f} ms"
             print(

@@ -37,13 +37,7 @@ if TYPE_CHECKING:
     from dds_trace.recorder.wire.counts import WireCounts
 
 PROGRAM = Path(sys.executable).with_name("dds-record")
-CELLS = (
-    ("socket", "1KB"),
-    ("socket", "33KB"),
-    ("cyclonedds", "1KB"),
-    ("cyclonedds", "33KB"),
-    ("cyclonedds", "1MB"),
-)
+CELLS = (("socket", "1KB"), ("socket", "33KB"), ("cyclonedds", "1KB"), ("cyclonedds", "33KB"), ("cyclonedds", "1MB"))
 WARM_UP_S = 6
 RATE_HZ = {"1KB": 200, "33KB": 200, "1MB": 30}
 
@@ -175,9 +169,7 @@ def phase(options: WireOptions | None, phase_s: float) -> tuple[tuple[int, int],
         return (begin_ns, end_ns), capture.take().counts if capture else None
 
 
-def measure(
-    backend: str, size: str, domain_id: int, phases: int, phase_s: float, folder: Path
-) -> Cell | None:
+def measure(backend: str, size: str, domain_id: int, phases: int, phase_s: float, folder: Path) -> Cell | None:
     """Return the cell of one middleware and size; None if no message came back in some phase, on a machine too busy."""
     ports = (domain_ports(domain_id),)
     options = WireOptions(("lo",), rtps_ports=ports, udp_ports=ports, tcp_ports=ports)
@@ -219,9 +211,7 @@ def measure(
 
 def main() -> None:
     """Measure all cells."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--phases", type=int, default=10, help="of each cell, every other one watched")
     parser.add_argument("--phase-s", type=float, default=2)
     parser.add_argument("--domain", type=int, default=60)
@@ -233,9 +223,7 @@ def main() -> None:
         print(f"not measured: {err}")
         return
     added = added_ns(options.domain)
-    print(
-        json.dumps({"added_ns": added}) if options.json else f"added to one packet, ns: {added}", flush=True
-    )
+    print(json.dumps({"added_ns": added}) if options.json else f"added to one packet, ns: {added}", flush=True)
     with tempfile.TemporaryDirectory(prefix="dds-trace-bench-") as folder:
         for backend, size in CELLS:
             cell = measure(backend, size, options.domain, options.phases, options.phase_s, Path(folder))

@@ -52,9 +52,7 @@ class Shape:
 
 STUDY = Shape("500 runs in 2 files over 139 hours", 20_000_000, runs=500, pairs=1, groups=100, rate_hz=10)
 ONE_RUN = Shape("one run at 1 kHz", 20_000_000, runs=1, pairs=1, groups=1, rate_hz=1000)
-SHORT_RUNS = Shape(
-    "2,000 short runs in 4,000 files", 20_000_000, runs=2_000, pairs=2_000, groups=400, rate_hz=100
-)
+SHORT_RUNS = Shape("2,000 short runs in 4,000 files", 20_000_000, runs=2_000, pairs=2_000, groups=400, rate_hz=100)
 MANY_GROUPS = Shape("10,000 groups", 2_000_000, runs=10_000, pairs=1, groups=10_000, rate_hz=10)
 SHAPES = {"study": STUDY, "one_run": ONE_RUN, "short_runs": SHORT_RUNS}
 
@@ -84,9 +82,7 @@ def write_campaign(folder: Path, shape: Shape) -> list[Path]:
     folder.mkdir(parents=True)
     runs_of_pair = max(1, shape.runs // shape.pairs)
     period_ns = 1_000_000_000 // shape.rate_hz
-    periods_of_pair = (
-        shape.events // shape.pairs // EVENTS_OF_MESSAGE + shape.rate_hz
-    )  # a second between two pings
+    periods_of_pair = shape.events // shape.pairs // EVENTS_OF_MESSAGE + shape.rate_hz  # a second between two pings
     return [
         write_event_trace(
             folder / f"{'relay' if relay else 'ping'}{pair}.mcap",

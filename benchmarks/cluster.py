@@ -97,9 +97,7 @@ def time_analysis(runs: Path, out: Path, workers: int) -> Timing:
 
 def main() -> int:
     """Measure, print, and say by the exit code whether every bar is passed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--times", type=float, default=1.0, help="size of the campaign, in 20 M events")
     parser.add_argument("--workers", type=int, nargs="+", default=WORKERS)
     parser.add_argument("--rounds", type=int, default=ROUNDS)

@@ -86,12 +86,9 @@ def losses_table(samples: int, missed: list[str]) -> Iterator[str]:
             cells = []
             for base, new in (*zip(shares, shares, strict=True), (0.005, 0.05)):
                 sides = (
-                    [list(~draw(generator, runs, MESSAGES, share)) for share in (base, new)]
-                    for _ in range(samples)
+                    [list(~draw(generator, runs, MESSAGES, share)) for share in (base, new)] for _ in range(samples)
                 )
-                told = sum(
-                    change_of_received(*pair).verdict() in {Verdict.BETTER, Verdict.WORSE} for pair in sides
-                )
+                told = sum(change_of_received(*pair).verdict() in {Verdict.BETTER, Verdict.WORSE} for pair in sides)
                 cells.append(f"{100 * told / samples:.1f}")
                 if base == new and is_above(told, samples, MOST_FALSE_LOSSES):
                     missed.append(f"{name}, {runs} runs, {base:.1%}: {told / samples:.1%} false")
@@ -134,10 +131,7 @@ def results_table(samples: int, missed: list[str]) -> Iterator[str]:
             repeats = max(50, samples // results)
             for _ in range(repeats):
                 sides = [
-                    {
-                        (size,): draw_group(generator, 5, 300, draw(generator, 5, 300, share))
-                        for size in range(results)
-                    }
+                    {(size,): draw_group(generator, 5, 300, draw(generator, 5, 300, share)) for size in range(results)}
                     for _ in range(2)
                 ]
                 comparison = compare_groups(*sides, {"payload_bytes": pl.Int64()}, options)
@@ -147,11 +141,7 @@ def results_table(samples: int, missed: list[str]) -> Iterator[str]:
                     result.outcome is GateOutcome.REGRESSED
                     for result in judge_gates(comparison, gates, allow_missing=True)
                 )
-            counts = (
-                (said, MOST_FALSE_SENTENCES),
-                (lost, MOST_FALSE_LOSSES),
-                (failed, MOST_FALSE_GATES),
-            )
+            counts = ((said, MOST_FALSE_SENTENCES), (lost, MOST_FALSE_LOSSES), (failed, MOST_FALSE_GATES))
             missed += [
                 f"{results} results, {name}: {count / repeats:.1%}"
                 for count, bar in counts
@@ -196,9 +186,7 @@ def looks_table(samples: int, missed: list[str]) -> Iterator[str]:
 
 def main() -> int:
     """Simulate, print the tables and the bars that are missed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a fifth of the samples")
     options = parser.parse_args()
     samples = 200 if options.quick else 1000

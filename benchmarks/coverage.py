@@ -162,9 +162,7 @@ def _correlated(generator: np.random.Generator, runs: int, messages: int, correl
     return values.T
 
 
-def _episodes(
-    generator: np.random.Generator, runs: int, messages: int, share: float, together: float
-) -> Bools:
+def _episodes(generator: np.random.Generator, runs: int, messages: int, share: float, together: float) -> Bools:
     """Draw which messages are in an episode: a chain of two states that begins in its long-run shares."""
     begins = share / (1 - share) / together
     draws = generator.random((messages, runs))
@@ -286,9 +284,7 @@ def measure(scenario: Scenario, runs: int, messages: int, samples: int) -> Cell:
     truths = {quantile: scenario.truth(quantile) for quantile in QUANTILES}
     for _ in range(0, samples, SAMPLES_AT_ONCE):
         drawn = scenario.draw(generator, runs * SAMPLES_AT_ONCE, messages, runs < MIN_RUNS)
-        groups = [
-            [Run(values) for values in group] for group in drawn.reshape(SAMPLES_AT_ONCE, runs, messages)
-        ]
+        groups = [[Run(values) for values in group] for group in drawn.reshape(SAMPLES_AT_ONCE, runs, messages)]
         for quantile, found in intervals.items():
             for interval in _intervals(groups, quantile, verdicts.get(quantile)):
                 found.add(interval, truths[quantile])
@@ -297,9 +293,7 @@ def measure(scenario: Scenario, runs: int, messages: int, samples: int) -> Cell:
     return cell
 
 
-def _intervals(
-    groups: Sequence[Sequence[Run]], quantile: float, verdicts: Verdicts | None
-) -> Iterator[Interval]:
+def _intervals(groups: Sequence[Sequence[Run]], quantile: float, verdicts: Verdicts | None) -> Iterator[Interval]:
     """Return the interval of each group; those of pairs come with the change, which is counted."""
     statistic = Statistic(quantile)
     if verdicts is None:
@@ -348,9 +342,7 @@ def verdict_table(cells: Sequence[Cell]) -> Iterator[str]:
 
 def main() -> int:
     """Simulate, print both tables and the bars that are missed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help=f"{QUICK_SAMPLES} samples a cell")
     parser.add_argument("--only", default="", help="scenarios whose name contains this")
     options = parser.parse_args()

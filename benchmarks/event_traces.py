@@ -44,7 +44,7 @@ MESSAGE_DTYPE = np.dtype(
         ("publish_time", "<u8"),
         ("cdr", f"V{len(CDR_HEADER)}"),
         *((name, EVENT_DTYPE[name]) for name in EVENT_DTYPE.names or ()),
-    ],
+    ]
 )
 STAGES = (Stage.T1, Stage.T2)
 EVENT_CHANNELS = (1, 2)
@@ -127,12 +127,7 @@ def write_event_trace(
 
 
 def _messages(
-    start: int,
-    count: int,
-    events_per_run: int,
-    random: np.random.Generator,
-    period_ns: int,
-    first_ns: int,
+    start: int, count: int, events_per_run: int, random: np.random.Generator, period_ns: int, first_ns: int
 ) -> np.ndarray[Any, Any]:
     number = np.arange(start, start + count)
     is_reply = number % 2 == 1
@@ -148,9 +143,7 @@ def _messages(
     jitter = random.integers(0, 200_000, count)
     messages["monotonic_ns"] = due_ns + jitter
     messages["scheduled_ns"] = np.where(is_reply, 0, due_ns)
-    messages["source_ns"] = np.where(
-        is_reply, START_NS + due_ns + jitter - random.integers(0, 99_000, count), 0
-    )
+    messages["source_ns"] = np.where(is_reply, START_NS + due_ns + jitter - random.integers(0, 99_000, count), 0)
     messages["received_ns"] = np.where(is_reply, messages["source_ns"] + random.integers(0, 50_000, count), 0)
     messages["payload_bytes"] = 33_000
     messages["relay_id"] = np.where(is_reply, RELAY_ID, 0)
@@ -169,10 +162,7 @@ def _become_relayed(messages: np.ndarray[Any, Any], period_ns: int) -> None:
 
 
 def _chunk(
-    offset: int,
-    content: bytes,
-    compression: str,
-    messages: np.ndarray[Any, Any] | None = None,
+    offset: int, content: bytes, compression: str, messages: np.ndarray[Any, Any] | None = None
 ) -> tuple[bytes, ChunkIndex]:
     packed = PACKERS[compression](content)
     first = last = START_NS
@@ -256,10 +246,7 @@ def _texts(runs: range, seed: int, groups: int, period_ns: int, *, relay: bool) 
         for number in runs
     ]
     return b"".join(
-        [
-            _text(3, 0, session.to_json()),
-            *(_text(4, number, run.to_json()) for number, run in enumerate(described)),
-        ],
+        [_text(3, 0, session.to_json()), *(_text(4, number, run.to_json()) for number, run in enumerate(described))]
     )
 
 

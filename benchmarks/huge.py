@@ -113,14 +113,10 @@ def measure_floor(folder: Path, events: int) -> Floor:
 
 def main() -> int:
     """Make the traces, analyze them, print, and say by the exit code whether every bar is passed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--events", type=int, default=EVENTS)
     parser.add_argument("--events-of-file", type=int, default=EVENTS_OF_FILE, help=argparse.SUPPRESS)
-    parser.add_argument(
-        "--folder", type=Path, help="on a disk with room; a folder for temporary files if left out"
-    )
+    parser.add_argument("--folder", type=Path, help="on a disk with room; a folder for temporary files if left out")
     parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
     options = parser.parse_args()
     pairs = max(1, options.events // (2 * options.events_of_file))

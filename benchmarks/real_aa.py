@@ -79,9 +79,7 @@ def neighbouring_sides(runs: Sequence[int], a_side: int) -> Iterator[tuple[list[
         yield list(runs[first:middle]), list(runs[middle : middle + a_side])
 
 
-def count(
-    rows: pl.DataFrame, sides: Iterator[tuple[list[int], list[int]]], gate_texts: Sequence[str]
-) -> Counts:
+def count(rows: pl.DataFrame, sides: Iterator[tuple[list[int], list[int]]], gate_texts: Sequence[str]) -> Counts:
     """Compare pairs of sets of runs of one group."""
     gates = parse_gates(gate_texts)
     options = CompareOptions(metrics=METRICS, statistics=STATISTICS)
@@ -91,9 +89,7 @@ def count(
         groups = [{key: MatchedGroup(rows.filter(pl.col("run_id").is_in(side)))} for side in (base, new)]
         comparison = compare_groups(*groups, rows.schema, options)
         counts.pairs += 1
-        for metric, statistic, verdict in comparison.rows.select(
-            "metric", "statistic", "verdict"
-        ).iter_rows():
+        for metric, statistic, verdict in comparison.rows.select("metric", "statistic", "verdict").iter_rows():
             counts.verdicts[metric, statistic] += verdict in {"better", "worse"}
         for result in judge_gates(comparison, gates):
             counts.gates[result.gate.text] += result.outcome is GateOutcome.REGRESSED
@@ -108,8 +104,7 @@ def table(found: Mapping[tuple[str, str], Counts]) -> Iterator[str]:
     yield f"| --- | ---: |{' ---: |' * (len(verdicts) + len(gates))}"
     for (group, drawn), counts in found.items():
         shares = [
-            " / ".join(_percent(counts.verdicts[metric, name], counts) for name in STATISTICS)
-            for metric in METRICS
+            " / ".join(_percent(counts.verdicts[metric, name], counts) for name in STATISTICS) for metric in METRICS
         ]
         shares += [_percent(counts.gates[text], counts) for text in gates]
         yield f"| {group}, {drawn} | {counts.pairs} | {' | '.join(shares)} |"
@@ -121,15 +116,11 @@ def _percent(number: int, counts: Counts) -> str:
 
 def main() -> int:
     """Draw the pairs of every group, print the table and the bars that are missed."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="the folder of a sweep, or any folder of traces")
     parser.add_argument("--runs", type=int, default=5, help="runs a side (default: 5)")
     parser.add_argument("--pairs", type=int, default=200, help="pairs drawn of each group (default: 200)")
-    parser.add_argument(
-        "--gate", action="append", help="a gate to count (default: those of --fail-if default)"
-    )
+    parser.add_argument("--gate", action="append", help="a gate to count (default: those of --fail-if default)")
     options = parser.parse_args()
     analysis = analyze(options.folder, details=False)
     roundtrips = analysis.load_messages()
@@ -154,9 +145,7 @@ def main() -> int:
     ]
     print(
         "\n".join(
-            ["", "missed bars:", *missed]
-            if missed
-            else ["", f"every share of drawn pairs is at most {MOST_FALSE:.0%}"]
+            ["", "missed bars:", *missed] if missed else ["", f"every share of drawn pairs is at most {MOST_FALSE:.0%}"]
         )
     )
     return 1 if missed else 0

@@ -216,9 +216,7 @@ def firefox() -> Iterator[Callable[[Path], tuple[str, ...] | None]]:
     if program is None or importlib.util.find_spec("marionette_driver") is None:
         yield lambda _: None
         return
-    quiet = contextlib.redirect_stdout(
-        io.TextIOWrapper(io.BytesIO())
-    )  # its helpers tell Firefox's version there
+    quiet = contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO()))  # its helpers tell Firefox's version there
     with tempfile.TemporaryDirectory() as folder, quiet:
         from marionette_driver.marionette import Marionette  # noqa: PLC0415 - an extra of its own
         from marionette_driver.wait import Wait  # noqa: PLC0415
@@ -245,9 +243,7 @@ def firefox() -> Iterator[Callable[[Path], tuple[str, ...] | None]]:
 
 
 def _is_open(client: Any) -> bool:
-    return bool(
-        client.execute_script("return document.querySelector('.count')?.textContent || ''", sandbox=None)
-    )
+    return bool(client.execute_script("return document.querySelector('.count')?.textContent || ''", sandbox=None))
 
 
 _FIREFOX_ERRORS = """

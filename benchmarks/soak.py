@@ -112,9 +112,7 @@ class Soak:
         relay = [str(Path(sys.executable).with_name("dds-record")), "--role", "relay", "--backend", backend]
         relay += ["--domain", str(DOMAIN), "--discovery", "localhost", "--rotate", "2min", "--keep", "3"]
         relay += ["--depth", str(DEPTH)]
-        self._relay = subprocess.Popen(
-            [*relay, "--out", str(folder / "relay.mcap")], stderr=subprocess.DEVNULL
-        )
+        self._relay = subprocess.Popen([*relay, "--out", str(folder / "relay.mcap")], stderr=subprocess.DEVNULL)
 
     def measure(self) -> list[Sample]:
         """Send for the time asked for, and return the relay's samples."""
@@ -157,9 +155,7 @@ class Soak:
         process = Path(f"/proc/{self._relay.pid}")
         lines = (process / "status").read_text().splitlines()
         status = {name: words.split() for name, _, words in (line.partition(":") for line in lines)}
-        mapped = {
-            line.split()[-1] for line in (process / "maps").read_text().splitlines() if "/dev/shm/" in line
-        }
+        mapped = {line.split()[-1] for line in (process / "maps").read_text().splitlines() if "/dev/shm/" in line}
         shared = [Path(path).stat() for path in mapped if Path(path).exists()]
         return Sample(
             self.runs,
@@ -181,9 +177,7 @@ def slope_per_1000(samples: list[Sample], name: str) -> float:
 
 def main() -> int:
     """Soak a relay and print what it does to it."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("minutes", nargs="?", type=float, default=30.0)
     parser.add_argument("--backend", default="ros2")
     parser.add_argument("--out", type=Path)
@@ -204,16 +198,12 @@ def main() -> int:
     print(
         f"{arguments.backend}: {soak.runs} runs, {soak.received} of {soak.published} messages came back, {last.elapsed_s:.0f} s"
     )
-    print(
-        f"resident memory {first.rss_kb} -> {last.rss_kb} KB: {slope:+.0f} KB per 1000 runs behind the first fifth"
-    )
+    print(f"resident memory {first.rss_kb} -> {last.rss_kb} KB: {slope:+.0f} KB per 1000 runs behind the first fifth")
     print(
         f"anonymous memory {first.anonymous_kb} -> {last.anonymous_kb} KB: {slope_per_1000(settled, 'anonymous_kb'):+.0f} KB per 1000 runs"
     )
     print(f"open files {first.open_files} -> {last.open_files}, threads {first.threads} -> {last.threads}")
-    print(
-        f"mapped files of /dev/shm {first.shm_files} -> {last.shm_files}, {first.shm_kb} -> {last.shm_kb} KB"
-    )
+    print(f"mapped files of /dev/shm {first.shm_files} -> {last.shm_files}, {first.shm_kb} -> {last.shm_kb} KB")
     grows = slope_per_1000(settled, "open_files") > 1 or slope_per_1000(settled, "shm_files") > 1
     return int(slope > MOST_KB_PER_1000_RUNS or grows)
 

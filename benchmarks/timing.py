@@ -58,9 +58,7 @@ def packed_chunks(path: Path) -> list[tuple[bytes, int]]:
         return [(record.data, record.uncompressed_size) for record in records if isinstance(record, Chunk)]
 
 
-def unpack_job(
-    chunks: Sequence[tuple[bytes, int]], unpack: Callable[[bytes, int], bytes]
-) -> Callable[[], None]:
+def unpack_job(chunks: Sequence[tuple[bytes, int]], unpack: Callable[[bytes, int], bytes]) -> Callable[[], None]:
     """Unpacks all chunks, in memory already, on one thread."""
     # Glibc keeps freed blocks up to the size of the largest so far; else each chunk may be unpacked into fresh
     # memory, which can take three times as long.

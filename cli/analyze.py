@@ -45,9 +45,7 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
             continue
         matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207 - pathlib's takes no absolute pattern
         if not matches:
-            raise MissingEventsError(
-                f"{text}: no file or folder matches; give the folder that dds-record wrote into"
-            )
+            raise MissingEventsError(f"{text}: no file or folder matches; give the folder that dds-record wrote into")
         paths += map(Path, matches)
     return paths
 
@@ -62,10 +60,7 @@ def open_page(page: Path) -> None:
 
     if any(map(os.environ.get, DESKTOP_VARIABLES)) and webbrowser.open(page.absolute().as_uri()):
         return
-    print(
-        "no desktop here: open the file below in a browser, here or copied to another machine",
-        file=sys.stderr,
-    )
+    print("no desktop here: open the file below in a browser, here or copied to another machine", file=sys.stderr)
 
 
 HTML = "html"
@@ -126,10 +121,7 @@ def main_command(
     ] = None,
     sketch: Annotated[
         bool,
-        option(
-            "--sketch",
-            "Compute percentiles from histograms (error at most 0.05 %); write no roundtrips.parquet.",
-        ),
+        option("--sketch", "Compute percentiles from histograms (error at most 0.05 %); write no roundtrips.parquet."),
     ] = False,
     no_cache: Annotated[
         bool, option("--no-cache", "Read every trace again, and cache nothing for the next analysis.")
@@ -151,27 +143,20 @@ def main_command(
     margin: Annotated[
         str | None,
         option(
-            "--margin PERCENT",
-            "Call a setup fastest only if the next takes at least this much longer. Default: 5%",
+            "--margin PERCENT", "Call a setup fastest only if the next takes at least this much longer. Default: 5%"
         ),
     ] = None,
     trust_order: Annotated[
-        bool,
-        option("--trust-order", "Compare setups that were recorded one after the other, too."),
+        bool, option("--trust-order", "Compare setups that were recorded one after the other, too.")
     ] = False,
     export: Annotated[
-        list[ExportKind] | None,
-        option("--export KIND", "Write csv or arrow in addition to Parquet; repeatable."),
+        list[ExportKind] | None, option("--export KIND", "Write csv or arrow in addition to Parquet; repeatable.")
     ] = None,
     derived_mcap: Annotated[
-        bool,
-        option("--derived-mcap", "Write the latency of every message as MCAP, and a layout for Foxglove."),
+        bool, option("--derived-mcap", "Write the latency of every message as MCAP, and a layout for Foxglove.")
     ] = False,
     topics: Annotated[
-        bool,
-        option(
-            "--topics", "For recordings of other tools: show rate, gaps, jitter, size and age of every topic."
-        ),
+        bool, option("--topics", "For recordings of other tools: show rate, gaps, jitter, size and age of every topic.")
     ] = False,
     open_it: Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")] = False,
     version: Version = False,  # noqa: ARG001 - its callback does it

@@ -34,17 +34,14 @@ def main_command(
         bool, option("--list", "Show which bridges are installed, and how to get the others.")
     ] = False,
     as_json: Annotated[bool, option("--json", "Print the --list as JSON.")] = False,
-    print_config: Annotated[
-        bool, option("--print-config", "Print the configuration and run nothing.")
-    ] = False,
+    print_config: Annotated[bool, option("--print-config", "Print the configuration and run nothing.")] = False,
     check: Annotated[
         bool, option("--check", "Check that the program is here and takes these options; run nothing.")
     ] = False,
     from_domain: Annotated[int, option("--from ID", "Domain of the ping. Default: 5")] = 5,
     to_domain: Annotated[int, option("--to ID", "Domain of the relay. Default: 10")] = 10,
     topics: Annotated[
-        list[str] | None,
-        option("--topic NAME:TYPE", "Carry this topic and NAME_relay, its way back; repeatable."),
+        list[str] | None, option("--topic NAME:TYPE", "Carry this topic and NAME_relay, its way back; repeatable.")
     ] = None,
     half: Annotated[
         Role | None, option("--half ROLE", "Run only the half of ping or relay, with --listen or --peer.")
@@ -67,13 +64,7 @@ def main_command(
         dds-bridge zenoh-bridge-dds --half relay --peer 192.168.0.5:7447
     """
     from dds_trace.base.errors import OptionError
-    from dds_trace.recorder.bridges.base import (
-        BRIDGED_TOPICS,
-        BridgeOptions,
-        Half,
-        bridged_topic,
-        load_bridge,
-    )
+    from dds_trace.recorder.bridges.base import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
     from dds_trace.recorder.option_table import CommandOptions
 
     from .record.precedence import default_discovery

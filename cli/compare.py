@@ -55,16 +55,10 @@ def compare_command(
         bool, option("--allow-missing", "Allow results that are missing or receive nothing on the new side.")
     ] = False,
     inconclusive: Annotated[
-        Unsure,
-        option(
-            "--inconclusive EXIT", "Exit of an inconclusive gate: pass (0) or fail (21).", show_default=True
-        ),
+        Unsure, option("--inconclusive EXIT", "Exit of an inconclusive gate: pass (0) or fail (21).", show_default=True)
     ] = Unsure.FAIL,
     paired: Annotated[
-        bool,
-        option(
-            "--paired", "Compare repeat by repeat: both sides were measured in the same repeats of one sweep."
-        ),
+        bool, option("--paired", "Compare repeat by repeat: both sides were measured in the same repeats of one sweep.")
     ] = False,
     looks: Annotated[
         int,
@@ -112,11 +106,7 @@ def compare_command(
     from dds_trace.reports.comparison import terminal
     from dds_trace.reports.comparison.info import comparison_info
 
-    for path, where, limit in (
-        (base, "BASE", limits.INPUT),
-        (new, "NEW", limits.INPUT),
-        (out, "--out", limits.PATH),
-    ):
+    for path, where, limit in ((base, "BASE", limits.INPUT), (new, "NEW", limits.INPUT), (out, "--out", limits.PATH)):
         limits.check(limit, None if path is None else str(path), where)
     gates = parse_gates(fail_if or [])  # before anything is read
     match = match_without(filter(None, map(str.strip, ignore.split(","))))

@@ -119,9 +119,7 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
             data = file.read(_MOST_BYTES + 1)
         text = data.decode()
     except OSError as err:
-        raise OptionError(
-            f"{path}: {err.strerror}; name another file in {VARIABLE}, or leave it empty"
-        ) from err
+        raise OptionError(f"{path}: {err.strerror}; name another file in {VARIABLE}, or leave it empty") from err
     except UnicodeDecodeError as err:
         raise OptionError(f"{path}: {err}; it is UTF-8 text") from err
     if len(data) > _MOST_BYTES:
@@ -141,10 +139,7 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
                 f"{own.where}: {key} = {limits.shown(value)} cannot come from a working folder: give --{key}, or set it in "
                 f"{_own_file() or VARIABLE}; {VARIABLE}= in the environment ignores this file"
             )
-    return {
-        key: value if isinstance(value, list) or not options[key] else [value]
-        for key, value in own.values.items()
-    }
+    return {key: value if isinstance(value, list) or not options[key] else [value] for key, value in own.values.items()}
 
 
 def _is_own_only(key: str, value: object) -> bool:
@@ -169,9 +164,7 @@ def _check_owner(path: Path, owner: int) -> None:
     """Refuse a file that another user put into a shared folder such as `/tmp`."""
     trusted = {os.geteuid(), 0, path.parent.stat().st_uid}
     if owner not in trusted:
-        raise OptionError(
-            f"{path} belongs to another user; remove it, or work without: {VARIABLE}= in the environment"
-        )
+        raise OptionError(f"{path} belongs to another user; remove it, or work without: {VARIABLE}= in the environment")
 
 
 def _home() -> str:
@@ -203,9 +196,7 @@ class DefaultedCommand(TyperCommand):
         files = find_files() if self.table and not {"-h", "--help", "--version"} & set(args) else []
         if files:
             options = {_key(option): option for option in self._options()}
-            values = read_defaults(
-                files, self.table, {key: option.multiple for key, option in options.items()}
-            )
+            values = read_defaults(files, self.table, {key: option.multiple for key, option in options.items()})
             self.in_file = {options[key].name: default for key, default in values.items()}
             extra["default_map"] = {name: default.value for name, default in self.in_file.items()}
         return super().make_context(info_name, args, parent, **extra)
@@ -225,9 +216,7 @@ class DefaultedCommand(TyperCommand):
             raise OptionError(f"{path}: [{self.table}]: {_key(parameter)}: {err.message}") from err
         overridden = self.overridden(ctx.params)
         from_file = {name for name in self.in_file if _is_from_file(ctx, name)}
-        in_force = {
-            name: value for name, value in self.in_file.items() if name in from_file - set(overridden)
-        }
+        in_force = {name: value for name, value in self.in_file.items() if name in from_file - set(overridden)}
         options = {option.name: option for option in self._options()}
         for name in from_file & set(overridden):
             ctx.params[name] = options[name].default

@@ -36,9 +36,7 @@ def run_program(
     if completed is not None:
         run_command(partial(commands[completed], [], prog_name=name), needs_stdout=needs_stdout)
     elif given and given[0] in commands:
-        run_command(
-            partial(commands[given[0]], given[1:], prog_name=f"{name} {given[0]}"), needs_stdout=needs_stdout
-        )
+        run_command(partial(commands[given[0]], given[1:], prog_name=f"{name} {given[0]}"), needs_stdout=needs_stdout)
     else:
         run_command(partial(_run_nameless, name, app, commands, given), needs_stdout=needs_stdout)
 
@@ -61,9 +59,7 @@ def _take_completed_command(program: str, app: typer.Typer, commands: Collection
     first, _, others = text.partition("\n" if "\n" in text else " ")
     name = next(iter(others.split()), "")
     rest = others[len(name) :]
-    if (
-        name not in commands or not rest[:1].isspace()
-    ):  # without a space after it the word itself is being typed
+    if name not in commands or not rest[:1].isspace():  # without a space after it the word itself is being typed
         return None
     typer.main.get_command(app)  # an app that completes sets it up for all
     os.environ[variable] = first + rest

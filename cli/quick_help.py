@@ -32,9 +32,7 @@ class QuickHelpCommand(DefaultedCommand):
         for paragraph in inspect.cleandoc(self.help or "").split("\n\n"):
             is_command = paragraph.startswith("    ")
             text = paragraph.strip() if is_command else " ".join(paragraph.split())
-            formatter.write(
-                "\n" + (f"      {text}\n" if is_command else _filled(text, "  ", formatter.width))
-            )
+            formatter.write("\n" + (f"      {text}\n" if is_command else _filled(text, "  ", formatter.width)))
         for title, rows in self._panels(ctx).items():
             formatter.write(f"\n{title}:\n")
             column = 4 + max(len(name) for name, _ in rows if len(name) <= WIDEST_NAME)
@@ -77,9 +75,7 @@ def _filled(text: str, indent: str, width: int) -> str:
 def option(name: str, help: str, *, show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
     """Return an option; `name` has the metavar after a space."""
     flag, _, metavar = name.partition(" ")
-    info: OptionInfo = typer.Option(
-        flag, metavar=metavar or None, help=help, show_default=show_default, **more
-    )
+    info: OptionInfo = typer.Option(flag, metavar=metavar or None, help=help, show_default=show_default, **more)
     return info
 
 
@@ -115,7 +111,5 @@ def _print_version(context: typer.Context, is_given: bool) -> None:
         raise typer.Exit
 
 
-Version = Annotated[
-    bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")
-]
+Version = Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")]
 """The option of every program that shows its version."""

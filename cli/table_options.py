@@ -17,14 +17,10 @@ if TYPE_CHECKING:
 _Record = TypeVar("_Record")
 
 
-def with_options(
-    names: Iterable[str], *, in_panels: bool
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def with_options(names: Iterable[str], *, in_panels: bool) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return the decorator that makes rows parameters of a command that takes `**values`."""
     order = list(Panel)
-    options = [
-        _parameter(name, in_panels) for name in sorted(names, key=lambda n: order.index(OPTIONS[n].panel))
-    ]
+    options = [_parameter(name, in_panels) for name in sorted(names, key=lambda n: order.index(OPTIONS[n].panel))]
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         own = list(inspect.signature(function, eval_str=True).parameters.values())[:-1]

@@ -23,25 +23,19 @@ def watch_command(
     host: Annotated[
         str,
         option(
-            "--host ADDRESS",
-            "Address to listen on; anybody who reaches it can read the report.",
-            show_default=True,
+            "--host ADDRESS", "Address to listen on; anybody who reaches it can read the report.", show_default=True
         ),
     ] = "127.0.0.1",
     port: Annotated[
-        int,
-        option("--port PORT", "Port to listen on; 0 takes a free one.", min=0, max=65535, show_default=True),
+        int, option("--port PORT", "Port to listen on; 0 takes a free one.", min=0, max=65535, show_default=True)
     ] = 8765,
     every: Annotated[
         float, option("--every SECONDS", "Time between two checks of the files.", min=0.1, show_default=True)
     ] = LOOK_SECONDS,
     out: Annotated[
-        Path | None,
-        option("--out FOLDER", "Folder for all files. Default: analysis/ in the folder of the traces"),
+        Path | None, option("--out FOLDER", "Folder for all files. Default: analysis/ in the folder of the traces")
     ] = None,
-    no_cache: Annotated[
-        bool, option("--no-cache", "Read every trace again each time, and write no files.")
-    ] = False,
+    no_cache: Annotated[bool, option("--no-cache", "Read every trace again each time, and write no files.")] = False,
 ) -> None:
     """Show the report of a folder in a browser while a sweep writes into it; Ctrl-C ends.
 

@@ -148,6 +148,4 @@ def detail(default: _T, name: str, panel: Panel, help: str, **row: Any) -> _T:  
 
 def options_of(record: Any) -> dict[str, Option]:
     """Return field -> row of a record of options."""
-    return {
-        column.name: column.metadata["option"] for column in fields(record) if "option" in column.metadata
-    }
+    return {column.name: column.metadata["option"] for column in fields(record) if "option" in column.metadata}

@@ -31,11 +31,7 @@ class CommandOptions:
         None, "--role ROLE", Panel.OUTPUT, "ping sends messages, relay sends them back.", kind=Role
     )
     out: Path | None = option(
-        None,
-        "--out PATH",
-        Panel.OUTPUT,
-        "Trace to write: a .mcap file, or the name of a rosbag2 folder.",
-        kind=Path,
+        None, "--out PATH", Panel.OUTPUT, "Trace to write: a .mcap file, or the name of a rosbag2 folder.", kind=Path
     )
     force: bool = option(False, "--force", Panel.OUTPUT, "Overwrite an existing trace.")
     fsync: bool = option(
@@ -103,22 +99,12 @@ class CommandOptions:
         parse=lambda text: parse_duration(text, "--lifespan"),
     )
     keep: int | None = option(
-        None,
-        "--keep N",
-        Panel.RELAY,
-        "With --rotate: keep only the newest N files of this recording.",
-        kind=int,
+        None, "--keep N", Panel.RELAY, "With --rotate: keep only the newest N files of this recording.", kind=int
     )
     recover_path: Path | None = option(
-        None,
-        "--recover TRACE",
-        Panel.TOOLS,
-        "Turn what a killed recorder left into a closed trace.",
-        kind=Path,
+        None, "--recover TRACE", Panel.TOOLS, "Turn what a killed recorder left into a closed trace.", kind=Path
     )
-    self_test: bool = option(
-        False, "--self-test", Panel.TOOLS, "Measure what recording itself costs on this machine."
-    )
+    self_test: bool = option(False, "--self-test", Panel.TOOLS, "Measure what recording itself costs on this machine.")
     check: bool = option(
         False,
         "--check",
@@ -153,11 +139,7 @@ _TABLES = {"--backend": BACKEND_MODULES, "--bridge": BRIDGE_MODULES}
 
 def choices_of(row: Option) -> list[str]:
     """Return the values of an option, the default first; empty where it takes any of its kind."""
-    values = (
-        [str(value.value) for value in row.kind]
-        if issubclass(row.kind, Enum)
-        else [*_TABLES.get(row.name, ())]
-    )
+    values = [str(value.value) for value in row.kind] if issubclass(row.kind, Enum) else [*_TABLES.get(row.name, ())]
     default = getattr(row.field_default, "value", row.field_default)
     return list(dict.fromkeys([str(default), *values])) if values and default is not None else values
 

@@ -91,11 +91,7 @@ class PingOptions:
         limit=limits.WARMUP,
     )
     wait_s: float = detail(
-        DEFAULT_WAIT_S,
-        "--wait SECONDS",
-        Panel.SCHEDULE,
-        "How long to wait for the first echo.",
-        limit=limits.WAIT_S,
+        DEFAULT_WAIT_S, "--wait SECONDS", Panel.SCHEDULE, "How long to wait for the first echo.", limit=limits.WAIT_S
     )
     relays: int = detail(1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS)
     bridge: str = detail(
@@ -222,11 +218,7 @@ class RecordOptions:
         limit=limits.NAME,
     )
     relay_id: int | None = detail(
-        None,
-        "--relay-id N",
-        Panel.RELAY,
-        "Number of the relay in the trace. Default: drawn",
-        limit=limits.RELAY_ID,
+        None, "--relay-id N", Panel.RELAY, "Number of the relay in the trace. Default: drawn", limit=limits.RELAY_ID
     )
     cpu_affinity: str | None = option(
         None, "--cpu-affinity CPUS", Panel.PROCESS, "Run only on these CPUs: 3, or 0,2-3.", limit=limits.CPUS
@@ -282,9 +274,7 @@ class RecordOptions:
         if self.rotation is not None:
             self.rotation.check(destination)
         elif destination.path.exists() and not destination.force:
-            raise OutputExistsError(
-                f"{destination.path} is there already; choose another name or use --force"
-            )
+            raise OutputExistsError(f"{destination.path} is there already; choose another name or use --force")
         if self.ping is not None:
             self.ping.check()
 

@@ -82,9 +82,7 @@ class Recorded:
     error: BridgeError | RelayLostError | OutputError | None = None
 
 
-def record(
-    options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool = False
-) -> Recorded:
+def record(options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool = False) -> Recorded:
     """Record as a ping or as a relay until it is done or `stop` is set; `watch` receives notes and progress.
 
     Raises:
@@ -103,9 +101,7 @@ def record(
 
 
 class _Recording:
-    def __init__(
-        self, options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool
-    ) -> None:
+    def __init__(self, options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool) -> None:
         self.options = options
         self.rehearses = rehearses
         self.stop = stop
@@ -142,9 +138,7 @@ class _Recording:
                 if self.rehearses:
                     self.stop.set()
                 else:
-                    self.watch.note(
-                        f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped"
-                    )
+                    self.watch.note(f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped")
                 with _sampled(upkeep.sink, wire):
                     self._watch_relay(relay, node, upkeep, read_back, wire)
                 wire.write_relay(relay.progress().relayed, self.session_id, upkeep.sink)
@@ -179,9 +173,7 @@ class _Recording:
             session = self._describe("ping", node, read_back)
             if self.stop.is_set():  # a file without a message would block the next try
                 return Recorded(None, session, ping.progress())
-            upkeep = stack.enter_context(
-                Upkeep(self.options, session, self.clock.monotonic_ns, self.watch.note)
-            )
+            upkeep = stack.enter_context(Upkeep(self.options, session, self.clock.monotonic_ns, self.watch.note))
             sink = upkeep.sink
             wire.begin(ping.run_id)
             with _sampled(sink, wire, bridge):
@@ -195,10 +187,7 @@ class _Recording:
             if bridge is not None:
                 described = {**described, "bridge": bridge.describe()}
             trace = sink.close(
-                **described,
-                **read_back.fields(),
-                **self._clock_at_end(),
-                **strangers_field(node.strangers),
+                **described, **read_back.fields(), **self._clock_at_end(), **strangers_field(node.strangers)
             )
             read_back.report(trace.path)
             return Recorded(trace, session, ping.progress(), run, error)
@@ -267,9 +256,7 @@ class _Recording:
 
     def _note_strangers(self, node: Node) -> None:
         for kind in node.strangers.take_new():
-            self.watch.note(
-                f"somebody else sends here: a {kind} was not accepted; the trace counts further ones"
-            )
+            self.watch.note(f"somebody else sends here: a {kind} was not accepted; the trace counts further ones")
 
     def _open_payload(self, ping_options: PingOptions, seed: int) -> AbstractContextManager[Payload]:
         return open_payload(
@@ -282,20 +269,13 @@ class _Recording:
         )
 
     def _wait_for_echo(
-        self,
-        ping: AnyPing,
-        node: Node,
-        ping_options: PingOptions,
-        bridge: RunningBridge | None,
-        read_back: ReadBack,
+        self, ping: AnyPing, node: Node, ping_options: PingOptions, bridge: RunningBridge | None, read_back: ReadBack
     ) -> None:
         data_type = ping.plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
         has_echo, waited_s = False, 0.0
         not_applied: tuple[Difference, ...] = ()
-        while (
-            not has_echo and waited_s < ping_options.wait_s and not self.stop.is_set() and node.error is None
-        ):
+        while not has_echo and waited_s < ping_options.wait_s and not self.stop.is_set() and node.error is None:
             slice_s = min(HOPELESS_S, ping_options.wait_s - waited_s)
             has_echo = ping.wait_for_echo(slice_s, self.stop, ping_options.relays)
             waited_s += slice_s
@@ -307,11 +287,7 @@ class _Recording:
             if look_for_relays(node, data_type).is_hopeless:
                 break
         if not has_echo and not self.stop.is_set():
-            answers = (
-                f"{ping.echoing_relays} of {ping_options.relays} relays answer; "
-                if ping.echoing_relays
-                else ""
-            )
+            answers = f"{ping.echoing_relays} of {ping_options.relays} relays answer; " if ping.echoing_relays else ""
             raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied))
         if has_echo and bridge is not None:
             bridge.mark_ready()
@@ -349,9 +325,7 @@ class _Recording:
         _raise_error_of(node)
         return run, error or upkeep.shortage or _find_failure(ping, node, bridge, ended=True)
 
-    def _watch_relay(
-        self, relay: Relay, node: Node, upkeep: Upkeep, read_back: ReadBack, wire: WireRecord
-    ) -> None:
+    def _watch_relay(self, relay: Relay, node: Node, upkeep: Upkeep, read_back: ReadBack, wire: WireRecord) -> None:
         end_ns, noted, quiet, relayed = self._end_ns(), set[str](), 0, 0
         while (left_s := self._left_s(end_ns)) > 0 and not read_back.wait(self.stop, min(LOOK_S, left_s)):
             _raise_error_of(node)

@@ -62,10 +62,7 @@ def _check_data(ping: PingOptions) -> None:
         return
     stop = threading.Event()
     stop.set()  # makes no payload after the checks
-    with (
-        suppress(StoppedError),
-        open_payload(ping.data, ping.size_bytes, 0, open_node=_no_node, wait_s=0.0, stop=stop),
-    ):
+    with suppress(StoppedError), open_payload(ping.data, ping.size_bytes, 0, open_node=_no_node, wait_s=0.0, stop=stop):
         pass
 
 

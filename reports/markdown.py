@@ -90,9 +90,7 @@ def _sizes(book: Book) -> Iterator[str]:
     for place in table.places:
         rows = [(markdown(row.size), *map(_size_cell, row.cells)) for row in place.rows]
         if place.thresholds:
-            outcomes = (
-                "" if threshold is None else markdown(threshold.text) for threshold in place.thresholds
-            )
+            outcomes = ("" if threshold is None else markdown(threshold.text) for threshold in place.thresholds)
             rows.insert(0, (markdown(table.deadline), *outcomes))
         heads = ("Size", *map(markdown, table.choices))
         yield f"Latency {markdown(table.rates)}, median / p99, on {markdown(place.place)}:"
@@ -196,11 +194,7 @@ def _with_interval(
 ) -> str:
     low, high = (end[name][group] if name in end else None for end in ends)
     shown = format_duration(values_ns[group])
-    return (
-        shown
-        if low is None and high is None
-        else f"{shown} [{format_duration(low)}, {format_duration(high)}]"
-    )
+    return shown if low is None and high is None else f"{shown} [{format_duration(low)}, {format_duration(high)}]"
 
 
 def _bridge_costs(book: Book) -> str:

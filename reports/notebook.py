@@ -45,9 +45,7 @@ def first_screen(analysis: Analysis) -> str:
         f"<p style='{_SOFT}'>Latency report: {escape(book.overview.title)}</p>",
         *([f"<p><b>{escape(book.advice.sentence)}</b></p>"] if book.advice else []),
         f"<p><b>{escape(answer.headline)}</b></p>",
-        "<ul>" + "".join(f"<li>{escape(point)}</li>" for point in answer.points) + "</ul>"
-        if answer.points
-        else "",
+        "<ul>" + "".join(f"<li>{escape(point)}</li>" for point in answer.points) + "</ul>" if answer.points else "",
     ]
     further = f"Findings: {counts}. " if counts else ""
     below = f"<p style='{_SOFT}'>{further}The whole report: <code>show()</code>, its figures: <code>plot()</code>.</p>"
@@ -72,11 +70,7 @@ def _table(sizes: SizeTable, room: int) -> str:
             break
         bodies.append(body)
     left = len(sizes.places) - len(bodies)
-    more = (
-        f" And {counted(left, 'more pair of devices and link', 'more pairs of devices and links')}."
-        if left
-        else ""
-    )
+    more = f" And {counted(left, 'more pair of devices and link', 'more pairs of devices and links')}." if left else ""
     if not bodies:
         return f"<p style='{_SOFT}'>The table of sizes is too long for a cell of a notebook.</p>"
     return f"{start}{''.join(bodies)}</table><p style='{_SOFT}'>{escape(HOW_TO_READ)}{more}</p>"
@@ -107,12 +101,7 @@ def _cell(cell: SizeCell | None) -> str:
 
 
 def plot(
-    analysis: Analysis,
-    name: str,
-    *,
-    panels: str | None = None,
-    metric: str | None = None,
-    statistic: str = "p50",
+    analysis: Analysis, name: str, *, panels: str | None = None, metric: str | None = None, statistic: str = "p50"
 ) -> Figure:
     """Return a figure of the page as a plotly value (`plotting.line_figure`)."""
     return line_figure(Book(analysis), name, panels, metric, statistic)

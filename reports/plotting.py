@@ -122,9 +122,7 @@ def line_figure(book: Book, name: str, panels: str | None, metric: str | None, s
     _check("metric", metric, METRIC_LABELS)
     _check("statistic", statistic, STATISTIC_LABELS)
     by = PANELS_BY[panels] if panels else ""
-    lines = {"vendor": "way", "way": "vendor"}.get(
-        by, "choice"
-    )  # what separates panels cannot separate lines
+    lines = {"vendor": "way", "way": "vendor"}.get(by, "choice")  # what separates panels cannot separate lines
     info, left_out, shown = _drawn(book, name, (by, lines), metric, statistic)
     if isinstance(left_out, LeftOut):
         raise OptionError(f"{name}: {left_out.reason}")
@@ -159,9 +157,7 @@ def _with_values(info: Faceted, shown: Shown) -> Faceted:
     for panel in info.panels:
         lines = []
         for line in panel.lines:
-            points = [
-                point for point in zip(line.x, line.groups, strict=True) if shown.of(point[1]) is not None
-            ]
+            points = [point for point in zip(line.x, line.groups, strict=True) if shown.of(point[1]) is not None]
             if points:
                 x, groups = zip(*points, strict=True)
                 lines.append(replace(line, x=x, groups=groups))
@@ -201,9 +197,7 @@ def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
         at = {position: position if axis.is_log else rank for rank, position in enumerate(positions)}
         for line in panel.lines:
             label = options[line.line]
-            trace = _trace(
-                book, line, [at[position] for position in line.x], (label, styles[line.line]), shown
-            )
+            trace = _trace(book, line, [at[position] for position in line.x], (label, styles[line.line]), shown)
             trace.mode = "lines+markers" if facet.x in ("size", "rate") else "markers"
             figure.add_trace(trace.update(showlegend=label not in in_legend), row, column)
             in_legend.add(label)
@@ -216,9 +210,7 @@ def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
     height = 160 + _PANEL_HEIGHT * len(rows)
     legend = {"orientation": "h", "y": -80 / height, "yanchor": "top"}
     wide = _PANEL_WIDTH if axis.is_log else max(_PANEL_WIDTH, _POSITION_WIDTH * most)
-    return figure.update_layout(
-        template="plotly_white", width=80 + wide * len(columns), height=height, legend=legend
-    )
+    return figure.update_layout(template="plotly_white", width=80 + wide * len(columns), height=height, legend=legend)
 
 
 def _trace(book: Book, line: Line, at: list[float], look: tuple[str, Style], shown: Shown) -> Scatter:

@@ -47,9 +47,7 @@ def load_reporter(kind: str) -> Reporter:
     return reporter
 
 
-def write_reports(
-    analysis: Analysis, kinds: Iterable[str], folder: str | os.PathLike[str]
-) -> list[Path | None]:
+def write_reports(analysis: Analysis, kinds: Iterable[str], folder: str | os.PathLike[str]) -> list[Path | None]:
     """Write reports of one analysis into a folder, which must exist.
 
     Returns:
@@ -83,6 +81,4 @@ def _write(reporter: Reporter, book: Book, kind: str, folder: Path) -> Path | No
     try:
         return reporter.write(book, folder)
     except OSError as err:
-        raise OutputError(
-            f"{folder}: cannot write the {kind} report ({err.strerror}); check the folder"
-        ) from err
+        raise OutputError(f"{folder}: cannot write the {kind} report ({err.strerror}); check the folder") from err

@@ -31,10 +31,7 @@ _FACT_COLUMNS = 20
 SPARK_CELLS = 12
 _BLOCKS = " ▁▂▃▄▅▆▇█"
 _COLORS = {"error": "red", "warning": "yellow", "info": "blue"}
-_COLUMNS = (
-    *(("Size", 7), ("Rate", 7), ("Runs", 4), ("Recv", 9)),
-    *(("p50", 7), ("p99", 7), ("Bur.", 4), ("max", 7)),
-)
+_COLUMNS = (*(("Size", 7), ("Rate", 7), ("Runs", 4), ("Recv", 9)), *(("p50", 7), ("p99", 7), ("Bur.", 4), ("max", 7)))
 _NOTES = (
     f"Runs: with a *, numbers hold within one run; a verdict needs {MIN_RUNS}. Bur.: the bursts that p99 rests on; "
     f"with fewer than {MIN_EPISODES} it has no upper bound."

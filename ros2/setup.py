@@ -32,9 +32,7 @@ def packages() -> list[str]:
     return [
         PACKAGE,
         *sorted(
-            ".".join(
-                (PACKAGE, *folder.relative_to(ROOT).as_posix().removeprefix("src/dds_trace/").split("/"))
-            )
+            ".".join((PACKAGE, *folder.relative_to(ROOT).as_posix().removeprefix("src/dds_trace/").split("/")))
             for folder in folders
         ),
     ]
@@ -62,9 +60,7 @@ setup(
         (f"share/{PACKAGE}/launch", ["launch/ping_relay.launch.py"]),
     ],
     entry_points={
-        "console_scripts": [
-            f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "bridge", "record", "sweep")
-        ]
+        "console_scripts": [f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "bridge", "record", "sweep")]
     },
     install_requires=[],  # an old setuptools would refuse to start a command for want of one; see requirements.txt
     zip_safe=False,

@@ -67,12 +67,7 @@ def run(command: Sequence[str | Path], *, status: int = 0, says: str = "") -> st
         CheckError: it ended with another status, or did not say `says`.
     """
     ran = subprocess.run(
-        [str(word) for word in command],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=FOREIGN,
+        [str(word) for word in command], capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=FOREIGN
     )
     said = str(ran.stdout) + str(ran.stderr)
     if ran.returncode != status or says not in said or "Traceback" in said:
@@ -123,15 +118,7 @@ def connext(programs: Path, folder: Path) -> None:
     if "RTI_LICENSE_FILE" in os.environ:
         exchange("connext", programs, folder)
         return
-    line = [
-        programs / "dds-record",
-        "--role",
-        "relay",
-        "--backend",
-        "connext",
-        "--out",
-        folder / "relay.mcap",
-    ]
+    line = [programs / "dds-record", "--role", "relay", "--backend", "connext", "--out", folder / "relay.mcap"]
     run(line, status=NO_LICENCE, says="RTI_LICENSE_FILE")
 
 
@@ -252,9 +239,7 @@ class Checks:
 
 def main() -> int:
     """Run every check; return 1 if one failed or a Python is missing."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--python", nargs="*", default=list(PYTHONS), help="versions; all by default")
     parser.add_argument("--extra", nargs="*", default=list(PARTS), help="extras; all by default, '' is none")
     parser.add_argument("--dist", type=Path, default=TOP / "out/dist", help="folder of the archives")

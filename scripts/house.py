@@ -43,12 +43,8 @@ def prose(text: str) -> list[tuple[int, str]]:
     for node in ast.walk(ast.parse(text)):
         body = getattr(node, "body", None)
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and body:
-            strings = [
-                line for line in body if isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
-            ]
-            found += [
-                (line.lineno, line.value.value) for line in strings if isinstance(line.value.value, str)
-            ]
+            strings = [line for line in body if isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)]
+            found += [(line.lineno, line.value.value) for line in strings if isinstance(line.value.value, str)]
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     return found + [(t.start[0], t.string.lstrip("#")) for t in tokens if t.type == tokenize.COMMENT]
 

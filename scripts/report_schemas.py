@@ -51,9 +51,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 HEX_ID = {"type": "string", "pattern": "^[0-9a-f]{16}$"}
 TYPES: dict[object, str] = {str: "string", int: "integer", float: "number", bool: "boolean"}
 TYPES |= {Mapping: "object", Qos: "object"}
-NAMES = {
-    one.__name__: one for one in (CaseAnswer, Contender, DataVerdict, Finding, Interval, Job, Recommendation)
-}
+NAMES = {one.__name__: one for one in (CaseAnswer, Contender, DataVerdict, Finding, Interval, Job, Recommendation)}
 NAMES |= {"Setting": Mapping, "JsonObject": Mapping, "Mapping": Mapping, "Sequence": Sequence}
 NAMES |= {"Gate": Mapping, "GateOutcome": GateOutcome}
 SHARED = {Contender: "contender", Interval: "interval"}
@@ -67,15 +65,7 @@ NEVER_NULL = {
 }  # fmt: skip
 """Columns of the details that have a value in every row; so has `payload_bytes` of `wire`."""
 
-NULL_PARAMETERS = {
-    "rmw",
-    "relay_vendor",
-    "relay_backend",
-    "ping_domain_id",
-    "relay_domain_id",
-    "depth",
-    "relay_device",
-}
+NULL_PARAMETERS = {"rmw", "relay_vendor", "relay_backend", "ping_domain_id", "relay_domain_id", "depth", "relay_device"}
 """Parameters of a group that are null without a relay's trace, or where they do not apply."""
 
 ADDED = {
@@ -100,25 +90,8 @@ NARROW: Schema = {
 }
 """Field of a part of the report -> what narrows its type."""
 
-COUNTS = {
-    "cells",
-    "inconclusive",
-    "within_one_run",
-    "events",
-    "groups",
-    "told",
-    "payload_bytes",
-    "base_messages",
-}
-COUNTS |= {
-    "new_messages",
-    "base_published",
-    "new_published",
-    "base_runs",
-    "new_runs",
-    "base_episodes",
-    "new_episodes",
-}
+COUNTS = {"cells", "inconclusive", "within_one_run", "events", "groups", "told", "payload_bytes", "base_messages"}
+COUNTS |= {"new_messages", "base_published", "new_published", "base_runs", "new_runs", "base_episodes", "new_episodes"}
 COUNTS |= {"pairs", "own_cost_ns", "own_share"}
 """Numbers of records that are never negative; so are columns of an unsigned dtype."""
 
@@ -195,9 +168,7 @@ def of_dtype(dtype: pl.DataType | type[pl.DataType]) -> Schema:
     """Return the schema of a value of a column."""
     if dtype.is_integer():
         return {"type": "integer", **({"minimum": 0} if dtype.is_unsigned_integer() else {})}
-    return {
-        "type": "number" if dtype.is_float() else {pl.String: "string", pl.Boolean: "boolean"}[type(dtype)]
-    }
+    return {"type": "number" if dtype.is_float() else {pl.String: "string", pl.Boolean: "boolean"}[type(dtype)]}
 
 
 def of_frame(name: str, frame: pl.DataFrame) -> Schema:
@@ -210,9 +181,7 @@ def of_frame(name: str, frame: pl.DataFrame) -> Schema:
         if column == "basis":
             columns[column] = NARROW["answers.basis"]
     rows = a_list(an_object(columns), described(Details)[name])
-    return or_null(
-        {**rows, "description": f"{rows['description']}. Null where the analysis was made without details"}
-    )
+    return or_null({**rows, "description": f"{rows['description']}. Null where the analysis was made without details"})
 
 
 def of_groups() -> Schema:
@@ -223,10 +192,7 @@ def of_groups() -> Schema:
         name, schema = column.name, of_dtype(dtype)
         is_parameter = name in PARAMETER_NAMES
         is_full = name not in NULL_PARAMETERS if is_parameter else not dtype.is_float()
-        columns[name] = {
-            **(schema if is_full else or_null(schema)),
-            **({"minimum": 0} if name in COUNTS else {}),
-        }
+        columns[name] = {**(schema if is_full else or_null(schema)), **({"minimum": 0} if name in COUNTS else {})}
         columns[name] = narrowed(f"groups.{name}", columns[name])
         columns[name]["description"] = column.meaning
     return a_list(an_object(columns), "one for each combination of parameters: the rows of summary.parquet")
@@ -238,10 +204,7 @@ def parameters() -> Schema:
     for column in PARAMETER_COLUMNS:
         if column.name in MATCH_COLUMNS:
             dtype = column.dtype if isinstance(column.dtype, pl.DataType) else column.dtype()
-            columns[column.name] = {
-                **or_null({"type": of_dtype(dtype)["type"]}),
-                "description": column.meaning,
-            }
+            columns[column.name] = {**or_null({"type": of_dtype(dtype)["type"]}), "description": column.meaning}
     words = "columns that were matched; one that was ignored is left out"
     return an_object(columns, set(columns), description=words)
 
@@ -273,9 +236,7 @@ def report_schema() -> Schema:
         },
         "own_cost": a_list(of_record(OwnCost), " ".join((getdoc(OwnCost) or "").partition("\n")[0].split())),
     }
-    added = {
-        name for name in properties if name in (*DETAIL_FRAMES, "answers", "deadline_ns", "deadline_metric")
-    }
+    added = {name for name in properties if name in (*DETAIL_FRAMES, "answers", "deadline_ns", "deadline_metric")}
     return {
         "$schema": DIALECT,
         "title": f"dds-trace report, format {document.FORMAT_VERSION}",
@@ -317,12 +278,7 @@ RUN_FIELDS = (
 def comparison_schema() -> Schema:
     """Return the schema of `dds-analyze compare --report json`."""
     words, text = described(ComparisonInfo), {"type": "string"}
-    level = {
-        "type": "number",
-        "minimum": 0,
-        "maximum": 1,
-        "description": "share of the messages that were due",
-    }
+    level = {"type": "number", "minimum": 0, "maximum": 1, "description": "share of the messages that were due"}
     time = {"type": "number", "description": "time within which that share was received, ns"}
     side = a_list(
         an_object({"level": level, "ns": time}), "ascending; it ends where messages were lost, or are too few"
@@ -345,9 +301,7 @@ def comparison_schema() -> Schema:
         "where": {**text, "description": "statistics or metrics of the verdict; empty if it holds for all"},
         "delivery": {**of_record(DeliveryRow), "description": "messages of both sides"},
         "changes": a_list(an_object(change), "one for each metric and statistic"),
-        "distributions": a_list(
-            an_object({"metric": text, "base": side, "new": side}), "times at fixed shares"
-        ),
+        "distributions": a_list(an_object({"metric": text, "base": side, "new": side}), "times at fixed shares"),
     }
     result = of_record(GateResult)["properties"]
     gate = {
@@ -384,17 +338,11 @@ def comparison_schema() -> Schema:
             "and none changes its meaning."
         ),
         **an_object(properties),
-        "$defs": {
-            "parameters": parameters(),
-            "alone": an_object({"label": text, "parameters": group["parameters"]}),
-        },
+        "$defs": {"parameters": parameters(), "alone": an_object({"label": text, "parameters": group["parameters"]})},
     }
 
 
-SCHEMAS = {
-    "reports/report.schema.json": report_schema,
-    "reports/comparison/comparison.schema.json": comparison_schema,
-}
+SCHEMAS = {"reports/report.schema.json": report_schema, "reports/comparison/comparison.schema.json": comparison_schema}
 """File -> what makes it."""
 
 

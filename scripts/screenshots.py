@@ -144,21 +144,14 @@ def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
             part = tab.locator(picture.select)
             if not part.count():
                 return None
-            part.locator(".fold:not([open])").evaluate_all(
-                "folds => { for (const fold of folds) fold.open = true; }"
-            )
+            part.locator(".fold:not([open])").evaluate_all("folds => { for (const fold of folds) fold.open = true; }")
             part.scroll_into_view_if_needed()
             part.locator("svg").first.wait_for()
             tab.wait_for_timeout(500)  # a figure that is drawn may move the ones below
             clip = tab.evaluate(BOX, picture.select)
         shot = tab.context.new_cdp_session(tab).send(
             "Page.captureScreenshot",
-            {
-                "format": "webp",
-                "quality": QUALITY,
-                "captureBeyondViewport": True,
-                "clip": {**clip, "scale": 1},
-            },
+            {"format": "webp", "quality": QUALITY, "captureBeyondViewport": True, "clip": {**clip, "scale": 1}},
         )
         return base64.b64decode(shot["data"])
     finally:
@@ -187,14 +180,9 @@ def main() -> int:
     given = parser.parse_args()
     known = {name.rpartition("/")[2]: name for name in pictures()}
     if unknown := set(given.names) - set(known):
-        print(
-            f"screenshots: no picture {', '.join(sorted(unknown))}; there are {', '.join(known)}",
-            file=sys.stderr,
-        )
+        print(f"screenshots: no picture {', '.join(sorted(unknown))}; there are {', '.join(known)}", file=sys.stderr)
         return 2
-    asked = {
-        name: pictures()[name] for short, name in known.items() if not given.names or short in given.names
-    }
+    asked = {name: pictures()[name] for short, name in known.items() if not given.names or short in given.names}
     missing = take(asked, given.out)
     if missing:
         print(f"screenshots: on no page of {', '.join(CAMPAIGNS)}: {', '.join(missing)}", file=sys.stderr)

@@ -19,9 +19,7 @@ from plotly.offline import get_plotlyjs, get_plotlyjs_version
 from dds_trace.reports.html.packing import packed_script, policy_hash
 
 STAND_IN = '<p class="note" data-policy="{hash}">Kept without plotly.js {version}: just results draws the figures.</p>'
-STAND_IN_PATTERN = re.compile(
-    r'<p class="note" data-policy="(?P<hash>sha256-[^"]+)">Kept without plotly\.js .*?</p>'
-)
+STAND_IN_PATTERN = re.compile(r'<p class="note" data-policy="(?P<hash>sha256-[^"]+)">Kept without plotly\.js .*?</p>')
 
 
 def script(page: str) -> str:
@@ -63,9 +61,7 @@ def main() -> int:
     keeping = actions.add_parser("keep", help="a report without plotly.js")
     keeping.add_argument("page", type=Path)
     keeping.add_argument("stored", type=Path)
-    opening = actions.add_parser(
-        "open", help="stored reports with plotly.js again, each under its folder's name"
-    )
+    opening = actions.add_parser("open", help="stored reports with plotly.js again, each under its folder's name")
     opening.add_argument("stored", type=Path, nargs="+")
     opening.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()

@@ -21,9 +21,7 @@ def lines_of(path):
 
 
 def test_no_module_is_longer_than_one_sitting():
-    too_long = {
-        str(path.relative_to(ROOT)): lines_of(path) for path in modules() if lines_of(path) > MOST_LINES
-    }
+    too_long = {str(path.relative_to(ROOT)): lines_of(path) for path in modules() if lines_of(path) > MOST_LINES}
     assert too_long == {}
 
 
@@ -31,9 +29,7 @@ def test_a_name_is_imported_from_the_module_that_defines_it():
     """The contents page of a room has no names; only `dds_trace` itself offers some, to users."""
     graph = grimp.build_graph("dds_trace", exclude_type_checking_imports=False, cache_dir=None)
     rooms = [f"dds_trace.{room}" for room in ("analyzer", "base", "cli", "recorder", "reports", "tracefile")]
-    assert {room: graph.find_modules_directly_imported_by(room) for room in rooms} == {
-        room: set() for room in rooms
-    }
+    assert {room: graph.find_modules_directly_imported_by(room) for room in rooms} == {room: set() for room in rooms}
 
 
 def test_no_module_imports_itself_in_a_circle():

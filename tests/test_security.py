@@ -23,8 +23,6 @@ def test_a_named_test_is_there(file, name):
 
 
 def test_every_line_of_a_table_that_forbids_something_names_a_test():
-    rows = [
-        line.split("|")[1:-1] for line in PAGE.splitlines() if line.startswith("| ") and "may not" not in line
-    ]
+    rows = [line.split("|")[1:-1] for line in PAGE.splitlines() if line.startswith("| ") and "may not" not in line]
     for _, forbidden, test in rows:
         assert "::" in test or ".py" in test or not forbidden.strip()

@@ -38,17 +38,7 @@ def environment(wheel, tmp_path_factory):
     """A new environment that holds the wheel; its dependencies are those of the environment that runs the tests."""
     folder = tmp_path_factory.mktemp("environment")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
-    install = [
-        "uv",
-        "pip",
-        "install",
-        "--quiet",
-        "--offline",
-        "--no-deps",
-        "--python",
-        folder / "bin/python",
-        wheel,
-    ]
+    install = ["uv", "pip", "install", "--quiet", "--offline", "--no-deps", "--python", folder / "bin/python", wheel]
     subprocess.run(install, check=True)
     site = Path(sysconfig.get_path("purelib", vars={"base": str(folder)}))
     # Paths from a .pth file come last, and .pth files in them are not read: our editable install stays out.
@@ -77,9 +67,7 @@ def test_the_wheel_holds_one_import_name_and_every_file_of_the_rooms(wheel):
     assert names == expected | {"dds_trace/__init__.py", "dds_trace/py.typed"}
 
 
-def test_a_wheel_built_from_the_source_archive_is_the_one_built_from_the_repository(
-    wheel, source_archive, tmp_path
-):
+def test_a_wheel_built_from_the_source_archive_is_the_one_built_from_the_repository(wheel, source_archive, tmp_path):
     # pip and `uv build` make a wheel from the archive, not from a clone.
     with tarfile.open(source_archive) as archive:
         archive.extractall(tmp_path, filter="data")
@@ -117,11 +105,7 @@ def test_commands_run_among_packages_with_the_names_of_our_rooms(environment, ho
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     if out:
-        assert {path.name for path in (tmp_path / "out").glob("*.*")} >= {
-            "report.html",
-            "report.md",
-            "summary.parquet",
-        }
+        assert {path.name for path in (tmp_path / "out").glob("*.*")} >= {"report.html", "report.md", "summary.parquet"}
 
 
 def test_a_bridge_that_runs_as_a_module_is_started_among_them_too(environment, hostile, tmp_path):

@@ -63,9 +63,7 @@ class StoredPiece:
     def arrays(self, events: EventColumns, first: int = 0) -> list[NDArray[np.integer]]:
         """Return the columns in the file, of events whose `first` one begins this piece."""
         return [
-            getattr(events, name)[first : first + self.count]
-            for name in _FIELDS
-            if self.columns[name][0] == "array"
+            getattr(events, name)[first : first + self.count] for name in _FIELDS if self.columns[name][0] == "array"
         ]
 
 
@@ -92,9 +90,7 @@ class StoredEvents:
         """Return the columns of these events in the file, piece by piece."""
         firsts = accumulate((piece.count for piece in self.pieces), initial=0)
         return [
-            array
-            for piece, first in zip(self.pieces, firsts, strict=False)
-            for array in piece.arrays(events, first)
+            array for piece, first in zip(self.pieces, firsts, strict=False) for array in piece.arrays(events, first)
         ]
 
     def load(self) -> EventColumns:

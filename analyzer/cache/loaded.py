@@ -39,9 +39,7 @@ class LoadedTrace:
 
     def at(self, position: int) -> LoadedTrace:
         """Return the trace at another index of its campaign."""
-        return LoadedTrace(
-            self.trace, {label: replace(part, trace=position) for label, part in self.parts.items()}
-        )
+        return LoadedTrace(self.trace, {label: replace(part, trace=position) for label, part in self.parts.items()})
 
 
 def load_trace(path: Path, position: int) -> LoadedTrace:
@@ -91,6 +89,4 @@ def _read(path: Path, read: Callable[[Path], Trace]) -> Trace:
 
 def _check_is_not_empty(trace: Trace, events: int) -> None:
     if not (trace.sessions or trace.runs or events):
-        raise TraceFormatError(
-            trace.path, f"contains nothing of a trace ({trace.truncated or 'it is complete'})"
-        )
+        raise TraceFormatError(trace.path, f"contains nothing of a trace ({trace.truncated or 'it is complete'})")

@@ -54,9 +54,7 @@ def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, in
         boots = boots_of_device.setdefault(session.device, [])
         boot = next((other for other in boots if other.includes(zero_s, boot_id)), None)
         if boot is None:
-            while any(
-                other.number == zero_s for other in boots
-            ):  # two machines of one name, started together
+            while any(other.number == zero_s for other in boots):  # two machines of one name, started together
                 zero_s += 1
             boot = _Boot(zero_s, boot_id)
             boots.append(boot)

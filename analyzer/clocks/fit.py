@@ -165,9 +165,7 @@ class _Points:
         return ordered
 
     @classmethod
-    def _in_order(
-        cls, messages: RelayedMessages, points: OffsetIntervals, order: Int64 | None
-    ) -> _Points | None:
+    def _in_order(cls, messages: RelayedMessages, points: OffsetIntervals, order: Int64 | None) -> _Points | None:
         """Return None if this is not the order of time."""
         first = 0 if order is None else int(order[0])
         publish_ns, receive_ns = int(messages.publish_ns[first]), int(messages.receive_ns[first])
@@ -183,9 +181,7 @@ class _Points:
             out_ns = messages.relay_in_ns[taken] - published_ns  # upper end of theta
             back_ns = messages.relay_out_ns[taken] - received_ns  # lower end
             if (back_ns > out_ns).any():
-                raise ValueError(
-                    "a message spent more time in the relay than under way: leave it out of the fit"
-                )
+                raise ValueError("a message spent more time in the relay than under way: leave it out of the fit")
             same_clock = same_clock and bool(out_ns.min() >= 0 and back_ns.max() <= 0)
             rtt_ns = received_ns - published_ns
             slack = DRIFT / 2 * rtt_ns  # clocks part on the way to the middle
@@ -248,17 +244,13 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
         for messages, (first, after) in zip(fits, pairwise(edges), strict=True)
     ]
     stretches = [
-        [(first + start, first + stop) for start, stop in find_stretches(fit_points.points)]
-        if fit_points
-        else []
+        [(first + start, first + stop) for start, stop in find_stretches(fit_points.points)] if fit_points else []
         for fit_points, first in zip(all_points, edges[:-1], strict=True)
     ]
     windows = fit_windows(points, [stretch for fit_points in stretches for stretch in fit_points])
     offset_ns, bound_ns = np.empty((2, edges[-1]), np.int64)
     fitted = []
-    for messages, fit_points, own, (first, after) in zip(
-        fits, all_points, stretches, pairwise(edges), strict=True
-    ):
+    for messages, fit_points, own, (first, after) in zip(fits, all_points, stretches, pairwise(edges), strict=True):
         names = messages.ping_device, messages.relay_device, messages.boot
         if fit_points is None:
             nothing = np.empty(0, np.int64)

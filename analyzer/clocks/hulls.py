@@ -39,10 +39,7 @@ def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
     begins = edges.ravel()
     lengths = np.diff(begins, append=max(len(height), int(begins[-1])))
     is_full = lengths > 0
-    first, lengths = (
-        begins[is_full],
-        lengths[is_full],
-    )  # messages between two windows are a part here
+    first, lengths = (begins[is_full], lengths[is_full])  # messages between two windows are a part here
     lowest = np.minimum.reduceat(height, first)
     at = np.flatnonzero(height[first[0] :] == np.repeat(lowest, lengths)) + first[0]
     if len(at) > len(first):  # equal points in a part

@@ -65,9 +65,7 @@ class Boundary:
     breaks: Intp
 
     @classmethod
-    def of(
-        cls, corners: Intp, time: Float64, height: Float64, steepness: Float64, at_centre: Float64
-    ) -> Boundary:
+    def of(cls, corners: Intp, time: Float64, height: Float64, steepness: Float64, at_centre: Float64) -> Boundary:
         """Return the boundary of the lines below some points.
 
         Args:
@@ -185,9 +183,7 @@ def _hulls(points: OffsetIntervals, edges: Intp, centre: Float64) -> Iterator[tu
     lowest = [lowest_of_parts(height, edges) for height in heights]
     both = np.concatenate(lowest)
     # Both at once: a step costs little more for twice as many rows.
-    corners = lower_hulls(
-        points.time[both], np.concatenate([h[at] for h, at in zip(heights, lowest, strict=True)])
-    )
+    corners = lower_hulls(points.time[both], np.concatenate([h[at] for h, at in zip(heights, lowest, strict=True)]))
     for height, at, columns in zip(heights, lowest, np.split(corners, 2), strict=True):
         is_last = (columns == columns[:, -1:]).all(axis=0)
         own = np.take_along_axis(at, columns[:, : np.count_nonzero(~is_last) + 1], axis=1)

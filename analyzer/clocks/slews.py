@@ -89,9 +89,7 @@ class Slew:
     bound_ppm: float
 
 
-def find_slews(
-    stretches: Sequence[Stretch], at_ns: Int64, offset_ns: Int64, bound_ns: Int64
-) -> Iterator[Slew]:
+def find_slews(stretches: Sequence[Stretch], at_ns: Int64, offset_ns: Int64, bound_ns: Int64) -> Iterator[Slew]:
     """Yield each chain of steps the same way that a slew left, then each bent stretch that is in no chain.
 
     A step continues a chain within a window of the previous step, or if it is barely more than its bound and the clock may have
@@ -180,10 +178,7 @@ def slewed_ppm(monotonic_ns: Int64, raw_ns: Int64) -> float:
     """
     if len(monotonic_ns) < _STEPS:
         return 0.0
-    elapsed_ns, gain_ns = (
-        monotonic_ns - monotonic_ns[0],
-        (monotonic_ns - monotonic_ns[0]) - (raw_ns - raw_ns[0]),
-    )
+    elapsed_ns, gain_ns = (monotonic_ns - monotonic_ns[0], (monotonic_ns - monotonic_ns[0]) - (raw_ns - raw_ns[0]))
     steady = float(np.median(np.diff(gain_ns) / np.maximum(np.diff(elapsed_ns), 1)))
     if abs(steady) * 1e9 > CRYSTAL_PPB:  # slewed throughout
         return float(gain_ns[-1] / elapsed_ns[-1]) * 1e6

@@ -34,8 +34,7 @@ class _Limits:
             return self
         reach = DRIFT * points.time
         return _Limits(
-            min(self.top, float((points.upper - reach).min())),
-            max(self.bottom, float((points.lower + reach).max())),
+            min(self.top, float((points.upper - reach).min())), max(self.bottom, float((points.lower + reach).max()))
         )
 
 

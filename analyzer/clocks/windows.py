@@ -162,9 +162,7 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
             fitted.append(windows)
         halved = ~is_whole & (stop - start > 1)
         middle = (start[halved] + stop[halved]) // 2
-        start, stop = (
-            np.stack(edges, axis=1).ravel() for edges in ((start[halved], middle), (middle, stop[halved]))
-        )
+        start, stop = (np.stack(edges, axis=1).ravel() for edges in ((start[halved], middle), (middle, stop[halved])))
         messages = _ranges(start, stop)
         left = left.take(messages)
         origin = messages if origin is None else origin[messages]
@@ -194,9 +192,7 @@ def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) ->
         return bent
     width = points.upper - points.lower
     tightest = begins.copy()
-    tightest[is_checked] = lowest_of_parts(width, np.stack([begins[is_checked], ends[is_checked]], axis=1))[
-        :, 0
-    ]
+    tightest[is_checked] = lowest_of_parts(width, np.stack([begins[is_checked], ends[is_checked]], axis=1))[:, 0]
     low, high = lines.range_at(points.time[tightest])
     # Middles part by at most the difference of the bounds; the half's bound is at most the message's own.
     is_checked &= width[tightest] > 2 * (high - low)

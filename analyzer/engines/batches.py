@@ -49,9 +49,7 @@ def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
     def events(first: int, after: int) -> int:
         return int(events_before[after] - events_before[first])
 
-    spans: list[
-        tuple[int, int, bool]
-    ] = []  # first exchange, exchange after the last, whether of whole groups
+    spans: list[tuple[int, int, bool]] = []  # first exchange, exchange after the last, whether of whole groups
     parameters, is_ended, groups_in_batch = grouping.parameters.rows(), False, 0
     offsets = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(exchanges)]
     for first, after in pairwise(offsets):

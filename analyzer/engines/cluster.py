@@ -108,9 +108,7 @@ class ClusterEngine:
         descriptions = [self._client.submit(_describe, load, pure=False) for load in loads]
         loaded: list[LoadedTrace] = []
         skipped: list[Source] = []
-        for number, (candidate, load, pending) in enumerate(
-            zip(candidates, loads, descriptions, strict=True)
-        ):
+        for number, (candidate, load, pending) in enumerate(zip(candidates, loads, descriptions, strict=True)):
             if progress is not None:
                 progress(number, len(candidates), candidate)
             described = pending.result()

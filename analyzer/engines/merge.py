@@ -104,9 +104,7 @@ def merge_sketches(parts: Statistics) -> Statistics:
     """Merge statistics of parts of groups: percentiles by histogram, the rest exactly."""
     moments = {
         key: merge_moments(frame)
-        for key, frame in parts.frame.partition_by(
-            "group", "metric", as_dict=True, maintain_order=True
-        ).items()
+        for key, frame in parts.frame.partition_by("group", "metric", as_dict=True, maintain_order=True).items()
     }
     distributions = (
         parts.distributions.group_by("group", "metric", "value_ns", maintain_order=True)
@@ -136,9 +134,7 @@ def merge_sketches(parts: Statistics) -> Statistics:
 def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
     """Merge samples, mean, standard deviation and extremes of one group and metric."""
     samples, mean, squares = 0, 0.0, 0.0
-    for n, mean_of_part, std in (
-        parts.filter(pl.col("samples") > 0).select("samples", "mean", "std").iter_rows()
-    ):
+    for n, mean_of_part, std in parts.filter(pl.col("samples") > 0).select("samples", "mean", "std").iter_rows():
         difference = mean_of_part - mean
         squares += (std or 0.0) ** 2 * (n - 1) + difference**2 * samples * n / (samples + n)
         mean += difference * n / (samples + n)
@@ -159,8 +155,7 @@ def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64
     position = quantile * last
     below = int(position)
     low, high = (
-        float(value_ns[np.searchsorted(cumulative, min(rank, last), side="right")])
-        for rank in (below, below + 1)
+        float(value_ns[np.searchsorted(cumulative, min(rank, last), side="right")]) for rank in (below, below + 1)
     )
     return low + (high - low) * (position - below)
 

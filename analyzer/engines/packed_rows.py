@@ -18,14 +18,7 @@ import pyarrow as pa
 
 from dds_trace.base.errors import OutputError
 
-from ..pairing.roundtrips import (
-    STAMP_NAMES,
-    PairedRows,
-    RoundTrips,
-    bounds_of,
-    describe,
-    outcome_names,
-)
+from ..pairing.roundtrips import STAMP_NAMES, PairedRows, RoundTrips, bounds_of, describe, outcome_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -96,9 +89,7 @@ class PackedRows(PairedRows):
     is_temporary: bool = False
 
     @classmethod
-    def of(
-        cls, content: memoryview, exchanges: Sequence[Exchange], source: Path, offset: int = 0
-    ) -> PackedRows:
+    def of(cls, content: memoryview, exchanges: Sequence[Exchange], source: Path, offset: int = 0) -> PackedRows:
         """Describe what `pack_rows` wrote, at this offset of the file `source`.
 
         Raises:

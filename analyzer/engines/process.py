@@ -235,9 +235,7 @@ def _split(batches: Sequence[Batch], rows: RoundTrips) -> Iterator[RoundTrips]:
         first += len(batch.exchanges)
 
 
-def _pair_events(
-    batch: Batch, parts: Parts, pool: Executor, copies: dict[EventKey, tuple[Copies, ...]]
-) -> RoundTrips:
+def _pair_events(batch: Batch, parts: Parts, pool: Executor, copies: dict[EventKey, tuple[Copies, ...]]) -> RoundTrips:
     """Add the copies to `copies`; fetched events are free on return."""
     keys = batch.event_keys()
     merged = dict(zip(keys, pool.map(merge_parts, [parts.get(key, ()) for key in keys]), strict=True))

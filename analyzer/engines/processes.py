@@ -66,9 +66,7 @@ class Workers:
         # A thread for each worker does the work of this process, or waits for another one.
         self._callers = iter([self._here.do, *[self._do_elsewhere] * (count - 1)])
         self._thread_local = threading.local()
-        self._threads = ThreadPoolExecutor(
-            count, thread_name_prefix="worker", initializer=self._assign_worker
-        )
+        self._threads = ThreadPoolExecutor(count, thread_name_prefix="worker", initializer=self._assign_worker)
 
     def store(self, paths: Sequence[Path], first: int) -> Future[list[Stored]]:
         """Let a worker load traces; see `Worker.store`."""
@@ -141,9 +139,7 @@ class Worker:
         Raises:
             OutputError: events cannot be written.
         """
-        loaded = [
-            loaded_or_error(self._loader.store, path, number) for number, path in enumerate(paths, first)
-        ]
+        loaded = [loaded_or_error(self._loader.store, path, number) for number, path in enumerate(paths, first)]
         return [(self._loader.keys.pop(number, ""), trace) for number, trace in enumerate(loaded, first)]
 
     def process(

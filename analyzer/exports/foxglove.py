@@ -35,12 +35,7 @@ TIMES = (*_FIRST, *(name for name in METRICS if name not in _FIRST), "outbound",
 """Columns `<name>_ns` of the round trips; fields `<name>_ms` of the message, NaN where unknown."""
 
 SCHEMA = "".join(
-    [
-        "uint64 sequence\n",
-        *(f"float64 {name}_ms\n" for name in TIMES),
-        "uint32 payload_bytes\n",
-        "bool lost\n",
-    ],
+    ["uint64 sequence\n", *(f"float64 {name}_ms\n" for name in TIMES), "uint32 payload_bytes\n", "bool lost\n"]
 )
 
 _RECORD = np.dtype(
@@ -50,7 +45,7 @@ _RECORD = np.dtype(
         *((f"{name}_ms", "<f8") for name in TIMES),
         ("payload_bytes", "<u4"),
         ("lost", "u1"),
-    ],
+    ]
 )
 """The serialized message: fields in the order of the schema need no padding."""
 
@@ -117,14 +112,10 @@ def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.Data
     runs = pl.Series(list(ping_wall), dtype=pl.UInt64)
     offsets = pl.Series(list(ping_wall.values()), dtype=pl.Int64)
     offset = pl.col("run_id").replace_strict(runs, offsets, default=0) if ping_wall else pl.lit(0, pl.Int64)
-    missing = [
-        pl.lit(None, pl.Int64).alias(f"{name}_ns") for name in TIMES if f"{name}_ns" not in roundtrips.columns
-    ]
+    missing = [pl.lit(None, pl.Int64).alias(f"{name}_ns") for name in TIMES if f"{name}_ns" not in roundtrips.columns]
     keys = ["vendor", "bridge", "data_type", "payload_bytes", "rate_hz", "run_id", "relay_id"]
     names = roundtrips.select(keys).unique()
-    named = names.with_columns(
-        pl.Series("topic", [topic_name(row) for row in names.iter_rows(named=True)], pl.String)
-    )
+    named = names.with_columns(pl.Series("topic", [topic_name(row) for row in names.iter_rows(named=True)], pl.String))
     return (
         roundtrips.with_columns(missing)
         .with_columns(log_ns=(pl.col("publish_ns") + offset).clip(0))
@@ -139,13 +130,7 @@ def topic_name(row: Mapping[str, ParameterValue]) -> str:
     Only letters, digits and underscores between the slashes, so that every tool accepts it as a topic.
     """
     message = f"{row['data_type']}_{row['payload_bytes']}B_{row['rate_hz']:g}Hz"
-    words = [
-        row["vendor"],
-        row["bridge"],
-        message,
-        f"run_{row['run_id']:016x}",
-        f"relay_{row['relay_id']:08x}",
-    ]
+    words = [row["vendor"], row["bridge"], message, f"run_{row['run_id']:016x}", f"relay_{row['relay_id']:08x}"]
     return "/latency/" + "/".join(re.sub(r"[^A-Za-z0-9_]+", "_", str(word)) for word in words)
 
 
@@ -210,11 +195,6 @@ def foxglove_layout(topics: Sequence[str]) -> dict[str, object]:
         "layout": {
             "direction": "column",
             "first": {"direction": "column", "first": "Plot!latency", "second": "Plot!response"},
-            "second": {
-                "direction": "column",
-                "first": "Plot!oneway",
-                "second": "Plot!lost",
-                "splitPercentage": 70,
-            },
+            "second": {"direction": "column", "first": "Plot!oneway", "second": "Plot!lost", "splitPercentage": 70},
         },
     }

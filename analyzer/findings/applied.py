@@ -35,9 +35,7 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
                 roles[group][words].add(role)
     for group, by_words in sorted(roles.items()):
         listed = "; ".join(f"{' and '.join(sorted(sides))}: {words}" for words, sides in by_words.items())
-        yield evidence.result(
-            group, f"What was requested is not what was measured. {listed[0].upper()}{listed[1:]}."
-        )
+        yield evidence.result(group, f"What was requested is not what was measured. {listed[0].upper()}{listed[1:]}.")
 
 
 @check(

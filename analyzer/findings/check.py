@@ -43,9 +43,7 @@ class Check:
         """Yield a finding for each observation."""
         for seen in self.observe(evidence):
             action = self.action.format(**seen.blanks)
-            yield Finding(
-                self.severity, self.code, seen.where, seen.what, action, seen.groups, effect=seen.effect
-            )
+            yield Finding(self.severity, self.code, seen.where, seen.what, action, seen.groups, effect=seen.effect)
 
 
 def check(code: str, severity: Severity, subject: Subject, action: str) -> Callable[[Observe], Check]:

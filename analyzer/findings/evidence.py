@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from ..pairing.one_way import DevicePair
     from ..pairing.rows import RowStore
 
-SMALLER_DATAGRAMS = "send smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh"
+SMALLER_DATAGRAMS = (
+    "send smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh"
+)
 """Remedy for lost IP fragments."""
 
 _MOST_FILES = 2

@@ -75,9 +75,7 @@ def unmeasured_groups(evidence: Evidence) -> Iterator[Observation]:
             yield evidence.result(group, "All messages were warm-up; nothing is counted.")
 
 
-@check(
-    "duplicates", Severity.WARNING, Subject.RESULT, "Look for a second bridge or route between the two sides."
-)
+@check("duplicates", Severity.WARNING, Subject.RESULT, "Look for a second bridge or route between the two sides.")
 def duplicates(evidence: Evidence) -> Iterator[Observation]:
     """Replies came more than once."""
     for group, row in evidence.rows_by_group("duplicates", "received"):
@@ -167,12 +165,8 @@ def unlike_group_environments(evidence: Evidence) -> Iterator[Observation]:
         exchanges = [evidence.grouping.exchanges[member] for member in members]
         differences = environment_differences((exchange.ping, exchange.relay) for exchange in exchanges)
         if differences:
-            listed = some(
-                (f"{name}: {some(values, 4)}" for name, values in differences.items()), _MOST_FIELDS
-            )
-            yield evidence.result(
-                group, f"Runs of different environments are summarized together ({listed})."
-            )
+            listed = some((f"{name}: {some(values, 4)}" for name, values in differences.items()), _MOST_FIELDS)
+            yield evidence.result(group, f"Runs of different environments are summarized together ({listed}).")
 
 
 @check(

@@ -51,9 +51,7 @@ def stale_rows(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
-    "group_in_parts", Severity.INFO, Subject.RESULT, "Analyze a folder with fewer of their runs to see these."
-)
+@check("group_in_parts", Severity.INFO, Subject.RESULT, "Analyze a folder with fewer of their runs to see these.")
 def groups_in_parts(evidence: Evidence) -> Iterator[Observation]:
     """A result has no breakdown and no responses, as it is too large."""
     names, in_parts = evidence.group_names, evidence.in_parts
@@ -68,10 +66,7 @@ def groups_in_parts(evidence: Evidence) -> Iterator[Observation]:
 
 
 @check(
-    "not_compared",
-    Severity.INFO,
-    Subject.RESULT,
-    "Analyze a folder with fewer runs of each result to compare them.",
+    "not_compared", Severity.INFO, Subject.RESULT, "Analyze a folder with fewer runs of each result to compare them."
 )
 def cases_not_compared(evidence: Evidence) -> Iterator[Observation]:
     """A kind of message has too many rows for comparing results."""

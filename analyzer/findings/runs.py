@@ -29,9 +29,7 @@ if TYPE_CHECKING:
 )
 def runs_without_ping(evidence: Evidence) -> Iterator[Observation]:
     """The ping's trace is missing."""
-    return _unplaced(
-        evidence, "no_ping_trace", "No T1 of these runs is here: the trace of their ping is missing."
-    )
+    return _unplaced(evidence, "no_ping_trace", "No T1 of these runs is here: the trace of their ping is missing.")
 
 
 @check("undescribed_run", Severity.ERROR, Subject.FILE, "Keep that topic when filtering bags.")
@@ -44,9 +42,7 @@ def undescribed_runs(evidence: Evidence) -> Iterator[Observation]:
 @check("undescribed_session", Severity.ERROR, Subject.FILE, "Keep that topic when filtering bags.")
 def undescribed_sessions(evidence: Evidence) -> Iterator[Observation]:
     """No trace describes the ping's session."""
-    what = (
-        "No trace describes the ping session of these runs (topic /dds_trace/session), so they were left out."
-    )
+    what = "No trace describes the ping session of these runs (topic /dds_trace/session), so they were left out."
     return _unplaced(evidence, "no_ping_session", what)
 
 
@@ -206,12 +202,7 @@ def orphan_events(evidence: Evidence) -> Iterator[Observation]:
             yield Observation(exchange_name(exchange), what, (group,))
 
 
-@check(
-    "no_schedule",
-    Severity.INFO,
-    Subject.RUN,
-    "Record T0 (scheduled_ns of T1) to see what a late sender hides.",
-)
+@check("no_schedule", Severity.INFO, Subject.RUN, "Record T0 (scheduled_ns of T1) to see what a late sender hides.")
 def missing_schedule(evidence: Evidence) -> Iterator[Observation]:
     """Runs have no planned send times."""
     unscheduled = {
@@ -241,17 +232,12 @@ def runs_without_relay(evidence: Evidence) -> Iterator[Observation]:
     for exchange, group in evidence.exchanges_by_group():
         if not exchange.took_part:
             yield evidence.run(
-                exchange.run.run_id,
-                "No relay took part: no reply came, and no relay's trace has the run.",
-                (group,),
+                exchange.run.run_id, "No relay took part: no reply came, and no relay's trace has the run.", (group,)
             )
 
 
 @check(
-    "missing_relay_trace",
-    Severity.WARNING,
-    Subject.RELAY,
-    "Copy the relay's trace into the folder and analyze again.",
+    "missing_relay_trace", Severity.WARNING, Subject.RELAY, "Copy the relay's trace into the folder and analyze again."
 )
 def missing_relay_traces(evidence: Evidence) -> Iterator[Observation]:
     """The relay's trace is missing."""
@@ -281,12 +267,7 @@ def _without_events(evidence: Evidence, *, described: bool) -> Iterator[Observat
     )
 
 
-@check(
-    "undescribed_relay",
-    Severity.WARNING,
-    Subject.RELAY,
-    "Keep the topic /dds_trace/session when filtering bags.",
-)
+@check("undescribed_relay", Severity.WARNING, Subject.RELAY, "Keep the topic /dds_trace/session when filtering bags.")
 def undescribed_relays(evidence: Evidence) -> Iterator[Observation]:
     """No trace describes the relay's session."""
     runs: dict[int, int] = defaultdict(int)
@@ -356,15 +337,15 @@ def gaps_of_relays(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-@check(
-    "unlike_domains", Severity.WARNING, Subject.RUN, "Check the options --domain and --bridge of both sides."
-)
+@check("unlike_domains", Severity.WARNING, Subject.RUN, "Check the options --domain and --bridge of both sides.")
 def unlike_domains(evidence: Evidence) -> Iterator[Observation]:
     """The relay was in another domain than the ping was given."""
     for exchange, group in evidence.exchanges_by_group():
         given = exchange.run.relay_domain_id
         if exchange.relay and given is not None and given != exchange.relay.domain_id:
-            what = f"The ping was given relay domain {given}, the relay was in {exchange.relay.domain_id}, which counts."
+            what = (
+                f"The ping was given relay domain {given}, the relay was in {exchange.relay.domain_id}, which counts."
+            )
             yield Observation(exchange_name(exchange), what, (group,))
 
 

@@ -46,9 +46,7 @@ def schedule_not_held(evidence: Evidence) -> Iterator[Observation]:
         share = elapsed_ns / (elapsed_ns + lag_ns) if elapsed_ns + lag_ns > 0 else 1.0
         if lag_ns >= _LAG_NS and share < 1 - _RATE_TOLERANCE:
             yield evidence.result(
-                group,
-                f"Published at {rates[group] * share:.4g} Hz, requested {rates[group]:g} Hz.",
-                1 - share,
+                group, f"Published at {rates[group] * share:.4g} Hz, requested {rates[group]:g} Hz.", 1 - share
             )
 
 

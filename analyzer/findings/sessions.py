@@ -34,9 +34,7 @@ def recorder_drops(evidence: Evidence) -> Iterator[Observation]:
     for session in evidence.campaign.sessions.values():
         if session.dropped_events:
             events = counted(session.dropped_events, "event")
-            yield evidence.recording(
-                session, f"The recorder dropped {events}; messages that it dropped count as lost."
-            )
+            yield evidence.recording(session, f"The recorder dropped {events}; messages that it dropped count as lost.")
 
 
 _BRIDGE_FAILURES = {"died": "ended by itself", "never_ready": "never carried a message"}
@@ -61,8 +59,7 @@ def failed_bridges(evidence: Evidence) -> Iterator[Observation]:
             failure = str(bridge.get("failure") or "it said nothing").rstrip(".")
             state = _BRIDGE_FAILURES[str(bridge["state"])]
             yield evidence.recording(
-                session,
-                f"The bridge {bridge.get('bridge')} {state}: {failure}. Its last words: {_last_words(bridge)}.",
+                session, f"The bridge {bridge.get('bridge')} {state}: {failure}. Its last words: {_last_words(bridge)}."
             )
 
 
@@ -75,12 +72,7 @@ def _last_words(bridge: Mapping[str, object]) -> str:
     return "; ".join(line[:200].rstrip(".") for line in lines) or "none"
 
 
-@check(
-    "ended_by_error",
-    Severity.ERROR,
-    Subject.RECORDING,
-    "Messages after the failure count as lost: repeat the run.",
-)
+@check("ended_by_error", Severity.ERROR, Subject.RECORDING, "Messages after the failure count as lost: repeat the run.")
 def failed_recordings(evidence: Evidence) -> Iterator[Observation]:
     """An error ended a run before its plan."""
     for session in evidence.campaign.sessions.values():
@@ -260,9 +252,7 @@ def _differences(where: str, described: list[tuple[Session, dict[str, object]]])
             values[name][json.dumps(value, sort_keys=True)].append(session)
     for name, by_value in sorted(values.items()):
         if len(by_value) > 1:
-            listed = some(
-                (f"{value} {_on_devices(sessions)}" for value, sessions in sorted(by_value.items())), 4
-            )
+            listed = some((f"{value} {_on_devices(sessions)}" for value, sessions in sorted(by_value.items())), 4)
             yield Observation(where, f"{name} differs: {listed}.")
 
 

@@ -74,9 +74,7 @@ def recorded_in_sequence(evidence: Evidence) -> Iterator[Observation]:
     groups = sorted({group for answer in answers for group in groups_of[columns(answer)]})
     if groups:
         drifts = [answer.drift_ratio - 1 for answer in answers if answer.drift_ratio is not None]
-        tests = (
-            f": a drift of {100 * min(drifts):.3g} % between them passes for a difference" if drifts else ""
-        )
+        tests = f": a drift of {100 * min(drifts):.3g} % between them passes for a difference" if drifts else ""
         yield Observation(
             some(evidence.group_names[group] for group in groups),
             f"With {counted(len(answers), 'kind')} of message, nearly all runs of one setup preceded all runs of another, so a "
@@ -115,9 +113,7 @@ def unlike_versions(evidence: Evidence) -> Iterator[Observation]:
 
 def _versions(session: Session) -> dict[str, str]:
     recorded = session.host.get("versions")
-    versions = (
-        {name: str(version) for name, version in recorded.items()} if isinstance(recorded, dict) else {}
-    )
+    versions = {name: str(version) for name, version in recorded.items()} if isinstance(recorded, dict) else {}
     recorder = session.extra.get("recorder_version")
     return versions | ({"dds-trace": recorder} if isinstance(recorder, str) else {})
 

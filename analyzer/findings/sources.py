@@ -40,9 +40,7 @@ def skipped_files(evidence: Evidence) -> Iterator[Observation]:
         if source.status == "skipped" and not source.path.endswith(".mcap")
     ]
     if others:
-        yield Observation(
-            some(others, 10), f"{len(others)} of the files here are not traces and were not used."
-        )
+        yield Observation(some(others, 10), f"{len(others)} of the files here are not traces and were not used.")
 
 
 def _named_traces(evidence: Evidence) -> Iterator[tuple[str, Trace]]:
@@ -59,17 +57,10 @@ def truncated_files(evidence: Evidence) -> Iterator[Observation]:
     """A file ends early."""
     for name, trace in _named_traces(evidence):
         if trace.truncated:
-            yield Observation(
-                name, f"The file ends early ({trace.truncated}); everything before that was used."
-            )
+            yield Observation(name, f"The file ends early ({trace.truncated}); everything before that was used.")
 
 
-@check(
-    "unreadable_messages",
-    Severity.WARNING,
-    Subject.FILE,
-    "Compare what wrote the file with docs/trace-format.md.",
-)
+@check("unreadable_messages", Severity.WARNING, Subject.FILE, "Compare what wrote the file with docs/trace-format.md.")
 def unreadable_messages(evidence: Evidence) -> Iterator[Observation]:
     """Messages on event topics are not events."""
     for name, trace in _named_traces(evidence):
@@ -82,9 +73,7 @@ def unreadable_messages(evidence: Evidence) -> Iterator[Observation]:
             yield Observation(name, what)
 
 
-@check(
-    "ring_recovered", Severity.INFO, Subject.FILE, "Nothing to do; keep the ring file in the trace's folder."
-)
+@check("ring_recovered", Severity.INFO, Subject.FILE, "Nothing to do; keep the ring file in the trace's folder.")
 def recovered_events(evidence: Evidence) -> Iterator[Observation]:
     """Events were recovered from the ring of a killed recorder."""
     for name, trace in _named_traces(evidence):
@@ -101,12 +90,7 @@ def copied_files(evidence: Evidence) -> Iterator[Observation]:
             yield Observation(source.path, f"Not counted again: {source.detail}.")
 
 
-@check(
-    "overlapping_files",
-    Severity.INFO,
-    Subject.FILE,
-    "Nothing to do; keep the more complete file to save time.",
-)
+@check("overlapping_files", Severity.INFO, Subject.FILE, "Nothing to do; keep the more complete file to save time.")
 def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
     """Files share events."""
     read = {source.path for source in evidence.campaign.sources if source.status != "duplicate"}
@@ -116,9 +100,7 @@ def overlapping_files(evidence: Evidence) -> Iterator[Observation]:
             events = "is" if copy.events == 1 else "are"
             once = "it was" if copy.events == 1 else "they were"
             others = evidence.campaign.names(copy.others) or name
-            yield Observation(
-                name, f"{copy.events} of its events {events} also in {others}; {once} counted once."
-            )
+            yield Observation(name, f"{copy.events} of its events {events} also in {others}; {once} counted once.")
 
 
 @check("reader_note", Severity.INFO, Subject.FILE, "Judge whether it affects the numbers.")

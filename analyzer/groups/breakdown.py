@@ -86,9 +86,7 @@ def breakdown_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
             messages,
             [
                 _ExchangeRows(
-                    batch.exchanges[number],
-                    slice(first - offsets[0], after - offsets[0]),
-                    bridges[number] == "none",
+                    batch.exchanges[number], slice(first - offsets[0], after - offsets[0]), bridges[number] == "none"
                 )
                 for number, first, after in zip(numbers, offsets, offsets[1:], strict=False)
             ],
@@ -225,14 +223,10 @@ def _deliveries(messages: _Messages, exchanges: Iterable[_ExchangeRows]) -> _Del
     if not chosen_of(is_complete, relay.has_value & ping.has_value).all():
         return None
     times_ns = [
-        [relay.least_ns(part.rows, part.relay_wall_ns), ping.least_ns(part.rows, part.ping_wall_ns)]
-        for part in shown
+        [relay.least_ns(part.rows, part.relay_wall_ns), ping.least_ns(part.rows, part.ping_wall_ns)] for part in shown
     ]
     # How long after T4 (T1) the middleware stamped the message, by the same anchor.
-    relay_walls_ns, ping_walls_ns = (
-        [part.relay_wall_ns for part in shown],
-        [part.ping_wall_ns for part in shown],
-    )
+    relay_walls_ns, ping_walls_ns = ([part.relay_wall_ns for part in shown], [part.ping_wall_ns for part in shown])
     for start, end, walls_ns in (
         ("relay_out_ns", _REPLY_SOURCE, relay_walls_ns),
         ("publish_ns", _RELAY_SOURCE, ping_walls_ns),
@@ -245,12 +239,8 @@ def _deliveries(messages: _Messages, exchanges: Iterable[_ExchangeRows]) -> _Del
     if any(min(bounds_ns) < 0 for bounds_ns in shortest_ns):
         return None
     masks = [is_complete[part.rows] for part in shown]
-    relay_ns = [
-        relay.values_ns[part.rows][mask] + part.relay_wall_ns for part, mask in zip(shown, masks, strict=True)
-    ]
-    ping_ns = [
-        ping.values_ns[part.rows][mask] + part.ping_wall_ns for part, mask in zip(shown, masks, strict=True)
-    ]
+    relay_ns = [relay.values_ns[part.rows][mask] + part.relay_wall_ns for part, mask in zip(shown, masks, strict=True)]
+    ping_ns = [ping.values_ns[part.rows][mask] + part.ping_wall_ns for part, mask in zip(shown, masks, strict=True)]
     clock_bound_ns = messages.column("clock_bound_ns")
     judged, anchor_ns, clock_ns = 0, 0, 0
     for part, mask, bounds_ns in zip(shown, masks, shortest_ns, strict=True):
@@ -316,6 +306,5 @@ def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
                 }
             )
     return pl.DataFrame(rows, schema=RESPONSE_SCHEMA).with_columns(
-        (pl.col(f"response_{name}_ns") - pl.col(f"rtt_{name}_ns")).alias(f"hidden_{name}_ns")
-        for name in ("p50", "p99")
+        (pl.col(f"response_{name}_ns") - pl.col(f"rtt_{name}_ns")).alias(f"hidden_{name}_ns") for name in ("p50", "p99")
     )

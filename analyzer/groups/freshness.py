@@ -170,12 +170,8 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
                 **_deadline(run, unsent[number]),
                 **_ages(run),
                 "outages": len(outages),
-                "outage_longest_ns": max(
-                    (o.duration_ns for o in outages if o.duration_ns is not None), default=None
-                ),
-                "recovery_longest_ns": max(
-                    (o.recovery_ns for o in outages if o.recovery_ns is not None), default=None
-                ),
+                "outage_longest_ns": max((o.duration_ns for o in outages if o.duration_ns is not None), default=None),
+                "recovery_longest_ns": max((o.recovery_ns for o in outages if o.recovery_ns is not None), default=None),
             }
         )
     return pl.DataFrame(rows, schema=FRESHNESS_SCHEMA)
@@ -204,11 +200,7 @@ def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 def _names(batch: Batch, number: int) -> dict[str, object]:
     exchange = batch.exchanges[number]
-    return {
-        "group": int(batch.group_of_exchange[number]),
-        "run_id": exchange.run.run_id,
-        "relay_id": exchange.relay_id,
-    }
+    return {"group": int(batch.group_of_exchange[number]), "run_id": exchange.run.run_id, "relay_id": exchange.relay_id}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -280,9 +272,7 @@ def _judged_columns(roundtrips: RoundTrips, metric: str) -> dict[str, NDArray[An
     never = [OUTCOMES.index(outcome) for outcome in _NEVER.get(metric, map(Outcome, LOSSES))]
     return {
         "value_ns": filled(values),
-        "bound_ns": filled(measured["clock_bound_ns"])
-        if metric in ONE_WAY
-        else np.zeros(measured.height, np.int64),
+        "bound_ns": filled(measured["clock_bound_ns"]) if metric in ONE_WAY else np.zeros(measured.height, np.int64),
         "has_value": is_present(measured["clock_bound_ns"] if metric in ONE_WAY else values),
         "never": np.isin(roundtrips.outcome, never),
     }
@@ -337,9 +327,7 @@ def _ages(run: _Run) -> dict[str, object]:
             "age_peak_max_ns": back.peak_max_ns,
         }
     seen = run.seen
-    there = age_of_information(
-        chosen_of(seen, run.planned_ns), chosen_of(seen, run.publish_ns + run.outbound_ns)
-    )
+    there = age_of_information(chosen_of(seen, run.planned_ns), chosen_of(seen, run.publish_ns + run.outbound_ns))
     if there is not None:
         ages |= {
             "relay_age_mean_ns": there.mean_ns,

@@ -44,15 +44,9 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
             session = _session_at(trace.sessions, number_of(sample.get("log_time_ns")))
             row = _row(sample)
             if session is not None and row["monotonic_ns"] is None and row["wall_ns"] is not None:
-                row["monotonic_ns"] = int(
-                    session.monotonic_anchor_ns + row["wall_ns"] - session.wall_anchor_ns
-                )
+                row["monotonic_ns"] = int(session.monotonic_anchor_ns + row["wall_ns"] - session.wall_anchor_ns)
             if session is not None and row["wall_ns"] is not None:
-                described = {
-                    "session_id": session.session_id,
-                    "role": session.role,
-                    "device": session.device,
-                }
+                described = {"session_id": session.session_id, "role": session.role, "device": session.device}
                 rows.setdefault((session.session_id, row["wall_ns"]), described | row)  # files may be copies
     frame = pl.DataFrame(list(rows.values()), schema=HOST_SAMPLE_SCHEMA).sort("session_id", "wall_ns")
     errors = pl.col("udp_receive_errors")
@@ -66,10 +60,7 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
             .otherwise(index.over("session_id")),
         )
         .filter(
-            pl.col("cpu_busiest_percent")
-            .fill_null(0)
-            .rank("ordinal", descending=True)
-            .over("session_id", "stretch")
+            pl.col("cpu_busiest_percent").fill_null(0).rank("ordinal", descending=True).over("session_id", "stretch")
             == 1
         )
         .drop("stretch")
@@ -110,8 +101,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
         "node_memory_bytes": number_of(node.get("memory_bytes")),
         "bridge_cpu_percent": sum(_numbers(bridges)) if _numbers(bridges) else None,
         "wifi_signal_dbm": min(
-            _numbers(object_of(w).get("signal_dbm") for w in object_of(sample.get("wifi")).values()),
-            default=None,
+            _numbers(object_of(w).get("signal_dbm") for w in object_of(sample.get("wifi")).values()), default=None
         ),
         "udp_receive_errors": number_of(object_of(sample.get("udp")).get("RcvbufErrors")),
         "sampling_cpu_ns": number_of(sample.get("sampling_cpu_ns")),

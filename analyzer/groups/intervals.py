@@ -150,9 +150,7 @@ class _Sending:
         if all(bool((run[1:] >= run[:-1]).all()) for run in times.by_run):
             return cls(times, None)
         orders = [np.argsort(run, kind="stable") for run in times.by_run]
-        order = np.concatenate(
-            [first + indices for first, indices in zip(offsets.tolist(), orders, strict=False)]
-        )
+        order = np.concatenate([first + indices for first, indices in zip(offsets.tolist(), orders, strict=False)])
         return cls(SendTimes(sent_ns[order], offsets), order)
 
     def runs(self, values: NDArray[np.int64]) -> Runs:
@@ -162,9 +160,7 @@ class _Sending:
 
 def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Summarize the way out and the way back of each group, with the error bound of a message's one-way time."""
-    rows = [
-        row for group, column in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)
-    ]
+    rows = [row for group, column in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)]
     return pl.DataFrame(rows, schema=ONE_WAY_SCHEMA)
 
 

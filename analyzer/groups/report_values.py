@@ -65,19 +65,10 @@ def planned_percentiles(summary: pl.DataFrame, distributions: pl.DataFrame) -> P
     infinite in part is None.
     """
     counts = summary.select("received", "published", "unsent").fill_null(0).rows()
-    planned = {
-        i: sent + unsent for i, (received, sent, unsent) in enumerate(counts) if received < sent + unsent
-    }
-    needs = {
-        "mean": 1,
-        "min": 1,
-        "max": 1,
-        **{percentile.name: percentile.needs for percentile in PERCENTILES},
-    }
+    planned = {i: sent + unsent for i, (received, sent, unsent) in enumerate(counts) if received < sent + unsent}
+    needs = {"mean": 1, "min": 1, "max": 1, **{percentile.name: percentile.needs for percentile in PERCENTILES}}
     result: Planned = {
-        group: {
-            metric: dict.fromkeys(name for name in needs if messages >= needs[name]) for metric in METRICS
-        }
+        group: {metric: dict.fromkeys(name for name in needs if messages >= needs[name]) for metric in METRICS}
         for group, messages in planned.items()
     }
     histograms = distributions.filter(pl.col("group").is_in(list(planned))).sort("value_ns")
@@ -123,14 +114,10 @@ def bridge_loads(samples: pl.DataFrame, runs: Iterable[RunSpan]) -> Mapping[int,
     Returns:
         Group -> load in percent of one processor; groups without samples are missing.
     """
-    by_session = samples.filter(pl.col("bridge_cpu_percent").is_not_null()).partition_by(
-        "session_id", as_dict=True
-    )
+    by_session = samples.filter(pl.col("bridge_cpu_percent").is_not_null()).partition_by("session_id", as_dict=True)
     loads: dict[int, list[float]] = {}
     for run in runs:
         if (run.session_id,) in by_session:
-            during = by_session[run.session_id,].filter(
-                pl.col("monotonic_ns").is_between(run.first_ns, run.last_ns)
-            )
+            during = by_session[run.session_id,].filter(pl.col("monotonic_ns").is_between(run.first_ns, run.last_ns))
             loads.setdefault(run.group, []).extend(during["bridge_cpu_percent"].to_list())
     return {group: round(float(np.mean(values)), 1) for group, values in loads.items() if values}

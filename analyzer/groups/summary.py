@@ -72,9 +72,7 @@ def measure_groups(values: Iterable[tuple[int, str, NDArray[np.int64]]]) -> Stat
     """Compute statistics and histograms from (group, metric, values ascending)."""
     rows, histograms = [], []
     for group, metric, ordered_ns in values:
-        rows.append(
-            {"group": group, "metric": metric, "samples": len(ordered_ns), **summarize_values(ordered_ns)}
-        )
+        rows.append({"group": group, "metric": metric, "samples": len(ordered_ns), **summarize_values(ordered_ns)})
         histograms.append((group, metric, histogram_of(ordered_ns)))
     return Statistics(pl.DataFrame(rows, schema=_STATISTICS_SCHEMA), _distributions(histograms))
 
@@ -134,9 +132,7 @@ def summarize_groups(grouping: Grouping, exchange_counts: pl.DataFrame, statisti
     """Make one row per group from the counts of its exchanges and its statistics."""
     measured = statistics.frame.sort("group", maintain_order=True)
     wide = [
-        measured.filter(metric=metric).select(
-            pl.col(name).alias(f"{metric}_{name}_ns") for name in STATISTICS
-        )
+        measured.filter(metric=metric).select(pl.col(name).alias(f"{metric}_{name}_ns") for name in STATISTICS)
         for metric in METRICS
     ]
     counts = _counts_and_rates(exchange_counts, grouping)

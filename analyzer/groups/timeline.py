@@ -59,9 +59,7 @@ def _runs_at_once(run_times: pl.DataFrame) -> Iterator[pl.DataFrame]:
     yield from (part for _, part in runs.group_by(rows_before // ROWS_AT_ONCE, maintain_order=True))
 
 
-def _summarize(
-    roundtrips: pl.DataFrame, keys: Sequence[tuple[int, int]], bounds: Sequence[int]
-) -> pl.DataFrame:
+def _summarize(roundtrips: pl.DataFrame, keys: Sequence[tuple[int, int]], bounds: Sequence[int]) -> pl.DataFrame:
     """Return columns of `RUN_SCHEMA` for runs with these groups and run_ids, run i in rows `bounds[i]` to `bounds[i + 1]`."""
     sent_ns, is_back = roundtrips["publish_ns"].to_numpy(), (roundtrips["outcome"] == "completed").to_numpy()
     planned_ns = first_known(roundtrips, "scheduled_ns", "publish_ns").to_numpy()

@@ -50,11 +50,7 @@ WIRE_REPEAT_SCHEMA = frame_schema(
 )
 """A row per group and number of repeats of both ways together, warm-up left out: `returned` came back in these times."""
 
-WIRE_FRAMES = {
-    "wire": WIRE_SCHEMA,
-    "wire_classes": WIRE_CLASS_SCHEMA,
-    "wire_repeats": WIRE_REPEAT_SCHEMA,
-}
+WIRE_FRAMES = {"wire": WIRE_SCHEMA, "wire_classes": WIRE_CLASS_SCHEMA, "wire_repeats": WIRE_REPEAT_SCHEMA}
 """Name of each frame in `Details` -> its columns."""
 
 DISCOVERY_CLASSES = frozenset({"spdp", "sedp", "liveliness"})
@@ -92,9 +88,7 @@ def no_wire_frames() -> WireFrames:
     return WireFrames(**{name: pl.DataFrame(schema=schema) for name, schema in WIRE_FRAMES.items()})
 
 
-def wire_frames(
-    traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore
-) -> WireFrames:
+def wire_frames(traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grouping, rows: RowStore) -> WireFrames:
     """Make the frames; without rows (a sketch) records are in none."""
     counts = {run_id: value for run_id, run in runs.items() if (value := object_of(run.extra.get("wire")))}
     if not counts:

@@ -110,9 +110,7 @@ def load_campaign(
     if candidates != [path]:
         skipped += [
             skipped_source(other, path, "neither an .mcap file nor a rosbag2 folder")
-            for other in sorted(
-                {file for part in location.parts for file in _other_files(part, candidates, skip)}
-            )
+            for other in sorted({file for part in location.parts for file in _other_files(part, candidates, skip)})
         ]
     return campaign_of(path, loaded, skipped)
 
@@ -180,9 +178,7 @@ def _read_sources(
         status, detail = ("truncated", trace.truncated) if trace.truncated else ("read", "")
         copied = copies_by_trace[position].events if position in copies_by_trace else 0
         if copied:
-            others = ", ".join(
-                _relative(traces[other].path, folder) for other in copies_by_trace[position].others
-            )
+            others = ", ".join(_relative(traces[other].path, folder) for other in copies_by_trace[position].others)
             remark = f"{copied} of its {counted(events, 'event')} {'is' if copied == 1 else 'are'} also in {others or 'itself'} and counted once"
             detail = f"{detail}; {remark}" if detail else remark
             status = "duplicate" if copied == events else status
@@ -196,9 +192,7 @@ def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path])
     lengths = {len(stem) for stem in stems}  # few, for thousands of stems
     for where, folders, files in os.walk(folder):
         folders[:] = sorted(
-            name
-            for name in folders
-            if not name.startswith(".") and (Path(where) / name).resolve() not in skipped
+            name for name in folders if not name.startswith(".") and (Path(where) / name).resolve() not in skipped
         )
         for name in sorted(files):
             path = Path(where) / name
@@ -216,14 +210,10 @@ def _relative(path: Path, folder: Path) -> str:
 
 def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
     foreign = any(source.detail.endswith(FOREIGN_HINT) for source in skipped)
-    named_files = [
-        f"{source.path} ({source.detail.removesuffix(FOREIGN_HINT)})" for source in skipped[:_NAMED_AT_MOST]
-    ]
+    named_files = [f"{source.path} ({source.detail.removesuffix(FOREIGN_HINT)})" for source in skipped[:_NAMED_AT_MOST]]
     more = len(skipped) - len(named_files)
     named = "; ".join(named_files) + (f"; and {more} more" if more > 0 else "")
     named += FOREIGN_HINT if foreign else ""
     return f"{path}: no trace here" + (
-        f": looked at {named}"
-        if named
-        else ", the folder is empty; give the folder that dds-record wrote into"
+        f": looked at {named}" if named else ", the folder is empty; give the folder that dds-record wrote into"
     )

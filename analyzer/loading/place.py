@@ -43,9 +43,7 @@ class Place:
         if len(parts) == 1:
             return cls(parts[0], parts)
         if any(map(is_remote, parts)):
-            raise OptionError(
-                "only one path in object storage can be read; give the folder that contains all of them"
-            )
+            raise OptionError("only one path in object storage can be read; give the folder that contains all of them")
         if any(part.is_absolute() for part in parts):
             parts = tuple(part.absolute() for part in parts)
         return cls(Path(os.path.commonpath(parts)), parts)

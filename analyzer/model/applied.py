@@ -44,9 +44,7 @@ def maps_memory(session: Session) -> bool:
 def udp_receive_buffer_bytes(session: Session) -> int | None:
     """Return the largest receive buffer of the UDP sockets; sockets that only send keep a small default."""
     sockets = objects_of(_instant(session, "begin").get("sockets"))
-    sizes = [
-        _integer(socket, "receive_buffer_bytes") for socket in sockets if socket.get("protocol") == "udp"
-    ]
+    sizes = [_integer(socket, "receive_buffer_bytes") for socket in sockets if socket.get("protocol") == "udp"]
     return max((size for size in sizes if size is not None), default=None)
 
 
@@ -62,12 +60,8 @@ def socket_drops(session: Session) -> int | None:
     begin, end = (_instant(session, name) for name in ("begin", "end"))
     if not isinstance(begin.get("sockets"), list) or not isinstance(end.get("sockets"), list):
         return None
-    before = {
-        socket.get("inode"): _integer(socket, "dropped") or 0 for socket in objects_of(begin.get("sockets"))
-    }
-    drops = [
-        (_integer(socket, "dropped") or 0, socket.get("inode")) for socket in objects_of(end.get("sockets"))
-    ]
+    before = {socket.get("inode"): _integer(socket, "dropped") or 0 for socket in objects_of(begin.get("sockets"))}
+    drops = [(_integer(socket, "dropped") or 0, socket.get("inode")) for socket in objects_of(end.get("sockets"))]
     return sum(max(count - before.get(inode, 0), 0) for count, inode in drops)
 
 
@@ -76,9 +70,7 @@ def kernel_counts(session: Session) -> dict[str, int]:
     begin, end = (object_of(_instant(session, name).get("counters")) for name in ("begin", "end"))
     rises = {name: (_integer(begin, name), _integer(end, name)) for name in end}
     return {
-        name: now - then
-        for name, (then, now) in rises.items()
-        if then is not None and now is not None and now >= then
+        name: now - then for name, (then, now) in rises.items() if then is not None and now is not None and now >= then
     }
 
 

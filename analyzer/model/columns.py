@@ -22,9 +22,7 @@ KEY_COLUMNS = (
 _PING, _RELAY = "ping's monotonic clock", "relay's monotonic clock"
 
 MEASURED_COLUMNS = (
-    Column(
-        "scheduled_ns", pl.Int64, "ns", f"T0: planned send time, {_PING}; null if the run had no schedule"
-    ),
+    Column("scheduled_ns", pl.Int64, "ns", f"T0: planned send time, {_PING}; null if the run had no schedule"),
     Column("publish_ns", pl.Int64, "ns", f"T1: handed to the middleware, {_PING}"),
     Column("receive_ns", pl.Int64, "ns", f"T2: reply received, {_PING}; null if lost"),
     Column("relay_in_ns", pl.Int64, "ns", f"T3: received by the relay, {_RELAY}; null if not seen there"),
@@ -35,9 +33,7 @@ MEASURED_COLUMNS = (
     Column("reordered", pl.Boolean, "", "its T2 came after the T2 of a later sequence"),
     Column("outbound_ns", pl.Int64, "ns", "T1 to T3 on the ping's clock; null without all four stamps"),
     Column("return_ns", pl.Int64, "ns", "T4 to T2 on the ping's clock; rtt - intermediate - outbound"),
-    Column(
-        "clock_bound_ns", pl.Int64, "ns", "outbound and return are wrong by at most this, one up as one down"
-    ),
+    Column("clock_bound_ns", pl.Int64, "ns", "outbound and return are wrong by at most this, one up as one down"),
 )
 
 _UTC = pl.Datetime("ns", "UTC")
@@ -74,9 +70,7 @@ COUNT_COLUMNS = (
     Column("duplicates", pl.UInt64, "", "extra T2 events"),
     Column("reordered", pl.UInt64, "", "messages whose T2 came after the T2 of a later sequence"),
     Column("received_ratio", pl.Float64, "", "received / published"),
-    Column(
-        "achieved_rate_hz", pl.Float64, "Hz", "(messages - 1) / (last T1 - first T1), summed over the runs"
-    ),
+    Column("achieved_rate_hz", pl.Float64, "Hz", "(messages - 1) / (last T1 - first T1), summed over the runs"),
     Column(
         "transfer_rate_bytes_per_s",
         pl.Float64,

@@ -26,14 +26,7 @@ def schema_of(columns: Iterable[Column]) -> dict[str, type[pl.DataType] | pl.Dat
     return {column.name: column.dtype for column in columns}
 
 
-_DTYPES = {
-    "bool": pl.Boolean,
-    "f64": pl.Float64,
-    "i64": pl.Int64,
-    "str": pl.String,
-    "u32": pl.UInt32,
-    "u64": pl.UInt64,
-}
+_DTYPES = {"bool": pl.Boolean, "f64": pl.Float64, "i64": pl.Int64, "str": pl.String, "u32": pl.UInt32, "u64": pl.UInt64}
 
 
 def frame_schema(columns: str) -> dict[str, type[pl.DataType]]:

@@ -41,9 +41,7 @@ def where_alike(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
 
 
 def tell_apart(
-    items: Sequence[Item],
-    base: Callable[[Item], str],
-    parts: Iterable[tuple[Rule, Callable[[Item], str]]],
+    items: Sequence[Item], base: Callable[[Item], str], parts: Iterable[tuple[Rule, Callable[[Item], str]]]
 ) -> list[str]:
     """Name items: a base, and the word of each part whose rule chooses the name."""
     names = [base(item) for item in items]

@@ -43,9 +43,7 @@ class ParameterSpec:
     unit: str = ""
 
 
-_SETTING_MEANING = (
-    "all other settings: key=value,... sorted, defaults left out; relay.key where the relay's differs"
-)
+_SETTING_MEANING = "all other settings: key=value,... sorted, defaults left out; relay.key where the relay's differs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,21 +51,14 @@ class Parameters:
     """The parameters of one run and relay; those that agree in all parameters are one group."""
 
     vendor: Annotated[str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "middleware of the ping")]
-    backend: Annotated[
-        str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "API that carried the messages of the ping")
-    ]
+    backend: Annotated[str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "API that carried the messages of the ping")]
     rmw: Annotated[
         str | None,
-        ParameterSpec(
-            KeyPart.MIDDLEWARE, pl.String, "ROS 2 middleware interface of the ping; null outside ROS 2"
-        ),
+        ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "ROS 2 middleware interface of the ping; null outside ROS 2"),
     ]
-    bridge: Annotated[
-        str, ParameterSpec(KeyPart.BRIDGE, pl.String, "none, or the bridge between the two domains")
-    ]
+    bridge: Annotated[str, ParameterSpec(KeyPart.BRIDGE, pl.String, "none, or the bridge between the two domains")]
     relay_vendor: Annotated[
-        str | None,
-        ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "middleware of the relay; null without its trace"),
+        str | None, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "middleware of the relay; null without its trace")
     ]
     relay_backend: Annotated[
         str | None, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "API of the relay; null without its trace")
@@ -81,10 +72,7 @@ class Parameters:
         str, ParameterSpec(KeyPart.MESSAGE, pl.String, "binary, string, imu or another payload's name")
     ]
     payload_bytes: Annotated[
-        int,
-        ParameterSpec(
-            KeyPart.MESSAGE, pl.UInt32, "application bytes of a message, the stamp not counted", "B"
-        ),
+        int, ParameterSpec(KeyPart.MESSAGE, pl.UInt32, "application bytes of a message, the stamp not counted", "B")
     ]
     rate_hz: Annotated[float, ParameterSpec(KeyPart.MESSAGE, pl.Float64, "rate of the schedule", "Hz")]
     reliability: Annotated[str, ParameterSpec(KeyPart.SETTINGS, pl.String, "reliable or best_effort")]
@@ -110,9 +98,7 @@ class Parameters:
         return tuple((value is None, value) for value in self.values())
 
 
-def parameters_of(
-    run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1
-) -> Parameters:
+def parameters_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1) -> Parameters:
     """Return the key of the group of a run and one of its relays (None without its trace)."""
     relay_domain_id = relay_domain_of(run, ping, relay)
     return Parameters(
@@ -183,20 +169,13 @@ SETTING_COLUMNS = names_of(
 SITE_COLUMNS = names_of(KeyPart.DEVICES, KeyPart.LINK)
 """Parameters of where something was measured; setups measured elsewhere are no alternatives."""
 
-CASE_COLUMNS = (
-    *names_of(KeyPart.LINK),
-    *names_of(KeyPart.DOMAIN_MODE),
-    *CELL_COLUMNS,
-    *names_of(KeyPart.DEVICES),
-)
+CASE_COLUMNS = (*names_of(KeyPart.LINK), *names_of(KeyPart.DOMAIN_MODE), *CELL_COLUMNS, *names_of(KeyPart.DEVICES))
 """Parameters that compared setups have in common, in the order of answers."""
 
 MATCH_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in names_of(KeyPart.DOMAIN_IDS))
 """Parameters that compared groups have in common: all but the domains' numbers."""
 
-BRIDGE_MATCH_COLUMNS = names_of(
-    KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES
-)
+BRIDGE_MATCH_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES)
 """Parameters that a group in one domain and a group through a bridge have in common."""
 
 BRIDGED_COLUMNS = names_of(

@@ -102,9 +102,7 @@ def delivered_runs(runs: Sequence[RunRows], metric: str) -> list[Run]:
 def pass_numbers(runs: Iterable[RunDescription]) -> dict[int, int]:
     """Return run_id -> pass of the sweep, for the runs with that label."""
     return {
-        run.run_id: int(text)
-        for run in runs
-        if (text := run.labels.get(PASS_LABEL, "")).isascii() and text.isdigit()
+        run.run_id: int(text) for run in runs if (text := run.labels.get(PASS_LABEL, "")).isascii() and text.isdigit()
     }
 
 

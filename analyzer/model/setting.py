@@ -92,9 +92,7 @@ def _configuration(host: JsonObject) -> dict[str, str]:
     for variable, entries in configuration.items() if isinstance(configuration, dict) else ():
         files = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
         if files:
-            named[variable] = "+".join(
-                f"{entry.get('name')}#{str(entry.get('sha256'))[:8]}" for entry in files
-            )
+            named[variable] = "+".join(f"{entry.get('name')}#{str(entry.get('sha256'))[:8]}" for entry in files)
     return named
 
 
@@ -110,9 +108,7 @@ def _run_settings(run: Run) -> dict[str, str]:
     return values | (_texts(recorded) if isinstance(recorded, dict) else {})
 
 
-def _relay_differences(
-    ping: Session, ping_settings: Mapping[str, str], relay: Session
-) -> Iterator[tuple[str, str]]:
+def _relay_differences(ping: Session, ping_settings: Mapping[str, str], relay: Session) -> Iterator[tuple[str, str]]:
     relay_settings = _side(relay)
     compared: Collection[str] = {*relay_settings, *ping_settings}
     if not ("settings" in ping.extra and "settings" in relay.extra):

@@ -163,15 +163,7 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
             replied_ns = (_first_ns(t2), max(part.last_ns for part in t2)) if t2 else None
             placed.append(
                 Exchange(
-                    run,
-                    ping,
-                    relay_id,
-                    relay,
-                    start_ns,
-                    end_ns,
-                    counts,
-                    relays=len(relays) or 1,
-                    replied_ns=replied_ns,
+                    run, ping, relay_id, relay, start_ns, end_ns, counts, relays=len(relays) or 1, replied_ns=replied_ns
                 )
             )
     if not placed:
@@ -232,9 +224,7 @@ def _start(exchange: Exchange) -> tuple[int, int, int]:
 
 
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
-    unread = [
-        f"{source.path} was not used: {source.detail}" for source in campaign.sources if _is_unread(source)
-    ]
+    unread = [f"{source.path} was not used: {source.detail}" for source in campaign.sources if _is_unread(source)]
     reasons = sorted({_in_words(campaign, events) for events in unplaced}) + unread
     advice = "replace that file, or record the run again" if unread else "add the trace of the ping"
     reason = f": {'; '.join(reasons)}" if reasons else ""

@@ -36,9 +36,7 @@ class DevicePair:
     slews: tuple[Slew, ...]
 
 
-def pair_devices(
-    clock_fits: pl.DataFrame, clock_knots: pl.DataFrame, boots: Mapping[int, int]
-) -> Iterator[DevicePair]:
+def pair_devices(clock_fits: pl.DataFrame, clock_knots: pl.DataFrame, boots: Mapping[int, int]) -> Iterator[DevicePair]:
     """Yield each fit of the campaign from the frames of `segment_table` and `knots_of`; `boots` as in `fit_devices`."""
     boot = pl.Series("boot", [boots.get(run_id, 0) for run_id in clock_knots["run_id"]], pl.Int64)
     knots = (
@@ -96,9 +94,7 @@ class OneWay:
 
 
 def fit_exchanges(
-    exchanges: Sequence[Exchange],
-    bounds: NDArray[np.int64],
-    stamps: Mapping[str, NDArray[np.int64]],
+    exchanges: Sequence[Exchange], bounds: NDArray[np.int64], stamps: Mapping[str, NDArray[np.int64]]
 ) -> OneWay:
     """Fit the clocks of every exchange by its own messages.
 
@@ -180,9 +176,7 @@ class _FitInput:
     messages: RelayedMessages
 
 
-def _usable(
-    stamps: Mapping[str, NDArray[np.int64]], here: slice, damaged: Sequence[str]
-) -> NDArray[np.bool_]:
+def _usable(stamps: Mapping[str, NDArray[np.int64]], here: slice, damaged: Sequence[str]) -> NDArray[np.bool_]:
     """Return which rows have all four stamps, sane where named as `damaged`, and less time in the relay than under way."""
     t1, t3, t4, t2 = (stamps[name][here] for name in _FOUR_STAMPS)
     usable: NDArray[np.bool_] = t2 - t1 >= t4 - t3
@@ -214,9 +208,7 @@ KNOT_SCHEMA: dict[str, type[pl.DataType]] = {
 _KNOT_COLUMNS = ("at_ns", "offset_ns", "bound_ns")
 
 
-def knots_of(
-    exchanges: Sequence[Exchange], groups: Sequence[int], fits: Sequence[ClockFit | None]
-) -> pl.DataFrame:
+def knots_of(exchanges: Sequence[Exchange], groups: Sequence[int], fits: Sequence[ClockFit | None]) -> pl.DataFrame:
     """List the knots of every run: the frame `clock_knots`, columns of `KNOT_SCHEMA`.
 
     `relay_boot` is the boot id of the relay's session, `same_boot` whether the ping's is the same; null where unknown.
@@ -246,8 +238,7 @@ def knots_of(
     )
     knots = [knot for _, knots_of_segment in described for knot in knots_of_segment]
     segment = np.repeat(
-        np.arange(len(described)),
-        np.array([len(knots_of_segment) for _, knots_of_segment in described], np.int64),
+        np.arange(len(described)), np.array([len(knots_of_segment) for _, knots_of_segment in described], np.int64)
     )
     knot_frame = pl.DataFrame(knots, schema=dict.fromkeys(_KNOT_COLUMNS, pl.Int64), orient="row")
     return segments[segment].hstack(knot_frame).select(*KNOT_SCHEMA)

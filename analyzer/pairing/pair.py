@@ -71,10 +71,7 @@ class Published:
     def take(self, mask: NDArray[np.bool_]) -> Published:
         """Return the messages of a mask; counts stay."""
         return replace(
-            self,
-            sequence=self.sequence[mask],
-            publish_ns=self.publish_ns[mask],
-            scheduled_ns=self.scheduled_ns[mask],
+            self, sequence=self.sequence[mask], publish_ns=self.publish_ns[mask], scheduled_ns=self.scheduled_ns[mask]
         )
 
     def rows(self, sequence: NDArray[np.uint64]) -> NDArray[np.int64]:
@@ -144,16 +141,11 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
         warmup_messages=warmup_messages,
         with_warmup=len(sequence),
         repeated=repeated,
-        payload_range_bytes=(
-            int(t1.payload_bytes.min(initial=_UINT32_MAX)),
-            int(t1.payload_bytes.max(initial=0)),
-        ),
+        payload_range_bytes=(int(t1.payload_bytes.min(initial=_UINT32_MAX)), int(t1.payload_bytes.max(initial=0))),
     )
 
 
-def pair_messages(
-    published: Published, t2: EventColumns, t3: EventColumns, t4: EventColumns
-) -> PairedMessages:
+def pair_messages(published: Published, t2: EventColumns, t3: EventColumns, t4: EventColumns) -> PairedMessages:
     """Find the earliest T2, T3 and T4 of every published message at one relay; events in any order, warm-up included."""
     receive_ns, extra, orphan_replies = _earliest(published, t2)
     relay_in_ns, _, orphan_arrivals = _earliest(published, t3)
@@ -198,9 +190,7 @@ def middleware_stamps(
     return source_ns, received_ns
 
 
-def _earliest(
-    published: Published, events: EventColumns
-) -> tuple[NDArray[np.int64], NDArray[np.uint16], int]:
+def _earliest(published: Published, events: EventColumns) -> tuple[NDArray[np.int64], NDArray[np.uint16], int]:
     """Return each message's earliest event, its number of further events, and the number of orphans."""
     extra = np.zeros(len(published), np.uint16)
     if _are_its_own(published, events):
@@ -229,9 +219,7 @@ def _are_its_own(published: Published, events: EventColumns) -> bool:
 
 
 def _came_back_in_turn(receive_ns: NDArray[np.int64]) -> bool:
-    return len(receive_ns) > 0 and bool(
-        receive_ns[0] != MISSING and (receive_ns[1:] >= receive_ns[:-1]).all()
-    )
+    return len(receive_ns) > 0 and bool(receive_ns[0] != MISSING and (receive_ns[1:] >= receive_ns[:-1]).all())
 
 
 def _outcomes(

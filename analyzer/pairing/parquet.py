@@ -43,9 +43,7 @@ _ARROW_TYPES = {
 
 
 @contextmanager
-def roundtrips_writer(
-    path: Path, provenance: Mapping[str, str] | None = None
-) -> Iterator[Callable[[pa.Table], None]]:
+def roundtrips_writer(path: Path, provenance: Mapping[str, str] | None = None) -> Iterator[Callable[[pa.Table], None]]:
     """Write `roundtrips.parquet`, complete or not at all; yield a function that writes a table of `tables_of`.
 
     Times ascend by steps or stay within a range: delta encoding takes a quarter of the bytes and time of plain values under zstd.
@@ -175,6 +173,4 @@ def _output_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        raise OutputError(
-            f"{path} cannot be written ({err.strerror or err}); give another folder with --out"
-        ) from err
+        raise OutputError(f"{path} cannot be written ({err.strerror or err}); give another folder with --out") from err

@@ -26,9 +26,7 @@ MOST_NAMED = 1000
 def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
     """Return the metadata of the files: key -> text, or JSON."""
     read = sorted(source.path for source in campaign.sources if source.status != "skipped")
-    sessions = sorted(
-        campaign.sessions.values(), key=lambda session: (session.wall_anchor_ns, session.session_id)
-    )
+    sessions = sorted(campaign.sessions.values(), key=lambda session: (session.wall_anchor_ns, session.session_id))
     clocks = [
         {
             "session_id": f"{session.session_id:016x}",

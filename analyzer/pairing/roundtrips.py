@@ -175,13 +175,9 @@ def pair_exchanges(
     rows = int(bounds[-1])
 
     filled, counts = _Filled(rows), []
-    for exchange, every, mask, first in zip(
-        exchanges, messages_of_exchanges, masks, bounds[:-1].tolist(), strict=True
-    ):
+    for exchange, every, mask, first in zip(exchanges, messages_of_exchanges, masks, bounds[:-1].tolist(), strict=True):
         events_of_stage = {key[0]: events[key] for key in exchange.event_keys()}
-        paired = pair_messages(
-            every, events_of_stage[Stage.T2], events_of_stage[Stage.T3], events_of_stage[Stage.T4]
-        )
+        paired = pair_messages(every, events_of_stage[Stage.T2], events_of_stage[Stage.T3], events_of_stage[Stage.T4])
         unsent, messages = count_unsent(exchange.run, every, events_of_stage[Stage.T2]), every
         if not mask.all():
             messages, paired = every.take(mask), paired.take(mask)

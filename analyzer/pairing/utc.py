@@ -45,9 +45,7 @@ def utc_columns(
     for column, (name, sessions_of_exchanges) in zip(UTC_COLUMNS, sessions.items(), strict=True):
         instants_ns = stamps[name]
         utc_ns = np.full(len(instants_ns), MISSING)
-        for session, first, after in zip(
-            sessions_of_exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True
-        ):
+        for session, first, after in zip(sessions_of_exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
             if session is None or abs(session.wall_ns(0)) >= _SANE_NS:
                 continue
             here = instants_ns[first:after]

@@ -66,9 +66,7 @@ class RecordedMessage:
     payload_bytes: int
 
 
-def find_recordings(
-    path: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()
-) -> list[Path]:
+def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:
     """Find all `.mcap`, `.bag` and `.db3` files and rosbag2 folders in a folder and below it, sorted; or the path itself.
 
     Raises:
@@ -231,9 +229,7 @@ def _connection_has_stamp(connection: Connection) -> bool:
 @cache
 def _stamped_types() -> frozenset[str]:
     types = get_typestore(Stores.LATEST).fielddefs.items()
-    return frozenset(
-        name for name, (_, fields) in types if fields and fields[0][1][1] == "std_msgs/msg/Header"
-    )
+    return frozenset(name for name, (_, fields) in types if fields and fields[0][1][1] == "std_msgs/msg/Header")
 
 
 _COMMENT_OR_CONSTANT = re.compile(r"\s*(#.*)?|\s*[^#\s]+\s+\w+\s*=.*")

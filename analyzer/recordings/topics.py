@@ -154,9 +154,7 @@ def _timing(log_ns: Int64) -> Row:
         row |= {
             "rate_hz": len(period_ns) / (duration_ns / 1e9),
             "period_p50_ns": median,
-            "period_p99_ns": float(np.quantile(period_ns, 0.99))
-            if len(period_ns) >= _FEWEST_FOR_P99
-            else None,
+            "period_p99_ns": float(np.quantile(period_ns, 0.99)) if len(period_ns) >= _FEWEST_FOR_P99 else None,
             "jitter_ns": float(period_ns.std(ddof=1)) if len(period_ns) > 1 else None,
             "gaps": int((period_ns > GAP_PERIODS * median).sum()),
             "gap_max_ns": int(period_ns.max()),

@@ -29,7 +29,5 @@ def spreads_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) -
     spreads, end = [], 0
     for group in groups:
         start, end = end, end + len(group)
-        spreads.append(
-            [spread_from(group, s, error[start:end]) for s, error in zip(statistics, errors, strict=True)]
-        )
+        spreads.append([spread_from(group, s, error[start:end]) for s, error in zip(statistics, errors, strict=True)])
     return spreads

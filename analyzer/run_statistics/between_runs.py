@@ -188,9 +188,7 @@ def scale_of(values: Float64) -> Scale:
     return Scale.RECIPROCAL if is_positive else Scale.NONE
 
 
-def ends_of_units(
-    values: Float64, confidence: float
-) -> tuple[float, float | None, float | None, float | None]:
+def ends_of_units(values: Float64, confidence: float) -> tuple[float, float | None, float | None, float | None]:
     """Return the typical value of at least two units, the ends of its interval by Student's t, and `Interval.unit_spread`.
 
     On the reciprocal scale the lower end belongs to the harmonic mean, which is never above the geometric mean.

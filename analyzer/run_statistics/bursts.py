@@ -34,9 +34,7 @@ EPISODE_GAP_SHARE = 0.05
 LEAST_GAP = 1.5
 """Messages; with 1, a sender's jitter would cut a burst in pieces."""
 
-_MOST_CELLS = (
-    1024  # neighbours are added up in this many cells: the shortest cosine has 170 of them in a period
-)
+_MOST_CELLS = 1024  # neighbours are added up in this many cells: the shortest cosine has 170 of them in a period
 
 _MANY = 20
 """Messages a cell from which on a search is quicker."""
@@ -103,9 +101,7 @@ class Cells:
         counts = self.offsets[1:] - self.offsets[:-1]
         first = [0, *(np.flatnonzero(counts[1:] != counts[:-1]) + 1).tolist(), len(counts)]
         offsets = self.offsets.tolist()
-        return tuple(
-            (slice(start, end), slice(offsets[start], offsets[end])) for start, end in pairwise(first)
-        )
+        return tuple((slice(start, end), slice(offsets[start], offsets[end])) for start, end in pairwise(first))
 
     @cached_property
     def projections(self) -> tuple[Float64, ...]:

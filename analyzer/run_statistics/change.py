@@ -170,9 +170,7 @@ def _exponential_ends(logarithm: float, reach: float) -> Ends:
     return math.exp(logarithm), math.exp(logarithm - reach), math.exp(logarithm + reach)
 
 
-def _change_of_values(
-    base: Interval, new: Interval, base_units: Units, new_units: Units, _: object
-) -> Change:
+def _change_of_values(base: Interval, new: Interval, base_units: Units, new_units: Units, _: object) -> Change:
     test = welch_test(base_units.values, new_units.values)
     reach = test.reach(base.confidence) * test.error
     return Change(
@@ -293,15 +291,11 @@ def detectable_changes(
             for change in family
             if (ratio := smallest_detectable_ratio(change, tests, confidence, same_within)) is not None
         ]
-        detectable.append(
-            DetectableChange(metric, statistic, len(family), len(ratios), max(ratios, default=None))
-        )
+        detectable.append(DetectableChange(metric, statistic, len(family), len(ratios), max(ratios, default=None)))
     return tuple(detectable)
 
 
-def smallest_detectable_ratio(
-    change: Change, tests: int, confidence: float, same_within: float
-) -> float | None:
+def smallest_detectable_ratio(change: Change, tests: int, confidence: float, same_within: float) -> float | None:
     """Return the smallest ratio above 1 that would have been called slower with a probability of 80 %.
 
     A single slower group has the hardest test: Benjamini and Hochberg require a p value of alpha divided by the number of

@@ -91,9 +91,7 @@ def mser_truncation(series: Float64) -> int:
     sums = np.cumsum(centred[::-1])[::-1]
     squares = np.cumsum(np.square(centred)[::-1])[::-1]
     about_mean = squares - sums * sums / left
-    about_mean[about_mean <= n * np.finfo(np.float64).eps * squares[0]] = (
-        0  # equal values leave rounding only
-    )
+    about_mean[about_mean <= n * np.finfo(np.float64).eps * squares[0]] = 0  # equal values leave rounding only
     criterion = about_mean / (left * left)
     return int(np.argmin(criterion[: n // 4 + 1]))
 

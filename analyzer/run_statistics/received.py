@@ -59,16 +59,7 @@ def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> In
     low, high = (low, high) if replies_are_rare else (1 - high, 1 - low)
     units = len(runs) if basis is Basis.BETWEEN_RUNS else 0
     return Interval(
-        replies / n,
-        low,
-        high,
-        confidence,
-        n,
-        max(1, int(independent)),
-        basis,
-        len(received),
-        units,
-        len(sizes),
+        replies / n, low, high, confidence, n, max(1, int(independent)), basis, len(received), units, len(sizes)
     )
 
 
@@ -116,9 +107,7 @@ def _loss_angles(base: Sequence[Bools], new: Sequence[Bools]) -> tuple[Float64, 
     """
     sides = [[run for run in side if len(run)] for side in (base, new)]
     messages = min(max(map(len, side)) for side in sides)
-    angles = (
-        np.array([math.asin(math.sqrt(1 - float(run[:messages].mean()))) for run in side]) for side in sides
-    )
+    angles = (np.array([math.asin(math.sqrt(1 - float(run[:messages].mean()))) for run in side]) for side in sides)
     return next(angles), next(angles), 1 / (4 * messages)
 
 
@@ -175,9 +164,7 @@ class DeliveryChange:
         return Verdict.BETTER if low > 0 else Verdict.INCONCLUSIVE
 
 
-def change_of_received(
-    base: Sequence[Bools], new: Sequence[Bools], confidence: float = 0.95
-) -> DeliveryChange:
+def change_of_received(base: Sequence[Bools], new: Sequence[Bools], confidence: float = 0.95) -> DeliveryChange:
     """Return the change of the received ratio.
 
     The ends follow from the ones of both sides (R. Newcombe, Statistics in Medicine 17, 1998, method 10), between runs widened to
@@ -201,8 +188,7 @@ def change_of_received(
     test = loss_test(base_angles, new_angles, least_variance)
     reach, base_angle = test.reach(confidence), float(base_angles.mean())
     fewer, more = mover_ends(
-        _shares(base_angle, reach * test.base_error),
-        _shares(base_angle + test.difference, reach * test.new_error),
+        _shares(base_angle, reach * test.base_error), _shares(base_angle + test.difference, reach * test.new_error)
     )
     shift = base_angle + smallest_shift(test.error, test.degrees, confidence)
     return DeliveryChange(

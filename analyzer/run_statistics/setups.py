@@ -69,8 +69,7 @@ def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
     for (kind, setup), own in runs.items():
         pools[setup, own.repeats].append((kind, setup))
     residuals = {
-        pool: np.array([runs[key].values - runs[key].values.mean() for key in keys])
-        for pool, keys in pools.items()
+        pool: np.array([runs[key].values - runs[key].values.mean() for key in keys]) for pool, keys in pools.items()
     }
     is_pooled = spreads_are_alike(residuals.values())
     means: dict[Key, SetupMean] = {}
@@ -119,17 +118,13 @@ def tier_letters(names: Sequence[str], different: Collection[tuple[str, str]]) -
         if (one, other) not in different and (other, one) not in different:
             continue
         split = [
-            part
-            for tier in tiers
-            for part in ((tier - {one}, tier - {other}) if {one, other} <= tier else (tier,))
+            part for tier in tiers for part in ((tier - {one}, tier - {other}) if {one, other} <= tier else (tier,))
         ]
         unique = list(dict.fromkeys(split))
         tiers = [tier for tier in unique if not any(tier < larger for larger in unique)]
     index = {name: number for number, name in enumerate(names)}
     tiers.sort(key=lambda tier: sorted(index[name] for name in tier))
-    return {
-        name: "".join(_letter(number) for number, tier in enumerate(tiers) if name in tier) for name in names
-    }
+    return {name: "".join(_letter(number) for number, tier in enumerate(tiers) if name in tier) for name in names}
 
 
 def _letter(number: int) -> str:

@@ -98,10 +98,7 @@ def _threshold(value: float, quantile: float, messages: int, less: int, no_more:
 
 
 def indices_beyond(
-    values: Values,
-    offsets: Indices,
-    thresholds: Sequence[Sequence[Threshold]],
-    quantiles: Sequence[float],
+    values: Values, offsets: Indices, thresholds: Sequence[Sequence[Threshold]], quantiles: Sequence[float]
 ) -> list[Indices]:
     """Return for each quantile the indices of the values beyond the threshold of their series.
 

@@ -110,9 +110,7 @@ def read_folder(folder: Path) -> dict[str, Path]:
         try:
             intact = path.stat().st_size == saved.bytes and _sha256(path) == saved.sha256
         except OSError as err:
-            raise TraceFormatError(
-                path, f"a file of the saved analysis cannot be read ({err.strerror})"
-            ) from err
+            raise TraceFormatError(path, f"a file of the saved analysis cannot be read ({err.strerror})") from err
         if not intact:
             raise TraceFormatError(path, "the file was changed after the analysis was saved; analyze again")
     return {name: folder / saved.file for name, saved in manifest.files.items()}
@@ -138,9 +136,7 @@ def _read_manifest(folder: Path) -> Manifest:
         raise TraceFormatError(path, f"the manifest of a saved analysis is damaged ({err})") from err
     for name, saved in checked.files.items():
         stem, _, ending = name.partition(".")
-        if not (
-            _FILE_NAME.fullmatch(saved.file) and re.sub("-[0-9a-f]{8}", "", saved.file) == f"{stem}.{ending}"
-        ):
+        if not (_FILE_NAME.fullmatch(saved.file) and re.sub("-[0-9a-f]{8}", "", saved.file) == f"{stem}.{ending}"):
             raise TraceFormatError(path, f"the manifest names {saved.file!r}, which no saved analysis has")
     return checked
 

@@ -103,9 +103,7 @@ def chi_square_cdf(value: float, degrees: float) -> float:
     """Return the probability that a chi-square variable is at most `value`, by the series of NIST DLMF 8.7.1."""
     if value <= 0:
         return 0.0
-    if (
-        value > degrees + 20 * math.sqrt(2 * degrees) + 100
-    ):  # beyond it is below 1e-20, and the series overflows
+    if value > degrees + 20 * math.sqrt(2 * degrees) + 100:  # beyond it is below 1e-20, and the series overflows
         return 1.0
     half, exponent = value / 2, degrees / 2
     term = total = 1 / exponent

@@ -24,15 +24,7 @@ from ..run_statistics.received import change_of_received
 from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis
 from ..statistics.power import holm_adjusted
-from .cases import (
-    CONDITIONS,
-    Contender,
-    contender_names,
-    is_lossy,
-    is_too_large,
-    partition_groups,
-    with_conditions,
-)
+from .cases import CONDITIONS, Contender, contender_names, is_lossy, is_too_large, partition_groups, with_conditions
 from .matching import MatchedGroup
 from .ranking import Kind, RankingOptions, SetupRuns, rank_setups
 
@@ -225,9 +217,7 @@ def _measure_case(
     return _Case(case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True), setups)
 
 
-def _losers(
-    groups: Mapping[str, MatchedGroup], received: Mapping[str, Interval], confidence: float
-) -> set[str]:
+def _losers(groups: Mapping[str, MatchedGroup], received: Mapping[str, Interval], confidence: float) -> set[str]:
     """Return the setups that receive significantly less than the one that receives most.
 
     That one is picked by what it received, so the tests are adjusted by Holm over all pairs.
@@ -265,10 +255,9 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float) -> 
     percentile = "p99" if tail is not None and (tail.leader or not median.leader) else "p50"
     by_name = {name: _contender(name, setup, percentile, rankings) for name, setup in case.setups.items()}
     ranked = sorted(by_name.values(), key=Contender.order)
+    clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
     if len(ranked) == 1:
         clarity = Clarity.ONLY_ONE
-    else:
-        clarity = Clarity.CLEAR if len(leaders) == 1 else Clarity.INCONCLUSIVE
     letters = rankings[percentile].letters
     undecided = [
         one
@@ -344,14 +333,7 @@ class Headline:
     within_one_run: int = 0
 
 
-_HEADLINE_KEY = (
-    "connectivity",
-    "domain_mode",
-    "data_type",
-    "ping_device",
-    "relay_device",
-    "conditions",
-)
+_HEADLINE_KEY = ("connectivity", "domain_mode", "data_type", "ping_device", "relay_device", "conditions")
 
 
 def find_headlines(answers: Sequence[CaseAnswer]) -> tuple[Headline, ...]:

@@ -45,9 +45,7 @@ def bridge_cost(
     different = roundtrips.filter(pl.col("domain_mode") == "different")
     tables = []
     for bridge in [*different["bridge"].unique().sort(), None]:  # None: no rows, but the columns
-        through = match_groups(
-            different.filter(pl.col("bridge").eq_missing(pl.lit(bridge, pl.String))), match
-        )
+        through = match_groups(different.filter(pl.col("bridge").eq_missing(pl.lit(bridge, pl.String))), match)
         comparison = compare_groups(same, through, roundtrips.schema, replace(options, match=match), passes)
         tables.append(comparison.rows.select(pl.lit(bridge, pl.String).alias("bridge"), pl.all()))
     return pl.concat(tables)

@@ -173,8 +173,7 @@ def contender_names(parameters: pl.DataFrame) -> ContenderNames:
         for index in where_alike(short, words):
             names[index].append(words[index])
     return {
-        tuple(setting.values()): ", ".join(dict.fromkeys(words))
-        for setting, words in zip(settings, names, strict=True)
+        tuple(setting.values()): ", ".join(dict.fromkeys(words)) for setting, words in zip(settings, names, strict=True)
     }
 
 

@@ -205,9 +205,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         return [comparison.row_keys.get(key, key) for key in keys]
 
     differences = environment_differences(base.sessions, new.sessions, names)
-    environments = [
-        environment_of_group(row, differences) for row in comparison.delivery.iter_rows(named=True)
-    ]
+    environments = [environment_of_group(row, differences) for row in comparison.delivery.iter_rows(named=True)]
     return replace(
         comparison,
         delivery=comparison.delivery.with_columns(pl.Series("environment", environments, pl.String)),
@@ -269,9 +267,7 @@ def compare_groups(
     losses = _adjusted_p_values([change.p_value for change in deliveries])
     delivery_rows = [
         label | asdict(_delivery_row(before[key], after[partner], change, p_adjusted))
-        for label, (key, partner), change, p_adjusted in zip(
-            labels, pairs.items(), deliveries, losses, strict=True
-        )
+        for label, (key, partner), change, p_adjusted in zip(labels, pairs.items(), deliveries, losses, strict=True)
     ]
     return Comparison(
         rows=_adjusted(pl.DataFrame(change_rows, {**match_schema, **COMPARISON_SCHEMA}), options.confidence),
@@ -283,8 +279,7 @@ def compare_groups(
         changes=tuple(change for _, __, change in rows),
         deliveries=tuple(deliveries),
         unfinished={
-            row_keys[key]: before[key].unfinished + after[partner].unfinished
-            for key, partner in pairs.items()
+            row_keys[key]: before[key].unfinished + after[partner].unfinished for key, partner in pairs.items()
         },
         row_keys=row_keys,
     )
@@ -318,11 +313,7 @@ def _delivery_row(
 
 
 def _changes(
-    base: MatchedGroup,
-    new: MatchedGroup,
-    received: DeliveryChange,
-    options: CompareOptions,
-    passes: Mapping[int, int],
+    base: MatchedGroup, new: MatchedGroup, received: DeliveryChange, options: CompareOptions, passes: Mapping[int, int]
 ) -> Iterator[tuple[DistributionRow, list[tuple[ChangeRow, Change]]]]:
     paired = passes_of(base.runs, new.runs, passes) if options.paired else None
     p_of_losses = 1.0 if received.p_value is None else received.p_value

@@ -113,10 +113,7 @@ def count_false_alarms(
         list(passes), list(passes.values()), default=None, return_dtype=pl.Int64
     )
     rows = pl.concat(
-        [
-            side.with_columns(_pass=pass_of_row, _is_new=pl.lit(is_new))
-            for side, is_new in ((base, False), (new, True))
-        ]
+        [side.with_columns(_pass=pass_of_row, _is_new=pl.lit(is_new)) for side, is_new in ((base, False), (new, True))]
     ).sort("_pass", maintain_order=True, nulls_last=True)
     counts = []
     for swapped in _deals(sorted(set(passes.values()))):

@@ -37,10 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
 RECEIVED_RATIO = "received_ratio"
-_GATE_METRICS = (
-    *(f"{metric}_{statistic}" for metric in METRICS for statistic in COMPARED_STATISTICS),
-    RECEIVED_RATIO,
-)
+_GATE_METRICS = (*(f"{metric}_{statistic}" for metric in METRICS for statistic in COMPARED_STATISTICS), RECEIVED_RATIO)
 _OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     ">=": operator.ge,
@@ -154,7 +151,7 @@ def _parse_limit(text: str, limit: str, metric: str) -> tuple[Against, float]:
         return Against.DIFFERENCE, (-number if sign == "-" else number) / 100
     if unit != "%" and unit not in UNIT_NS:
         raise OptionError(
-            f"--fail-if {text!r}: no limit {limit!r}; write a change such as +10% or +2ms, or a value such as 20ms",
+            f"--fail-if {text!r}: no limit {limit!r}; write a change such as +10% or +2ms, or a value such as 20ms"
         )
     number = -number if sign == "-" else number
     is_share, is_signed = unit == "%", bool(sign)

@@ -112,9 +112,7 @@ def options_for(gates: Sequence[Gate], options: CompareOptions) -> CompareOption
     )
 
 
-def judge_gates(
-    comparison: Comparison, gates: Sequence[Gate], *, allow_missing: bool = False
-) -> list[GateResult]:
+def judge_gates(comparison: Comparison, gates: Sequence[Gate], *, allow_missing: bool = False) -> list[GateResult]:
     """Judge every group of the base by every gate of a comparison made with `options_for` them.
 
     First a result of `ALL_GROUPS` for each missing or dead group, then gate by gate.
@@ -144,9 +142,7 @@ def varying_columns(comparison: Comparison) -> list[str]:
 def _missing(comparison: Comparison, names: Sequence[str]) -> Iterator[GateResult]:
     for row in comparison.only_base.iter_rows(named=True):
         where = group_words(row, comparison.options.match)
-        yield GateResult(
-            ALL_GROUPS, where, GateOutcome.REGRESSED, None, None, None, "missing on the new side"
-        )
+        yield GateResult(ALL_GROUPS, where, GateOutcome.REGRESSED, None, None, None, "missing on the new side")
     for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
         if row["is_dead"]:
             yield GateResult(
@@ -173,9 +169,7 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     p_values = [groups[index].p_beyond(gate.limit, confidence, is_ratio=is_ratio) for index in beyond]
     # Groups that are not beyond the limit are tests of the family, too: their p values are larger than all of these.
     adjusted = holm_adjusted([*p_values, *[1.0] * (len(groups) - len(beyond))])
-    by_chance = {
-        index for index, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12
-    }
+    by_chance = {index for index, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12}
     for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True)):
         is_barred = group.group in comparison.barred
         reason = _reason(comparison, group, outcome, len(groups) if index in by_chance else 0)

@@ -97,9 +97,7 @@ def parse_job(text: str) -> Job:
             near = difflib.get_close_matches(name, _KEYS, n=1, cutoff=0)[0]
             raise OptionError(f"--recommend {text!r}: no key {name!r}; did you mean {near!r}?")
         if not equals or not value:
-            raise OptionError(
-                f"--recommend {text!r}: {name} has no value; write {name}={_KEYS[name].example}"
-            )
+            raise OptionError(f"--recommend {text!r}: {name} has no value; write {name}={_KEYS[name].example}")
         if name in words:
             raise OptionError(f"--recommend {text!r}: {name} is given twice")
         words[name] = value

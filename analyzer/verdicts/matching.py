@@ -111,8 +111,7 @@ def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]
 def with_devices(frame: pl.DataFrame, names: Mapping[str, str]) -> pl.DataFrame:
     """Return a frame with these devices; an unknown one stays unknown."""
     return frame.with_columns(
-        pl.when(pl.col(column).is_not_null()).then(pl.lit(name)).alias(column)
-        for column, name in names.items()
+        pl.when(pl.col(column).is_not_null()).then(pl.lit(name)).alias(column) for column, name in names.items()
     )
 
 
@@ -150,9 +149,7 @@ def match_groups(
     return {key: MatchedGroup(parts[key], unfinished) for key in sorted(parts, key=nulls_first)}
 
 
-def pair_keys(
-    before: Mapping[Key, object], after: Mapping[Key, object], match: Sequence[str]
-) -> dict[Key, Key]:
+def pair_keys(before: Mapping[Key, object], after: Mapping[Key, object], match: Sequence[str]) -> dict[Key, Key]:
     """Return which group of the new side each group of the base is compared with.
 
     A key without a relay trace is paired with the only group left that agrees in everything else.

@@ -131,9 +131,7 @@ class Ranking:
 
 
 def rank_setups(
-    kinds: Sequence[Kind],
-    confidence: float = 0.95,
-    options: RankingOptions = RankingOptions(),
+    kinds: Sequence[Kind], confidence: float = 0.95, options: RankingOptions = RankingOptions()
 ) -> list[dict[str, Ranking]]:
     """Return for each kind of message percentile -> ranking."""
     rankings: list[dict[str, Ranking]] = [{} for _ in kinds]
@@ -180,8 +178,7 @@ def _ranking(
     different = {
         (pair.fast, pair.slow)
         for pair, p in tests
-        if pair.ratio >= least_ratio
-        and p <= level(has_median=median is None or median.differ(pair.fast, pair.slow))
+        if pair.ratio >= least_ratio and p <= level(has_median=median is None or median.differ(pair.fast, pair.slow))
     }
     is_ahead = (
         bool(lead)
@@ -194,9 +191,7 @@ def _ranking(
     return Ranking(
         leader=names[0] if is_ahead else "",
         letters=tier_letters(names, different),
-        undecided=tuple(
-            pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different
-        ),
+        undecided=tuple(pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different),
         is_interleaved=all(pair.is_interleaved for pair in pairs),
         drift_ratio=_drift_ratio(pairs, 1 - alpha),
     )
@@ -254,9 +249,7 @@ def _pair(
         tested = None
         losses = change_of_received(fast.received, slow.received).p_value
         change = change_of_estimates(
-            fast.estimates[percentile],
-            slow.estimates[percentile],
-            p_of_losses=1.0 if losses is None else losses,
+            fast.estimates[percentile], slow.estimates[percentile], p_of_losses=1.0 if losses is None else losses
         )
         p_value, ratio = change.p_value, change.ratio
     units = fast.estimates[percentile].units

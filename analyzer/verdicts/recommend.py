@@ -221,9 +221,7 @@ class _Measurement:
 
     def failure(self, deadline_ns: int) -> str:
         if self.is_slow:
-            return (
-                f"sent {(self.rate_share or 0) * self.rate_hz:.4g} Hz where {self.rate_hz:g} Hz were planned"
-            )
+            return f"sent {(self.rate_share or 0) * self.rate_hz:.4g} Hz where {self.rate_hz:g} Hz were planned"
         if self.unfinished:
             return f"{counted(self.unfinished, 'run')} did not finish"
         if self.interval.value is not None and self.interval.value > deadline_ns:
@@ -336,17 +334,13 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
         return f"{counted(interval.samples, 'message')}; an interval at {job.reliability:g} takes {needs}"
     more = messages_to_close(interval, job.reliability)
     if more:
-        return (
-            f"the tail rests on {counted(interval.episodes or 0, 'burst')}; record about {more} more messages"
-        )
+        return f"the tail rests on {counted(interval.episodes or 0, 'burst')}; record about {more} more messages"
     runs = runs_to_settle_value(interval, job.deadline_ns)
     advice = "record more runs" if runs is None else f"about {max(runs, interval.runs + 1)} runs would decide"
     return f"the deadline is within the interval; {advice}"
 
 
-def _guessed(
-    setting: Setting, measurements: Mapping[SizeAndRate, _Measurement], job: Job
-) -> Candidate | None:
+def _guessed(setting: Setting, measurements: Mapping[SizeAndRate, _Measurement], job: Job) -> Candidate | None:
     at = (float(job.payload_bytes), float(job.rate_hz))
     failing = [
         f"{size:g} B at {rate:g} Hz {failure}"
@@ -355,9 +349,7 @@ def _guessed(
     ]
     if failing:
         reason = f"not measured, and not guessed: {'; '.join(failing)}"
-        return Candidate(
-            setting, Fit.INCONCLUSIVE, False, None, None, None, None, 0, 0, job.metric, reason=reason
-        )
+        return Candidate(setting, Fit.INCONCLUSIVE, False, None, None, None, None, 0, 0, job.metric, reason=reason)
     values = {
         size_and_rate: value
         for size_and_rate, measurement in measurements.items()

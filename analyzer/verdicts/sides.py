@@ -121,9 +121,7 @@ def _listed(values: frozenset[str]) -> str:
 
 def recorded_apart(base: Iterable[Session], new: Iterable[Session]) -> str:
     """Return a sentence if one side was recorded wholly before the other, by their wall clocks; else an empty text."""
-    before, after = (
-        [session.wall_anchor_ns for session in side if session.role == "ping"] for side in (base, new)
-    )
+    before, after = ([session.wall_anchor_ns for session in side if session.role == "ping"] for side in (base, new))
     if not before or not after or (min(before) <= max(after) and min(after) <= max(before)):
         return ""
     first, second = ("base", "new side") if max(before) < min(after) else ("new side", "base")

@@ -86,9 +86,7 @@ def main_command(
     elif command.check:
         check_start(options)
     else:
-        print_result(
-            record_until_stopped(options), as_json=command.as_json, fail_if_lost=command.fail_if_lost
-        )
+        print_result(record_until_stopped(options), as_json=command.as_json, fail_if_lost=command.fail_if_lost)
 
 
 def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
@@ -126,9 +124,7 @@ def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOpt
     if command.keep is None:
         return options
     if options.rotation is None:
-        raise OptionError(
-            "--keep counts the files of --rotate: give both, for example --rotate 1GB,1h --keep 20"
-        )
+        raise OptionError("--keep counts the files of --rotate: give both, for example --rotate 1GB,1h --keep 20")
     return replace(options, rotation=replace(options.rotation, keep=command.keep))
 
 

@@ -49,11 +49,7 @@ class TerminalWatch:
         self._console = plain_console(stderr=True)
         # Without a thread of its own: drawing holds the interpreter lock, and a received message would wait.
         self._live = Live(
-            console=self._console,
-            auto_refresh=False,
-            transient=True,
-            redirect_stdout=False,
-            redirect_stderr=False,
+            console=self._console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
         )
 
     def __enter__(self) -> TerminalWatch:  # noqa: PYI034 - `Self` is Python 3.11's
@@ -78,9 +74,7 @@ class TerminalWatch:
     def progress(self, progress: PingProgress | RelayProgress) -> None:
         """Redraw the line."""
         if self._live.is_started:
-            self._live.update(
-                Text(describe_progress(progress), no_wrap=True, overflow="ellipsis"), refresh=True
-            )
+            self._live.update(Text(describe_progress(progress), no_wrap=True, overflow="ellipsis"), refresh=True)
 
 
 def record_until_stopped(options: RecordOptions) -> Recorded:

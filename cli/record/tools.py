@@ -55,9 +55,7 @@ def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> Non
     print(f"recording an event: median {_us(cost.record_median_ns)}, p99 {_us(cost.record_p99_ns)}, ", end="")
     print(f"slowest {_us(cost.record_max_ns)} ({cost.events} events at 1 kHz)")
     cold = f", {_us(cost.cold_timer_ns)} at 1 kHz, subtracted" if cost.cold_timer_ns else ""
-    print(
-        f"slowest ten events in a row: {_us(cost.stall_of_ten_ns)}; reading the clock: {_us(cost.timer_ns)}{cold}"
-    )
+    print(f"slowest ten events in a row: {_us(cost.stall_of_ten_ns)}; reading the clock: {_us(cost.timer_ns)}{cold}")
     try:
         floor = measure_floor(backend, options)
     except TraceError as error:

@@ -51,9 +51,7 @@ def new_side(
         plan = read_plan(path, installed)
         return NewSide(plan.name, plan)
     if not path.is_dir():
-        raise OptionError(
-            f"--against {text}: give another plan.toml, the folder of a Python environment, or {SAME}"
-        )
+        raise OptionError(f"--against {text}: give another plan.toml, the folder of a Python environment, or {SAME}")
     command = environment_program(path.absolute(), "dds-record")
     if base.has_two_devices:
         raise OptionError(
@@ -75,9 +73,7 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
         "cells": [{"side": side, "name": name} for side, name in turns],
     }
     lines = [f"{side:4}  {name}" for side, name in turns]
-    lines.append(
-        f"plan {_name(base, other)}: {counted(len(turns), 'recording')} of both sides, about {seconds}"
-    )
+    lines.append(f"plan {_name(base, other)}: {counted(len(turns), 'recording')} of both sides, about {seconds}")
     return described, lines
 
 
@@ -122,9 +118,7 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
         for side, outcome in sides.items():
             complete = outcome.cells - len(outcome.missing)
             print(f"Wrote {outcome.folder}")
-            print(
-                f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete"
-            )
+            print(f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
         folders = shlex.join([str(done.base.folder), str(done.new.folder)])
         print(f"Compare: dds-analyze compare {folders} --paired")
         if alarms is not None:
@@ -145,9 +139,7 @@ def _false_alarms(done: AgainstOutcome) -> FalseAlarms:
     from dds_trace.analyzer.verdicts.false_alarms import count_false_alarms
 
     base, new = (analyze(outcome.folder, details=False) for outcome in (done.base, done.new))
-    return count_false_alarms(
-        base.load_messages(), new.load_messages(), pass_numbers([*base.runs, *new.runs])
-    )
+    return count_false_alarms(base.load_messages(), new.load_messages(), pass_numbers([*base.runs, *new.runs]))
 
 
 def _in_words(alarms: FalseAlarms) -> str:

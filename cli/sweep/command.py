@@ -43,16 +43,12 @@ class Printed(str, Enum):
 def main_command(
     plan: Annotated[Path, argument("PLAN", "TOML file, e.g. plans/quick.toml.")],
     out: Annotated[
-        Path,
-        option(
-            "--out FOLDER", "Folder for the traces, in OUT/NAME with the name of the plan.", show_default=True
-        ),
+        Path, option("--out FOLDER", "Folder for the traces, in OUT/NAME with the name of the plan.", show_default=True)
     ] = Path("runs"),
     dry_run: Annotated[
         bool,
         option(
-            "--dry-run",
-            "Show the recordings and how long they take, and check their options; run nothing of the plan.",
+            "--dry-run", "Show the recordings and how long they take, and check their options; run nothing of the plan."
         ),
     ] = False,
     rehearse: Annotated[
@@ -120,9 +116,7 @@ def main_command(
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)
     if dry_run or rehearse:
-        code = dry_run_of(
-            requested, out, other, target, max_rate=max_rate, as_json=as_json, rehearses=rehearse
-        )
+        code = dry_run_of(requested, out, other, target, max_rate=max_rate, as_json=as_json, rehearses=rehearse)
         raise typer.Exit(code)
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup

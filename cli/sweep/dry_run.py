@@ -30,14 +30,7 @@ LOOPBACK_MBIT_S = 10_000
 
 
 def dry_run(
-    plan: Plan,
-    out: Path,
-    other: NewSide | None,
-    until: Until | None,
-    *,
-    max_rate: bool,
-    as_json: bool,
-    rehearses: bool,
+    plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, max_rate: bool, as_json: bool, rehearses: bool
 ) -> int:
     """Show a sweep and check its options, or rehearse it; return the exit code."""
     from dds_trace.recorder.sweep.rehearsal import check_plan, rehearse_plan
@@ -104,12 +97,10 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
     lines = []
     for group in groups:
         lines.append(
-            f"relay {group.need.relay_name}"
-            + (f", half of {group.bridge} next to it" if group.bridge else "")
+            f"relay {group.need.relay_name}" + (f", half of {group.bridge} next to it" if group.bridge else "")
         )
         lines += [
-            f"  {cell.name}  {plan.run.planned_seconds(cell.rate):.0f} s{_doubt(plan, cell)}"
-            for cell in group.cells
+            f"  {cell.name}  {plan.run.planned_seconds(cell.rate):.0f} s{_doubt(plan, cell)}" for cell in group.cells
         ]
     lines += _remarks(plan)
     lines.append(

@@ -28,8 +28,7 @@ def main_command(
     send: Annotated[
         str | None,
         option(
-            "--send DATA",
-            "Messages to send, each with its rate: 'binary 33KB @ 20, imu @ 100, file:photo.jpg @ 5'.",
+            "--send DATA", "Messages to send, each with its rate: 'binary 33KB @ 20, imu @ 100, file:photo.jpg @ 5'."
         ),
     ] = None,
     compare: Annotated[
@@ -41,10 +40,7 @@ def main_command(
     ] = None,
     relay: Annotated[
         str | None,
-        option(
-            "--relay WHERE",
-            "Where the relay runs: here, USER@HOST, or here over an emulated link, e.g. wifi-54.",
-        ),
+        option("--relay WHERE", "Where the relay runs: here, USER@HOST, or here over an emulated link, e.g. wifi-54."),
     ] = None,
 ) -> None:
     """Write a commented plan for dds-sweep, and the schema with which editors complete it.

@@ -25,8 +25,6 @@ for row in duckdb.execute(by_data, {"file": summary}).fetchall():
     print(*row)
 
 print("What the file says of itself:")
-metadata = (
-    "SELECT decode(key), decode(value) FROM parquet_kv_metadata($file) WHERE decode(key) LIKE 'dds_trace.%'"
-)
+metadata = "SELECT decode(key), decode(value) FROM parquet_kv_metadata($file) WHERE decode(key) LIKE 'dds_trace.%'"
 for key, value in duckdb.execute(metadata, {"file": summary}).fetchall():
     print(key, value[:70])

@@ -31,9 +31,7 @@ def _directive(name: str) -> str:
     return f".. autoclass:: dds_trace.{name}\n{shown}"
 
 
-def mark_code(
-    _app: object, _what: str, _name: str, _thing: object, _options: object, lines: list[str]
-) -> None:
+def mark_code(_app: object, _what: str, _name: str, _thing: object, _options: object, lines: list[str]) -> None:
     """Make an indented paragraph of a docstring, as ours show code, a block of code for Sphinx; called for each docstring."""
     for number in range(len(lines) - 1, 0, -1):
         begins = lines[number].startswith("    ") and not lines[number - 1].strip()

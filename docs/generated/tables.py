@@ -25,7 +25,5 @@ def summary() -> str:
 
 
 def _columns(columns: Iterable[Column]) -> str:
-    rows = (
-        [code(each.name), code(each.dtype), escaped(each.unit), escaped(each.meaning)] for each in columns
-    )
+    rows = ([code(each.name), code(each.dtype), escaped(each.unit), escaped(each.meaning)] for each in columns)
     return table(("column", "type", "unit", "meaning"), rows)

@@ -8,14 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ..records import to_json
-from .counters import (
-    InterfaceCounters,
-    MulticastGroup,
-    read_groups,
-    read_interfaces,
-    read_kernel_counters,
-    read_limits,
-)
+from .counters import InterfaceCounters, MulticastGroup, read_groups, read_interfaces, read_kernel_counters, read_limits
 from .memory import Library, SharedMemory, read_libraries, read_memory
 from .sockets import Socket, read_sockets
 

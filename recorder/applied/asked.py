@@ -199,9 +199,7 @@ def read_profile_request(text: str) -> ProfileRequest:
 
 
 def _named(parent: ET.Element, name: str) -> Iterator[ET.Element]:
-    return (
-        node for node in parent.iter() if node.tag.rpartition("}")[2] == name
-    )  # whatever the XML namespace
+    return (node for node in parent.iter() if node.tag.rpartition("}")[2] == name)  # whatever the XML namespace
 
 
 def _whitelist(descriptor: ET.Element) -> Iterator[str]:

@@ -85,11 +85,7 @@ def is_excluded(applied: Applied, interface: str, traffic: Traffic) -> bool:
 
     Only received messages are proof: what was sent may have been for nobody.
     """
-    if (
-        applied.end is None
-        or traffic.received < MIN_MESSAGES
-        or traffic.received_bytes < MIN_PAYLOAD_BYTES / 2
-    ):
+    if applied.end is None or traffic.received < MIN_MESSAGES or traffic.received_bytes < MIN_PAYLOAD_BYTES / 2:
         return False
     delta = interface_deltas(applied).get(interface)
     if delta is None:  # never there; one that went away took its count along
@@ -99,10 +95,7 @@ def is_excluded(applied: Applied, interface: str, traffic: Traffic) -> bool:
 
 
 def _reaches(delta: InterfaceCounters, traffic: Traffic) -> bool:
-    return (
-        delta.sent_bytes >= SURELY * traffic.sent_bytes
-        and delta.received_bytes >= SURELY * traffic.received_bytes
-    )
+    return delta.sent_bytes >= SURELY * traffic.sent_bytes and delta.received_bytes >= SURELY * traffic.received_bytes
 
 
 def _explains(delta: InterfaceCounters, traffic: Traffic) -> bool:

@@ -13,15 +13,7 @@ from pathlib import Path
 _KERNEL_JOINS = ("224.0.0.1", "ff01::1", "ff02::1")
 """Groups that the kernel itself joins on every interface."""
 
-_FRAGMENT_COUNTERS = (
-    "ReasmTimeout",
-    "ReasmReqds",
-    "ReasmOKs",
-    "ReasmFails",
-    "FragOKs",
-    "FragFails",
-    "FragCreates",
-)
+_FRAGMENT_COUNTERS = ("ReasmTimeout", "ReasmReqds", "ReasmOKs", "ReasmFails", "FragOKs", "FragFails", "FragCreates")
 _UDP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors", "InCsumErrors", "MemErrors")
 
 _LIMITS = {
@@ -85,9 +77,7 @@ def read_kernel_counters(root: Path = Path("/proc")) -> dict[str, int]:
     rows = [line.split() for line in _lines(root / "self/net/snmp")]
     for names, values in zip(rows[::2], rows[1::2], strict=False):
         counters |= {
-            name: int(value)
-            for name, value in zip(names, values, strict=False)
-            if name in names_of.get(names[0], ())
+            name: int(value) for name, value in zip(names, values, strict=False) if name in names_of.get(names[0], ())
         }
     return counters
 
@@ -124,9 +114,7 @@ def _ipv4_groups(path: Path) -> list[MulticastGroup]:
 def _ipv6_groups(path: Path) -> list[MulticastGroup]:
     rows = [line.split() for line in _lines(path)]
     return [
-        MulticastGroup(row[1], socket.inet_ntop(socket.AF_INET6, bytes.fromhex(row[2])))
-        for row in rows
-        if len(row) > 2
+        MulticastGroup(row[1], socket.inet_ntop(socket.AF_INET6, bytes.fromhex(row[2]))) for row in rows if len(row) > 2
     ]
 
 

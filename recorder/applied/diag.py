@@ -69,9 +69,7 @@ def dump_sockets(family: int, protocol: int, states: int = _ALL_STATES) -> list[
     """
     attributes = sum(1 << (attribute - 1) for attribute in (INFO, CONGESTION, MEMORY))
     request = _REQUEST.pack(family, protocol, attributes, states)
-    header = _HEADER.pack(
-        _HEADER.size + len(request), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST | _NLM_F_DUMP, 1, 0
-    )
+    header = _HEADER.pack(_HEADER.size + len(request), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST | _NLM_F_DUMP, 1, 0)
     try:
         with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, NETLINK_SOCK_DIAG) as link:
             link.settimeout(_TIMEOUT_S)

@@ -56,12 +56,7 @@ class Difference:
 
     def to_json(self) -> JsonObject:
         """Return the JSON object of one entry of the session's field `not_applied`."""
-        return {
-            "setting": self.setting.value,
-            "asked": self.asked,
-            "applied": self.applied,
-            "words": self.words,
-        }
+        return {"setting": self.setting.value, "asked": self.asked, "applied": self.applied, "words": self.words}
 
 
 def differences(requested: Asked, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
@@ -87,9 +82,7 @@ def _transport(requested: Asked, applied: Applied, traffic: Traffic | None) -> D
     return Difference(setting, requested.transport, used, f"asked for {facts.label}, {used}")
 
 
-def _contradiction(
-    facts: TransportFacts, requested: Asked, applied: Applied, traffic: Traffic | None
-) -> str | None:
+def _contradiction(facts: TransportFacts, requested: Asked, applied: Applied, traffic: Traffic | None) -> str | None:
     """Return in words what the process uses that its transport does not, or lacks; None if nothing."""
     memory, sockets = _memory_of(requested, applied), applied.latest.sockets
     has_memory = applied.latest.memory is not None
@@ -120,20 +113,14 @@ def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None
         max((read.receive_buffer_bytes for read in sockets), default=0)
     ]
     return _buffer(
-        "receive",
-        "net.core.rmem_max",
-        requested.receive_buffer_bytes,
-        min(buffers) if sockets else None,
-        applied,
+        "receive", "net.core.rmem_max", requested.receive_buffer_bytes, min(buffers) if sockets else None, applied
     )
 
 
 def _send_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
     """Compare the largest send buffer of the UDP sockets with the requested one."""
     buffers = [read.send_buffer_bytes for read in _udp_sockets(applied)]
-    return _buffer(
-        "send", "net.core.wmem_max", requested.send_buffer_bytes, max(buffers, default=None), applied
-    )
+    return _buffer("send", "net.core.wmem_max", requested.send_buffer_bytes, max(buffers, default=None), applied)
 
 
 def _buffer(
@@ -149,10 +136,7 @@ def _buffer(
     limit_bytes = applied.latest.limits.get(limit_name)
     if limit_bytes is not None and granted_bytes == GRANTED_PER_REQUESTED * limit_bytes:
         return Difference(
-            Setting.KERNEL_LIMIT,
-            str(requested_bytes),
-            str(limit_bytes),
-            f"{words}: {limit_name} is {limit_bytes:,}",
+            Setting.KERNEL_LIMIT, str(requested_bytes), str(limit_bytes), f"{words}: {limit_name} is {limit_bytes:,}"
         )
     return Difference(Setting.TUNED, str(expected_bytes), str(granted_bytes), words)
 
@@ -178,9 +162,7 @@ def _shared_memory(requested: Asked, applied: Applied, traffic: Traffic | None) 
     memory = _memory_of(requested, applied)
     path = UNKNOWN if traffic is None else payload_path(applied, traffic)
     if not requested.shared_memory and memory:
-        used = (
-            "the bytes went through it" if path == SHARED_MEMORY else f"it is mapped ({_described(memory)})"
-        )
+        used = "the bytes went through it" if path == SHARED_MEMORY else f"it is mapped ({_described(memory)})"
         return Difference(Setting.SHARED_MEMORY, "off", used, f"asked for no shared memory, {used}")
     if requested.shared_memory and not memory:
         used = "none is mapped"

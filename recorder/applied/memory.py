@@ -129,9 +129,7 @@ def _opened_names(process: Path) -> Iterator[str]:
                     yield target.name
 
 
-def _shared_memory(
-    name: str, owner: tuple[str, str], mapped: _Mapped, opened: set[str], folder: Path
-) -> SharedMemory:
+def _shared_memory(name: str, owner: tuple[str, str], mapped: _Mapped, opened: set[str], folder: Path) -> SharedMemory:
     vendor, role = owner
     try:
         file = (folder / name).stat()
@@ -139,10 +137,7 @@ def _shared_memory(
         file = None
     is_the_file = file is not None and (file.st_dev, file.st_ino) == (mapped.device, mapped.inode)
     has_locks = vendor_facts(vendor).locks_own_files
-    locks = {
-        _lock_state(folder / (name + suffix), lock)
-        for suffix, lock in (_LOCK_TESTS.items() if has_locks else ())
-    }
+    locks = {_lock_state(folder / (name + suffix), lock) for suffix, lock in (_LOCK_TESTS.items() if has_locks else ())}
     return SharedMemory(
         name,
         vendor,

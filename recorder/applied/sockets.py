@@ -89,9 +89,7 @@ def read_sockets(pid: int | None = None) -> tuple[Socket, ...] | None:
                 sockets += [_socket(protocol, family, entry) for entry in dumped if entry.inode in inodes]
     except OSError:  # a DiagError is one
         return None
-    return tuple(
-        sorted(sockets, key=lambda read: (read.protocol, read.family, read.local_port, read.remote_port))
-    )
+    return tuple(sorted(sockets, key=lambda read: (read.protocol, read.family, read.local_port, read.remote_port)))
 
 
 def _socket_inodes(pid: int) -> set[int]:

@@ -82,10 +82,7 @@ VENDORS: Mapping[str, VendorFacts] = {
                 SEGMENT: re.compile(r"((fastrtps|fastdds)_[0-9a-f]{16}|fast_datasharing_.+)"),
             },
             locks_own_files=True,
-            libraries={
-                r"libfast(rtps|dds)\.so": "ros-fastrtps",
-                r"librmw_fastrtps_cpp\.so": "ros-rmw-fastrtps-cpp",
-            },
+            libraries={r"libfast(rtps|dds)\.so": "ros-fastrtps", r"librmw_fastrtps_cpp\.so": "ros-rmw-fastrtps-cpp"},
             transports={
                 "udp": UDP,
                 "shm": TransportFacts("shared memory", shared_memory=True),
@@ -94,11 +91,7 @@ VENDORS: Mapping[str, VendorFacts] = {
             },
             tuned=TunedFacts(BUFFER_BYTES, BUFFER_BYTES, transport="udp"),
             profile_variables=("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
-            variables=(
-                "FASTDDS_BUILTIN_TRANSPORTS",
-                "RMW_FASTRTPS_PUBLICATION_MODE",
-                "RMW_FASTRTPS_USE_QOS_FROM_XML",
-            ),
+            variables=("FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_PUBLICATION_MODE", "RMW_FASTRTPS_USE_QOS_FROM_XML"),
             files=("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml"),
             builtin_transports={
                 ("default", False): None,
@@ -186,9 +179,7 @@ ROS_MIDDLEWARES: Mapping[str, RosMiddleware] = {
     "rmw_cyclonedds_cpp": RosMiddleware(
         "cyclonedds", "Cyclone DDS", ("cyclonedds", "rmw_cyclonedds_cpp"), stamps_reception=False
     ),
-    "rmw_connextdds": RosMiddleware(
-        "connext", "RTI Connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")
-    ),
+    "rmw_connextdds": RosMiddleware("connext", "RTI Connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")),
     # README and design.md: multicast is off, sessions connect to a router at tcp/localhost:7447; no deadline or lifespan.
     "rmw_zenoh_cpp": RosMiddleware(
         "zenoh",

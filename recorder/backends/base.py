@@ -98,26 +98,18 @@ class Backend:
         """Raise an `OptionError` for an option that would have no effect."""
         check_domain_id(options.domain_id)
         if options.rmw is not None and not self.has_ros:
-            raise OptionError(
-                f"--rmw {options.rmw}: the backend {self.name} has no ROS middleware; leave it out"
-            )
+            raise OptionError(f"--rmw {options.rmw}: the backend {self.name} has no ROS middleware; leave it out")
         if options.executor is not ExecutorKind.AUTO and not self.has_ros:
-            raise OptionError(
-                f"--executor {options.executor.value}: the backend {self.name} has none; leave it out"
-            )
+            raise OptionError(f"--executor {options.executor.value}: the backend {self.name} has none; leave it out")
         if options.congestion_control is not None and not self.has_congestion_control:
             raise OptionError(
                 f"--congestion-control {options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
             )
         if options.transport not in self.transports:
             names = ", ".join(transport.value for transport in self.transports)
-            raise OptionError(
-                f"--transport {options.transport.value}: the backend {self.name} only has {names}"
-            )
+            raise OptionError(f"--transport {options.transport.value}: the backend {self.name} only has {names}")
         if options.peers and self.meeting is Meeting.DISCOVERY:
-            raise OptionError(
-                f"--peer {options.peers[0]}: the backend {self.name} discovers its peers; remove --peer"
-            )
+            raise OptionError(f"--peer {options.peers[0]}: the backend {self.name} discovers its peers; remove --peer")
         if self.check_settings is not None:
             self.check_settings(options)
 

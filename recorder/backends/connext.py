@@ -20,15 +20,7 @@ from ..choices import Discovery, Durability, History, Reliability
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
-from .node import (
-    LAST_ACKNOWLEDGEMENT_S,
-    ROUND_S,
-    Endpoint,
-    Middleware,
-    NodeSubscription,
-    ThreadedNode,
-    TopicView,
-)
+from .node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, NodeSubscription, ThreadedNode, TopicView
 from .qos import duration_extra, incompatible_pairs, requested_durations
 
 if TYPE_CHECKING:
@@ -86,9 +78,7 @@ class ConnextNode(ThreadedNode):
             },
         )
 
-    def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None
-    ) -> Publisher[RawMessage]:
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         dds = _connext()
         dds_topic_object, dynamic_type = self._topic(topic, type_name)
         policies = _fill(dds.DataWriterQos(), qos or self.options.qos)
@@ -163,16 +153,10 @@ class ConnextNode(ThreadedNode):
         return TopicView(topic, tuple(publishers), tuple(subscriptions), tuple(pairs))
 
     def _endpoints(self, reader: Any, topic: str) -> list[Endpoint]:
-        participants = map(
-            self._participant.discovered_participant_data, self._participant.discovered_participants()
-        )
+        participants = map(self._participant.discovered_participant_data, self._participant.discovered_participants())
         names = {str(data.key): data.participant_name.name or "" for data in participants}
         return [
-            Endpoint(
-                names.get(str(endpoint.participant_key), ""),
-                ros_name(endpoint.type_name),
-                _qos(endpoint),
-            )
+            Endpoint(names.get(str(endpoint.participant_key), ""), ros_name(endpoint.type_name), _qos(endpoint))
             for endpoint in reader.read_data()
             if endpoint.topic_name == dds_topic(topic)
         ]
@@ -222,9 +206,7 @@ def _take_all(reader: Any, receive: Receive[RawMessage]) -> None:
                 info = sample.info
                 if info.valid:
                     message = bytes(sample.data.get_cdr_buffer())
-                    receive(
-                        message, _nanoseconds(info.source_timestamp), _nanoseconds(info.reception_timestamp)
-                    )
+                    receive(message, _nanoseconds(info.source_timestamp), _nanoseconds(info.reception_timestamp))
 
 
 def _nanoseconds(time: Any) -> int:
@@ -280,11 +262,7 @@ def _qos(endpoint: Any) -> Qos:
     if hasattr(endpoint, "lifespan"):  # only a writer reports it
         durations_ns["lifespan"] = _nanoseconds(endpoint.lifespan.duration)
     return Qos(
-        _policy(endpoint.reliability.kind),
-        _policy(endpoint.durability.kind),
-        "",
-        0,
-        duration_extra(durations_ns),
+        _policy(endpoint.reliability.kind), _policy(endpoint.durability.kind), "", 0, duration_extra(durations_ns)
     )
 
 
@@ -294,9 +272,7 @@ def _policy(kind: Any) -> str:
 
 
 def _find_installed() -> Sequence[str | None]:
-    return (
-        [None] if has_package("rti") and os.environ.get("RTI_LICENSE_FILE") else []
-    )  # no licence, no participant
+    return [None] if has_package("rti") and os.environ.get("RTI_LICENSE_FILE") else []  # no licence, no participant
 
 
 BACKEND = Backend(

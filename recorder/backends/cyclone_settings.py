@@ -47,9 +47,7 @@ def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.e
     return CYCLONE_LOOPBACK
 
 
-def cyclone_settings(
-    discovery: Discovery, *, tuned: bool, environment: Mapping[str, str] = os.environ
-) -> str:
+def cyclone_settings(discovery: Discovery, *, tuned: bool, environment: Mapping[str, str] = os.environ) -> str:
     """Return a value of CYCLONEDDS_URI: the user's settings, then ours, which win; empty if there are none."""
     parts = [
         environment.get("CYCLONEDDS_URI", ""),

@@ -24,15 +24,7 @@ from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
 from .cyclone_settings import cyclone_loopback, cyclone_settings
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
-from .node import (
-    LAST_ACKNOWLEDGEMENT_S,
-    ROUND_S,
-    Endpoint,
-    Middleware,
-    NodeSubscription,
-    ThreadedNode,
-    TopicView,
-)
+from .node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, NodeSubscription, ThreadedNode, TopicView
 from .qos import duration_extra, incompatible_pairs, requested_durations
 
 if TYPE_CHECKING:
@@ -63,9 +55,7 @@ class CycloneNode(ThreadedNode):
         settings = ",".join(filter(None, (localhost, settings)))
         try:
             self._domain = _configured_domain(options.domain_id, settings)
-            self._participant = DomainParticipant(
-                options.domain_id, qos=CycloneQos(Policy.EntityName(options.name))
-            )
+            self._participant = DomainParticipant(options.domain_id, qos=CycloneQos(Policy.EntityName(options.name)))
         except DDSException as err:
             raise BackendUnavailableError(
                 f"Cyclone DDS cannot join domain {options.domain_id} ({err}); see its messages on stderr "
@@ -89,14 +79,10 @@ class CycloneNode(ThreadedNode):
             },
         )
 
-    def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None
-    ) -> Publisher[RawMessage]:
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         from cyclonedds.pub import DataWriter
 
-        writer = DataWriter(
-            self._participant, self._topic(topic, type_name), qos=_cyclone_qos(qos or self.options.qos)
-        )
+        writer = DataWriter(self._participant, self._topic(topic, type_name), qos=_cyclone_qos(qos or self.options.qos))
         publisher = _CyclonePublisher(topic, writer)
         self._writers.append(publisher)
         return publisher
@@ -107,9 +93,7 @@ class CycloneNode(ThreadedNode):
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
 
-        reader = DataReader(
-            self._participant, self._topic(topic, type_name), qos=_cyclone_qos(qos or self.options.qos)
-        )
+        reader = DataReader(self._participant, self._topic(topic, type_name), qos=_cyclone_qos(qos or self.options.qos))
         condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
         self._waitset.attach(condition)
         self._readers = {**self._readers, reader._ref: (condition, receive)}  # noqa: SLF001 - see `_take`
@@ -127,9 +111,7 @@ class CycloneNode(ThreadedNode):
         condition, _ = readers.pop(reader._ref, (None, None))  # noqa: SLF001 - see `_take`
         if condition is not None:
             self._readers = readers
-            self._triggers = {
-                address: target for address, target in self._triggers.items() if target[0] in readers
-            }
+            self._triggers = {address: target for address, target in self._triggers.items() if target[0] in readers}
             self._waitset.detach(condition)
             _delete(condition)
             _delete(reader)
@@ -164,9 +146,7 @@ class CycloneNode(ThreadedNode):
         publishers = tuple(self._builtin.endpoints("publications", dds_topic(topic)))
         subscriptions = tuple(self._builtin.endpoints("subscriptions", dds_topic(topic)))
         pairs = incompatible_pairs(topic, publishers, subscriptions, self.options.name)
-        return TopicView(
-            topic, publishers, subscriptions, tuple(pairs), tuple(sorted(self._unassignable(topic)))
-        )
+        return TopicView(topic, publishers, subscriptions, tuple(pairs), tuple(sorted(self._unassignable(topic))))
 
     def _unassignable(self, topic: str) -> set[str]:
         """Return a line for each side of a topic whose type differs: a QoS mismatch in the policy of type consistency."""
@@ -258,9 +238,7 @@ class _BuiltinReaders:
         """Return the writers (`publications`) or readers (`subscriptions`) of a topic of DDS."""
         names = self.participants()
         return [
-            Endpoint(
-                names.get(endpoint.participant_key, ""), ros_name(endpoint.type_name), _qos(endpoint.qos)
-            )
+            Endpoint(names.get(endpoint.participant_key, ""), ros_name(endpoint.type_name), _qos(endpoint.qos))
             for endpoint in self._read(kind)
             if endpoint.topic_name == topic
         ]

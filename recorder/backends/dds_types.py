@@ -33,12 +33,7 @@ DDS_TYPES: dict[str, dict[str, str]] = {
         "linear_acceleration": "geometry_msgs/msg/Vector3",
         "linear_acceleration_covariance": _COVARIANCE,
     },
-    "sensor_msgs/msg/PointField": {
-        "name": "string",
-        "offset": "uint32",
-        "datatype": "uint8",
-        "count": "uint32",
-    },
+    "sensor_msgs/msg/PointField": {"name": "string", "offset": "uint32", "datatype": "uint8", "count": "uint32"},
     "sensor_msgs/msg/PointCloud2": {
         "header": "std_msgs/msg/Header",
         "height": "uint32",

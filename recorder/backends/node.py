@@ -83,9 +83,7 @@ class NodeOptions:
         "--transport KIND",
         Panel.MIDDLEWARE,
         "Fast DDS: default, udp, shm or large-data; zenoh: default, shm or tcp; socket: default (TCP) or udp.",
-        axis=Axis(
-            meaning="transports that Fast DDS, zenoh or `socket` may use ([middlewares](middlewares.md))"
-        ),
+        axis=Axis(meaning="transports that Fast DDS, zenoh or `socket` may use ([middlewares](middlewares.md))"),
     )
     executor: ExecutorKind = option(
         ExecutorKind.AUTO,
@@ -235,9 +233,7 @@ class Node(ABC):
         return self._middleware
 
     @abstractmethod
-    def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None
-    ) -> Publisher[RawMessage]:
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         """Create a publisher of serialized messages.
 
         Args:
@@ -335,9 +331,7 @@ class NodeSubscription:
 class ObjectNode(Protocol):
     """What a node can do whose client library has message objects (ROS 2)."""
 
-    def create_object_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None
-    ) -> Publisher[RosMessage]:
+    def create_object_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RosMessage]:
         """Create a publisher of message objects."""
 
     def create_object_subscription(

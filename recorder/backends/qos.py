@@ -50,9 +50,7 @@ def requested_durations(qos: Qos) -> dict[str, int]:
 def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
     """Return `Qos.extra` from reported durations in ns, without infinite ones, which ROS 2 reports as 0."""
     return {
-        f"{policy}_ns": duration_ns
-        for policy, duration_ns in durations_ns.items()
-        if 0 < duration_ns < INFINITE_NS
+        f"{policy}_ns": duration_ns for policy, duration_ns in durations_ns.items() if 0 < duration_ns < INFINITE_NS
     }
 
 

@@ -39,10 +39,7 @@ PUBLISHER, SUBSCRIPTION = "publisher", "subscription"
 _SHARED_MEMORY: dict[Transport, dict[str, Any]] = {
     Transport.DEFAULT: {},
     # By default messages below 3 KB stay on the link.
-    Transport.SHM: {
-        "enabled": True,
-        "transport_optimization": {"enabled": True, "message_size_threshold": 1},
-    },
+    Transport.SHM: {"enabled": True, "transport_optimization": {"enabled": True, "message_size_threshold": 1}},
     Transport.TCP: {"enabled": False},
 }
 """Transport -> `transport/shared_memory` of zenoh's configuration; it is on by default."""
@@ -76,17 +73,13 @@ class ZenohNode(Node):
                 "connect": " ".join(configuration["connect"]["endpoints"]),
                 "transport": options.transport.value,
                 "multicast": str(configuration["scouting"]["multicast"]["enabled"]).lower(),
-                "tuned": "nothing to tune: zenoh's TCP sizes its buffers itself"
-                if options.tuned
-                else "false",
+                "tuned": "nothing to tune: zenoh's TCP sizes its buffers itself" if options.tuned else "false",
             },
         )
         self._subscriptions: list[_ZenohSubscription] = []
         self._started = False
 
-    def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None
-    ) -> Publisher[RawMessage]:
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         import zenoh
 
         qos = qos or self.options.qos
@@ -138,11 +131,7 @@ class ZenohNode(Node):
             subscription.open()
 
     def look_at(self, topic: str) -> TopicView:
-        return TopicView(
-            topic,
-            tuple(self._endpoints(PUBLISHER, topic)),
-            tuple(self._endpoints(SUBSCRIPTION, topic)),
-        )
+        return TopicView(topic, tuple(self._endpoints(PUBLISHER, topic)), tuple(self._endpoints(SUBSCRIPTION, topic)))
 
     def _endpoints(self, kind: str, topic: str) -> list[Endpoint]:
         replies = self._session.liveliness().get(self._key("endpoint", kind, topic, "*", "*"), timeout=LOOK_S)

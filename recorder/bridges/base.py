@@ -126,9 +126,7 @@ class BridgeOptions:
         names = self.topic_names
         for name in names:
             if names.count(name) > 1:
-                raise OptionError(
-                    f"the topic {name} would cross the bridge both ways, or twice; name it once"
-                )
+                raise OptionError(f"the topic {name} would cross the bridge both ways, or twice; name it once")
         for address in (self.listen, *self.peers):
             if address is not None:
                 split_address(address)
@@ -221,8 +219,5 @@ def split_halves(bridge: Bridge, options: BridgeOptions, link: str = LOCAL_LINK)
             )
         return (replace(options, half=half),)
     if bridge.halves is Halves.ALWAYS:
-        return (
-            replace(options, half=Half.PING, listen=link),
-            replace(options, half=Half.RELAY, peers=(link,)),
-        )
+        return (replace(options, half=Half.PING, listen=link), replace(options, half=Half.RELAY, peers=(link,)))
     return (options,)

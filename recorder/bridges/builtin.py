@@ -13,16 +13,7 @@ from pathlib import Path
 from dds_trace.base.version import __version__
 
 from .base import Bridge
-from .builtin_common import (
-    INSTALL_ROS2,
-    UP_LINE,
-    Forwarder,
-    open_side,
-    options_from_json,
-    options_to_json,
-    run,
-    serve,
-)
+from .builtin_common import INSTALL_ROS2, UP_LINE, Forwarder, open_side, options_from_json, options_to_json, run, serve
 
 BRIDGE = Bridge(
     name="builtin",

@@ -26,12 +26,7 @@ def _configuration(options: BridgeOptions) -> str:
         **requested_durations(options.qos),  # ns
     }
     topics = {
-        name: {
-            "type": options.type_of(name),
-            "from_domain": here.domain_id,
-            "to_domain": there.domain_id,
-            "qos": qos,
-        }
+        name: {"type": options.type_of(name), "from_domain": here.domain_id, "to_domain": there.domain_id, "qos": qos}
         for here, there in ((ping, relay), (relay, ping))
         for name in here.takes
     }

@@ -38,10 +38,7 @@ def _configuration(options: BridgeOptions) -> str:
                 system: {"type": "ros2", "domain": domain_id, "node_name": f"dds_trace_bridge_{domain_id}"}
                 for domain_id, system in systems.items()
             },
-            "routes": {
-                "ping_to_relay": {"from": there, "to": back},
-                "relay_to_ping": {"from": back, "to": there},
-            },
+            "routes": {"ping_to_relay": {"from": there, "to": back}, "relay_to_ping": {"from": back, "to": there}},
             "topics": topics,
         }
     )

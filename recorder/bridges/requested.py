@@ -28,9 +28,7 @@ def open_requested_bridge(
     return stack.enter_context(open_bridge(ping.bridge, bridge_options))
 
 
-def check_requested_bridge(
-    options: RecordOptions, ping: PingOptions, data_type: DataType
-) -> BridgeOptions | None:
+def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type: DataType) -> BridgeOptions | None:
     """Return the options of the bridge that the ping's options name, None if there is none to start.
 
     Raises:

@@ -133,9 +133,7 @@ def _common_qos(qos: Qos) -> tuple[Element, ...]:
     return (
         element("reliability", element("kind", f"{qos.reliability.upper()}_RELIABILITY_QOS")),
         element("durability", element("kind", f"{qos.durability.upper()}_DURABILITY_QOS")),
-        element(
-            "history", element("kind", f"{qos.history.upper()}_HISTORY_QOS"), element("depth", str(qos.depth))
-        ),
+        element("history", element("kind", f"{qos.history.upper()}_HISTORY_QOS"), element("depth", str(qos.depth))),
         *_duration(qos, "deadline", "period"),
     )
 
@@ -145,15 +143,11 @@ def _duration(qos: Qos, policy: str, name: str) -> tuple[Element, ...]:
     if duration_ns is None:
         return ()
     seconds, nanoseconds = divmod(duration_ns, SECOND_NS)
-    return (
-        element(policy, element(name, element("sec", str(seconds)), element("nanosec", str(nanoseconds)))),
-    )
+    return (element(policy, element(name, element("sec", str(seconds)), element("nanosec", str(nanoseconds)))),)
 
 
 def _properties(values: Mapping[str, str]) -> Element:
-    entries = (
-        element("element", element("name", name), element("value", value)) for name, value in values.items()
-    )
+    entries = (element("element", element("name", name), element("value", value)) for name, value in values.items())
     return element("property", element("value", *entries))
 
 

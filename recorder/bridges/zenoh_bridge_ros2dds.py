@@ -27,10 +27,7 @@ def _configuration(options: BridgeOptions) -> str:
         "domain": side.domain_id,
         "ros_localhost_only": options.discovery is Discovery.LOCALHOST,
         # Interfaces of a kind that is not named here do not cross.
-        "allow": {
-            "publishers": [f"/{name}" for name in side.takes],
-            "subscribers": [f"/{name}" for name in side.puts],
-        },
+        "allow": {"publishers": [f"/{name}" for name in side.takes], "subscribers": [f"/{name}" for name in side.puts]},
         "reliable_routes_blocking": True,
     }
     return plugin_configuration(PLUGIN, ros2dds, options)

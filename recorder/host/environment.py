@@ -40,23 +40,17 @@ class MiddlewareEnvironment:
         """Return the `settings` that are set, with their values."""
         return {name: variables[name] for name in self.settings if name in variables}
 
-    def hash_configuration(
-        self, variables: Mapping[str, str], folder: Path
-    ) -> dict[str, list[dict[str, str | None]]]:
+    def hash_configuration(self, variables: Mapping[str, str], folder: Path) -> dict[str, list[dict[str, str | None]]]:
         """Return each configuration in effect: variable, or `./NAME` for a file in `folder` -> `name` and `sha256` of each entry.
 
         The name of inline text is `inline`; the hash of a file that cannot be read is null.
         """
         hashes = {
-            variable.name: [
-                _hashed(entry) for entry in _entries(variables[variable.name], variable.separator)
-            ]
+            variable.name: [_hashed(entry) for entry in _entries(variables[variable.name], variable.separator)]
             for variable in self.configuration
             if variables.get(variable.name)
         }
-        return hashes | {
-            f"./{name}": [_hashed(str(folder / name))] for name in self.files if (folder / name).is_file()
-        }
+        return hashes | {f"./{name}": [_hashed(str(folder / name))] for name in self.files if (folder / name).is_file()}
 
 
 def join_environments(environments: Iterable[MiddlewareEnvironment]) -> MiddlewareEnvironment:

@@ -116,10 +116,7 @@ def _wifi_links() -> dict[str, dict[str, float]]:
     iw = shutil.which("iw", path=os.environ.get("PATH", "") + ":/usr/sbin:/sbin")
     for interface, link in links.items():
         text = _run_iw(iw, interface) if iw else ""
-        for name, pattern in (
-            ("frequency_mhz", r"freq: ([\d.]+)"),
-            ("bitrate_mbit_s", r"tx bitrate: ([\d.]+) MBit/s"),
-        ):
+        for name, pattern in (("frequency_mhz", r"freq: ([\d.]+)"), ("bitrate_mbit_s", r"tx bitrate: ([\d.]+) MBit/s")):
             value = re.search(pattern, text)
             if value:
                 link[name] = float(value[1])
@@ -129,9 +126,7 @@ def _wifi_links() -> dict[str, dict[str, float]]:
 def _run_iw(iw: str, interface: str) -> str:
     command = [iw, "dev", interface, "link"]
     try:
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=_IW_TIMEOUT_S, check=False
-        ).stdout
+        return subprocess.run(command, capture_output=True, text=True, timeout=_IW_TIMEOUT_S, check=False).stdout
     except (OSError, subprocess.TimeoutExpired):
         return ""
 

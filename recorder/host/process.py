@@ -40,9 +40,7 @@ _HOW_TO_BE_PERMITTED = (
 _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
 
 
-def apply_privileges(
-    cpu_affinity: str | None = None, realtime_priority: int | None = None
-) -> dict[str, Json]:
+def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | None = None) -> dict[str, Json]:
     """Give this process its CPUs and its real-time priority (SCHED_FIFO, all memory locked); later threads inherit both.
 
     Call it before the middleware starts its threads. Threads that write the trace or sample the host give the priority
@@ -80,7 +78,7 @@ def _pin_cpus(text: str) -> list[int]:
     if missing:
         raise OptionError(
             f"--cpu-affinity {text}: CPU {missing[0]} is not among those this process may use "
-            f"({', '.join(map(str, sorted(allowed)))})",
+            f"({', '.join(map(str, sorted(allowed)))})"
         )
     # Loaded libraries may have started threads already, and the call moves one thread.
     for thread in Path("/proc/self/task").iterdir():
@@ -96,7 +94,7 @@ def set_realtime(priority: int) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as err:
         raise OptionError(
-            f"--realtime {priority}: SCHED_FIFO is not permitted ({err.strerror}): {_HOW_TO_BE_PERMITTED}",
+            f"--realtime {priority}: SCHED_FIFO is not permitted ({err.strerror}): {_HOW_TO_BE_PERMITTED}"
         ) from err
 
 

@@ -53,10 +53,7 @@ class HostSampler:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop.set()
         if self._thread is not None:
@@ -87,9 +84,7 @@ class HostSampler:
         return sample
 
     def _process_loads(self) -> dict[str, dict[str, float]]:
-        loads = {
-            name: self._process_load(pid) for name, pid in {"self": os.getpid(), **self.processes}.items()
-        }
+        loads = {name: self._process_load(pid) for name, pid in {"self": os.getpid(), **self.processes}.items()}
         return {name: load for name, load in loads.items() if load is not None}
 
     def _process_load(self, pid: int) -> dict[str, float] | None:

@@ -24,9 +24,7 @@ if TYPE_CHECKING:
     from ..backends.node import Node
     from .base import Payload
 
-PAYLOADS: dict[str, DataType | Source] = {
-    payload.name: payload for payload in (BINARY, STRING, IMU, FILE, BAG, TOPIC)
-}
+PAYLOADS: dict[str, DataType | Source] = {payload.name: payload for payload in (BINARY, STRING, IMU, FILE, BAG, TOPIC)}
 """Values of `--data`: a name, or the text before the colon."""
 
 
@@ -47,13 +45,7 @@ def find_data_type(name: str) -> DataType:
 
 
 def open_payload(
-    data: str,
-    size_bytes: int | None,
-    seed: int,
-    *,
-    open_node: Callable[[], Node],
-    wait_s: float,
-    stop: threading.Event,
+    data: str, size_bytes: int | None, seed: int, *, open_node: Callable[[], Node], wait_s: float, stop: threading.Event
 ) -> AbstractContextManager[Payload]:
     """Open the payload that `--data` names.
 
@@ -74,9 +66,7 @@ def open_payload(
     if source is None:
         return nullcontext(find_data_type(data).make(size_bytes, seed, stop))
     if size_bytes is not None:
-        raise OptionError(
-            f"--size {size_bytes}: the messages of {data} have sizes of their own; leave --size out"
-        )
+        raise OptionError(f"--size {size_bytes}: the messages of {data} have sizes of their own; leave --size out")
     return source.open(name, PayloadContext(_own_types(), open_node, wait_s, stop))
 
 

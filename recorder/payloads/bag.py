@@ -26,9 +26,7 @@ NAMED_FIELD = 2
 """rosbags' mark of a field that is a message."""
 
 
-def load_payload(
-    where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None
-) -> Payload:
+def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None) -> Payload:
     """Read the messages of `PATH#TOPIC` as CDR with room for the stamp, and their mean rate.
 
     Raises:
@@ -68,9 +66,7 @@ def split_topic(where: str) -> tuple[str, str]:
     """Return path and topic of `PATH#TOPIC`; raise an `OptionError` if one is missing."""
     name, hash_sign, topic = where.rpartition("#")
     if not (hash_sign and name and topic) or "\0" in where:
-        raise OptionError(
-            f"--data bag:{where}: write bag:PATH#TOPIC, for example bag:drive.mcap#/camera/image"
-        )
+        raise OptionError(f"--data bag:{where}: write bag:PATH#TOPIC, for example bag:drive.mcap#/camera/image")
     return name, topic
 
 
@@ -111,18 +107,14 @@ def _connections_of(reader: AnyReader, topic: str, path: Path) -> list[Connectio
         raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(topics)} is {nearest[0]}")
     types = sorted({connection.msgtype for connection in connections})
     if len(types) > 1:
-        raise OptionError(
-            f"{path} has {topic} with several types ({', '.join(types)}), which cannot be sent as one"
-        )
+        raise OptionError(f"{path} has {topic} with several types ({', '.join(types)}), which cannot be sent as one")
     return connections
 
 
 class _Stamper:
     """A converter of messages of one type to CDR with room for the stamp."""
 
-    def __init__(
-        self, reader: AnyReader, type_name: str, path: Path, own_types: Mapping[str, DataType]
-    ) -> None:
+    def __init__(self, reader: AnyReader, type_name: str, path: Path, own_types: Mapping[str, DataType]) -> None:
         fields = reader.typestore.fielddefs[type_name][1]
         kind, detail = fields[0][1] if fields else (0, "")
         first_field_type = detail if kind == NAMED_FIELD else ""

@@ -31,12 +31,8 @@ def load_payload(where: str, stop: threading.Event | None = None) -> Payload:
         check_size(sum(file.stat().st_size for file in files), path)
         messages = tuple(_message(file, stop) for file in files)
     except OSError as err:
-        raise OptionError(
-            f"--data file:{where}: {err.strerror or err}; name a file or a folder of files"
-        ) from err
-    return Payload(
-        BINARY, messages, max(message.payload_bytes for message in messages), source=f"file:{where}"
-    )
+        raise OptionError(f"--data file:{where}: {err.strerror or err}; name a file or a folder of files") from err
+    return Payload(BINARY, messages, max(message.payload_bytes for message in messages), source=f"file:{where}")
 
 
 def _files(path: Path) -> list[Path]:

@@ -47,9 +47,7 @@ def payload_bytes_of(message: RawMessage) -> int:
 def _refuse_to_make(
     type_name: str, _size_bytes: int | None, _seed: int, _stop: threading.Event | None = None, /
 ) -> Payload:
-    raise OptionError(
-        f"messages of {type_name} cannot be made up; give --data bag:PATH#TOPIC or topic:/NAME instead"
-    )
+    raise OptionError(f"messages of {type_name} cannot be made up; give --data bag:PATH#TOPIC or topic:/NAME instead")
 
 
 def recognize_data_type(
@@ -59,7 +57,5 @@ def recognize_data_type(
     if type_name in own_types:
         return own_types[type_name]
     if first_field_type.replace("/msg/", "/") != "std_msgs/Header":
-        raise OptionError(
-            f"{where}: {type_name} does not start with a std_msgs/Header, so it cannot carry the stamp"
-        )
+        raise OptionError(f"{where}: {type_name} does not start with a std_msgs/Header, so it cannot carry the stamp")
     return header_data_type(type_name)

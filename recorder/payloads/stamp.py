@@ -133,9 +133,7 @@ class RawStampPlace:
 
     def begin_of(self, message: RawMessage, run_id: int, sequence: int, end: int) -> bytes:
         """Return the bytes from `begin_at` to `end` of a message like `message`, with another stamp."""
-        return bytes(
-            message[self.begin_at : self._start] + stamp_text(run_id, sequence) + message[self._end : end]
-        )
+        return bytes(message[self.begin_at : self._start] + stamp_text(run_id, sequence) + message[self._end : end])
 
     def reply(self, message: RawMessage, relay_id_text: bytes) -> bytearray | None:
         if not message.startswith(STAMP_PREFIX, self._start) or len(message) < self._end:

@@ -66,9 +66,7 @@ def open_payload(name: str, context: PayloadContext) -> Iterator[Payload]:
 class LiveFeed:
     """The messages that arrive on the topic, serialized with room for the stamp; a `Feed`."""
 
-    def __init__(
-        self, node: ObjectNode, type_name: str, where: str, own_types: Mapping[str, DataType]
-    ) -> None:
+    def __init__(self, node: ObjectNode, type_name: str, where: str, own_types: Mapping[str, DataType]) -> None:
         self.skipped = 0
         self._node = node
         self._type_name = type_name
@@ -136,9 +134,7 @@ class LiveFeed:
     def _take_sample(self, message: RosMessage) -> None:
         first_field_type = next(iter(message.get_fields_and_field_types().values()), "")
         try:
-            self._data_type = recognize_data_type(
-                self._type_name, first_field_type, self._where, self._own_types
-            )
+            self._data_type = recognize_data_type(self._type_name, first_field_type, self._where, self._own_types)
         except OptionError as error:  # `payload` raises it
             self._error = error
             return

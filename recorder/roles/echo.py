@@ -65,17 +65,11 @@ def find_loss(node: Node, data_type: DataType, silence: Silence, *, ended: bool)
     )
 
 
-def explain_silence(
-    node: Node, plan: RunPlan, waited_s: float, not_applied: tuple[Difference, ...] = ()
-) -> str:
+def explain_silence(node: Node, plan: RunPlan, waited_s: float, not_applied: tuple[Difference, ...] = ()) -> str:
     """Return the text of a `NoEchoError`: looked for, saw, try, not applied."""
     options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
     view = look_for_relays(node, data_type)
-    through = (
-        ""
-        if plan.bridge == "none"
-        else f", through the bridge {plan.bridge} to domain {plan.relay_domain_id}"
-    )
+    through = "" if plan.bridge == "none" else f", through the bridge {plan.bridge} to domain {plan.relay_domain_id}"
     where = f", at {', '.join(options.peers)}" if options.peers else ""
     count = node.count_participants()
     others = "an unknown number of other nodes" if count is None else counted(count - 1, "other node")
@@ -92,11 +86,7 @@ def explain_silence(
         f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}{where}\n"
         f"  saw: {'; '.join(saw)}\n"
         f"  try: {_advice(view, node, plan, not_applied)}"
-        + (
-            "\n  not applied: " + "; ".join(difference.words for difference in not_applied)
-            if not_applied
-            else ""
-        )
+        + ("\n  not applied: " + "; ".join(difference.words for difference in not_applied) if not_applied else "")
     )
 
 

@@ -89,11 +89,7 @@ class Ping(Generic[SentT, ReceivedT]):
     """One run: `wait_for_echo`, `run`, `close`; the node's thread calls `_receive`."""
 
     def __init__(
-        self,
-        lane: Lane[SentT, ReceivedT],
-        plan: RunPlan,
-        strangers: Strangers,
-        clock: Clock | None = None,
+        self, lane: Lane[SentT, ReceivedT], plan: RunPlan, strangers: Strangers, clock: Clock | None = None
     ) -> None:
         self.plan = plan
         self.run_id = secrets.randbits(64) or 1
@@ -168,9 +164,7 @@ class Ping(Generic[SentT, ReceivedT]):
                 continue
             _, sequence, receive_ns, source_ns, received_ns = waiting
             payload_bytes = self._replies.payload_bytes[sequence]
-            self._record(
-                T2, self.run_id, sequence, receive_ns, 0, source_ns, received_ns, payload_bytes, relay_id
-            )
+            self._record(T2, self.run_id, sequence, receive_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
             self._replies.note(sequence, relay_id, receive_ns)
 
     def _probe(self) -> None:

@@ -64,9 +64,7 @@ class RunPlan:
         )
 
 
-def plan_run(
-    options: RecordOptions, ping: PingOptions, payload: Payload, *, session_id: int, seed: int
-) -> RunPlan:
+def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, session_id: int, seed: int) -> RunPlan:
     """Return the run of these options with this payload."""
     check_serialization([payload.data_type], options.serialization)
     check_rate(ping, is_live=payload.feed is not None)

@@ -104,12 +104,8 @@ class ReadBack:
         unreported = self._unreported()
         self._reported.update((difference.setting, difference.asked) for difference in unreported)
         if unreported and self._strict:
-            at_end = (
-                "" if trace is None else f" (seen at the end: {trace} is complete, but no answer will use it)"
-            )
-            raise NotAppliedError(
-                f"--strict: {'; '.join(difference.words for difference in unreported)}{at_end}"
-            )
+            at_end = "" if trace is None else f" (seen at the end: {trace} is complete, but no answer will use it)"
+            raise NotAppliedError(f"--strict: {'; '.join(difference.words for difference in unreported)}{at_end}")
         for difference in unreported:
             self._note(f"not applied: {difference.words}; no answer will use this recording")
 

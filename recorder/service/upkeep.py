@@ -46,18 +46,14 @@ class ServiceManager:
     """
 
     def __init__(
-        self,
-        environment: MutableMapping[str, str] = os.environ,
-        clock_s: Callable[[], float] = time.monotonic,
+        self, environment: MutableMapping[str, str] = os.environ, clock_s: Callable[[], float] = time.monotonic
     ) -> None:
         address = environment.pop("NOTIFY_SOCKET", "")
         watchdog_us, for_pid = environment.pop("WATCHDOG_USEC", ""), environment.pop("WATCHDOG_PID", "")
         self._clock_s = clock_s
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._is_watched = watchdog_us.isdecimal() and for_pid in ("", str(os.getpid()))
-        self._socket = (
-            socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if address else None
-        )
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if address else None
         self._is_ready = False
         self._status_s = -STATUS_PERIOD_S
         if self._socket is not None:
@@ -99,11 +95,7 @@ class Upkeep:
     """
 
     def __init__(
-        self,
-        options: RecordOptions,
-        session: Session,
-        clock_ns: Callable[[], int],
-        note: Callable[[str], None],
+        self, options: RecordOptions, session: Session, clock_ns: Callable[[], int], note: Callable[[str], None]
     ) -> None:
         self._options = options
         self._note = note
@@ -152,12 +144,8 @@ class Upkeep:
             self._rotate(self._rotation, describe)
         self._blame_disk()
         stopped = None if shortage is None else str(shortage)
-        self._running.update(
-            path=self.destination.path, messages=messages, files=self._count, stopped=stopped
-        )
-        activity = (
-            f"into {self.destination.path}" if stopped is None else f"waiting for disk space: {stopped}"
-        )
+        self._running.update(path=self.destination.path, messages=messages, files=self._count, stopped=stopped)
+        activity = f"into {self.destination.path}" if stopped is None else f"waiting for disk space: {stopped}"
         self._manager.notify(f"{counted(messages, 'message')}, {activity}")
 
     def close_trace(self, **described: Json) -> ClosedTrace:
@@ -204,11 +192,7 @@ class Upkeep:
         self.destination = destination
         self._count += 1
         dropped = [] if rotation.keep is None else self._files.drop_oldest(rotation.keep)
-        deleted = (
-            f"; deleted {', '.join(path.name for path in dropped)} (--keep {rotation.keep})"
-            if dropped
-            else ""
-        )
+        deleted = f"; deleted {', '.join(path.name for path in dropped)} (--keep {rotation.keep})" if dropped else ""
         self._note(f"the recording continues in {self.destination.path.name}{deleted}")
 
     def _go_on(self, described: JsonObject) -> TraceDestination | None:

@@ -90,18 +90,14 @@ def run_against(
     `commands` are the `dds-record` of each side, None for the installed one.
     """
     runs = interleave(base, new)
-    partners = {
-        new_cell.name: base_cell.name for new_cell, base_cell in zip(new.cells, base.cells, strict=True)
-    }
+    partners = {new_cell.name: base_cell.name for new_cell, base_cell in zip(new.cells, base.cells, strict=True)}
     plans = {BASE: base, NEW: replace(new, partners=partners)}
     cells = {side: [run.group.cells[0] for run in runs if run.side == side] for side in plans}
     with ExitStack() as stack:
         runners = {}
         for (side, plan), command in zip(plans.items(), commands, strict=True):
             lock = stack.enter_context(locked_folder(folder / side, progress.note))
-            station = stack.enter_context(
-                open_station(plan, folder / side, lock, show=progress.note, command=command)
-            )
+            station = stack.enter_context(open_station(plan, folder / side, lock, show=progress.note, command=command))
             runners[side] = Runner(plan, folder / side, station, _SideProgress(progress, side))
         for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
             progress.note(warning)
@@ -114,10 +110,7 @@ def run_against(
                 runners[run.side].run_group(run.group, cells[run.side])
         finally:
             progress.end()
-        outcomes = [
-            SweepOutcome(folder / side, len(cells[side]), runners[side].reasons(cells[side]))
-            for side in plans
-        ]
+        outcomes = [SweepOutcome(folder / side, len(cells[side]), runners[side].reasons(cells[side])) for side in plans]
     return AgainstOutcome(folder, *outcomes)
 
 

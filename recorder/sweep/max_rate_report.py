@@ -38,10 +38,7 @@ def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> lis
     """Write `max_rate.json`, `.csv` and `.svg` and return their paths."""
     texts = {
         "max_rate.json": json.dumps(
-            {
-                "search": asdict(search),
-                "answers": [{**asdict(rate), "answer": rate.answer.value} for rate in answers],
-            },
+            {"search": asdict(search), "answers": [{**asdict(rate), "answer": rate.answer.value} for rate in answers]},
             indent=1,
         ),
         "max_rate.csv": max_rate_csv(answers),
@@ -94,11 +91,7 @@ def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
         for rate_hz in _ticks(search)
     ]
     for row, (highest, cells) in enumerate(zip(answers, max_rate_rows(answers), strict=True)):
-        rate = (
-            f"{cells[4]} Hz"
-            if highest.answer is RateAnswer.FOUND
-            else f"{cells[5]} {cells[4] and cells[4] + ' Hz'}"
-        )
+        rate = f"{cells[4]} Hz" if highest.answer is RateAnswer.FOUND else f"{cells[5]} {cells[4] and cells[4] + ' Hz'}"
         lines.append(
             _BAR.format(
                 label=escape(" ".join(part for part in cells[:4] if part)),
@@ -111,15 +104,13 @@ def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
                 text_y=_TOP_PX + _ROW_PX * row + 12,
                 height=_ROW_PX - 7,
                 colour=_COLOURS[highest.answer],
-            ),
+            )
         )
     return "".join([*lines, "</svg>\n"])
 
 
 def _x(rate_hz: float, search: Search) -> float:
-    share = math.log(max(rate_hz, search.min_rate) / search.min_rate) / math.log(
-        search.max_rate / search.min_rate
-    )
+    share = math.log(max(rate_hz, search.min_rate) / search.min_rate) / math.log(search.max_rate / search.min_rate)
     return max(2.0, min(1.0, share) * _BAR_PX)
 
 

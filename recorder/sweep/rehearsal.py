@@ -101,12 +101,7 @@ def _check_folder(plan: Plan, folder: Path) -> None:
 
 class _Rehearsal:
     def __init__(
-        self,
-        plan: Plan,
-        station: Station,
-        scratch: Path,
-        check_arguments: CheckArguments,
-        note: Callable[[str], None],
+        self, plan: Plan, station: Station, scratch: Path, check_arguments: CheckArguments, note: Callable[[str], None]
     ) -> None:
         self._plan = plan
         self._station = station

@@ -44,7 +44,9 @@ class RateAnswer(Enum):
     """Meaning of a rate."""
 
     FOUND = "found"
-    AT_LEAST = "at least"  # the highest rate of the plan is sustained, or repeats still raised the rate when the steps ran out
+    AT_LEAST = (
+        "at least"  # the highest rate of the plan is sustained, or repeats still raised the rate when the steps ran out
+    )
     BELOW = "below"  # not even the lowest rate of the plan is
     FAILED = "failed"  # a trial could not be run
 
@@ -125,9 +127,7 @@ class Bisection:
                 stride, is_open = stride * stride, True
                 if low >= self.search.max_rate:
                     return Knee(RateAnswer.AT_LEAST, low, None, "")
-        return (
-            Knee(RateAnswer.AT_LEAST, low, None, "") if is_open else Knee(RateAnswer.FOUND, low, high, reason)
-        )
+        return Knee(RateAnswer.AT_LEAST, low, None, "") if is_open else Knee(RateAnswer.FOUND, low, high, reason)
 
     def _confirmed(self, rate_hz: float) -> str:
         """Return why a rate was not sustained if the majority says so: the rates above a failure are not tried again."""
@@ -157,10 +157,7 @@ def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str
     percentile = f"p{search.percentile:g}"
     response_ms = result.response_ms[percentile] if result.response_ms else math.inf
     conditions = (
-        (
-            result.cut_off,
-            f"cut off after {result.published} of {counted(result.planned, 'message')}",
-        ),
+        (result.cut_off, f"cut off after {result.published} of {counted(result.planned, 'message')}"),
         (
             achieved_hz < SUSTAINED_SHARE * rate_hz,
             f"{achieved_hz:.0f} of {counted(rate_hz, 'message', text=f'{rate_hz:g}')} a second sent",
@@ -191,9 +188,7 @@ def search_plan(plan: Plan) -> Plan:
         plan,
         name=f"{plan.name}-max-rate",
         cells=tuple(cells),
-        run=replace(
-            plan.run, seconds=plan.search.seconds, messages=0, min_messages=messages_needed(plan.search)
-        ),
+        run=replace(plan.run, seconds=plan.search.seconds, messages=0, min_messages=messages_needed(plan.search)),
     )
 
 
@@ -224,15 +219,11 @@ def find_max_rates(plan: Plan, runner: Runner) -> Iterator[MaxRate]:
                     knees.append((cell, Knee(RateAnswer.FAILED, 0.0, None, str(err))))
         for cell, knee in knees:
             repeats = _count_sustained(plan, runner, cell, knee.rate_hz)
-            yield MaxRate(
-                replace(cell, rate=knee.rate_hz), knee.answer, knee.failing_hz, repeats, knee.reason
-            )
+            yield MaxRate(replace(cell, rate=knee.rate_hz), knee.answer, knee.failing_hz, repeats, knee.reason)
 
 
 def _count_sustained(plan: Plan, runner: Runner, cell: Cell, rate_hz: float) -> tuple[int, int]:
-    names = [
-        replace(cell, rate=rate_hz, repeat=number).name for number in range(1, plan.search.knee_repeats + 1)
-    ]
+    names = [replace(cell, rate=rate_hz, repeat=number).name for number in range(1, plan.search.knee_repeats + 1)]
     states = [runner.state[name] for name in names]
     results = [state.result for state in states if state.done and state.result is not None]
     return sum(not why_not_sustained(plan.search, rate_hz, result) for result in results), len(results)

@@ -90,12 +90,7 @@ class SweepOutcome:
 
 
 def run_sweep(
-    plan: Plan,
-    out: Path,
-    progress: SweepProgress,
-    *,
-    command: Sequence[str] | None = None,
-    until: Until | None = None,
+    plan: Plan, out: Path, progress: SweepProgress, *, command: Sequence[str] | None = None, until: Until | None = None
 ) -> SweepOutcome:
     """Record every cell of the plan that is not complete, in a folder below `out`.
 
@@ -164,11 +159,7 @@ def _complete_runs(plan: Plan, runner: Runner, passes: int) -> Iterator[tuple[st
 
 
 def run_search(
-    plan: Plan,
-    out: Path,
-    progress: SweepProgress,
-    *,
-    command: Sequence[str] | None = None,
+    plan: Plan, out: Path, progress: SweepProgress, *, command: Sequence[str] | None = None
 ) -> tuple[Path, list[MaxRate]]:
     """Search the highest rate of each cell; return the folder of the trials and the answers."""
     plan = search_plan(plan)

@@ -115,9 +115,7 @@ class _StreamSamples:
 class SendLedger(Generic[Stream]):
     """Samples of all writers, by stream: one writer on one interface and in one direction."""
 
-    def __init__(
-        self, remembered_ns: int = REMEMBERED_NS, remembered_copies: int = REMEMBERED_COPIES
-    ) -> None:
+    def __init__(self, remembered_ns: int = REMEMBERED_NS, remembered_copies: int = REMEMBERED_COPIES) -> None:
         self.late_repeats = 0
         self._remembered_ns = remembered_ns
         self._remembered_copies = remembered_copies
@@ -132,9 +130,7 @@ class SendLedger(Generic[Stream]):
             if copy.sequence <= recent.forgotten:
                 self.late_repeats += 1
                 return True
-            sample = SentSample(
-                copy.time_ns, copy.time_ns, copy.sample_bytes, heartbeats_before=recent.heartbeats
-            )
+            sample = SentSample(copy.time_ns, copy.time_ns, copy.sample_bytes, heartbeats_before=recent.heartbeats)
             recent.samples[copy.sequence] = sample
         if stamp is not None:
             sample.stamp = stamp
@@ -238,8 +234,7 @@ def count_repeats(rows: MessageRows) -> tuple[RepeatCount, ...]:
     """Count the messages that this side sent by their number of repeats."""
     sent = rows[rows["direction"] != Direction.RECEIVED]
     return tuple(
-        _repeat_count(int(repeats), sent[sent["repeats"] == repeats])
-        for repeats in np.unique(sent["repeats"])
+        _repeat_count(int(repeats), sent[sent["repeats"] == repeats]) for repeats in np.unique(sent["repeats"])
     )
 
 

@@ -73,10 +73,7 @@ class Capture:
             self._rings = [
                 opened.enter_context(
                     PacketRing(
-                        interface,
-                        program,
-                        ring_bytes=options.ring_bytes,
-                        block_timeout_ms=options.block_timeout_ms,
+                        interface, program, ring_bytes=options.ring_bytes, block_timeout_ms=options.block_timeout_ms
                     )
                 )
                 for interface in options.interfaces
@@ -121,13 +118,9 @@ class Capture:
             first_data_ns=beginnings.data_ns,
             first_reply_ns=beginnings.reply_ns,
             ip=now.ip.since(before.ip),
-            tcp=tuple(
-                connection.since(before.tcp.get(cookie)) for cookie, connection in sorted(self._tcp.items())
-            ),
+            tcp=tuple(connection.since(before.tcp.get(cookie)) for cookie, connection in sorted(self._tcp.items())),
             tcp_again_bytes=run.tcp_again_bytes,
-            interface_counts=tuple(
-                count.since(before.interfaces.get(name)) for name, count in now.interfaces.items()
-            ),
+            interface_counts=tuple(count.since(before.interfaces.get(name)) for name, count in now.interfaces.items()),
             foreign_packets=run.foreign_packets,
             unseen_headers=run.unseen_headers,
             unfollowed_datagrams=self._tally.unfollowed_datagrams,
@@ -181,10 +174,7 @@ class Capture:
             batch = ring.read()
             if len(batch):
                 self._tally.add(
-                    batch,
-                    ring.interface,
-                    is_loopback=ring.is_loopback,
-                    wall_to_monotonic_ns=wall_to_monotonic_ns(),
+                    batch, ring.interface, is_loopback=ring.is_loopback, wall_to_monotonic_ns=wall_to_monotonic_ns()
                 )
             ring.release()
 

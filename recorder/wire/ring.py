@@ -90,15 +90,7 @@ class PacketRing:
     def _set_up(self, program: bytes, block_timeout_ms: int) -> None:
         size = self._blocks * self._block_bytes
         self._socket.setsockopt(_SOL_PACKET, _PACKET_VERSION, _TPACKET_V3)
-        geometry = (
-            self._block_bytes,
-            self._blocks,
-            _FRAME_BYTES,
-            size // _FRAME_BYTES,
-            block_timeout_ms,
-            0,
-            0,
-        )
+        geometry = (self._block_bytes, self._blocks, _FRAME_BYTES, size // _FRAME_BYTES, block_timeout_ms, 0, 0)
         self._socket.setsockopt(_SOL_PACKET, _PACKET_RX_RING, struct.pack("7I", *geometry))
         attach_filter(self._socket, program)
         if self.is_loopback:
@@ -145,9 +137,7 @@ class PacketRing:
 
     def statistics(self) -> RingStatistics:
         """Return the kernel's counters since the last call, which this resets."""
-        return RingStatistics(
-            *struct.unpack("3I", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 12))
-        )
+        return RingStatistics(*struct.unpack("3I", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 12)))
 
     def close(self) -> None:
         """Close the socket and its ring."""

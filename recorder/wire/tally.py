@@ -72,9 +72,7 @@ class WireTally:
         self.run = RunTally()
         self.beginnings = Beginnings()
         self._tcp = TcpFlows()
-        self._domain_ports = frozenset(
-            port for ports in domain_ports for port in range(ports.first, ports.last + 1)
-        )
+        self._domain_ports = frozenset(port for ports in domain_ports for port in range(ports.first, ports.last + 1))
         self._participants: set[bytes] = set()
         self._ledger: SendLedger[Stream] = SendLedger()
         self._fragments: FragmentTable[Datagram] = FragmentTable()
@@ -108,9 +106,7 @@ class WireTally:
         rows = message_rows([*self._packed, pack_rows(self._rows)])
         self._rows.clear()
         self._packed.clear()
-        selected: MessageRows = rows[
-            rows["run_id"] != PROBE_RUN_ID if run_id is None else rows["run_id"] == run_id
-        ]
+        selected: MessageRows = rows[rows["run_id"] != PROBE_RUN_ID if run_id is None else rows["run_id"] == run_id]
         return selected
 
     def add(self, batch: FrameBatch, interface: str, *, is_loopback: bool, wall_to_monotonic_ns: int) -> None:
@@ -147,9 +143,7 @@ class WireTally:
             sender = Sender(interface, direction, b"", 0)
             self.run.count_frame(frame, WireClass.UDP_OTHER, direction)
             if frame.more_fragments:
-                self._fragments.begin(
-                    _fragment_key(frame, sender), Datagram(WireClass.UDP_OTHER, sender), 0, -1
-                )
+                self._fragments.begin(_fragment_key(frame, sender), Datagram(WireClass.UDP_OTHER, sender), 0, -1)
 
     def _count_tcp(self, frame: Frame, memory: memoryview, direction: Direction) -> None:
         at = frame.transport
@@ -241,12 +235,7 @@ class WireTally:
         return is_ours
 
     def _note(
-        self,
-        submessages: Sequence[Submessage],
-        sender: Sender,
-        time_ns: int,
-        memory: memoryview,
-        seen_end: int,
+        self, submessages: Sequence[Submessage], sender: Sender, time_ns: int, memory: memoryview, seen_end: int
     ) -> Counter[WireClass]:
         """Note the submessages of a packet; return their bytes by class, without those that have no class of their own."""
         bytes_of: Counter[WireClass] = Counter()

@@ -101,11 +101,7 @@ def _who_is_fastest(
 def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -> str:
     messages = sum(verdict.cells for verdict in verdicts)
     few = sum(verdict.within_one_run for verdict in verdicts)
-    where = (
-        "for the one message compared"
-        if messages == 1
-        else f"for any of the {messages} kinds of message compared"
-    )
+    where = "for the one message compared" if messages == 1 else f"for any of the {messages} kinds of message compared"
     compared = [answer for answer in answers if len(answer.contenders) > 1]
     if few < messages and not any(answer.interleaved for answer in compared):
         return f"No clear winner {where}: the setups were recorded one after the other. Interleave them, or give --trust-order."
@@ -230,11 +226,7 @@ def way_label(row: Mapping[str, Any], vendors: VendorLabels) -> str:
     return f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way_words(row['bridge'])}"
 
 
-_DEADLINE_LABELS = {
-    "response": "response (planned send to reply)",
-    "outbound": "way out",
-    "return": "way back",
-}
+_DEADLINE_LABELS = {"response": "response (planned send to reply)", "outbound": "way out", "return": "way back"}
 
 
 def _deadline_remarks(details: Details, groups: Groups) -> list[str]:
@@ -269,9 +261,7 @@ def _without_latency(metric: str) -> str:
 
 
 def _losses(values: Values) -> str:
-    published, received = (
-        [round(count or 0) for count in values.plain[name]] for name in ("published", "received")
-    )
+    published, received = ([round(count or 0) for count in values.plain[name]] for name in ("published", "received"))
     lost, unsent = sum(published) - sum(received), _unsent(values)
     if lost == 0:
         return f"Every message {'that was sent ' if unsent else ''}was received.{unsent}"

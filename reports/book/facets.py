@@ -90,11 +90,7 @@ def facets_info(groups: Groups) -> Facets:
         bridge = SHORT_BRIDGES.get(series.bridge, printable(series.bridge))
         brief = f"{series.vendor_label}, {bridge}" if bridging else bridge
         at_home = series.domain_mode == "same" or series.bridge == "none"
-        short = (
-            name.replace(", same domain", "")
-            if at_home
-            else name.replace(f"{series.vendor_label}, {way}", brief)
-        )
+        short = name.replace(", same domain", "") if at_home else name.replace(f"{series.vendor_label}, {way}", brief)
         return Value(_apart_from_place(series), name, short)
 
     def rest(series: Series) -> Value:

@@ -107,15 +107,11 @@ def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]
     """Count the kinds of each severity: (`warning`, `2 warnings`)."""
     counts = Counter(kind.severity for kind in kinds)
     return tuple(
-        (severity, counted(counts[severity], word))
-        for severity, word in SEVERITIES.items()
-        if counts[severity]
+        (severity, counted(counts[severity], word)) for severity, word in SEVERITIES.items() if counts[severity]
     )
 
 
-def _one(
-    finding: Finding, labels: Sequence[str], rank: Mapping[int, int], recordings: tuple[str, ...]
-) -> OneFinding:
+def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int], recordings: tuple[str, ...]) -> OneFinding:
     # A finding about a recording keeps its name (`Evidence.session_name`).
     is_of_recording = finding.where.startswith(recordings)
     named = () if is_of_recording else tuple(labels[group] for group in finding.groups)
@@ -126,9 +122,7 @@ def _one(
         where = f"{len(named)} results, such as {named[0]}"
     else:
         where = "; ".join(named) or finding.where
-    where, what, action = (
-        printable(text, MAX_FINDING_CHARACTERS) for text in (where, finding.what, finding.action)
-    )
+    where, what, action = (printable(text, MAX_FINDING_CHARACTERS) for text in (where, finding.what, finding.action))
     listed = named if many and len(named) < len(labels) else ()
     return OneFinding(where, what, action, listed, tuple(sorted(finding.groups, key=rank.__getitem__)))
 

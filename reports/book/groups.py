@@ -271,9 +271,7 @@ def group_labels(groups: Groups) -> tuple[str, ...]:
     vendors = {series.vendor_label for series in groups.series}
     shared = vendors.pop() if len(vendors) == 1 else ""
     short = [label.removeprefix(shared).removeprefix(", ") for label in groups.labels]
-    return tuple(
-        ", ".join(filter(None, (groups.cell_of(group).label, short[group.series]))) for group in groups.groups
-    )
+    return tuple(", ".join(filter(None, (groups.cell_of(group).label, short[group.series]))) for group in groups.groups)
 
 
 def data_type_label(data_type: str) -> str:

@@ -106,9 +106,7 @@ def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
     count = len({place_of(answer) for answer in answers})
     parts = [
         f"{_setups(names, set(labels.values()))} {what}{_on_pairs(pairs, count)}"
-        for (names, what), pairs in sorted(
-            alike.items(), key=lambda item: -max(worst for _, worst in item[1])
-        )
+        for (names, what), pairs in sorted(alike.items(), key=lambda item: -max(worst for _, worst in item[1]))
     ]
     return f"Do not use, because of losses: {_some(parts, 'more in the table')}." if parts else ""
 
@@ -165,11 +163,7 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
 def _pairs(pairs: Sequence[str], count: int) -> str:
     if len(pairs) == count > 1:
         return f"each of {count} pairs of devices and links"
-    return (
-        "; ".join(pairs)
-        if len(pairs) <= MOST_NAMED
-        else f"{len(pairs)} of {count} pairs of devices and links"
-    )
+    return "; ".join(pairs) if len(pairs) <= MOST_NAMED else f"{len(pairs)} of {count} pairs of devices and links"
 
 
 def _outcomes(cut: Sequence[Stretch], labels: Mapping[str, str]) -> str:
@@ -266,13 +260,9 @@ def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -
             times = {setup.name: getattr(setup, f"{outcome.percentile}_ns") for setup in case.contenders}
             if outcome_of(case) == outcome and times[name] != float("inf"):
                 ratios.append(times[name] / times[first])
-        takes = (
-            f"{_factors(ratios)} as long as {labels[first]}" if ratios else "longer, as messages were lost"
-        )
+        takes = f"{_factors(ratios)} as long as {labels[first]}" if ratios else "longer, as messages were lost"
         parts.append(f"{labels[name]} takes {takes}")
-    shown = parts[:MOST_NAMED] + (
-        [f"{len(parts) - MOST_NAMED} more take longer"] if parts[MOST_NAMED:] else []
-    )
+    shown = parts[:MOST_NAMED] + ([f"{len(parts) - MOST_NAMED} more take longer"] if parts[MOST_NAMED:] else [])
     return f"{best}, while {joined(shown)}{_repeats_words(stretch.cases, ' the rest')}"
 
 

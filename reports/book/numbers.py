@@ -60,8 +60,7 @@ def values_info(analysis: Analysis) -> Values:
     return Values(
         times_ns={
             metric: {
-                name: tuple(whole_ns(value) for value in summary[f"{metric}_{name}_ns"])
-                for name in STATISTIC_LABELS
+                name: tuple(whole_ns(value) for value in summary[f"{metric}_{name}_ns"]) for name in STATISTIC_LABELS
             }
             for metric in METRIC_LABELS
         },
@@ -135,9 +134,7 @@ def intervals_info(analysis: Analysis) -> Intervals:
 
 
 def _frozen(ends: Mapping[str, Mapping[str, list[int | None]]]) -> Ends:
-    return {
-        metric: {name: tuple(values) for name, values in columns.items()} for metric, columns in ends.items()
-    }
+    return {metric: {name: tuple(values) for name, values in columns.items()} for metric, columns in ends.items()}
 
 
 @dataclass(frozen=True, slots=True)

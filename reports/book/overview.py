@@ -11,15 +11,7 @@ from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_rate, format_size
 
-from .groups import (
-    VENDORS,
-    data_type_label,
-    device_label,
-    domain_label,
-    format_count,
-    in_order_of,
-    qos_label,
-)
+from .groups import VENDORS, data_type_label, device_label, domain_label, format_count, in_order_of, qos_label
 from .recording import cost_words, setting_words, version_words
 from .verdicts import conditions_label
 
@@ -56,14 +48,10 @@ class Overview:
         values = {fact.label: fact.value for fact in self.facts}
         if "Messages" in values:
             values["Messages"] = values["Messages"].replace(" in ", " messages in ", 1)
-        return "; ".join(
-            values[label] for label in ("Middleware", "Devices", "Messages", "When") if label in values
-        )
+        return "; ".join(values[label] for label in ("Middleware", "Devices", "Messages", "When") if label in values)
 
 
-def overview_info(
-    analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]
-) -> Overview:
+def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]) -> Overview:
     """Collect the facts; one without a value is left out."""
     facts = (
         Fact("Devices", _devices(analysis, groups)),

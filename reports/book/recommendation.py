@@ -91,7 +91,9 @@ def _pair(candidate: Candidate) -> str:
     return place_label(str(ping_device), relay, str(connectivity), str(conditions))
 
 
-_NOTHING = "The traces have no such messages: their size and rate were not measured, and no measured ones surround them."
+_NOTHING = (
+    "The traces have no such messages: their size and rate were not measured, and no measured ones surround them."
+)
 
 _JUDGED_BY = {"response": "from planned send to reply", "latency": "by the latency, the mean of both ways"}
 

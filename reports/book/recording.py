@@ -104,9 +104,7 @@ def _sessions(analysis: Analysis) -> RecordTable:
     alike: dict[tuple[str, ...], list[Session]] = {}
     vendors = vendor_labels(analysis)
     for one in analysis.sessions:
-        host = [
-            f"{printable(name)} {printable(value)}" for name, value in one.host.items() if name != FLEETING
-        ]
+        host = [f"{printable(name)} {printable(value)}" for name, value in one.host.items() if name != FLEETING]
         key = (
             printable(one.device),
             printable(one.role),
@@ -136,9 +134,7 @@ def applied_words(session: Session) -> list[str]:
     if path is None:
         return []
     buffer_bytes = udp_receive_buffer_bytes(session)
-    buffers = (
-        [] if buffer_bytes is None else [f"UDP receive buffer as granted {format_count(buffer_bytes)} B"]
-    )
+    buffers = [] if buffer_bytes is None else [f"UDP receive buffer as granted {format_count(buffer_bytes)} B"]
     controls = [f"TCP by {printable(name)}" for name in congestion_controls(session)]
     return [f"payload carried by {_WAYS.get(path, printable(path))}", *controls, *buffers]
 
@@ -151,8 +147,7 @@ _WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
 def _sources(analysis: Analysis) -> RecordTable:
     ordered = sorted(analysis.sources, key=lambda one: one.status == "read")
     rows: list[tuple[str, ...]] = [
-        (printable(one.path), printable(one.status), format_count(one.events), printable(one.detail))
-        for one in ordered
+        (printable(one.path), printable(one.status), format_count(one.events), printable(one.detail)) for one in ordered
     ]
     return _table("Files", ("File", "Status", "Events", "Detail"), rows, len(rows))
 

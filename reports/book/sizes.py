@@ -133,9 +133,7 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         choices=tuple(labels[name] for _, name in columns),
         deadline=_deadline_words(analysis.details),
         rates=_rates_words(rates),
-        places=tuple(
-            _place_rows(name, cases, columns, rates, late, groups) for name, cases in answers_at.items()
-        ),
+        places=tuple(_place_rows(name, cases, columns, rates, late, groups) for name, cases in answers_at.items()),
     )
 
 
@@ -159,9 +157,7 @@ def _shown_rates(answers: Iterable[CaseAnswer]) -> dict[str, float]:
 def _rates_words(rates: Mapping[str, float]) -> str:
     if len(set(rates.values())) == 1:
         return f"at {format_rate(next(iter(rates.values())))}"
-    return ", ".join(
-        f"{data_type_label(data_type)} at {format_rate(rate)}" for data_type, rate in rates.items()
-    )
+    return ", ".join(f"{data_type_label(data_type)} at {format_rate(rate)}" for data_type, rate in rates.items())
 
 
 def _place_rows(
@@ -179,9 +175,7 @@ def _place_rows(
     further: list[SizeRow] = []
     for (data_type, payload_bytes, rate_hz), own in by_message.items():
         cells = {
-            (case.domain_mode, setup.name): _cell(case, setup, groups)
-            for case in own
-            for setup in case.contenders
+            (case.domain_mode, setup.name): _cell(case, setup, groups) for case in own for setup in case.contenders
         }
         row = SizeRow(
             f"{data_type_label(data_type)} {format_size(payload_bytes)}",

@@ -39,16 +39,7 @@ WITHIN_ONE_RUN = (
 MODES = {"same": "same domain", "different": "different domains"}
 
 # Columns that extend equal labels of setups.
-_FURTHER = (
-    "backend",
-    "relay_backend",
-    "rmw",
-    "reliability",
-    "durability",
-    "history",
-    "depth",
-    "serialization",
-)
+_FURTHER = ("backend", "relay_backend", "rmw", "reliability", "durability", "history", "depth", "serialization")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +109,7 @@ _CONDITION_WORDS = {
 
 def conditions_label(conditions: str) -> str:
     """Put conditions into words: `emulated link wifi-54(loss=1), 2 runs at once`."""
-    words = (
-        _CONDITION_WORDS.get(key, f"{key} {{}}").format(value)
-        for key, value in parse_setting(conditions).items()
-    )
+    words = (_CONDITION_WORDS.get(key, f"{key} {{}}").format(value) for key, value in parse_setting(conditions).items())
     return printable(", ".join(words))
 
 

@@ -86,8 +86,7 @@ def _gate(gated: Gated) -> dict[str, object]:
 
 def _named(labels: tuple[str, ...], groups: pl.DataFrame) -> list[dict[str, object]]:
     return [
-        {"label": label, "parameters": _parameters(row)}
-        for label, row in zip(labels, groups.to_dicts(), strict=True)
+        {"label": label, "parameters": _parameters(row)} for label, row in zip(labels, groups.to_dicts(), strict=True)
     ]
 
 

@@ -120,9 +120,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     """Put a comparison and the outcomes of its gates into words."""
     frames = (comparison.delivery, comparison.only_base, comparison.only_new)
     labels = _labels(frames)
-    shared, only_base, only_new = (
-        tuple(labels[start : start + len(frame)]) for start, frame in _starts(frames)
-    )
+    shared, only_base, only_new = (tuple(labels[start : start + len(frame)]) for start, frame in _starts(frames))
     groups = _groups(comparison, shared)
     sights = comparison.sights()
     apart = (comparison.only_base, comparison.only_new)
@@ -231,9 +229,7 @@ def _answer(groups: Sequence[ComparedGroup]) -> str:
     losing = [group for group in groups if group.verdict in WORST_FIRST[:2]]
     if losing:
         where = f", most in {losing[0].label}" if several else ""
-        parts.append(
-            f"more is lost in {len(losing)} of {count}{where} ({received_words(losing[0].delivery)})"
-        )
+        parts.append(f"more is lost in {len(losing)} of {count}{where} ({received_words(losing[0].delivery)})")
     # A percentile that was lost is part of the losses.
     slower = [(row, group) for group in groups for row in group.changes if _is_slower(row)]
     if slower:
@@ -313,9 +309,7 @@ def _gates(
         return f"{labels[words]}{where.removeprefix(words)}" if words else where
 
     gated = [Gated(printable(named(result.where), MAX_FINDING_CHARACTERS), result) for result in results]
-    return tuple(
-        sorted(gated, key=lambda one: order.index(one.result.outcome) if one.result.outcome in order else 9)
-    )
+    return tuple(sorted(gated, key=lambda one: order.index(one.result.outcome) if one.result.outcome in order else 9))
 
 
 def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
@@ -328,9 +322,7 @@ def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
         ("Unfinished", [_unfinished(comparison)] if any(comparison.unfinished.values()) else []),
         ("Finding of severity error", [error.text for error in comparison.errors]),
     )
-    return tuple(
-        f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts
-    )
+    return tuple(f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts)
 
 
 def _unfinished(comparison: Comparison) -> str:

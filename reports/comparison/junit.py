@@ -36,8 +36,6 @@ def render(info: ComparisonInfo) -> str:
             ET.SubElement(case, "failure", {"message": words, "type": "regression"})
         elif result.outcome is GateOutcome.INCONCLUSIVE:
             ET.SubElement(case, "skipped", {"message": f"inconclusive: {words}"})
-    ET.SubElement(suite, "system-out").text = printable(
-        f"{info.said} {info.seen}".strip(), MAX_FINDING_CHARACTERS
-    )
+    ET.SubElement(suite, "system-out").text = printable(f"{info.said} {info.seen}".strip(), MAX_FINDING_CHARACTERS)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

@@ -50,9 +50,7 @@ def render(info: ComparisonInfo, title: str) -> str:
     """Return the page; `title` names the sides."""
     script = _asset("comparison", "comparison.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     shown = info.groups[0].shown() if info.groups else ()
     return environment.from_string(_asset("comparison", "comparison.html.j2")).render(
         policy=(
@@ -81,9 +79,7 @@ def _group(group: ComparedGroup) -> dict[str, object]:
         "received": received_words(group.delivery),
         "strip": "" if own is None else strip(own),
         "curves": [curve(row) for row in group.distributions],
-        "shown": [
-            (both_words(row), change_words(row["ratio"]), interval_words(row)) for row in group.shown()
-        ],
+        "shown": [(both_words(row), change_words(row["ratio"]), interval_words(row)) for row in group.shown()],
         "rows": [(*statistic_cells(row), runs_words(row), VERDICTS[row["verdict"]]) for row in group.changes],
     }
 

@@ -26,13 +26,7 @@ if TYPE_CHECKING:
 WIDTH = 80
 MOST_GROUPS = 10
 
-_COLORS = {
-    "no reply came back": "red",
-    "loses more": "red",
-    "slower": "red",
-    "loses less": "green",
-    "faster": "green",
-}
+_COLORS = {"no reply came back": "red", "loses more": "red", "slower": "red", "loses less": "green", "faster": "green"}
 _OUTCOME_COLORS = {GateOutcome.REGRESSED: "red", GateOutcome.PASSED: "green"}
 
 
@@ -78,8 +72,7 @@ def _table(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> Table:
             *(Text(f"{both_words(row)}\n{change_with_interval(row)}") for row in group.shown()),
             Text(received_words(group.delivery).replace(" → ", "\n→ ")),
             Text.assemble(
-                (group.verdict, _COLORS.get(group.verdict, "")),
-                (f"\n{group.where}", "dim") if group.where else "",
+                (group.verdict, _COLORS.get(group.verdict, "")), (f"\n{group.where}", "dim") if group.where else ""
             ),
         )
     return table
@@ -108,7 +101,5 @@ def _named(title: str, names: Sequence[str], shows_all: bool) -> list[Renderable
     if not names:
         return []
     shown = names if shows_all else names[:MOST_GROUPS]
-    more = (
-        [Text(f"  and {len(names) - len(shown)} more: --all", style="dim")] if len(shown) < len(names) else []
-    )
+    more = [Text(f"  and {len(names) - len(shown)} more: --all", style="dim")] if len(shown) < len(names) else []
     return [Text(f"{title}:"), *(Text(f"  {name}") for name in shown), *more, Text()]

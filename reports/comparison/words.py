@@ -110,13 +110,9 @@ def why_words(result: GateResult) -> str:
     """Return the reason, and the smallest change that could have been found."""
     smallest = ""
     if result.smallest_ratio is not None:
-        smallest = (
-            f"changes from {change_words(result.smallest_ratio)} on are found with a probability of 80 %"
-        )
+        smallest = f"changes from {change_words(result.smallest_ratio)} on are found with a probability of 80 %"
     elif result.smallest_drop is not None:
-        smallest = (
-            f"drops from {100 * result.smallest_drop:.3g} points on are found with a probability of 80 %"
-        )
+        smallest = f"drops from {100 * result.smallest_drop:.3g} points on are found with a probability of 80 %"
     return printable("; ".join(text for text in (result.reason, smallest) if text), MAX_FINDING_CHARACTERS)
 
 
@@ -131,9 +127,7 @@ class Gated:
     def line(self) -> str:
         """The outcome in one line."""
         why = why_words(self.result)
-        return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (
-            f": {why}" if why else ""
-        )
+        return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (f": {why}" if why else "")
 
 
 GATE_COLUMNS = ("Gate", "Result", "Measured", "Interval", "Outcome", "Why")

@@ -40,9 +40,7 @@ def one_way_info(book: Book) -> OneWay:
     for row in book.analysis.details.one_way.iter_rows(named=True):
         rows.setdefault(row["group"], {})[row["metric"]] = row
     ways = {
-        group: Way(
-            _times(both["outbound"]), _times(both["return"]), whole_ns(both["outbound"]["bound_p50_ns"])
-        )
+        group: Way(_times(both["outbound"]), _times(both["return"]), whole_ns(both["outbound"]["bound_p50_ns"]))
         for group, both in rows.items()
         if both.keys() == {"outbound", "return"}
     }

@@ -35,14 +35,10 @@ def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
     ordered = [(group, groups.series_of(group)) for group in groups.in_order]
     keyed = [((group.cell, series.values(SAME_SIDES_COLUMNS)), group, series) for group, series in ordered]
     same = {
-        key: group.index
-        for key, group, series in keyed
-        if series.domain_mode == "same" and series.bridge == "none"
+        key: group.index for key, group, series in keyed if series.domain_mode == "same" and series.bridge == "none"
     }
     return tuple(
-        (same[key], group.index)
-        for key, group, series in keyed
-        if series.domain_mode == "different" and key in same
+        (same[key], group.index) for key, group, series in keyed if series.domain_mode == "different" and key in same
     )
 
 

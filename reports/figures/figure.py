@@ -163,9 +163,7 @@ def facet_panels(book: Book, facet: Facet, drawn: Test = lambda _: True, least: 
         (_, first), *_ = next(iter(lines.values()))
         names = [facets.label(key, first) for key in (*columns, *rows) if facets.varies(key)]
         title = ", ".join(filter(None, names)) or facets.label("data", first)
-        made = [
-            Line(line, *map(tuple, zip(*sorted(own), strict=True))) for line, own in sorted(lines.items())
-        ]
+        made = [Line(line, *map(tuple, zip(*sorted(own), strict=True))) for line, own in sorted(lines.items())]
         parts = -(-len(made) // MOST_LINES)
         most = -(-len(made) // parts)
         for part in range(parts):

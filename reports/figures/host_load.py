@@ -54,9 +54,7 @@ def host_load_info(book: Book) -> HostLoad:
     loads_of_group: dict[int, tuple[DeviceLoad, ...]] = {}
     for (group, role), rows in during.partition_by("group", "role", as_dict=True).items():
         drawn = rows.gather_every(step)
-        load = DeviceLoad(
-            role, *(tuple(drawn[name].to_list()) for name in ("elapsed_s", "cpu_percent", "signal_dbm"))
-        )
+        load = DeviceLoad(role, *(tuple(drawn[name].to_list()) for name in ("elapsed_s", "cpu_percent", "signal_dbm")))
         loads_of_group[group] = (*loads_of_group.get(group, ()), load)
     return HostLoad(loads_of_group, decimated=step > 1)
 

@@ -112,9 +112,7 @@ def _slices(
     elapsed_s: Float64, start_s: Float64 | np.float64, end_s: Float64 | np.float64, count: int
 ) -> NDArray[np.int64]:
     duration_s = np.where(end_s > start_s, end_s - start_s, 1.0)  # all at one instant are in the first slice
-    index: NDArray[np.int64] = np.minimum((elapsed_s - start_s) / duration_s * count, count - 1).astype(
-        np.int64
-    )
+    index: NDArray[np.int64] = np.minimum((elapsed_s - start_s) / duration_s * count, count - 1).astype(np.int64)
     return index
 
 
@@ -129,9 +127,7 @@ def _thinned(rows: pl.DataFrame, share: int) -> pl.DataFrame:
         is_many=pl.len().over("group") > share,
     )
     by_value = ranked.filter("is_many").sort("value", "row")
-    extremes = [
-        by_value.unique(["group", "slice"], keep=end, maintain_order=True)["row"] for end in ("first", "last")
-    ]
+    extremes = [by_value.unique(["group", "slice"], keep=end, maintain_order=True)["row"] for end in ("first", "last")]
     return rows.filter(~ranked["is_many"] | ranked["row"].is_in(pl.concat(extremes).implode()))
 
 

@@ -6,18 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..book.numbers import whole_ns
-from .figure import (
-    Facet,
-    Faceted,
-    Figure,
-    FigureMaker,
-    LeftOut,
-    Scope,
-    facet_panels,
-    facet_plan,
-    is_few,
-    plane_facet,
-)
+from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, is_few, plane_facet
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -41,11 +41,7 @@ def _same(text: str) -> Option:
 
 _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
     ("vendor", "Vendor", lambda _, s: _same(s.vendor_label)),
-    (
-        "domain",
-        "Domains",
-        lambda _, s: Option(s.domain_mode, MODES.get(s.domain_mode, printable(s.domain_mode))),
-    ),
+    ("domain", "Domains", lambda _, s: Option(s.domain_mode, MODES.get(s.domain_mode, printable(s.domain_mode)))),
     ("bridge", "Bridge", lambda _, s: _same(printable(s.bridge))),
     ("data", "Data", lambda c, _: Option(printable(c.data_type), data_type_label(c.data_type))),
     ("size", "Size", lambda c, _: Option(str(c.payload_bytes), format_size(c.payload_bytes))),
@@ -55,11 +51,7 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
     ("backend", "Backend", lambda _, s: _same(printable(s.backend))),
     ("serialization", "Serialization", lambda _, s: _same(printable(s.serialization))),
     ("link", "Link", lambda _, s: _same(printable(s.connectivity))),
-    (
-        "setting",
-        "Setting",
-        lambda _, s: Option(printable(s.setting), printable(s.setting) or "nothing else set"),
-    ),
+    ("setting", "Setting", lambda _, s: Option(printable(s.setting), printable(s.setting) or "nothing else set")),
 )
 """Key, label, and the option of a group."""
 

@@ -171,9 +171,7 @@ class Watcher:
             return _waiting(version, why)
         notice = f'<p class="notice" role="status">The latest analysis failed: {escape(why)}</p>'
         # Both precede any text of a trace.
-        page = self._report.replace(
-            f'data-version="{self._analyzed_version}"', f'data-version="{version}"', 1
-        )
+        page = self._report.replace(f'data-version="{self._analyzed_version}"', f'data-version="{version}"', 1)
         return Shown(_encoded(page.replace("<body>", f"<body>\n{notice}", 1)), version)
 
     def status(self) -> str:

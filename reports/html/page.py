@@ -18,14 +18,7 @@ from dds_trace.base.units import format_rate, format_size
 
 from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
-from ..book.groups import (
-    LATENCY_MEANING,
-    METRIC_LABELS,
-    METRIC_MENU,
-    STATISTIC_LABELS,
-    data_type_label,
-    group_labels,
-)
+from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
 from ..figures import drawn_figures
@@ -91,9 +84,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
     made = drawn_figures(book)
     drawn = [(maker, figure) for maker, figure in made if isinstance(figure, Figure)]
     unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(_asset("report.html.j2")).render(
         policy=_policy(unpack, plotly, script, connect="'self'" if version else ""),
         version=version,
@@ -168,9 +159,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
                 "index": dimension.index,
                 "options": [
                     {"label": label, "short": short, **asdict(style)}
-                    for label, short, style in zip(
-                        dimension.options, dimension.short, styles[key], strict=True
-                    )
+                    for label, short, style in zip(dimension.options, dimension.short, styles[key], strict=True)
                 ],
             }
             for key, dimension in book.facets.dimensions.items()
@@ -203,12 +192,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
         ],
         "intervals": book.intervals,
         "figures": {
-            figure.name: {
-                "title": figure.title,
-                "follows": figure.follows,
-                "kind": figure.kind,
-                "plan": figure.plan,
-            }
+            figure.name: {"title": figure.title, "follows": figure.follows, "kind": figure.kind, "plan": figure.plan}
             for figure in figures
         },
     }

@@ -39,9 +39,7 @@ def drawn(count=200, ahead=AHEAD, first=0):
     """Out in 2 ms, 1 ms in the relay, back in 3 ms; sent 50 ns late."""
     times = [(s, (first + s) * PERIOD) for s in range(count)]
     return [
-        Message(
-            s, t0=t, t1=t + 50, t3=t + 50 + 2 * MS + ahead, t4=t + 50 + 3 * MS + ahead, t2=t + 50 + 6 * MS
-        )
+        Message(s, t0=t, t1=t + 50, t3=t + 50 + 2 * MS + ahead, t4=t + 50 + 3 * MS + ahead, t2=t + 50 + 6 * MS)
         for s, t in times
     ]
 
@@ -66,10 +64,7 @@ def test_intervals_repeat_the_summary_and_are_null_where_the_sample_is_too_small
     latency = analysis.details.intervals.filter(metric="latency")
     assert latency["percentile"].to_list() == ["p50", "p90", "p95", "p99", "p99_9"]
     assert latency["estimate_ns"].to_list() == [2.5 * MS] * 4 + [None]
-    assert latency["high_ns"].to_list() == [2.5 * MS] * 3 + [
-        None,
-        None,
-    ]  # 200 messages end below p99's upper end
+    assert latency["high_ns"].to_list() == [2.5 * MS] * 3 + [None, None]  # 200 messages end below p99's upper end
     assert latency["method"].to_list() == ["order_statistics"] * 3 + [None, None]
     assert latency["messages"].to_list() == [200] * 5
     for name in ("p50", "p90", "p95", "p99"):
@@ -240,9 +235,7 @@ def write_campaign(folder):
 
 
 @pytest.mark.parametrize("held_rows", [10**6, 300])
-def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a_time(
-    tmp_path, monkeypatch, held_rows
-):
+def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a_time(tmp_path, monkeypatch, held_rows):
     write_campaign(tmp_path)
     monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_ROWS_IN_MEMORY", held_rows)
     analysis = analyze(tmp_path)

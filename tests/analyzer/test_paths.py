@@ -68,8 +68,4 @@ def test_drafts_of_a_killed_analysis_are_removed_by_the_next_and_files_of_others
     for name in ("roundtrips.parquet", "report.html", "notes.txt"):
         (out / f"{name}.0123abcd.part").write_text("half")
     analyze(LOSSES, out=out)
-    assert {file.name for file in out.iterdir()} == {
-        "roundtrips.parquet",
-        "summary.parquet",
-        "notes.txt.0123abcd.part",
-    }
+    assert {file.name for file in out.iterdir()} == {"roundtrips.parquet", "summary.parquet", "notes.txt.0123abcd.part"}

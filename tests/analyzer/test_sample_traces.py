@@ -40,7 +40,7 @@ def test_the_analyzer_gives_the_plain_numbers(name: str, tmp_path: Path) -> None
         assert len(rows) == run["published"]
         assert {key: (rows["outcome"] == key).sum() for key in run["outcomes"]} == run["outcomes"]
         (group,) = analysis.summary.filter(
-            *(pl.col(key) == run[key] for key in ("data_type", "payload_bytes", "rate_hz", "bridge")),
+            *(pl.col(key) == run[key] for key in ("data_type", "payload_bytes", "rate_hz", "bridge"))
         ).to_dicts()
         assert group["vendor"] == run["vendor"] == "fastdds"
         assert group["ping_domain_id"] == run["ping_domain_id"]
@@ -52,10 +52,7 @@ def test_the_analyzer_gives_the_plain_numbers(name: str, tmp_path: Path) -> None
             for statistic in STATISTICS:
                 found = group[f"{metric}_{statistic}_ns"]
                 wanted = run[metric].get(statistic)
-                assert found == (None if wanted is None else pytest.approx(wanted, rel=1e-12)), (
-                    metric,
-                    statistic,
-                )
+                assert found == (None if wanted is None else pytest.approx(wanted, rel=1e-12)), (metric, statistic)
 
 
 def test_the_sample_with_losses_has_losses() -> None:

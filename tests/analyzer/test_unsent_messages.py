@@ -47,18 +47,13 @@ def record(folder, kind, *, first=0, vendor=None, domain_id=5, bridge="none"):
             published=SENT[kind],
             relay_domain_id=domain_id,
             bridge=bridge,
-            extra={
-                "session_id": f"{50 + number:016x}",
-                "ended_ns": start + (DUE - 1) * PERIOD + MS,
-            },
+            extra={"session_id": f"{50 + number:016x}", "ended_ns": start + (DUE - 1) * PERIOD + MS},
         )
         write_pair(
             folder / str(number),
             messages,
             ping=ping_session(vendor=vendor, session_id=50 + number),
-            relay=relay_session(
-                vendor=vendor, session_id=250 + number, relay_id=150 + number, domain_id=domain_id
-            ),
+            relay=relay_session(vendor=vendor, session_id=250 + number, relay_id=150 + number, domain_id=domain_id),
             runs=[described],
         )
 
@@ -181,24 +176,17 @@ def test_what_was_under_way_when_the_ping_was_killed_is_neither_lost_nor_unsent(
     (delivery,) = compare(analysis, analysis).delivery.to_dicts()
     assert delivery["new_received_ratio"] == pytest.approx(17 / 18)
     (finding,) = (one for one in analysis.findings if one.code == "unfinished_run")
-    assert finding.what.endswith(
-        "20 messages were published, 600 planned; 2 messages were under way at its end."
-    )
+    assert finding.what.endswith("20 messages were published, 600 planned; 2 messages were under way at its end.")
     assert finding.groups == (0,)
 
 
 @pytest.mark.parametrize(
     ("state", "severity", "outcome"),
-    [
-        ("finished", Severity.ERROR, GateOutcome.INCONCLUSIVE),
-        ("started", Severity.WARNING, GateOutcome.PASSED),
-    ],
+    [("finished", Severity.ERROR, GateOutcome.INCONCLUSIVE), ("started", Severity.WARNING, GateOutcome.PASSED)],
 )
 def test_a_run_of_which_nothing_left_is_told(tmp_path, state, severity, outcome):
     record(tmp_path / "runs", "whole")
-    silent = run(
-        run_id=500, state=state, planned_messages=DUE, published=0, extra={"session_id": f"{99:016x}"}
-    )
+    silent = run(run_id=500, state=state, planned_messages=DUE, published=0, extra={"session_id": f"{99:016x}"})
     write_pair(tmp_path / "runs" / "silent", [], ping=ping_session(session_id=99), runs=[silent])
     analysis = analyze(tmp_path / "runs", details=False)
     (finding,) = (one for one in analysis.findings if one.code == "unpublished_run")

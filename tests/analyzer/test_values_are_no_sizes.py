@@ -31,14 +31,7 @@ NO_TIME = -(2**63)
 
 def sound(period=PERIOD):
     return [
-        Message(
-            n,
-            t0=n * period,
-            t1=n * period + 50,
-            t3=n * period + 100,
-            t4=n * period + 200,
-            t2=n * period + 400,
-        )
+        Message(n, t0=n * period, t1=n * period + 50, t3=n * period + 100, t4=n * period + 200, t2=n * period + 400)
         for n in range(MESSAGES)
     ]
 
@@ -51,9 +44,7 @@ def write_campaign(folder, messages, ping=(), relay=(), **session):
         [described],
         merged_events([ping_events(messages), dict(ping)]),
     )
-    write_trace(
-        folder / "relay.mcap", relay_session(), (), merged_events([relay_events(messages), dict(relay)])
-    )
+    write_trace(folder / "relay.mcap", relay_session(), (), merged_events([relay_events(messages), dict(relay)]))
     return folder
 
 
@@ -130,9 +121,7 @@ def test_made_up_relays_do_not_make_rows_without_bound(tmp_path):
 
 
 def test_a_run_may_have_many_relays_that_answer(tmp_path):
-    replies = {
-        Stage.T2: [event(n, n * PERIOD + 500, relay_id=1000 + k) for k in range(20) for n in range(MESSAGES)]
-    }
+    replies = {Stage.T2: [event(n, n * PERIOD + 500, relay_id=1000 + k) for k in range(20) for n in range(MESSAGES)]}
     analysis = analyze(write_campaign(tmp_path, sound(), replies))
     assert analysis.load_roundtrips().height == 21 * MESSAGES
     assert not [finding for finding in analysis.findings if finding.code == "too_many_relays"]

@@ -17,9 +17,7 @@ from dds_trace.base.printable import is_hidden
 from dds_trace.base.streams import PlainStream, plain, plain_console, plain_streams, say
 
 PIECES = st.lists(
-    st.sampled_from(
-        ["::", " ", ":", "\n", "\t", "##[", "a", "\x1b[2J", "\u202e", "\r", "\x9b", "\U000e0001", "é"]
-    )
+    st.sampled_from(["::", " ", ":", "\n", "\t", "##[", "a", "\x1b[2J", "\u202e", "\r", "\x9b", "\U000e0001", "é"])
 )
 
 

@@ -43,9 +43,7 @@ def test_who_waits_does_the_jobs_that_nobody_has_begun():
     assert set(done_by) == {threading.current_thread()}
 
 
-@pytest.mark.parametrize(
-    ("most_jobs", "most_size", "size", "held"), [(3, 100, 1, 3), (50, 10, 4, 2), (50, 10, 40, 1)]
-)
+@pytest.mark.parametrize(("most_jobs", "most_size", "size", "held"), [(3, 100, 1, 3), (50, 10, 4, 2), (50, 10, 40, 1)])
 def test_no_more_is_begun_than_may_be(most_jobs, most_size, size, held):
     begun, handed_out = [], 0
 

@@ -107,9 +107,7 @@ def test_milliseconds_have_three_decimals():
     assert [format_ms(ns) for ns in (1_250_000, 0, -499, 1.5e9)] == ["1.250", "0.000", "-0.000", "1500.000"]
 
 
-@pytest.mark.parametrize(
-    ("text", "rate_hz"), [("20", 20.0), ("2.5Hz", 2.5), ("1 kHz", 1000.0), (".5hz", 0.5)]
-)
+@pytest.mark.parametrize(("text", "rate_hz"), [("20", 20.0), ("2.5Hz", 2.5), ("1 kHz", 1000.0), (".5hz", 0.5)])
 def test_rates(text, rate_hz):
     assert parse_rate(text) == rate_hz
 
@@ -120,9 +118,7 @@ def test_what_is_no_rate_is_named(text):
         parse_rate(text)
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "shown"), [(10.0, "10 Hz"), (0.5, "0.5 Hz"), (1500.0, "1500 Hz"), (None, "-")]
-)
+@pytest.mark.parametrize(("rate_hz", "shown"), [(10.0, "10 Hz"), (0.5, "0.5 Hz"), (1500.0, "1500 Hz"), (None, "-")])
 def test_rates_have_three_digits(rate_hz, shown):
     assert format_rate(rate_hz) == shown
 

@@ -86,9 +86,7 @@ class ChaosRound:
             ("mount", "-t", "tmpfs", "tmpfs", "/run/netns"),
             ("mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(self._disk)),
         ):
-            subprocess.run(
-                words, check=True, env={**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"}
-            )
+            subprocess.run(words, check=True, env={**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"})
         self._environment = {
             **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
             "HOME": str(self._home),
@@ -133,9 +131,7 @@ class ChaosRound:
             code = sweep.wait()
         self._wait_for_the_end(number, KILLED_S if code < 0 else ENDED_S)
         happened = tuple(timetable.happened)
-        call = Call(
-            code, log.read_text(errors="replace"), happened, tuple(self._world.killed[killed_before:])
-        )
+        call = Call(code, log.read_text(errors="replace"), happened, tuple(self._world.killed[killed_before:]))
         self.codes.append(code)
         self.faults += happened
         wrong = [*untrue_exit(call, self._runs, self._drawn.cells), *forgotten_cells(before, self._runs)]

@@ -41,9 +41,7 @@ def sweep(tmp_path):
     """A sweep's folder with the states of its cells."""
 
     def make(**statuses):
-        cells = {
-            name: {"status": status, "run_id": f"{n:x}"} for n, (name, status) in enumerate(statuses.items())
-        }
+        cells = {name: {"status": status, "run_id": f"{n:x}"} for n, (name, status) in enumerate(statuses.items())}
         (tmp_path / "state.json").write_text(json.dumps({"cells": cells}))
         return tmp_path
 

@@ -30,20 +30,14 @@ def test_a_folder_gives_a_table_and_two_files(runs, capsys):
     assert "Fast DDS" in shown.out
     assert shown.err == ""
     assert pl.read_parquet(runs / "analysis" / "roundtrips.parquet")["latency_ns"].to_list() == [85] * 12
-    assert sorted(path.name for path in (runs / "analysis").iterdir()) == [
-        "roundtrips.parquet",
-        "summary.parquet",
-    ]
+    assert sorted(path.name for path in (runs / "analysis").iterdir()) == ["roundtrips.parquet", "summary.parquet"]
     shutil.rmtree(runs / "analysis")
     assert analyze(runs, "--no-cache", "--sketch") == 0
     assert [path.name for path in (runs / "analysis").iterdir()] == ["summary.parquet"]
 
 
 def test_reports_are_those_asked_for_and_written_where_asked(runs, tmp_path, capsys):
-    assert (
-        analyze(runs, "--report", "html", "--report", "json", "--report", "md", "--out", tmp_path / "here")
-        == 0
-    )
+    assert analyze(runs, "--report", "html", "--report", "json", "--report", "md", "--out", tmp_path / "here") == 0
     *lines, last = capsys.readouterr().out.splitlines()
     assert all(line.startswith(f"Wrote {tmp_path / 'here'}") for line in lines)
     assert len(lines) == 5
@@ -142,9 +136,7 @@ def test_several_paths_and_patterns_are_one_analysis(runs, tmp_path, capsys, mon
 
 def test_a_misspelt_command_is_told_what_it_may_have_meant(runs, capsys, monkeypatch):
     assert analyze("comapre", "a", "b") == 2
-    assert (
-        "there is no file or folder comapre; did you mean `dds-analyze compare`?" in capsys.readouterr().err
-    )
+    assert "there is no file or folder comapre; did you mean `dds-analyze compare`?" in capsys.readouterr().err
     assert analyze("elsewhere") == 4  # near none
     assert "did you mean" not in capsys.readouterr().err
     monkeypatch.chdir(runs.parent)

@@ -17,14 +17,7 @@ from dds_trace.tracefile.reading.reader import read_trace
 MS = 1_000_000
 ROOT = Path(__file__).parents[2]
 TIMELINE = [
-    Message(
-        s,
-        t0=s * 100 * MS,
-        t1=s * 100 * MS,
-        t3=s * 100 * MS + MS,
-        t4=s * 100 * MS + MS,
-        t2=s * 100 * MS + 2 * MS,
-    )
+    Message(s, t0=s * 100 * MS, t1=s * 100 * MS, t3=s * 100 * MS + MS, t4=s * 100 * MS + MS, t2=s * 100 * MS + 2 * MS)
     for s in range(120)
 ]
 
@@ -70,11 +63,7 @@ def test_topics_of_any_recording(runs, capsys):
 
 @pytest.mark.parametrize(
     ("option", "value", "said"),
-    [
-        ("--deadline", "soon", "20ms"),
-        ("--deadline", "0ms", "20ms"),
-        ("--recommend", "data=binary", "missing"),
-    ],
+    [("--deadline", "soon", "20ms"), ("--deadline", "0ms", "20ms"), ("--recommend", "data=binary", "missing")],
 )
 def test_wrong_values_are_one_line(runs, capsys, option, value, said):
     assert run_main(runs, option, value) == 2
@@ -101,28 +90,18 @@ def freshness(folder, capsys, *arguments):
 @pytest.mark.parametrize(
     ("deadline", "expected", "said"),
     [
-        (
-            "20ms",
-            (20 * MS, 120, 0, 0),
-            "20 ms for the response (planned send to reply): 0 of 120 messages missed it.",
-        ),
+        ("20ms", (20 * MS, 120, 0, 0), "20 ms for the response (planned send to reply): 0 of 120 messages missed it."),
         # A response takes 2 ms, a latency half of it.
         ("1.5ms", (1_500_000, 0, 120, 0), "120 of 120 messages missed it (100 %)."),
         ("1.5ms metric=response", (1_500_000, 0, 120, 0), "for the response"),
         (" 1500us  metric=rtt ", (1_500_000, 0, 120, 0), "for the round trip: 120 of 120"),
         ("1.5ms metric=latency", (1_500_000, 120, 0, 0), "for the latency: 0 of 120"),
         # 1 ms out, wrong by at most 1 ms: none can be told.
-        (
-            "1.5ms metric=outbound",
-            (1_500_000, 0, 0, 120),
-            "for the way out: 0 of 0 messages missed it. 120 more",
-        ),
+        ("1.5ms metric=outbound", (1_500_000, 0, 0, 120), "for the way out: 0 of 0 messages missed it. 120 more"),
         ("3ms metric=return", (3 * MS, 120, 0, 0), "for the way back: 0 of 120"),
     ],
 )
-def test_a_deadline_is_for_the_response_or_for_the_metric_that_is_named(
-    runs, capsys, deadline, expected, said
-):
+def test_a_deadline_is_for_the_response_or_for_the_metric_that_is_named(runs, capsys, deadline, expected, said):
     judged, remark = freshness(runs, capsys, "--deadline", deadline)
     assert judged == expected
     assert remark.startswith("Deadline of ")
@@ -159,9 +138,7 @@ def test_the_line_of_the_readme_ranks_what_was_measured(tmp_path, capsys):
     assert run_main(tmp_path / "runs", *options) == 0
     shown = capsys.readouterr().out
     assert "deadline of 50 ms" in shown
-    assert "99 % of the messages" in " ".join(
-        shown.split()
-    )  # the reliability that the line leaves to its default
+    assert "99 % of the messages" in " ".join(shown.split())  # the reliability that the line leaves to its default
 
 
 def test_a_recommendation_is_printed_once_in_80_columns(runs, capsys):

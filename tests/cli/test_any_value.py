@@ -59,9 +59,7 @@ def nothing_recorded(monkeypatch, tmp_path):
     def check_options(asked, *_):
         asked.check()
         if asked.ping is not None:
-            count_messages(
-                asked.ping.messages, asked.duration_s, asked.ping.rate_hz or 10.0, asked.ping.warmup
-            )
+            count_messages(asked.ping.messages, asked.duration_s, asked.ping.rate_hz or 10.0, asked.ping.warmup)
         raise NoEchoError("nothing is recorded here")
 
     def nothing_analyzed(*_, **__):

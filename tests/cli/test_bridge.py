@@ -23,9 +23,7 @@ def run(*arguments, **environment):
     variables = {**os.environ, "PATH": "/nowhere", "XDG_DATA_HOME": "/nowhere", **environment}
     for name in ("NDDSHOME", "AMENT_PREFIX_PATH"):
         variables.pop(name, None)
-    return subprocess.run(
-        [*BRIDGE, *arguments], env=variables, capture_output=True, text=True, timeout=60, check=False
-    )
+    return subprocess.run([*BRIDGE, *arguments], env=variables, capture_output=True, text=True, timeout=60, check=False)
 
 
 def test_list_shows_the_installed_bridges_and_how_to_get_the_others():
@@ -109,9 +107,7 @@ def test_print_config_of_both_halves_says_on_stderr_which_is_which():
 
 
 def test_print_config_of_one_half():
-    ran = run(
-        "zenoh-bridge-dds", "--half", "relay", "--peer", "pi1:7447", "--peer", "pi2:7447", "--print-config"
-    )
+    ran = run("zenoh-bridge-dds", "--half", "relay", "--peer", "pi1:7447", "--peer", "pi2:7447", "--print-config")
     assert ran.stderr == ""
     half = json.loads(ran.stdout)
     assert half["plugins"]["dds"]["domain"] == 10
@@ -143,15 +139,7 @@ def test_help_reads_well_in_80_columns():
 def test_bridge_runs_until_a_signal_and_leaves_no_process(number, domains, tmp_path):
     import psutil
 
-    arguments = [
-        "builtin",
-        "--from",
-        str(domains.take()),
-        "--to",
-        str(domains.take()),
-        "--discovery",
-        "localhost",
-    ]
+    arguments = ["builtin", "--from", str(domains.take()), "--to", str(domains.take()), "--discovery", "localhost"]
     with subprocess.Popen(
         [*BRIDGE, *arguments], stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(tmp_path)}
     ) as process:
@@ -170,15 +158,7 @@ def test_bridge_runs_until_a_signal_and_leaves_no_process(number, domains, tmp_p
 def test_a_bridge_that_dies_ends_the_command_with_the_tail_of_its_log(domains):
     import psutil
 
-    arguments = [
-        "builtin",
-        "--from",
-        str(domains.take()),
-        "--to",
-        str(domains.take()),
-        "--discovery",
-        "localhost",
-    ]
+    arguments = ["builtin", "--from", str(domains.take()), "--to", str(domains.take()), "--discovery", "localhost"]
     with subprocess.Popen([*BRIDGE, *arguments], stderr=subprocess.PIPE, text=True) as process:
         process.stderr.readline()
         guard, bridge = psutil.Process(process.pid).children(recursive=True)
@@ -207,25 +187,14 @@ def test_a_bridge_that_dies_in_mid_run_is_described_in_the_trace_that_is_kept(do
     out = tmp_path / "ping.mcap"
     record = [sys.executable, "-m", "dds_trace.cli.record.command", "--discovery", "localhost"]
     relay = [*record, "--role", "relay", "--domain", relay_domain, "--out", str(tmp_path / "relay.mcap")]
-    ping = [
-        *record,
-        "--role",
-        "ping",
-        "--domain",
-        ping_domain,
-        "--relay-domain",
-        relay_domain,
-        "--rate",
-        "50",
-    ]
+    ping = [*record, "--role", "ping", "--domain", ping_domain, "--relay-domain", relay_domain, "--rate", "50"]
     ping += ["--bridge", "builtin", "--messages", "400", "--size", "1KB", "--out", str(out)]
     with subprocess.Popen(relay) as relaying, subprocess.Popen(ping) as pinging:
         wait_until(lambda: received() > 20, 60, step_s=0.1)
         bridge = next(
             child
             for child in psutil.Process(pinging.pid).children(recursive=True)
-            if "dds_trace.recorder.bridges.builtin" in child.cmdline()
-            and "guard.py" not in " ".join(child.cmdline())
+            if "dds_trace.recorder.bridges.builtin" in child.cmdline() and "guard.py" not in " ".join(child.cmdline())
         )
         bridge.kill()
         pinging.wait(60)

@@ -115,9 +115,7 @@ def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comme
     assert done.returncode == 0, done.stderr
     # Both sides grow until the gates decide.
     out = job.folder / "dds-trace"
-    assert [sorted(look.name for look in (out / side).iterdir()) for side in ("base", "new")] == [
-        ["1", "2"]
-    ] * 2
+    assert [sorted(look.name for look in (out / side).iterdir()) for side in ("base", "new")] == [["1", "2"]] * 2
     assert (job.folder / "summary.md").read_text().startswith("# Comparison of latency\n")
     suites = ET.parse(job.folder / "dds-trace/gates.xml").getroot()
     assert (suites.get("tests"), suites.get("skipped")) == ("3", "3")

@@ -33,9 +33,7 @@ def script_of_the_job():
     lines = PAGE.read_text().splitlines()
     first = next(number for number, line in enumerate(lines) if line.strip() == "- run: |") + 1
     depth = len(lines[first]) - len(lines[first].lstrip())
-    last = next(
-        n for n in range(first, len(lines)) if lines[n].strip() and not lines[n].startswith(" " * depth)
-    )
+    last = next(n for n in range(first, len(lines)) if lines[n].strip() and not lines[n].startswith(" " * depth))
     return dedent("\n".join(lines[first:last])) + "\n"
 
 
@@ -82,7 +80,9 @@ def test_it_ends_with_the_first_decision_and_its_exit_code(tmp_path):
     """Stand-ins for both programs: the third round decides."""
     programs = tmp_path / "programs"
     programs.mkdir()
-    sweep = 'for a; do out=$last; last=$a; [ "$out" = --out ] && folder=$a; done; mkdir -p "$folder/base" "$folder/new"\n'
+    sweep = (
+        'for a; do out=$last; last=$a; [ "$out" = --out ] && folder=$a; done; mkdir -p "$folder/base" "$folder/new"\n'
+    )
     sweep += 'echo "{\\"base\\": \\"$folder/base\\", \\"new\\": \\"$folder/new\\"}"\n'
     analyze = 'echo . >> calls; [ "$(wc -l < calls)" -lt 3 ] && exit 21 || exit 20\n'
     for name, script in (("dds-sweep", sweep), ("dds-analyze", analyze)):

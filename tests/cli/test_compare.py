@@ -137,10 +137,7 @@ def dead(folder):
     """Three runs like those of `record`, to which no reply came back."""
     for number in range(3):
         described = run(
-            run_id=70 + number,
-            planned_messages=600,
-            published=600,
-            extra={"session_id": f"{50 + number:016x}"},
+            run_id=70 + number, planned_messages=600, published=600, extra={"session_id": f"{50 + number:016x}"}
         )
         silent = [replace(m, t4=None, t2=None) for m in drawn(1, 600, number)]
         write_pair(folder / str(number), silent, ping=ping_session(session_id=50 + number), runs=[described])
@@ -228,10 +225,7 @@ def test_a_page_of_both_sides(folders, capsys):
 def test_junit_into_a_file(folders, capsys):
     out = folders / "ci" / "gates.xml"
     gate = ("--fail-if", "latency_p50 > +10%", "--fail-if", "received_ratio < 99%")
-    assert (
-        run_main("compare", folders / "base", folders / "slow", *gate, "--report", "junit", "--out", out)
-        == 20
-    )
+    assert run_main("compare", folders / "base", folders / "slow", *gate, "--report", "junit", "--out", out) == 20
     assert f"Wrote {out}" in capsys.readouterr().out
     root = ET.fromstring(out.read_text())
     assert (root.get("tests"), root.get("failures")) == ("2", "1")
@@ -252,10 +246,7 @@ def test_a_text_that_is_no_gate_is_one_line_before_anything_is_read(tmp_path, ca
 def test_a_file_that_cannot_be_written(folders, capsys):
     (folders / "file").write_text("")
     assert (
-        run_main(
-            "compare", folders / "base", folders / "same", "--report", "md", "--out", folders / "file" / "x"
-        )
-        == 6
+        run_main("compare", folders / "base", folders / "same", "--report", "md", "--out", folders / "file" / "x") == 6
     )
     assert "--out" in capsys.readouterr().err
 

@@ -55,10 +55,7 @@ def in_force(run):
     def call(*arguments):
         code, out, err = run(record.app, "--print-config", *arguments)
         assert (code, err) == (0, "")
-        return {
-            name: (value, source)
-            for name, value, source in (line.split(None, 2) for line in out.splitlines())
-        }
+        return {name: (value, source) for name, value, source in (line.split(None, 2) for line in out.splitlines())}
 
     return call
 
@@ -118,10 +115,7 @@ def test_an_option_counts_before_ros_before_the_file_before_the_users_file_befor
 
 
 def test_options_of_the_other_role_are_passed_over_and_the_rest_is_taken(home, run):
-    write(
-        home / "repository",
-        "[record]\nrate = 20\ndomain = 7\nreliability = 'best_effort'\nlabel = ['a=b', 'c=d']\n",
-    )
+    write(home / "repository", "[record]\nrate = 20\ndomain = 7\nreliability = 'best_effort'\nlabel = ['a=b', 'c=d']\n")
     taken = []
 
     def take(role):
@@ -195,9 +189,7 @@ def test_each_option_with_a_free_value_is_the_users_own_or_describes_the_measure
     free = {
         name
         for name, option in options.items()
-        if not re.search(
-            "int|float|bool|choice", option.type.name + type(option.type).__name__, re.IGNORECASE
-        )
+        if not re.search("int|float|bool|choice", option.type.name + type(option.type).__name__, re.IGNORECASE)
     }
     assert free - OWN_ONLY - _WITHOUT_DEFAULT == set(DESCRIBING_TEXTS[table].split())
 

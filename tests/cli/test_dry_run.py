@@ -114,9 +114,7 @@ def test_a_dry_run_runs_nothing_of_a_plan(call, plan, tmp_path, monkeypatch, ssh
 
 
 def test_a_dry_run_checks_options(call, plan, tmp_path):
-    code, _, err = call(
-        plan("[axes]\nbackend = 'socket'\ntransport = 'shm'\n"), "--dry-run", "--out", tmp_path
-    )
+    code, _, err = call(plan("[axes]\nbackend = 'socket'\ntransport = 'shm'\n"), "--dry-run", "--out", tmp_path)
     assert (code, "--transport shm" in err) == (10, True)
 
 
@@ -220,9 +218,7 @@ def plans(draw):
         for name, values in AXES.items()
         if draw(st.booleans())
     }
-    options = "".join(
-        f"[devices.{side}]\noptions = {json.dumps(draw(OPTIONS))}\n" for side in ("ping", "relay")
-    )
+    options = "".join(f"[devices.{side}]\noptions = {json.dumps(draw(OPTIONS))}\n" for side in ("ping", "relay"))
     lines = "".join(f"{name} = {json.dumps(values)}\n" for name, values in axes.items())
     return f"[axes]\nbackend = ['socket']\n{lines}{options}"
 

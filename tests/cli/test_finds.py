@@ -35,11 +35,7 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         ([*PING, "--messages", LARGE], 2, "--messages a number of about 401 digits: "),
         ([*PING, "--messages", "1e12"], 2, "'1e12' is not a valid int"),
         ([*PING, "--warmup", LARGE], 2, "--warmup a number of about 401 digits: "),
-        (
-            [*PING, "--duration", "nan"],
-            2,
-            "--duration nan: a length in seconds must be above 0 and at most 31622400",
-        ),
+        ([*PING, "--duration", "nan"], 2, "--duration nan: a length in seconds must be above 0 and at most 31622400"),
         ([*RELAY, "--duration", "inf"], 2, "--duration inf: "),
         (
             [*PING, "--duration", "31622400", "--rate", "1000"],
@@ -74,22 +70,10 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         ([*PING, "--device", "\udcff"], 2, "--device '\\udcff': a name of one line must be UTF-8 text"),
         ([*RELAY, "--connectivity", "\udcff"], 2, "--connectivity '\\udcff': "),
         ([*RELAY, "--rmw", "\udcff"], 2, "--rmw '\\udcff': "),
-        (
-            [*RELAY, "--depth", "1000000000000"],
-            2,
-            "--depth 1000000000000: the number of messages that keep_last keeps",
-        ),
+        ([*RELAY, "--depth", "1000000000000"], 2, "--depth 1000000000000: the number of messages that keep_last keeps"),
         ([*PING, "--peer", "\udcff"], 2, "--peer '\\udcff': a host's name or address must be UTF-8 text"),
-        (
-            [*PING, "--relay-domain", "9999"],
-            2,
-            "--relay-domain 9999: a DDS domain id must be between 0 and 231",
-        ),
-        (
-            [*PING, "--cpu-affinity", "0-99999999999"],
-            2,
-            "--cpu-affinity '0-99999999999': write CPU numbers and ranges",
-        ),
+        ([*PING, "--relay-domain", "9999"], 2, "--relay-domain 9999: a DDS domain id must be between 0 and 231"),
+        ([*PING, "--cpu-affinity", "0-99999999999"], 2, "--cpu-affinity '0-99999999999': write CPU numbers and ranges"),
         (
             [*RELAY, "--realtime", LARGE],
             2,
@@ -106,25 +90,13 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         (["x" * 5000], 2, "a path has at most 4095 characters; this has 5000"),
         (["runs", "--cluster", "zzz"], 2, "--cluster 'zzz': write HOST:PORT or tcp://HOST:PORT"),
         (["runs", "--deadline", "nan"], 2, "--deadline 'nan' is not understood"),
-        (
-            ["runs", "--recommend", "data=binary size=33KB rate=nan deadline=50ms"],
-            2,
-            "rate=nan is not understood",
-        ),
+        (["runs", "--recommend", "data=binary size=33KB rate=nan deadline=50ms"], 2, "rate=nan is not understood"),
         (["gopher://x"], 3, "gopher://x: cannot be read (Protocol not known: gopher)"),
         (["surrogates", "--report", "md", "--report", "html", "--report", "json"], 0, ""),
         (["surrogates", "--report", "terminal", "--export", "csv", "--out", "o"], 0, ""),
         (["large"], 4, "an integer of 401 digits does not fit into 64 bits"),
-        (
-            ["far"],
-            4,
-            "field 'wall_anchor_ns' of the session description is 9223372036854775807; a time in ns must be",
-        ),
-        (
-            ["many"],
-            4,
-            "field 'planned_messages' of the run description is 9223372036854775807; a count must be",
-        ),
+        (["far"], 4, "field 'wall_anchor_ns' of the session description is 9223372036854775807; a time in ns must be"),
+        (["many"], 4, "field 'planned_messages' of the run description is 9223372036854775807; a count must be"),
     ],
     "dds-analyze compare": [
         (["runs", "runs", "--out", ""], 2, "--out '.': a path ends with a name"),
@@ -165,11 +137,7 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
         (["latin.toml", "--dry-run"], 2, "a plan is UTF-8 text"),
         (["/dev/zero", "--dry-run"], 2, "/dev/zero: not a regular file"),
         (["nan.toml", "--dry-run"], 2, "nan.toml: [axes]: rate is nan; a rate in messages a second must be"),
-        (
-            ["inf.toml"],
-            2,
-            "inf.toml: [run]: seconds is inf; a length in seconds must be between 0 and 31622400",
-        ),
+        (["inf.toml"], 2, "inf.toml: [run]: seconds is inf; a length in seconds must be between 0 and 31622400"),
         (
             ["settle.toml"],
             2,
@@ -188,11 +156,7 @@ FINDS: dict[str, list[tuple[list[str], int, str]]] = {
 """Command -> arguments, exit code, and a part of what is said."""
 
 CASES = [(command, *find) for command, finds in FINDS.items() for find in finds]
-NAMES = [
-    f"{command.replace(' ', '-')}-{number}"
-    for command, finds in FINDS.items()
-    for number in range(len(finds))
-]
+NAMES = [f"{command.replace(' ', '-')}-{number}" for command, finds in FINDS.items() for number in range(len(finds))]
 PLANS = {
     "p.toml": b"[run]\nmessages = 1\n[axes]\nbackend = 'socket'\n",
     "latin.toml": b"name = '\xe9'\n",
@@ -226,9 +190,7 @@ def surroundings(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("command", "arguments", "code", "said"), CASES, ids=NAMES)
-def test_a_find_is_one_line_and_a_documented_exit_code(
-    surroundings, monkeypatch, command, arguments, code, said
-):
+def test_a_find_is_one_line_and_a_documented_exit_code(surroundings, monkeypatch, command, arguments, code, said):
     monkeypatch.chdir(surroundings)
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     ended, out, err = run(command, arguments)

@@ -32,17 +32,7 @@ NOT_FOR_A_TABLE = {
     *("scipy", "pandas", "plotly", "jinja2", "rclpy", "cyclonedds", "zenoh", "rti", "rosbags", "psutil"),
     *("dask", "distributed", "fsspec", "s3fs", "pydantic", "pygments", "markdown_it"),
 }
-NOT_FOR_A_PING = {*HEAVY} - {
-    "numpy",
-    "rich",
-    "mcap",
-    "cramjam",
-    "zstandard",
-    "isal",
-    "psutil",
-    "asyncio",
-    "ssl",
-}
+NOT_FOR_A_PING = {*HEAVY} - {"numpy", "rich", "mcap", "cramjam", "zstandard", "isal", "psutil", "asyncio", "ssl"}
 COMMANDS = {
     "dds-record": ("dds_trace.cli.record", []),
     "dds-record status": ("dds_trace.cli.record", ["status"]),
@@ -123,9 +113,7 @@ def goes_on(line, following):
     if not line.strip() or not following.strip() or not line.startswith("  "):
         return False
     indent, next_indent = (len(each) - len(each.lstrip()) for each in (line, following))
-    is_paragraph = indent == next_indent == 2 and not line.strip().startswith(
-        ("-", "[", *"ABCDEFGHIJKLMNOPQRSTUVWXYZ")
-    )
+    is_paragraph = indent == next_indent == 2 and not line.strip().startswith(("-", "[", *"ABCDEFGHIJKLMNOPQRSTUVWXYZ"))
     return next_indent > 2 or (is_paragraph and not following.strip().startswith("-"))
 
 

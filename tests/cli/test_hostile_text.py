@@ -57,9 +57,7 @@ def hostile(tmp_path):
             TIMELINE,
             ping=made_hostile(ping_session(extra=extra)),
             relay=made_hostile(relay_session(extra=extra)),
-            runs=[
-                replace(described, extra={**described.extra, "bridge": HOSTILE, "labels": {HOSTILE: HOSTILE}})
-            ],
+            runs=[replace(described, extra={**described.extra, "bridge": HOSTILE, "labels": {HOSTILE: HOSTILE}})],
         )
     return tmp_path
 
@@ -86,12 +84,8 @@ def check_file(path):
     elif path.suffix == ".xml":
         ET.fromstring(text)
     elif path.suffix == ".csv":
-        cells = {
-            cell for row in csv.reader(text.splitlines()) for cell in row if cell[:1] in ("=", "+", "-", "@")
-        }
-        assert [
-            cell for cell in cells if not cell.lstrip("-").replace(".", "").replace("e-", "").isdigit()
-        ] == []
+        cells = {cell for row in csv.reader(text.splitlines()) for cell in row if cell[:1] in ("=", "+", "-", "@")}
+        assert [cell for cell in cells if not cell.lstrip("-").replace(".", "").replace("e-", "").isdigit()] == []
 
 
 def test_no_format_of_an_analysis_passes_a_command_on(hostile, capsys):

@@ -30,16 +30,7 @@ main()
 )
 def test_one_line_says_what_to_install(package, extra, arguments, tmp_path):
     ran = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            WITHOUT.format(module="analyze"),
-            package,
-            SAMPLES,
-            "--out",
-            tmp_path,
-            *arguments,
-        ],
+        [sys.executable, "-c", WITHOUT.format(module="analyze"), package, SAMPLES, "--out", tmp_path, *arguments],
         check=False,
         capture_output=True,
         text=True,

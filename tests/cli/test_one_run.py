@@ -14,8 +14,7 @@ from dds_trace import analyze
 MS = 1_000_000
 MESSAGES = 300
 JUDGED = re.compile(
-    r"(?<!no clear )\b(better|worse|faster|fastest|slower|slowest|quicker|quickest|wins|winner)\b(?!\":)",
-    re.IGNORECASE,
+    r"(?<!no clear )\b(better|worse|faster|fastest|slower|slowest|quicker|quickest|wins|winner)\b(?!\":)", re.IGNORECASE
 )
 WAYS = {  # vendor, bridge, one way: two middlewares in one domain, and one of them through a bridge
     "fastdds": ("fastdds", "none", MS),
@@ -32,10 +31,7 @@ def record(folder, runs, slower=1.0):
             start = number * 1000 * 100 * MS
             messages = []
             for s in range(MESSAGES):
-                t, way = (
-                    start + s * 100 * MS,
-                    int(way_ns * slower * (1 + 0.01 * repeat)) + (s * 37 % 101) * 1000,
-                )
+                t, way = (start + s * 100 * MS, int(way_ns * slower * (1 + 0.01 * repeat)) + (s * 37 % 101) * 1000)
                 messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
             domain_id = 5 if bridge == "none" else 10
             write_pair(
@@ -43,11 +39,7 @@ def record(folder, runs, slower=1.0):
                 messages,
                 ping=ping_session(vendor=vendor, session_id=50 + number, rmw=None),
                 relay=relay_session(
-                    vendor=vendor,
-                    session_id=500 + number,
-                    relay_id=900 + number,
-                    domain_id=domain_id,
-                    rmw=None,
+                    vendor=vendor, session_id=500 + number, relay_id=900 + number, domain_id=domain_id, rmw=None
                 ),
                 runs=[
                     run(

@@ -72,8 +72,7 @@ def test_paper_plan_has_the_papers_sizes():
 def test_paper_plan_has_the_papers_rates_and_programs():
     plan = read_plan(ROOT / "plans/paper.toml")
     rates = {
-        data: sorted({cell.rate for cell in plan.cells if cell.data == data})
-        for data in ("binary", "string", "imu")
+        data: sorted({cell.rate for cell in plan.cells if cell.data == data}) for data in ("binary", "string", "imu")
     }
     of_text = [10, 20, 40, 80, 100, 200, 500, 1000]
     assert rates == {"binary": [1, 2, 4, 8, 10, 12, 15, 20, 100, 1000], "string": of_text, "imu": of_text}
@@ -163,10 +162,7 @@ def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
     code, out, _ = call(plan, "--dry-run")
     assert code == 0
     assert "left out by [[exclude]]: 1 result (for the test)" in out
-    assert (
-        "ros2_same_binary-4MB_1000Hz  0 s  needs 32000 of 10000 Mbit/s: will be cut off after 30 s more"
-        in out
-    )
+    assert "ros2_same_binary-4MB_1000Hz  0 s  needs 32000 of 10000 Mbit/s: will be cut off after 30 s more" in out
     assert "plan small: 3 recordings, 1 left out, 1 start of a relay" in out
 
 
@@ -183,10 +179,7 @@ def test_dry_run_warns_of_a_history_that_holds_too_few_messages(call, plan):
 @pytest.mark.usefixtures("unrehearsed")
 def test_dry_run_with_the_commands_for_the_other_device(call, plan):
     _, out, _ = call(plan, "--dry-run", "--print", "relay")
-    assert (
-        "relay 1: DDS_TRACE_CONFIG= dds-record --role relay --domain 10 --discovery subnet --out relay-1.mcap"
-        in out
-    )
+    assert "relay 1: DDS_TRACE_CONFIG= dds-record --role relay --domain 10 --discovery subnet --out relay-1.mcap" in out
 
 
 @pytest.mark.usefixtures("unrehearsed")
@@ -214,9 +207,7 @@ def test_exit_codes_tell_complete_from_incomplete(call, plan, monkeypatch, tmp_p
     import dds_trace.recorder.sweep.sweep
 
     outcomes = [SweepOutcome(tmp_path, 3, {}), SweepOutcome(tmp_path, 3, {"a": "no echo"})]
-    monkeypatch.setattr(
-        dds_trace.recorder.sweep.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0)
-    )
+    monkeypatch.setattr(dds_trace.recorder.sweep.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0))
     assert call(plan) == (0, f"Wrote {tmp_path}\n3 of 3 recordings are complete\n", "")
     assert call(plan) == (10, f"Wrote {tmp_path}\n2 of 3 recordings are complete\n", "a: no echo\n")
 

@@ -35,9 +35,7 @@ def new(tmp_path, monkeypatch, capsys):
     """Call `dds-sweep new` on a file of the folder, with lines typed on a terminal or none; exit code, stdout, stderr."""
 
     def call(name, *options, typed=None):
-        monkeypatch.setattr(
-            "sys.stdin", io.StringIO() if typed is None else Terminal("\n".join(typed) + "\n")
-        )
+        monkeypatch.setattr("sys.stdin", io.StringIO() if typed is None else Terminal("\n".join(typed) + "\n"))
         monkeypatch.setattr("sys.argv", ["dds-sweep"])
         with pytest.raises(SystemExit) as ended:
             main(["new", str(tmp_path / name), *options])
@@ -57,19 +55,14 @@ def test_answers_on_a_terminal_are_a_plan_with_a_schema_beside_it(new, tmp_path)
     assert code == 0
     assert f"Wrote {tmp_path / 'mine.toml'}\n" in out
     plan = cells_of(tmp_path / "mine.toml")
-    assert {(cell.data, cell.size, cell.rate) for cell in plan.cells} == {
-        ("binary", 33000, 20),
-        ("imu", None, 100),
-    }
+    assert {(cell.data, cell.size, cell.rate) for cell in plan.cells} == {("binary", 33000, 20), ("imu", None, 100)}
     assert {cell.backend for cell in plan.cells} == {"ros2", "zenoh"}
     assert {cell.tuned for cell in plan.cells} == {True, False}
     assert plan.link == PRESETS["wifi-54"]
     assert (plan.run.messages, plan.run.repeats, plan.run.order.value) == (1000, 5, "alternating")
     text = (tmp_path / "mine.toml").read_text()
     assert text.startswith("#:schema ./plan.schema.json\n")
-    assert "# dds-sweep mine.toml --rehearse" in text.replace(
-        "Show its runs and check that they start:  ", ""
-    )
+    assert "# dds-sweep mine.toml --rehearse" in text.replace("Show its runs and check that they start:  ", "")
     assert max(map(len, text.splitlines())) <= 100
     assert json.loads((tmp_path / "plan.schema.json").read_text()) == plan_schema()
 
@@ -77,11 +70,7 @@ def test_answers_on_a_terminal_are_a_plan_with_a_schema_beside_it(new, tmp_path)
 def test_enter_takes_the_answer_in_brackets_and_a_wrong_one_is_asked_again(new, tmp_path):
     code, out, _ = new("mine.toml", typed=["video @ 3", "", "middlware", "", "there", ""])
     assert code == 0
-    for said in (
-        "there is no data type 'video'",
-        "did you mean 'middleware'?",
-        "'there': write here, USER@HOST",
-    ):
+    for said in ("there is no data type 'video'", "did you mean 'middleware'?", "'there': write here, USER@HOST"):
         assert said in out
     shown = out.replace("]: ", "]: \n").splitlines()  # what is typed is not echoed here
     questions = [line for line in shown if not line.startswith(("Error: ", "Wrote "))]
@@ -90,9 +79,7 @@ def test_enter_takes_the_answer_in_brackets_and_a_wrong_one_is_asked_again(new, 
 
 
 def test_options_answer_where_nobody_types(new, tmp_path):
-    code, _, _ = new(
-        "far.toml", "--send", "file:my photo.jpg @ 0.5", "--compare", "nothing", "--relay", "pi@robot"
-    )
+    code, _, _ = new("far.toml", "--send", "file:my photo.jpg @ 0.5", "--compare", "nothing", "--relay", "pi@robot")
     assert code == 0
     plan = cells_of(tmp_path / "far.toml")
     assert [(cell.data, cell.rate) for cell in plan.cells] == [("file:my photo.jpg", 0.5)]
@@ -114,12 +101,7 @@ def test_everything_that_can_be_compared_makes_a_plan(new, tmp_path, word):
         ("x.toml", ["--send", "binary 2GB @ 1"], 2, "the size of a message in bytes must be between 0 and"),
         ("x.toml", ["--send", "binary 3 apples @ 1"], 2, "is not understood"),
         ("x.json", [], 2, "a plan is a .toml file"),
-        (
-            "no/x.toml",
-            ["--send", "imu @ 1", "--compare", "", "--relay", "here"],
-            6,
-            "cannot be written (No such file",
-        ),
+        ("no/x.toml", ["--send", "imu @ 1", "--compare", "", "--relay", "here"], 6, "cannot be written (No such file"),
     ],
 )
 def test_what_cannot_be_a_plan_is_one_line(new, tmp_path, name, options, code, said):

@@ -58,16 +58,7 @@ def width_of(folder, statistic):
 @pytest.mark.middleware
 def test_until_adds_passes_and_says_which_cells_are_still_too_wide(plan, tmp_path):
     # Two passes give no interval between runs, and no sixth run is exact to a millionth.
-    options = (
-        plan(2),
-        "--out",
-        tmp_path / "runs",
-        "--until",
-        "rtt_p50:0.000001%",
-        "--max-passes",
-        6,
-        "--json",
-    )
+    options = (plan(2), "--out", tmp_path / "runs", "--until", "rtt_p50:0.000001%", "--max-passes", 6, "--json")
     done = sweep(*options)
     assert done.status == 11, done.stderr
     result = json.loads(done.stdout)

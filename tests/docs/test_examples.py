@@ -77,20 +77,13 @@ def desk(tmp_path_factory):
 
 
 def test_the_lists_of_what_is_not_run_are_of_these_pages():
-    shell = [
-        line
-        for block in examples("sh")
-        for line in block.text.splitlines()
-        if not line.startswith(("#", "dds-"))
-    ]
+    shell = [line for block in examples("sh") for line in block.text.splitlines() if not line.startswith(("#", "dds-"))]
     assert {re.split(r"[ =]", line)[0] for line in shell} == set(OTHER_PROGRAMS)
     assert [part for part in NOT_RUN if not any(part in line for line in LINES)] == []
     assert len(LINES) > 40
 
 
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if list(examples("python", page))], ids=lambda page: page.stem
-)
+@pytest.mark.parametrize("page", [page for page in PAGES if list(examples("python", page))], ids=lambda page: page.stem)
 def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk, monkeypatch):
     monkeypatch.chdir(desk)
     monkeypatch.setattr("webbrowser.open", lambda _: True)
@@ -107,11 +100,7 @@ def run(line, monkeypatch):
     program, *arguments = shlex.split(line)
     (command,) = entry_points(group="console_scripts", name=program)
     shown = {"--list", "--print-config"} & set(arguments)
-    more = {
-        "dds-bridge": [] if shown else ["--print-config"],
-        "dds-record": ["--check"],
-        "dds-sweep": ["--dry-run"],
-    }
+    more = {"dds-bridge": [] if shown else ["--print-config"], "dds-record": ["--check"], "dds-sweep": ["--dry-run"]}
     monkeypatch.setattr(sys, "argv", [program, *arguments, *more.get(program, [])])
     with pytest.raises(SystemExit) as ended:
         command.load()()
@@ -169,9 +158,7 @@ def test_a_tutorial_leads_to_its_answer(page, made, desk, tmp_path, monkeypatch,
             for line in block.text.splitlines():
                 if not line.startswith("dds-"):
                     continue
-                if relay is not None and line.startswith(
-                    "dds-analyze"
-                ):  # the page ends it with Ctrl-C before
+                if relay is not None and line.startswith("dds-analyze"):  # the page ends it with Ctrl-C before
                     assert relay.stop(signal.SIGINT).status == 0
                     relay = None
                 command = RunningCommand(*shlex.split(line))

@@ -18,9 +18,7 @@ from dds_trace.recorder.sweep.plan.plan_file import read_plan
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-LINE = re.compile(
-    r"^ {4}(?P<block>(?:dds-|pip|just).+)$|`(?P<inline>(?:dds-|pip |just )[^`\n]+)`", re.MULTILINE
-)
+LINE = re.compile(r"^ {4}(?P<block>(?:dds-|pip|just).+)$|`(?P<inline>(?:dds-|pip |just )[^`\n]+)`", re.MULTILINE)
 LINES = [re.sub(r"\s{2,}#.*$", "", found["block"] or found["inline"]) for found in LINE.finditer(README)]
 SAMPLES = ROOT / "sample_traces"
 
@@ -77,10 +75,7 @@ def test_every_command_line_of_the_readme_runs(tmp_path, monkeypatch, domain_id,
             monkeypatch.setattr(sys, "argv", [program, *words])
             with pytest.raises(SystemExit) as ended:
                 entry_points(group="console_scripts", name=program)[program].load()()
-            assert ended.value.code in ((0, 21) if "--fail-if" in words else (0, None)), (
-                line,
-                capsys.readouterr().err,
-            )
+            assert ended.value.code in ((0, 21) if "--fail-if" in words else (0, None)), (line, capsys.readouterr().err)
     assert sorted(path.name for path in Path("runs/analysis").iterdir()) == [
         "report.html",
         "report.md",

@@ -28,16 +28,7 @@ def site(tmp_path_factory):
     """The folder of the built site; warnings are errors, as in `just docs`."""
     pytest.importorskip("sphinx", reason="the extra [docs] is not installed")
     folder = tmp_path_factory.mktemp("site")
-    command = [
-        sys.executable,
-        "-m",
-        "sphinx",
-        "--quiet",
-        "--fail-on-warning",
-        "--keep-going",
-        "-d",
-        folder / "cache",
-    ]
+    command = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", "-d", folder / "cache"]
     built = subprocess.run([*command, DOCS, folder / "html"], capture_output=True, text=True, check=False)
     assert (built.returncode, built.stderr) == (0, "")
     return folder / "html"
@@ -54,11 +45,7 @@ class _Page(HTMLParser):
     def handle_starttag(self, tag, attributes):
         given = dict(attributes)
         self.anchors.add(given.get("id"))
-        if (
-            tag in LOADED
-            and LOADED[tag] in given
-            and given.get("rel") not in ("next", "prev", "index", "search")
-        ):
+        if tag in LOADED and LOADED[tag] in given and given.get("rel") not in ("next", "prev", "index", "search"):
             self.loads.append(given[LOADED[tag]])
 
     def handle_data(self, data):

@@ -45,9 +45,7 @@ def test_every_example_is_on_the_page_and_run_here():
 
 def test_duckdb_finds_the_slowest_messages_and_reads_the_metadata(run_example, analyzed):
     said = run_example("duckdb").splitlines()
-    slowest = (
-        analyzed[1].load_roundtrips().sort("latency_ns", descending=True, nulls_last=True).row(0, named=True)
-    )
+    slowest = analyzed[1].load_roundtrips().sort("latency_ns", descending=True, nulls_last=True).row(0, named=True)
     sent = f"{slowest['publish_utc']:%Y-%m-%d %H:%M:%S.%f}"
     assert said[1] == f"{sent} {slowest['data_type']} {slowest['sequence']} {slowest['latency_ns'] / 1e6}"
     assert sum(line.startswith("dds_trace.") for line in said) == 5
@@ -74,9 +72,7 @@ def test_polars_gives_our_own_p99(run_example, analyzed):
 
 def test_csv_has_the_same_rows_and_times_in_iso(analyzed):
     folder, analysis = analyzed
-    read = pl.read_csv(
-        folder / "roundtrips.csv", schema_overrides={"run_id": pl.UInt64, "publish_utc": pl.String}
-    )
+    read = pl.read_csv(folder / "roundtrips.csv", schema_overrides={"run_id": pl.UInt64, "publish_utc": pl.String})
     rows = analysis.load_roundtrips()
     assert read.columns == rows.columns
     assert read["latency_ns"].to_list() == rows["latency_ns"].to_list()

@@ -29,8 +29,7 @@ class Target:
         mcap = write_bag2(folder / "mcap", messages)
         sqlite = write_bag2(folder / "sqlite", messages, StoragePlugin.SQLITE3)
         ros1 = write_bag1(
-            folder / "one.bag",
-            {TOPIC: [imu(yaw, ROS1) for yaw in (0.1, 0.2)], "/chatter": [text("hello", ROS1)]},
+            folder / "one.bag", {TOPIC: [imu(yaw, ROS1) for yaw in (0.1, 0.2)], "/chatter": [text("hello", ROS1)]}
         )
         self._good = {
             "bag.mcap": (mcap / "mcap.mcap").read_bytes(),

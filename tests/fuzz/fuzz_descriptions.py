@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MESSAGES = [
-    Message(n, t0=1000 * n, t1=1000 * n + 5, t3=1000 * n + 9, t4=1000 * n + 12, t2=1000 * n + 30)
-    for n in range(12)
+    Message(n, t0=1000 * n, t1=1000 * n + 5, t3=1000 * n + 9, t4=1000 * n + 12, t2=1000 * n + 30) for n in range(12)
 ]
 HOST = {
     "cpu_percent": [3.0, 4.5],

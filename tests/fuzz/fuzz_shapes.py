@@ -62,13 +62,9 @@ def shaped(shapes: Sequence[Callable[[bytes], T]], data: bytes) -> T:
     return shapes[data[0] % len(shapes)](data[1:]) if data else shapes[0](b"")
 
 
-def shaped_seeds(
-    shapes: Sequence[Callable[[bytes], object]], of_shapes: Mapping[Any, bytes]
-) -> dict[str, bytes]:
+def shaped_seeds(shapes: Sequence[Callable[[bytes], object]], of_shapes: Mapping[Any, bytes]) -> dict[str, bytes]:
     """Return inputs by the names of their shapes."""
-    return {
-        shape.__name__.lstrip("_"): bytes([shapes.index(shape)]) + data for shape, data in of_shapes.items()
-    }
+    return {shape.__name__.lstrip("_"): bytes([shapes.index(shape)]) + data for shape, data in of_shapes.items()}
 
 
 def changed(good: bytes, data: bytes) -> bytes:

@@ -49,8 +49,7 @@ class Target:
     def seeds(self) -> dict[str, bytes]:
         """Good requests."""
         return shaped_seeds(
-            self._shapes,
-            {self._bytes: REQUEST, self._target: b"/version", self._header: b'If-None-Match: "0"'},
+            self._shapes, {self._bytes: REQUEST, self._target: b"/version", self._header: b'If-None-Match: "0"'}
         )
 
     def _bytes(self, data: bytes) -> bytes:

@@ -14,19 +14,12 @@ class Part:
 
 
 CORE = {
-    "pairing": Part(
-        ("analyzer/pairing",), ("tests/analyzer/pairing", "tests/analyzer/test_unsent_messages.py")
-    ),
+    "pairing": Part(("analyzer/pairing",), ("tests/analyzer/pairing", "tests/analyzer/test_unsent_messages.py")),
     "storing": Part(
-        ("analyzer/cache/events.py", "analyzer/cache/entries.py", "analyzer/cache/store.py"),
-        ("tests/analyzer/cache",),
+        ("analyzer/cache/events.py", "analyzer/cache/entries.py", "analyzer/cache/store.py"), ("tests/analyzer/cache",)
     ),
     "results": Part(
-        (
-            "analyzer/engines/process.py",
-            "analyzer/engines/result_cache.py",
-            "analyzer/engines/packed_rows.py",
-        ),
+        ("analyzer/engines/process.py", "analyzer/engines/result_cache.py", "analyzer/engines/packed_rows.py"),
         ("tests/analyzer/engines/test_result_cache.py", "tests/analyzer/engines/test_packed_rows.py"),
     ),
     "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),

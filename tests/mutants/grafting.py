@@ -16,9 +16,7 @@ VALUES = (bool, int, float, str, bytes, tuple, frozenset, dict, slice, np.dtype,
 def graft(module: ModuleType, code: Any) -> None:
     """Run `code`, a changed version of `module`, and put what differs in place of what is there."""
     changed = ModuleType(module.__name__)
-    changed.__dict__.update(
-        __file__=module.__file__, __package__=module.__package__, __spec__=module.__spec__
-    )
+    changed.__dict__.update(__file__=module.__file__, __package__=module.__package__, __spec__=module.__spec__)
     exec(code, changed.__dict__)
     for name, new in vars(changed).items():
         old = vars(module).get(name)

@@ -164,10 +164,7 @@ def import_all(modules: Sequence[Module], result: Path) -> int:
 def measure(items: Sequence[pytest.Item], numbers: Sequence[int], files: Sequence[str], result: Path) -> int:
     """Run tests once; keep the processor time of each, None if it fails, and the lines that it runs through."""
     ours = [
-        held
-        for name, module in sys.modules.items()
-        if name.startswith("dds_trace.")
-        for held in vars(module).values()
+        held for name, module in sys.modules.items() if name.startswith("dds_trace.") for held in vars(module).values()
     ]
     caches = [held for held in ours if hasattr(held, "cache_clear")]
     lines, found, begin = LinesRun(files), {}, time.process_time()
@@ -217,9 +214,7 @@ def ended(pids: Sequence[int]) -> tuple[int, int]:
 class Trials:
     """The pytest plugin of a part's process: it collects as ever, and tries mutants where the tests would run."""
 
-    def __init__(
-        self, modules: dict[str, Module], chosen: Sequence[tuple[str, int]], folder: Path, jobs: int
-    ) -> None:
+    def __init__(self, modules: dict[str, Module], chosen: Sequence[tuple[str, int]], folder: Path, jobs: int) -> None:
         self._modules, self._chosen, self._folder, self._jobs = modules, chosen, folder, jobs
         self.survivors: list[tuple[str, int]] = []
         self._kills: Counter[tuple[str, int]] = Counter()  # by module and number of the test
@@ -231,16 +226,12 @@ class Trials:
         files = [each.file for each in self._modules.values()]
         results = [self._folder / f"measured-{job}" for job in range(self._jobs)]
         pids = {
-            forked(
-                partial(measure, items, range(job, len(items), self._jobs), files, result), LONGEST_SECONDS
-            )
+            forked(partial(measure, items, range(job, len(items), self._jobs), files, result), LONGEST_SECONDS)
             for job, result in enumerate(results)
         }
         while pids:
             pids.remove(ended(list(pids))[0])
-        measured = {
-            number: each for result in results for number, each in pickle.loads(result.read_bytes()).items()
-        }
+        measured = {number: each for result in results for number, each in pickle.loads(result.read_bytes()).items()}
         self.failing = [items[number].nodeid for number, (took, _) in measured.items() if took is None]
         seconds = {number: took for number, (took, _) in measured.items() if took is not None}
         runs = sorted((took, number, measured[number][1]) for number, took in seconds.items())
@@ -299,9 +290,7 @@ def pytest_words(tests: Sequence[str], folder: Path) -> list[str]:
     ]
 
 
-def try_part(
-    part: Part, modules: dict[str, Module], chosen: Sequence[tuple[str, int]], folder: Path, jobs: int
-) -> int:
+def try_part(part: Part, modules: dict[str, Module], chosen: Sequence[tuple[str, int]], folder: Path, jobs: int) -> int:
     """Try mutants of a part with its tests collected once; leave who survived in `folder`."""
     quiet()
     trials = Trials(modules, chosen, folder, jobs)
@@ -359,9 +348,7 @@ def tried(name: str, share: float, seed: int, jobs: int) -> tuple[dict[str, Coun
     ]
     draw = random.Random(f"{seed} {name}")
     chosen = sorted(draw.sample(every, max(1, round(share * len(every)))))
-    folder = Path(
-        tempfile.mkdtemp(prefix="dds-trace-mutants-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
-    )
+    folder = Path(tempfile.mkdtemp(prefix="dds-trace-mutants-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     try:
         ended([forked(lambda: import_all(list(modules.values()), folder / "imported"), LONGEST_SECONDS)])
         imported = pickle.loads((folder / "imported").read_bytes())
@@ -394,9 +381,7 @@ def _survives_anew(tests: Sequence[str], module: Module, number: int, folder: Pa
 
 def main() -> None:
     """Try the mutants of the parts that are asked for; exit with 1 where too many survive."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", choices=[*CORE, []], help="parts of the core, all by default")
     parser.add_argument("--share", type=float, default=1.0, help="share of the mutants that is drawn")
     parser.add_argument("--seed", type=int, default=0)
@@ -408,9 +393,7 @@ def main() -> None:
         counts, lines = tried(name, asked.share, asked.seed, asked.jobs)
         for path, count in counts.items():
             if count["tried"]:
-                print(
-                    f"{count['killed']:5}/{count['tried']:<5} {count['killed'] / count['tried']:4.0%}  {path}"
-                )
+                print(f"{count['killed']:5}/{count['tried']:<5} {count['killed'] / count['tried']:4.0%}  {path}")
             total.update(count)
         print(*lines, sep="\n", flush=True)
     share = total["killed"] / total["tried"]

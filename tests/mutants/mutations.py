@@ -123,16 +123,12 @@ def _bounds_work(name: str) -> bool:
     return name.isupper() and any(part in name for part in WORK_BOUNDS)
 
 
-def _edits_of(
-    owner: object, name: object, node: ast.AST
-) -> Iterator[tuple[int, str, Callable[[bool], None]]]:
+def _edits_of(owner: object, name: object, node: ast.AST) -> Iterator[tuple[int, str, Callable[[bool], None]]]:
     """(line, change, put) of each edit of this node itself."""
     if isinstance(node, ast.Compare):
         for at, operator in enumerate(node.ops):
             yield _swap(node, node.ops, at, OPERATORS[type(operator)]())
-    elif isinstance(node, ast.BoolOp) or (
-        isinstance(node, ast.BinOp | ast.AugAssign) and not _joins_texts(node)
-    ):
+    elif isinstance(node, ast.BoolOp) or (isinstance(node, ast.BinOp | ast.AugAssign) and not _joins_texts(node)):
         if type(node.op) in OPERATORS:
             yield _swap(node, node, "op", OPERATORS[type(node.op)]())
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):

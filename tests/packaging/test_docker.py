@@ -31,11 +31,7 @@ def test_everything_that_the_image_is_built_from_is_there_and_nothing_recorded_i
 
 
 def test_nobody_is_root():
-    said = [
-        line.split()[1]
-        for line in (DOCKER / "Dockerfile").read_text().splitlines()
-        if line.startswith("USER")
-    ]
+    said = [line.split()[1] for line in (DOCKER / "Dockerfile").read_text().splitlines() if line.startswith("USER")]
     assert said
     assert said[-1] not in {"root", "0"}
     assert all("user" in service for service in COMPOSE["services"].values())

@@ -80,9 +80,7 @@ def test_it_holds_every_file_that_the_wheel_holds(told):
         held |= {f"{package.replace('.', '/')}/{name.relative_to(folder)}" for name in names}
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", *ROOMS]
     ours = subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split()
-    assert held == {
-        f"{top}/{name.removeprefix('src/dds_trace/')}" for name in [*ours, "__init__.py", "py.typed"]
-    }
+    assert held == {f"{top}/{name.removeprefix('src/dds_trace/')}" for name in [*ours, "__init__.py", "py.typed"]}
 
 
 def test_the_files_of_its_share_are_there(told):
@@ -157,18 +155,10 @@ def test_one_role_alone_is_started_and_a_launch_ends_with_its_ping(launched):
 
 @pytest.mark.middleware
 def test_its_commands_record_a_ping_and_a_relay(launched, domain_id, tmp_path):
-    given = {
-        "out": str(tmp_path),
-        "domain": str(domain_id),
-        "discovery": "localhost",
-        "rate": "200",
-        "messages": "20",
-    }
+    given = {"out": str(tmp_path), "domain": str(domain_id), "discovery": "localhost", "rate": "200", "messages": "20"}
     relay, ping, _ = (
         action.kwargs.get("cmd", [])[1:]
-        for action in launched(
-            **given, ping_options="--backend socket --warmup 2", relay_options="--backend socket"
-        )
+        for action in launched(**given, ping_options="--backend socket --warmup 2", relay_options="--backend socket")
     )
     serving = RunningCommand("dds-record", *relay)
     try:

@@ -44,9 +44,7 @@ def test_only_what_another_start_may_mend_is_started_again(service):
 
 
 @pytest.mark.middleware
-def test_its_command_serves_the_domain_of_the_instance_until_sigterm_and_closes_the_trace(
-    service, domain_id, tmp_path
-):
+def test_its_command_serves_the_domain_of_the_instance_until_sigterm_and_closes_the_trace(service, domain_id, tmp_path):
     setup = tmp_path / "setup.bash"
     setup.write_text("export RELAY_OPTIONS='--backend socket --discovery localhost'\n")
     environment = os.environ | {

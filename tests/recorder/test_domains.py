@@ -5,13 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.domains import (
-    bound_udp_ports,
-    check_domain,
-    domain_port_range,
-    first_port,
-    participants_in,
-)
+from dds_trace.recorder.domains import bound_udp_ports, check_domain, domain_port_range, first_port, participants_in
 
 HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
 

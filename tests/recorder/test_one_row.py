@@ -56,9 +56,7 @@ def crossing(node, folder, data="imu", *, own_cost=True):
     """The trace of a ping on the toy backend; that of its relay lies beside it, both closed."""
     folder.mkdir(exist_ok=True)
     stop, notes = threading.Event(), Notes()
-    relay = RecordOptions(
-        TraceDestination(folder / "relay.mcap"), node, backend="toy", relay_id=7, own_cost=own_cost
-    )
+    relay = RecordOptions(TraceDestination(folder / "relay.mcap"), node, backend="toy", relay_id=7, own_cost=own_cost)
     ping = RecordOptions(
         TraceDestination(folder / "ping.mcap"),
         node,

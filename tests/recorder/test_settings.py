@@ -10,13 +10,7 @@ import pytest
 
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Serialization, Transport
-from dds_trace.recorder.options import (
-    PingOptions,
-    RecordOptions,
-    changed_settings,
-    run_settings,
-    side_settings,
-)
+from dds_trace.recorder.options import PingOptions, RecordOptions, changed_settings, run_settings, side_settings
 from dds_trace.recorder.sweep.plan.link import PRESETS
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.writing.destination import TraceDestination
@@ -70,9 +64,7 @@ def test_discovery_is_told_where_it_is_not_the_usual_one_of_the_link(
 
 
 def test_settings_of_a_run_tell_surroundings_and_halves_of_a_bridge_without_an_address() -> None:
-    asked = PingOptions(
-        bridge="builtin", bridge_listen="10.0.0.1:7447", settings={"link": "wifi"}, labels={"a": "b"}
-    )
+    asked = PingOptions(bridge="builtin", bridge_listen="10.0.0.1:7447", settings={"link": "wifi"}, labels={"a": "b"})
     assert run_settings(asked) == {"link": "wifi", "bridge_listen": True}
 
 

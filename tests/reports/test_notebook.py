@@ -15,9 +15,7 @@ from dds_trace.reports.figures.figure import Figure
 from dds_trace.reports.notebook import MOST_CHARACTERS, first_screen
 from dds_trace.reports.plotting import NAMES
 
-HARMLESS = {
-    *("div", "p", "b", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")
-}
+HARMLESS = {*("div", "p", "b", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")}
 
 
 class Screen(HTMLParser):
@@ -70,8 +68,7 @@ def test_what_does_not_fit_is_counted():
 
 def test_strings_of_traces_stay_strings_and_short():
     hostile = make_analysis(
-        Measured([1_000_000] * 3, bridge="".join(HOSTILE), domain_mode="different"),
-        title="".join(HOSTILE) * 90,
+        Measured([1_000_000] * 3, bridge="".join(HOSTILE), domain_mode="different"), title="".join(HOSTILE) * 90
     )
     text = first_screen(hostile)
     assert "<script" not in text
@@ -104,12 +101,7 @@ def plotted():
 def test_a_figure_has_the_panels_names_and_numbers_of_the_report():
     analysis = plotted()
     figure = analysis.plot("latency_by_size", panels="device", statistic="p50")
-    assert [note.text for note in figure.layout.annotations] == [
-        "pi3, 5 Hz",
-        "pi4, 5 Hz",
-        "pi3, 10 Hz",
-        "pi4, 10 Hz",
-    ]
+    assert [note.text for note in figure.layout.annotations] == ["pi3, 5 Hz", "pi4, 5 Hz", "pi3, 10 Hz", "pi4, 10 Hz"]
     same, bridged, *rest = figure.data
     assert len(rest) == 2 * 4 - 2
     assert [trace.name for trace in figure.data if trace.showlegend] == [same.name, bridged.name]
@@ -150,9 +142,7 @@ def test_every_figure_of_lines_on_the_page_is_plotted_with_the_same_groups():
 def test_figures_of_other_things_than_times_show_them_in_their_unit():
     analysis = plotted()
     lossy = 4  # of 16 groups, three in four came back
-    assert (
-        sorted(value for trace in analysis.plot("received").data for value in trace.y)[:lossy] == [75] * lossy
-    )
+    assert sorted(value for trace in analysis.plot("received").data for value in trace.y)[:lossy] == [75] * lossy
     kept = [value for trace in analysis.plot("sustainable").data for value in trace.y]
     assert min(kept) == pytest.approx(75)
     assert all(line.mode == "markers" for line in analysis.plot("received").data)
@@ -171,10 +161,7 @@ def test_figures_of_other_things_than_times_show_them_in_their_unit():
     ("how", "said"),
     [
         ({"name": "latency"}, "no figure 'latency'; choose from latency_by_rate, latency_by_size"),
-        (
-            {"name": "latency_by_size", "panels": "colour"},
-            "no panels 'colour'; choose from size, rate, device",
-        ),
+        ({"name": "latency_by_size", "panels": "colour"}, "no panels 'colour'; choose from size, rate, device"),
         ({"name": "latency_by_size", "metric": "lag"}, "no metric 'lag'"),
         ({"name": "latency_by_size", "statistic": "p98"}, "no statistic 'p98'"),
         ({"name": "latency_by_size"}, "no data type was measured with two message sizes at one rate"),

@@ -12,15 +12,7 @@ from campaigns import write_runs
 from dds_trace.cli.analyze import main
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import FIGURES
-from dds_trace.reports.figures.figure import (
-    Facet,
-    Faceted,
-    Figure,
-    FigureMaker,
-    LeftOut,
-    facet_panels,
-    facet_plan,
-)
+from dds_trace.reports.figures.figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
 from dds_trace.reports.html.packing import unpacked
 from dds_trace.reports.reporters import REPORT_MODULES, load_reporter
 
@@ -50,9 +42,7 @@ def island_of(page):
 
 @pytest.mark.usefixtures("toy_figure")
 def test_a_toy_figure_is_drawn_after_the_others():
-    page = load_reporter("html").render(
-        Book(make_analysis(Measured([MS, 2 * MS]), Measured([MS], payload_bytes=7)))
-    )
+    page = load_reporter("html").render(Book(make_analysis(Measured([MS, 2 * MS]), Measured([MS], payload_bytes=7))))
     assert "A toy figure" in page
     assert "Read it from left to right." in page
     plan = island_of(page)["figures"]["toy"]["plan"]

@@ -43,9 +43,7 @@ def test_every_reporter_accepts_every_analysis_and_repeats_itself(name, kind):
     assert load_reporter(kind).render(Book(EVERY_ANALYSIS[name]())) == rendered(name, kind)
 
 
-@pytest.mark.parametrize(
-    ("kind", "file_name"), [("html", "report.html"), ("md", "report.md"), ("json", "report.json")]
-)
+@pytest.mark.parametrize(("kind", "file_name"), [("html", "report.html"), ("md", "report.md"), ("json", "report.json")])
 def test_files_are_written_where_asked(tmp_path, kind, file_name):
     (path,) = write_reports(EVERY_ANALYSIS["ping without relay"](), [kind], tmp_path)
     assert path == tmp_path / file_name
@@ -117,9 +115,7 @@ def test_the_json_report_of_an_analysis_without_details_has_null_for_them():
 def test_a_recommendation_is_in_the_json_report():
     analysis = EVERY_ANALYSIS["small campaign"]()
     job = parse_job("data=binary size=33KB rate=10 deadline=50ms reliability=0.9")
-    recommended = replace(
-        analysis.details, recommendation=recommend_settings(analysis.load_roundtrips(), job)
-    )
+    recommended = replace(analysis.details, recommendation=recommend_settings(analysis.load_roundtrips(), job))
     report = json.loads(document.render(Book(replace(analysis, details=recommended))))
     Draft202012Validator(closed(REPORT)["properties"]["recommendation"]).validate(report["recommendation"])
     assert report["recommendation"]["job"]["deadline_ns"] == 50 * MS
@@ -254,9 +250,7 @@ def test_markdown_has_intervals_costs_of_bridges_and_clocks():
             )
         )
     )
-    (row,) = (
-        line for line in text.splitlines() if line.startswith("| Binary | 33 KB") and "same domain" in line
-    )
+    (row,) = (line for line in text.splitlines() if line.startswith("| Binary | 33 KB") and "same domain" in line)
     # A series that only rises counts for few independent messages: its upper ends are unknown.
     assert row.endswith(
         "| 1, within one run | 1.05 ms &#91;1.01 ms, -&#93; | 1.09 ms &#91;1.06 ms, -&#93; (rests on 1 burst) "
@@ -279,10 +273,7 @@ def test_markdown_has_intervals_costs_of_bridges_and_clocks():
 def scripts_of(page):
     """The script that runs, and those that it unpacks and inserts."""
     (unpacking,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
-    return [
-        unpacking,
-        *(unpacked(text) for text in re.findall(r'data-packed="(?:plotly|page)">(.*?)<', page)),
-    ]
+    return [unpacking, *(unpacked(text) for text in re.findall(r'data-packed="(?:plotly|page)">(.*?)<', page))]
 
 
 def test_the_policy_admits_the_scripts_of_the_page_and_nothing_else(name):
@@ -290,8 +281,7 @@ def test_the_policy_admits_the_scripts_of_the_page_and_nothing_else(name):
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', page)
     policy = policy.replace("&#39;", "'")
     hashes = [
-        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
-        for text in scripts_of(page)
+        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts_of(page)
     ]
     assert len(hashes) == 3
     assert policy.split("; ")[:2] == ["default-src 'none'", f"script-src {' '.join(hashes)}"]
@@ -324,10 +314,7 @@ def test_hostile_strings_do_not_change_the_island():
     page = rendered("hostile strings", "html")
     island = unpacked(*re.findall(r'data-packed="data">(.*?)</script>', page))
     labels = [
-        option["label"]
-        for one in json.loads(island)["filters"]
-        if one["key"] == "device"
-        for option in one["options"]
+        option["label"] for one in json.loads(island)["filters"] if one["key"] == "device" for option in one["options"]
     ]
     assert HOSTILE[0] in labels
     assert r"\x1b[31mred\x1b]0;title\x07" in labels

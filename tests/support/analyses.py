@@ -171,9 +171,7 @@ class Measured:
         publish = scheduled + self.late_ns
         row: dict[str, Any] = dict.fromkeys(ROUNDTRIPS)
         row.update(self.parameters(), run_id=run_id, relay_id=7 if self.relayed else 0, sequence=sequence)
-        row.update(
-            scheduled_ns=scheduled, publish_ns=publish, outcome="completed", duplicates=0, reordered=False
-        )
+        row.update(scheduled_ns=scheduled, publish_ns=publish, outcome="completed", duplicates=0, reordered=False)
         if isinstance(message, str):
             row["outcome"] = message
             return row
@@ -185,9 +183,7 @@ class Measured:
             row.update(intermediate_ns=self.intermediate_ns, latency_ns=message)
             # The way out takes a tenth longer than the way back, in whole microseconds.
             longer = message // 20_000 * 1000
-            row.update(
-                outbound_ns=message + longer, return_ns=message - longer, clock_bound_ns=CLOCK_BOUND_NS
-            )
+            row.update(outbound_ns=message + longer, return_ns=message - longer, clock_bound_ns=CLOCK_BOUND_NS)
         return row
 
 
@@ -207,9 +203,7 @@ def describe(values: Sequence[int]) -> dict[str, float | None]:
         place = (count - 1) * float(name[1:].replace("_", ".")) / 100
         low = math.floor(place)
         high = min(low + 1, count - 1)
-        found[name] = (
-            ordered[low] + (ordered[high] - ordered[low]) * (place - low) if count >= needed else None
-        )
+        found[name] = ordered[low] + (ordered[high] - ordered[low]) * (place - low) if count >= needed else None
     return found
 
 
@@ -222,10 +216,7 @@ class Watched:
 
 
 def make_analysis(
-    *measured: Measured,
-    findings: Sequence[Finding] = (),
-    title: str = "runs",
-    watched: Watched = Watched(),
+    *measured: Measured, findings: Sequence[Finding] = (), title: str = "runs", watched: Watched = Watched()
 ) -> Analysis:
     """The analysis of these groups, one run each, groups sorted as the summary sorts them."""
     ordered = sorted(measured, key=lambda one: tuple(str(value) for value in one.parameters().values()))
@@ -241,20 +232,14 @@ def make_analysis(
                 for value, count in sorted(Counter(values).items())
             ]
         timeline += [
-            {
-                **{name: row.get(name) for name in TIMELINE},
-                "group": group,
-                "elapsed_s": row["sequence"] / one.rate_hz,
-            }
+            {**{name: row.get(name) for name in TIMELINE}, "group": group, "elapsed_s": row["sequence"] / one.rate_hz}
             for row in rows
         ]
     return Analysis(
         title=title,
         sources=(Source("ping.mcap", "read", "", 2 * len(roundtrips)),) if ordered else (),
         sessions=_sessions(ordered),
-        runs=tuple(
-            _run(group, one, number) for group, one in enumerate(ordered) for number in range(one.runs)
-        ),
+        runs=tuple(_run(group, one, number) for group, one in enumerate(ordered) for number in range(one.runs)),
         rows=RowStore.of(pl.DataFrame(roundtrips, schema=ROUNDTRIPS)),
         summary=pl.DataFrame(summary, schema=schema_of(SUMMARY_COLUMNS)),
         distributions=pl.DataFrame(buckets, schema=DISTRIBUTIONS),
@@ -301,8 +286,7 @@ def _three_runs(roundtrips: pl.DataFrame) -> pl.DataFrame:
     """Each run three times, 3 % faster and slower in turn: what verdicts take."""
     return pl.concat(
         roundtrips.with_columns(
-            (pl.col("latency_ns", "rtt_ns") * factor).round().cast(pl.Int64),
-            run_id=pl.col("run_id") + (number << 32),
+            (pl.col("latency_ns", "rtt_ns") * factor).round().cast(pl.Int64), run_id=pl.col("run_id") + (number << 32)
         )
         for number, factor in enumerate(RUN_FACTORS)
     )
@@ -315,9 +299,7 @@ def _intervals(rows: pl.DataFrame, ordered: Sequence[Measured]) -> pl.DataFrame:
         for metric in ("rtt", "intermediate", "latency", "response"):
             values = part[f"{metric}_ns"].drop_nulls().to_numpy()
             for name, quantile in QUANTILES.items() if len(values) else ():
-                interval = interval_of_runs(
-                    [Series(values * factor) for factor in factors], Statistic(quantile)
-                )
+                interval = interval_of_runs([Series(values * factor) for factor in factors], Statistic(quantile))
                 found.append(
                     {
                         "group": group,
@@ -448,9 +430,7 @@ def _summary_row(one: Measured, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _sessions(measured: Sequence[Measured]) -> tuple[Session, ...]:
     pings = sorted({(one.ping_device, one.vendor, one.backend, one.connectivity) for one in measured})
-    relays = sorted(
-        {(one.relay_device, one.vendor, one.backend, one.connectivity) for one in measured if one.relayed}
-    )
+    relays = sorted({(one.relay_device, one.vendor, one.backend, one.connectivity) for one in measured if one.relayed})
     return tuple(
         Session(
             session_id=0xB000 + number,
@@ -508,13 +488,7 @@ def ping_without_relay() -> Analysis:
         Measured(messages, relay_device=None),
         Measured(messages, relay_device=None, rate_hz=20.0),
         findings=[
-            Finding(
-                Severity.WARNING,
-                "no_relay_trace",
-                "run a000",
-                "No relay trace.",
-                "Copy the relay's trace here.",
-            ),
+            Finding(Severity.WARNING, "no_relay_trace", "run a000", "No relay trace.", "Copy the relay's trace here.")
         ],
     )
 
@@ -550,10 +524,7 @@ def hostile() -> Analysis:
         )
         for number, text in enumerate(HOSTILE)
     ]
-    findings = [
-        Finding(Severity.ERROR, "loss", text, f"{text} lost messages.", f"Look at {text}.")
-        for text in HOSTILE
-    ]
+    findings = [Finding(Severity.ERROR, "loss", text, f"{text} lost messages.", f"Look at {text}.") for text in HOSTILE]
     return make_analysis(*groups, findings=findings, title=HOSTILE[0])
 
 
@@ -600,9 +571,7 @@ class Campaign:
             if self.random.random() < (0.08 if full else 0.0004):
                 messages.append(self.random.choice(("lost_outbound", "lost_return")))
             else:
-                messages.append(
-                    round(typical_ms * MS * self.random.lognormvariate(0.0, 0.35 if full else 0.12))
-                )
+                messages.append(round(typical_ms * MS * self.random.lognormvariate(0.0, 0.35 if full else 0.12)))
         return Measured(
             messages,
             vendor=vendor,
@@ -650,9 +619,7 @@ def five_hundred_groups() -> Analysis:
     groups = range(analysis.summary.height)
     further = [
         replace(
-            one,
-            session_id=0xC000 + 2 * group + place,
-            host=FINGERPRINT | {"wifi": {"wlan0": {"signal_dbm": -group}}},
+            one, session_id=0xC000 + 2 * group + place, host=FINGERPRINT | {"wifi": {"wlan0": {"signal_dbm": -group}}}
         )
         for group in groups
         for place, one in enumerate(analysis.sessions[:2])
@@ -676,10 +643,7 @@ def five_hundred_groups() -> Analysis:
         for group in range(21)
     ]
     return replace(
-        analysis,
-        sessions=(*analysis.sessions, *further),
-        sources=tuple(sources),
-        findings=(*analysis.findings, *found),
+        analysis, sessions=(*analysis.sessions, *further), sources=tuple(sources), findings=(*analysis.findings, *found)
     )
 
 
@@ -713,14 +677,11 @@ def _campaign_findings() -> list[Finding]:
 def over_a_lossy_wire() -> Analysis:
     """Two middlewares recorded with `--wire`: the first repeated messages, of the second the kernel dropped packets."""
     analysis = make_analysis(
-        Measured([MS, 2 * MS, 30 * MS]),
-        Measured([MS, 3 * MS], vendor="cyclonedds", relay_vendor="cyclonedds"),
+        Measured([MS, 2 * MS, 30 * MS]), Measured([MS, 3 * MS], vendor="cyclonedds", relay_vendor="cyclonedds")
     )
     shares = {"data": 0.5, "data_frag_again": 0.3, "heartbeat": 0.1, "sedp": 0.05, "secure": 0.05}
     counts = {
-        name: 0 if kind in (pl.UInt32, pl.UInt64) else 0.25
-        for name, kind in WIRE_SCHEMA.items()
-        if kind != pl.Boolean
+        name: 0 if kind in (pl.UInt32, pl.UInt64) else 0.25 for name, kind in WIRE_SCHEMA.items() if kind != pl.Boolean
     }
     wire = [
         {**counts, "group": 0, "complete": False, "kernel_drops": 3, "bytes_per_payload_byte": 1.5},
@@ -734,8 +695,7 @@ def over_a_lossy_wire() -> Analysis:
     ]
     times = ("rtt_p50_ns", "rtt_max_ns", "latency_p50_ns", "latency_max_ns")
     repeats = [
-        {"group": 1, "repeats": n, "messages": 3 - n, "returned": 1}
-        | dict.fromkeys(times, float(MS * (1 + 29 * n)))
+        {"group": 1, "repeats": n, "messages": 3 - n, "returned": 1} | dict.fromkeys(times, float(MS * (1 + 29 * n)))
         for n in (0, 1)
     ]
     details = replace(

@@ -48,9 +48,7 @@ def assert_whole(ping_trace, relay_trace, *, has_source=False, may_miss=frozense
 
 def all_data_types(domain_id, folder, ping_backend, relay_backend, *more, relay_more=(), has_source=False):
     """Each data type there and back once; the sessions of the last ping and of the relay."""
-    with relay(
-        domain_id, folder / "relay.mcap", "--backend", relay_backend, *ROOMY, *more, *relay_more
-    ) as command:
+    with relay(domain_id, folder / "relay.mcap", "--backend", relay_backend, *ROOMY, *more, *relay_more) as command:
         for data, size in SIZES.items():
             done = ping(
                 *(domain_id, folder / f"{data}.mcap", "--backend", ping_backend, *ROOMY, *more),

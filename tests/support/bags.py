@@ -79,9 +79,7 @@ def text(data: str, store: Any = ROS2) -> Any:
     return store.types["std_msgs/msg/String"](data=data)
 
 
-def write_bag2(
-    path: Path, topics: dict[str, Sequence[Any]], plugin: StoragePlugin = StoragePlugin.MCAP
-) -> Path:
+def write_bag2(path: Path, topics: dict[str, Sequence[Any]], plugin: StoragePlugin = StoragePlugin.MCAP) -> Path:
     """A rosbag2 folder with the messages of each topic, 50 Hz; the folder."""
     with Writer2(path, version=9, storage_plugin=plugin) as writer:
         for topic, messages in topics.items():

@@ -37,12 +37,7 @@ MS = 1_000_000
 
 
 def write_runs(
-    folder: Path,
-    numbers: Iterable[int],
-    *,
-    latency_ns: int = 100,
-    groups: int = 1,
-    received: Collection[Stage] = (),
+    folder: Path, numbers: Iterable[int], *, latency_ns: int = 100, groups: int = 1, received: Collection[Stage] = ()
 ) -> None:
     """`pingN.mcap` and `relayN.mcap` of each number: 40 messages, every seventh lost, latency rising with the run.
 
@@ -89,9 +84,7 @@ def _stamped(message: Message, stage: Stage, **fields: int) -> Event:
     assert sent is not None
     assert came is not None
     wall_ns = WALL_ANCHOR_NS - ping_session().monotonic_anchor_ns
-    return event(
-        message.sequence, came, source_ns=wall_ns + sent + 2, received_ns=wall_ns + came - 5, **fields
-    )
+    return event(message.sequence, came, source_ns=wall_ns + sent + 2, received_ns=wall_ns + came - 5, **fields)
 
 
 def payload_sizes(batch: Batch) -> list[int]:

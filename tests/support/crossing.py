@@ -36,14 +36,7 @@ def watch_crossing(first, second, topics, *, until, count=5, reliability="reliab
         until: names of topics by what must be seen of them: {"echoed": [...], "heard": [...]}.
     """
     order = json.dumps(
-        {
-            "first": first,
-            "second": second,
-            "topics": topics,
-            "until": until,
-            "count": count,
-            "reliability": reliability,
-        }
+        {"first": first, "second": second, "topics": topics, "until": until, "count": count, "reliability": reliability}
     )
     ran = subprocess.run(
         [sys.executable, __file__, order], capture_output=True, text=True, timeout=TIMEOUT_S + 30, check=False

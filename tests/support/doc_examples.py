@@ -14,9 +14,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = [path for path in sorted(DOCS.rglob("*.md")) if "results" not in path.parts]
 
 FENCE = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(
-    r"^(?: {4}(?:\w+'s device +)?)?(?P<line>dds-(?:record|bridge|sweep|analyze) .+)$", re.MULTILINE
-)
+COMMAND = re.compile(r"^(?: {4}(?:\w+'s device +)?)?(?P<line>dds-(?:record|bridge|sweep|analyze) .+)$", re.MULTILINE)
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,7 @@ def autoregressive(runs: int, messages: int, correlation: float, seed: int):
     return values.T
 
 
-def log_normal_groups(
-    groups: int, runs: int, messages: int, spread: float, seed: int, correlation: float = 0.0
-):
+def log_normal_groups(groups: int, runs: int, messages: int, spread: float, seed: int, correlation: float = 0.0):
     """Groups of runs with median 1: messages spread by 50 %, runs by `spread`; shape (groups, runs, messages)."""
     values = 0.5 * autoregressive(groups * runs, messages, correlation, seed)
     levels = spread * np.random.default_rng([seed, 1]).standard_normal((groups * runs, 1))

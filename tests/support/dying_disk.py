@@ -29,9 +29,7 @@ DONE = "--record"
 
 def record(trace: str, *options: str) -> None:
     """Stamp an event a millisecond; say so at `DIES_AT` and at `SYNCED_AT`, and go on when a line comes."""
-    destination = TraceDestination(
-        Path(trace), fsync="--fsync" in options, chunk_seconds=0.1, ring_slots=1 << 12
-    )
+    destination = TraceDestination(Path(trace), fsync="--fsync" in options, chunk_seconds=0.1, ring_slots=1 << 12)
     sink = TraceSink(destination, ping_session(state="open"))
     for sequence in range(EVENTS):
         if sequence in (DIES_AT, SYNCED_AT):
@@ -58,9 +56,7 @@ def main(folder: str, *options: str) -> None:
         assert recorder.stdin is not None
         assert recorder.stdout is not None
         assert int(recorder.stdout.readline()) == DIES_AT
-        call(
-            "sync", "-f", root / "disk"
-        )  # so that the pages of the ring are clean, and fault at their next store
+        call("sync", "-f", root / "disk")  # so that the pages of the ring are clean, and fault at their next store
         disk.is_broken = True
         print("go on", file=recorder.stdin, flush=True)
         assert int(recorder.stdout.readline()) == SYNCED_AT

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 class FakeClock:
     """A `dds_trace.recorder.host.clock.Clock`; what is due is called while a wait passes its time."""
 
-    def __init__(
-        self, now_ns: int = 1_000_000_000_000, wall_offset_ns: int = 1_700_000_000_000_000_000
-    ) -> None:
+    def __init__(self, now_ns: int = 1_000_000_000_000, wall_offset_ns: int = 1_700_000_000_000_000_000) -> None:
         self.now_ns = now_ns
         self.wall_offset_ns = wall_offset_ns
         self._due: list[tuple[int, int, Callable[[], None]]] = []

@@ -101,8 +101,7 @@ class ListSink:
     ) -> int:
         monotonic_ns = self.clock.monotonic_ns()
         self.record(
-            *(stage, run_id, sequence, monotonic_ns, scheduled_ns),
-            *(source_ns, received_ns, payload_bytes, relay_id),
+            *(stage, run_id, sequence, monotonic_ns, scheduled_ns), *(source_ns, received_ns, payload_bytes, relay_id)
         )
         return monotonic_ns
 
@@ -117,9 +116,7 @@ class ListSink:
         payload_bytes: int,
         relay_id: int,
     ) -> int:
-        self.record(
-            *(stages[0], run_id, sequence, monotonic_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
-        )
+        self.record(*(stages[0], run_id, sequence, monotonic_ns, 0, source_ns, received_ns, payload_bytes, relay_id))
         return self.stamp(stages[1], run_id, sequence, 0, 0, 0, payload_bytes, relay_id)
 
     def expect(
@@ -128,23 +125,14 @@ class ListSink:
         self.expected = (*stages, run_id, sequence, payload_bytes, relay_id)
         return self.expected
 
-    def record_expected(
-        self, expected: tuple[int, ...], monotonic_ns: int, source_ns: int, received_ns: int
-    ) -> bool:
+    def record_expected(self, expected: tuple[int, ...], monotonic_ns: int, source_ns: int, received_ns: int) -> bool:
         if expected is not self.expected:
             return False
         arrival, departure, *rest = expected
         run_id, sequence, payload_bytes, relay_id = rest
         self.foreseen += 1
         self.record_and_stamp(
-            (arrival, departure),
-            run_id,
-            sequence,
-            monotonic_ns,
-            source_ns,
-            received_ns,
-            payload_bytes,
-            relay_id,
+            (arrival, departure), run_id, sequence, monotonic_ns, source_ns, received_ns, payload_bytes, relay_id
         )
         return True
 

@@ -144,9 +144,7 @@ class ForgetfulDisk:
         return struct.pack("<QII", _VALID_S, 0, 0) + self._describe(node)
 
     def _describe(self, node: int) -> bytes:
-        size, mode = (
-            (0, stat.S_IFDIR | 0o700) if node == _ROOT else (len(self._content), stat.S_IFREG | 0o600)
-        )
+        size, mode = (0, stat.S_IFDIR | 0o700) if node == _ROOT else (len(self._content), stat.S_IFREG | 0o600)
         return _ATTRIBUTES.pack(node, size, size // SECTOR_BYTES, 0, 0, 0, 0, 0, 0, mode, 1, 0, 0, 0, 4096, 0)
 
     def _read(self, _node: int, body: memoryview) -> bytes:

@@ -30,20 +30,14 @@ def main(folder: str, report: str) -> None:
     """Fill the disk."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", DISK, "none", folder], check=True)
     trace = Path(folder) / "a.mcap"
-    sink = TraceSink(
-        TraceDestination(trace, chunk_seconds=0.01, ring_slots=RING_SLOTS), ping_session(state="open")
-    )
+    sink = TraceSink(TraceDestination(trace, chunk_seconds=0.01, ring_slots=RING_SLOTS), ping_session(state="open"))
     sink.write_run(run(state="started"))
     draw = random.Random(1)
     sequence = 0
     while sink.error is None and sequence < AT_MOST_EVENTS:
-        sink.record(
-            1, 1, sequence, sequence, source_ns=draw.getrandbits(62), received_ns=draw.getrandbits(62)
-        )
+        sink.record(1, 1, sequence, sequence, source_ns=draw.getrandbits(62), received_ns=draw.getrandbits(62))
         sequence += 1
-        if (
-            sequence % 500 == 0
-        ):  # returns when all events are in the file, so that none is dropped while there is room
+        if sequence % 500 == 0:  # returns when all events are in the file, so that none is dropped while there is room
             sink.write_run(run(state="started"))
     at_error = sequence
     for _ in range(RING_SLOTS + 100):  # the node goes on answering

@@ -68,14 +68,9 @@ def main(trace: str, progress: str, threads: str, events: str = str(1 << 60)) ->
     """Record until killed or done."""
     with Path(progress).open("r+b") as stream:
         shared = memoryview(mmap.mmap(stream.fileno(), 0))
-    told = [
-        shared[thread * PROGRESS_BYTES : (thread + 1) * PROGRESS_BYTES].cast("Q")
-        for thread in range(int(threads))
-    ]
+    told = [shared[thread * PROGRESS_BYTES : (thread + 1) * PROGRESS_BYTES].cast("Q") for thread in range(int(threads))]
     anchor = {"wall_anchor_ns": time.time_ns(), "monotonic_anchor_ns": time.monotonic_ns()}
-    sink = TraceSink(
-        TraceDestination(Path(trace), chunk_seconds=CHUNK_SECONDS), ping_session(state="open", **anchor)
-    )
+    sink = TraceSink(TraceDestination(Path(trace), chunk_seconds=CHUNK_SECONDS), ping_session(state="open", **anchor))
     sink.write_run(run(run_id=RUN_ID, state="started"))
     recording = [
         threading.Thread(target=_record, args=(sink, told[thread], thread, int(events)))

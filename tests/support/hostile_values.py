@@ -37,41 +37,10 @@ EXIT_CODES = {0, 10, 11, 130, 20, 21, 22} | {
 
 HOSTILE_TEXTS = [
     *("", " ", "-1", "0", "1", "nan", "inf", "-inf", "1e12", "1e300", "1e-300", "268435456", "1GB", "3GB"),
-    *(
-        "9" * 30,
-        "1" + "0" * 400,
-        "1" + "0" * 5000,
-        "0-99999999999",
-        "\u0661",
-        "\u00b2",
-        "a:\u00b2",
-        "::1",
-        "a b:1",
-    ),
+    *("9" * 30, "1" + "0" * 400, "1" + "0" * 5000, "0-99999999999", "\u0661", "\u00b2", "a:\u00b2", "::1", "a b:1"),
     *("file:", "bag:", "bag:#", "topic:", "topic:/", "topic:a b", "topic:/\u00e9", "topic:" + "x" * 300),
-    *(
-        "\udcff",
-        "a=\udcff",
-        "\udcff=a",
-        "\ud800",
-        "a=b",
-        "=",
-        "\n",
-        "\x1b[2J",
-        '"\n:1',
-        "../x",
-        "x" * 300,
-        "x" * 5000,
-    ),
-    *(
-        "nan%",
-        "1%",
-        "20ms",
-        "20ms metric=\udcff",
-        "latency_p99:nan%",
-        "latency_p99:5%",
-        "latency_p99 > +nan%",
-    ),
+    *("\udcff", "a=\udcff", "\udcff=a", "\ud800", "a=b", "=", "\n", "\x1b[2J", '"\n:1', "../x", "x" * 300, "x" * 5000),
+    *("nan%", "1%", "20ms", "20ms metric=\udcff", "latency_p99:nan%", "latency_p99:5%", "latency_p99 > +nan%"),
     *("data=binary size=1 rate=nan deadline=1ms", "gopher://x", "tcp://\udcff:1", "SAME", "p.toml"),
 ]
 
@@ -102,15 +71,8 @@ def toml_values() -> st.SearchStrategy[object]:
 
 def json_values() -> st.SearchStrategy[object]:
     """Values of JSON as Python reads and writes it: NaN, infinities and lone surrogates too."""
-    one = (
-        st.sampled_from([*HOSTILE_NUMBERS, *HOSTILE_TEXTS])
-        | st.integers()
-        | st.floats()
-        | st.text(max_size=20)
-    )
-    return (
-        one | st.none() | st.booleans() | st.lists(one, max_size=2) | st.dictionaries(st.just("\udcff"), one)
-    )
+    one = st.sampled_from([*HOSTILE_NUMBERS, *HOSTILE_TEXTS]) | st.integers() | st.floats() | st.text(max_size=20)
+    return one | st.none() | st.booleans() | st.lists(one, max_size=2) | st.dictionaries(st.just("\udcff"), one)
 
 
 def to_toml(value: object) -> str:
@@ -123,11 +85,7 @@ def to_toml(value: object) -> str:
         return str(value)
     if isinstance(value, list):
         return f"[{', '.join(map(to_toml, value))}]"
-    return (
-        "{}"
-        if isinstance(value, dict)
-        else json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
-    )
+    return "{}" if isinstance(value, dict) else json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def long_decimal(value: int) -> str:
@@ -155,7 +113,5 @@ def check_told(command: str, code: int, err: str) -> None:
     """Assert that a command ended well, or with a documented exit code and one line that says why."""
     assert code in EXIT_CODES, (code, err)
     assert "Traceback" not in err
-    reasons = [
-        line for line in err.splitlines() if line.startswith(("Error: ", f"{command.split(maxsplit=1)[0]}: "))
-    ]
+    reasons = [line for line in err.splitlines() if line.startswith(("Error: ", f"{command.split(maxsplit=1)[0]}: "))]
     assert code in (0, 10, 20, 21, 22) or len(reasons) == 1, err

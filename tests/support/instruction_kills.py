@@ -67,9 +67,7 @@ def acting_at(number: int, act: Callable[[], object]) -> Callable[[FrameType, st
     return trace
 
 
-def open_sink(
-    trace: Path, clock_ns: Callable[[], int] = lambda: STAMPED_NS, ring_slots: int = RING_SLOTS
-) -> TraceSink:
+def open_sink(trace: Path, clock_ns: Callable[[], int] = lambda: STAMPED_NS, ring_slots: int = RING_SLOTS) -> TraceSink:
     """A sink whose thread drains the ring by itself only where a quarter of it is used."""
     destination = TraceDestination(trace, ring_slots=ring_slots, chunk_seconds=3600.0)
     return TraceSink(destination, ping_session(state="open"), clock_ns=clock_ns)

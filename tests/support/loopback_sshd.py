@@ -30,9 +30,7 @@ class Sshd:
 
 def missing_program() -> str | None:
     """The program that a test of ours needs and this machine has not."""
-    return next(
-        (name for name in ("sshd", "ssh", "ssh-keygen") if shutil.which(name, path=PATH) is None), None
-    )
+    return next((name for name in ("sshd", "ssh", "ssh-keygen") if shutil.which(name, path=PATH) is None), None)
 
 
 @contextmanager
@@ -59,16 +57,7 @@ def sshd(folder: Path) -> Iterator[Sshd]:
     try:
         wait_until_it_listens(server, port)
         options = (
-            *(
-                "-p",
-                str(port),
-                "-i",
-                str(folder / "user_key"),
-                "-o",
-                "IdentitiesOnly=yes",
-                "-o",
-                "LogLevel=ERROR",
-            ),
+            *("-p", str(port), "-i", str(folder / "user_key"), "-o", "IdentitiesOnly=yes", "-o", "LogLevel=ERROR"),
             *("-F", "none", "-o", "StrictHostKeyChecking=no", "-o", f"UserKnownHostsFile={folder / 'known'}"),
         )
         yield Sshd(f"{getpass.getuser()}@127.0.0.1", options)

@@ -32,9 +32,7 @@ SUPPORT = Path(__file__).parent
 _FROM_ENVIRONMENT = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "", "ROS_DOMAIN_ID": ""}
 """The tests' own environment keeps to this machine; a namespace may look around."""
 _PATIENCE_S = 60
-_counter = itertools.count(
-    1000
-)  # not a number of `NamespacePair`, which clears stale names of this pattern away
+_counter = itertools.count(1000)  # not a number of `NamespacePair`, which clears stale names of this pattern away
 
 
 @dataclass
@@ -96,16 +94,7 @@ def lossy_link(
         for tap in taps:
             os.set_blocking(tap, True)
         forwarder = subprocess.Popen(
-            [
-                sys.executable,
-                "-I",
-                "-S",
-                SUPPORT / "lossy_forwarder.py",
-                *map(str, taps),
-                log,
-                str(loss),
-                str(seed),
-            ],
+            [sys.executable, "-I", "-S", SUPPORT / "lossy_forwarder.py", *map(str, taps), log, str(loss), str(seed)],
             stdin=subprocess.PIPE,
             text=True,
             pass_fds=taps,

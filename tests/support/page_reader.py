@@ -105,6 +105,5 @@ class Reader:
     def marks(self, figure):
         """How many points, bars or tiles plotly drew in a figure."""
         return self.tab.evaluate(
-            "name => document.querySelectorAll(`#figure-${name} .plot svg :is(.point, .hm image)`).length",
-            figure,
+            "name => document.querySelectorAll(`#figure-${name} .plot svg :is(.point, .hm image)`).length", figure
         )

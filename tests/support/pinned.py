@@ -23,11 +23,7 @@ from dds_trace.analyzer.run_statistics.change import change_of_runs
 from dds_trace.analyzer.run_statistics.modes import find_modes, find_trend, find_warm_up
 from dds_trace.analyzer.run_statistics.received import change_of_received, received_interval
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic
-from dds_trace.analyzer.run_statistics.spread import (
-    runs_to_settle_ratio,
-    runs_to_settle_value,
-    spread_of_runs,
-)
+from dds_trace.analyzer.run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 from dds_trace.analyzer.statistics.power import messages_to_close, runs_to_decide
 
 if TYPE_CHECKING:
@@ -94,10 +90,7 @@ def of_statistic(name: str, statistic: str) -> dict[str, Any]:
 
 def power() -> list[Any]:
     """How many runs it takes."""
-    return [
-        runs_to_decide(0.07, 0.05, 0.02),
-        runs_to_decide(0.3, 0.1, 0.1, 0.8),
-    ]
+    return [runs_to_decide(0.07, 0.05, 0.02), runs_to_decide(0.3, 0.1, 0.1, 0.8)]
 
 
 def clocks() -> dict[str, Any]:
@@ -131,10 +124,7 @@ def clocks() -> dict[str, Any]:
         }
     one = np.array([1_000, 2_000, 3_500])
     same = fit_clocks(
-        [
-            RelayedMessages(one, one, one, one + 10, same_boot=True),
-            RelayedMessages(one, one + 1, one + 2, one + 9),
-        ]
+        [RelayedMessages(one, one, one, one + 10, same_boot=True), RelayedMessages(one, one + 1, one + 2, one + 9)]
     )
     said["one machine"] = [fit for fit, _ in same]
     return said

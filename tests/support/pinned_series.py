@@ -31,9 +31,7 @@ def modes() -> list[Any]:
         draw = np.random.default_rng([1, seed])
         messages, apart = int(draw.integers(180, 900)), float(draw.uniform(1.4, 6))
         is_slow = draw.random(messages) < draw.uniform(0.08, 0.92)
-        values = np.exp(draw.uniform(0.1, 0.35) * draw.standard_normal(messages)) * np.where(
-            is_slow, apart, 1
-        )
+        values = np.exp(draw.uniform(0.1, 0.35) * draw.standard_normal(messages)) * np.where(is_slow, apart, 1)
         found.append(find_modes(np.sort(values), float(draw.choice([0.5, 1.0, 1.0, 1.6]))))
     return found
 
@@ -43,17 +41,9 @@ def warm_ups() -> list[Any]:
     found = []
     for seed, run in enumerate(np.exp(0.3 * autoregressive(40, 503, 0.3, seed=2))):
         draw = np.random.default_rng([2, seed])
-        messages, length, level = (
-            int(draw.integers(198, 504)),
-            int(draw.integers(0, 90)),
-            draw.uniform(0.4, 4),
-        )
+        messages, length, level = (int(draw.integers(198, 504)), int(draw.integers(0, 90)), draw.uniform(0.4, 4))
         place = np.arange(messages)
-        begin = (
-            np.where(place < length, level, 1)
-            if seed % 2
-            else 1 + (level - 1) * np.exp(-place / (length + 1))
-        )
+        begin = np.where(place < length, level, 1) if seed % 2 else 1 + (level - 1) * np.exp(-place / (length + 1))
         found.append(find_warm_up(begin * run[:messages]))
     return found
 
@@ -61,9 +51,7 @@ def warm_ups() -> list[Any]:
 def trends() -> list[Any]:
     """Rises and falls, some of messages that depend on each other."""
     return [
-        find_trend(
-            np.exp(0.4 * run[: 120 + 9 * seed] + 0.08 * (seed - 20) * np.linspace(0, 1, 120 + 9 * seed))
-        )
+        find_trend(np.exp(0.4 * run[: 120 + 9 * seed] + 0.08 * (seed - 20) * np.linspace(0, 1, 120 + 9 * seed)))
         for seed, run in enumerate(autoregressive(41, 500, 0.7, seed=3))
     ]
 
@@ -74,8 +62,7 @@ def losses() -> list[Any]:
     for seed in range(40):
         draw = np.random.default_rng([4, seed])
         runs = [
-            draw.random(int(draw.integers(20, 300))) > draw.choice([0, 0.02, 0.3, 0.8])
-            for _ in range(1 + seed % 5)
+            draw.random(int(draw.integers(20, 300))) > draw.choice([0, 0.02, 0.3, 0.8]) for _ in range(1 + seed % 5)
         ]
         if seed % 3 == 0:
             runs[0][5 : 5 + int(draw.integers(1, 15))] = False
@@ -114,14 +101,7 @@ def tails() -> list[Any]:
                 [
                     episodes_of(of_runs),
                     [
-                        [
-                            each.messages,
-                            each.sizes.tolist(),
-                            each.inflation,
-                            each.squares,
-                            each.streaks,
-                            each.bursts,
-                        ]
+                        [each.messages, each.sizes.tolist(), each.inflation, each.squares, each.streaks, each.bursts]
                         for each in of_runs
                     ],
                 ]
@@ -141,22 +121,16 @@ def spreads() -> list[Any]:
 def dependence() -> list[Any]:
     """Variances of means and of shares, alone and several series together, of few messages and of more than there are cells."""
     found: list[Any] = []
-    for seed, (messages, correlation) in enumerate(
-        ((24, 0.0), (25, 0.5), (300, 0.9), (1024, 0.2), (1500, 0.8))
-    ):
+    for seed, (messages, correlation) in enumerate(((24, 0.0), (25, 0.5), (300, 0.9), (1024, 0.2), (1500, 0.8))):
         (run,) = autoregressive(1, messages, correlation, seed=[6, seed])
         events = np.flatnonzero(run > 0.8)
         found += [long_run_variance(run), share_inflation(events, messages)]
         joined = np.concatenate([events, messages + np.flatnonzero(run < -1)])
         edges = np.array([0, len(events), len(joined)])
         found += share_inflations(cells_of([messages, messages]), [(joined, edges)])
+    found += [independent_squares(events, 500, gap) for events, gap in ((1, 25.9), (40, 4.0), (40, 6.25), (499, 1.5))]
     found += [
-        independent_squares(events, 500, gap)
-        for events, gap in ((1, 25.9), (40, 4.0), (40, 6.25), (499, 1.5))
-    ]
-    found += [
-        equal_episodes(n * (n - 1) // 2, (np.arange(1, n) ** 2 / np.linspace(1, 2, n - 1)).sum())
-        for n in (2, 7, 30)
+        equal_episodes(n * (n - 1) // 2, (np.arange(1, n) ** 2 / np.linspace(1, 2, n - 1)).sum()) for n in (2, 7, 30)
     ]
     return found
 
@@ -183,20 +157,15 @@ def samples() -> list[Any]:
     found: list[Any] = []
     for seed in range(20):
         draw = np.random.default_rng([8, seed])
-        above, below = (
-            draw.lognormal(0, draw.uniform(0.05, 1.5), int(draw.integers(3, 9))) for _ in range(2)
-        )
+        above, below = (draw.lognormal(0, draw.uniform(0.05, 1.5), int(draw.integers(3, 9))) for _ in range(2))
         below = np.where(draw.random(len(below)) < 0.2, 0, below)
         test = welch_test(above, below)
         found += [test, test.p_value, test.reach(0.9), fieller_ends(above, below, test, 0.95)]
         found.append(paired_test(above[:3], below[:3]).p_value)
     sizes = (1, 7, 60, 368, 5000)
-    return found + [
-        order_statistic_ranks(n, q, c) for n in sizes for q in (0.1, 0.5, 0.99) for c in (0.8, 0.95)
-    ]
+    return found + [order_statistic_ranks(n, q, c) for n in sizes for q in (0.1, 0.5, 0.99) for c in (0.8, 0.95)]
 
 
 SERIES = {
-    each.__name__: each
-    for each in (modes, warm_ups, trends, losses, tails, spreads, dependence, bursts, samples)
+    each.__name__: each for each in (modes, warm_ups, trends, losses, tails, spreads, dependence, bursts, samples)
 }

@@ -161,11 +161,7 @@ class _Best:
         low, high = lines.range_at(time)
         middle, half = (low + high) / 2, (high - low) / 2
         best = int(half.argmin())
-        return cls(
-            time=float(time[best]),
-            offset=float(middle[best]),
-            bound=float(half[best]),
-        )
+        return cls(time=float(time[best]), offset=float(middle[best]), bound=float(half[best]))
 
 
 def plain_fit(publish_ns, relay_in_ns, relay_out_ns, receive_ns):

@@ -69,9 +69,7 @@ def record(folder: Path, domain: str, messages: int, options: list[str]) -> tupl
     """Start a relay and a ping; return them once messages flow."""
     common = ("--domain", domain, "--backend", "socket", "--discovery", "localhost", *options)
     relay = subprocess.Popen(
-        [DDS_RECORD, "--role", "relay", "--out", str(folder / "relay.mcap"), *common],
-        stderr=subprocess.PIPE,
-        text=True,
+        [DDS_RECORD, "--role", "relay", "--out", str(folder / "relay.mcap"), *common], stderr=subprocess.PIPE, text=True
     )
     assert relay.stderr is not None
     while "serves domain" not in (line := relay.stderr.readline()):

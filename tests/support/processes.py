@@ -59,9 +59,7 @@ class RunningCommand:
                 env={**os.environ, **(environment or {})},
             )
         self._lines: dict[str, list[str]] = {"stdout": [], "stderr": []}
-        self._readers = [
-            threading.Thread(target=self._read, args=(name,), daemon=True) for name in self._lines
-        ]
+        self._readers = [threading.Thread(target=self._read, args=(name,), daemon=True) for name in self._lines]
         for reader in self._readers:
             reader.start()
 

@@ -34,9 +34,7 @@ def shift_relay_clock(source: Path, target: Path, clock: Callable[[int], int]) -
             (true_ns,) = struct.unpack_from("<q", data, _MONOTONIC_AT)
             return data[:_MONOTONIC_AT] + struct.pack("<q", clock(true_ns)) + data[_MONOTONIC_AT + 8 :]
         if topic == "/dds_trace/session" and (session := _json(data))["role"] == "relay":
-            return string_cdr(
-                json.dumps(session | {"monotonic_anchor_ns": clock(session["monotonic_anchor_ns"])})
-            )
+            return string_cdr(json.dumps(session | {"monotonic_anchor_ns": clock(session["monotonic_anchor_ns"])}))
         return data
 
     _copy_all(source, target, change)
@@ -68,10 +66,7 @@ def _copy(source: Path, target: Path, change: Change) -> None:
                 schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
             if channel.id not in channels:
                 channels[channel.id] = writer.register_channel(
-                    channel.topic,
-                    channel.message_encoding,
-                    schemas.get(channel.schema_id, 0),
-                    channel.metadata,
+                    channel.topic, channel.message_encoding, schemas.get(channel.schema_id, 0), channel.metadata
                 )
             writer.add_message(
                 channels[channel.id],

@@ -70,7 +70,7 @@ def roundtrips(rows: Iterable[Mapping[str, Any]], **parameters: Any) -> pl.DataF
                 "reordered": False,
                 **parameters,
                 **row,
-            },
+            }
         )
     schema = schema_of(ROUNDTRIP_COLUMNS)
     extra = {name for row in filled for name in row} - set(schema)
@@ -78,9 +78,7 @@ def roundtrips(rows: Iterable[Mapping[str, Any]], **parameters: Any) -> pl.DataF
     return with_metrics(frame)
 
 
-def steady(
-    latencies_ns: Iterable[int | None], *, period_ns: int = 100 * MS, **parameters: Any
-) -> pl.DataFrame:
+def steady(latencies_ns: Iterable[int | None], *, period_ns: int = 100 * MS, **parameters: Any) -> pl.DataFrame:
     """One message each period with the given latency both ways and 1 us in the relay; None is a lost message."""
     rows: list[dict[str, Any]] = []
     for number, latency_ns in enumerate(latencies_ns):
@@ -94,7 +92,7 @@ def steady(
                 "relay_in_ns": sent + latency_ns,
                 "relay_out_ns": sent + latency_ns + 1000,
                 "receive_ns": sent + 2 * latency_ns + 1000,
-            },
+            }
         )
     return roundtrips(rows, **parameters)
 
@@ -121,9 +119,7 @@ def rows_by_group(frame: pl.DataFrame) -> RowStore:
     keys = list(PARAMETER_NAMES)
     counts = frame.group_by(keys, maintain_order=True).agg(pl.len().alias("published"))
     groups = counts.sort(keys, nulls_last=True).with_row_index("group")
-    rows = frame.join(groups, on=keys, how="left", nulls_equal=True).sort(
-        "group", "run_id", "relay_id", "sequence"
-    )
+    rows = frame.join(groups, on=keys, how="left", nulls_equal=True).sort("group", "run_id", "relay_id", "sequence")
     return RowStore.of(rows.select(frame.columns), groups.drop("group"))
 
 
@@ -134,8 +130,6 @@ def in_runs(
     held, first = list(latencies_ns), 100 * parameters.pop("run_id", 1)
     factors = [(1 + spread) ** (number - (runs - 1) / 2) for number in range(runs)]
     return pl.concat(
-        steady(
-            [None if ns is None else round(ns * factor) for ns in held], run_id=first + number, **parameters
-        )
+        steady([None if ns is None else round(ns * factor) for ns in held], run_id=first + number, **parameters)
         for number, factor in enumerate(factors)
     )

@@ -24,8 +24,7 @@ OWN_SHM = (
 """Becomes the command behind it with a /dev/shm of its own, as a container has one."""
 
 needs_root = pytest.mark.skipif(
-    os.geteuid() != 0 or shutil.which("unshare") is None,
-    reason="a /dev/shm of its own needs root and unshare",
+    os.geteuid() != 0 or shutil.which("unshare") is None, reason="a /dev/shm of its own needs root and unshare"
 )
 
 

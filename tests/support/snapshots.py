@@ -12,9 +12,7 @@ DEFAULT_BUFFER_BYTES = 212_992
 
 
 def udp(port, receive_buffer_bytes=DEFAULT_BUFFER_BYTES, send_buffer_bytes=DEFAULT_BUFFER_BYTES, **more):
-    return Socket(
-        "udp", "ipv4", "127.0.0.1", port, "0.0.0.0", 0, receive_buffer_bytes, send_buffer_bytes, **more
-    )
+    return Socket("udp", "ipv4", "127.0.0.1", port, "0.0.0.0", 0, receive_buffer_bytes, send_buffer_bytes, **more)
 
 
 def tcp(acked_bytes=0, received_bytes=0, *, remote="127.0.0.1", inode=1):
@@ -23,15 +21,11 @@ def tcp(acked_bytes=0, received_bytes=0, *, remote="127.0.0.1", inode=1):
 
 
 def segment(name="fastrtps_00000000000000aa", *, vendor="fastdds", is_own=True, **more):
-    return SharedMemory(
-        name, vendor, SEGMENT, 549_408, 0, is_own=is_own, is_served=is_own is not None or None, **more
-    )
+    return SharedMemory(name, vendor, SEGMENT, 549_408, 0, is_own=is_own, is_served=is_own is not None or None, **more)
 
 
 def port(number=7411, *, is_own=True, is_served=True):
-    return SharedMemory(
-        f"fastrtps_port{number}", "fastdds", PORT, 52_400, 0, is_own=is_own, is_served=is_served
-    )
+    return SharedMemory(f"fastrtps_port{number}", "fastdds", PORT, 52_400, 0, is_own=is_own, is_served=is_served)
 
 
 def counted(**interfaces):

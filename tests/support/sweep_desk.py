@@ -76,11 +76,7 @@ LAST_LOST = [*TIMELINE[:-1], replace(TIMELINE[-1], t2=None)]
 
 def write_ping(path, run_id, published=MESSAGES, state="finished", timeline=TIMELINE):
     described = run(
-        run_id=run_id,
-        planned_messages=MESSAGES,
-        warmup_messages=WARMUP,
-        published=published + WARMUP,
-        state=state,
+        run_id=run_id, planned_messages=MESSAGES, warmup_messages=WARMUP, published=published + WARMUP, state=state
     )
     events = ping_events(timeline[: published + WARMUP], run_id=run_id)
     write_trace(path, ping_session(), [described], events)
@@ -115,11 +111,7 @@ class Desk:
     def sweep(self, plan=PLAN, until=None):
         self.heard = Heard()
         return run_sweep(
-            parse_plan(plan, "plan", "plan.toml"),
-            self.folder / "runs",
-            self.heard,
-            command=COMMAND,
-            until=until,
+            parse_plan(plan, "plan", "plan.toml"), self.folder / "runs", self.heard, command=COMMAND, until=until
         )
 
     @property

@@ -90,9 +90,7 @@ class ToyNode(ThreadedNode):
         return TopicView(
             topic,
             tuple(Endpoint(n.options.name, n.publishers[topic]) for n in nodes if topic in n.publishers),
-            tuple(
-                Endpoint(n.options.name, n.subscriptions[topic][0]) for n in nodes if topic in n.subscriptions
-            ),
+            tuple(Endpoint(n.options.name, n.subscriptions[topic][0]) for n in nodes if topic in n.subscriptions),
         )
 
     def count_participants(self) -> int:

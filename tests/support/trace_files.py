@@ -230,10 +230,7 @@ def write_trace(
     texts = [
         *((SESSION_TOPIC, start_ns, described.to_json()) for described in sessions),
         *((RUN_TOPIC, start_ns, planned.to_json()) for planned in runs),
-        *(
-            (HOST_TOPIC, anchor.wall_ns(second * 10**9), json.dumps(sample))
-            for second, sample in enumerate(host)
-        ),
+        *((HOST_TOPIC, anchor.wall_ns(second * 10**9), json.dumps(sample)) for second, sample in enumerate(host)),
         *((WIRE_TOPIC, start_ns, json.dumps(text)) for text in wire),
     ]
     messages = [RawMessage(topic, string_cdr(text), log_time, STRING) for topic, log_time, text in texts]

@@ -72,9 +72,7 @@ def entities(reader, writer):
 def data(sequence, payload, writer=WRITER, order="<"):
     flags = 0x05 if order == "<" else 0x04
     head = struct.pack(order + "HH", 0, 16) + entities(READER, writer)
-    return submessage(
-        0x15, head + struct.pack(order + "iI", sequence >> 32, sequence & 0xFFFFFFFF) + payload, flags
-    )
+    return submessage(0x15, head + struct.pack(order + "iI", sequence >> 32, sequence & 0xFFFFFFFF) + payload, flags)
 
 
 def data_with_inline_qos(sequence, payload):
@@ -85,9 +83,7 @@ def data_with_inline_qos(sequence, payload):
 
 def data_frag(sequence, fragment, payload, sample_bytes, writer=WRITER, count=1):
     head = struct.pack("<HH", 0, 28) + entities(READER, writer) + struct.pack("<iI", 0, sequence)
-    return submessage(
-        0x16, head + struct.pack("<IHHI", fragment, count, len(payload) // count, sample_bytes) + payload
-    )
+    return submessage(0x16, head + struct.pack("<IHHI", fragment, count, len(payload) // count, sample_bytes) + payload)
 
 
 def heartbeat(first, last, writer=WRITER):
@@ -117,10 +113,7 @@ def fragmented(datagram, piece_bytes, **address):
     offsets = range(0, len(datagram), piece_bytes)
     return [
         ipv4(
-            datagram[offset : offset + piece_bytes],
-            offset=offset,
-            more=offset + piece_bytes < len(datagram),
-            **address,
+            datagram[offset : offset + piece_bytes], offset=offset, more=offset + piece_bytes < len(datagram), **address
         )
         for offset in offsets
     ]

@@ -35,10 +35,7 @@ class Sending:
     dropped: bool
 
     def holds_some_of(self, other: Sending) -> bool:
-        return (self.part == other.part or 0 in (self.part, other.part)) and self.target in (
-            b"",
-            other.target,
-        )
+        return (self.part == other.part or 0 in (self.part, other.part)) and self.target in (b"", other.target)
 
 
 @dataclass

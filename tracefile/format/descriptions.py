@@ -151,9 +151,7 @@ class Run:
 
     def to_json(self) -> str:
         """Return the text stored on `/dds_trace/run`."""
-        return _description(
-            self, run_id=f"{self.run_id:016x}", qos=self.qos.to_dict(), labels=dict(self.labels)
-        )
+        return _description(self, run_id=f"{self.run_id:016x}", qos=self.qos.to_dict(), labels=dict(self.labels))
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Run:

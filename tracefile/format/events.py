@@ -140,16 +140,7 @@ offset  type      field
 EVENT_RECORD_DTYPE = np.dtype(
     {
         "names": ["head", "length_top", "channel_id", "number", "times_ns", "cdr_header", "cdr", "event"],
-        "formats": [
-            "<u8",
-            "u1",
-            "<u2",
-            "<u4",
-            ("<u8", (2,)),
-            f"V{len(CDR_HEADER)}",
-            "<u2",
-            f"V{EVENT_DTYPE.itemsize}",
-        ],
+        "formats": ["<u8", "u1", "<u2", "<u4", ("<u8", (2,)), f"V{len(CDR_HEADER)}", "<u2", f"V{EVENT_DTYPE.itemsize}"],
         "offsets": [0, 8, 9, 11, 15, _DATA_AT, _DATA_AT, _DATA_AT + len(CDR_HEADER)],
         "itemsize": EVENT_RECORD_BYTES,
     }

@@ -136,9 +136,7 @@ class Ring:
         slots_at = -(-(RING_HEADER.size + len(text)) // mmap.PAGESIZE) * mmap.PAGESIZE
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
         try:
-            with suppress(
-                OSError
-            ):  # a file system without locks: recovery then cannot see that this process lives
+            with suppress(OSError):  # a file system without locks: recovery then cannot see that this process lives
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             _fill(self._descriptor, slots_at + slot_count * SLOT_BYTES)
             self.memory = mmap.mmap(self._descriptor, 0)
@@ -216,9 +214,7 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
     if magic != RING_MAGIC:
         raise TraceFormatError(path, "this is not a ring file of dds-trace")
     if version != RING_VERSION or slot_bytes != SLOT_BYTES:
-        raise TraceFormatError(
-            path, f"ring of version {version}, this version reads {RING_VERSION}; update dds-trace"
-        )
+        raise TraceFormatError(path, f"ring of version {version}, this version reads {RING_VERSION}; update dds-trace")
     if len(content) < slots_at + slot_count * SLOT_BYTES or RING_HEADER.size + text_bytes > slots_at:
         raise TraceFormatError(path, "the ring file is shorter than its header says")
     session = _session(content[RING_HEADER.size : RING_HEADER.size + text_bytes], path)
@@ -267,9 +263,7 @@ def _read(path: Path) -> tuple[bytes, bool]:
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > MOST_RING_BYTES:
-            raise TraceFormatError(
-                path, f"has {size} bytes, more than any ring of dds-trace; it was not read"
-            )
+            raise TraceFormatError(path, f"has {size} bytes, more than any ring of dds-trace; it was not read")
         recording = _is_locked(stream.fileno())  # before its content: a recorder may end meanwhile
         return stream.read(), recording
 

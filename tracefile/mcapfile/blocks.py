@@ -210,18 +210,14 @@ class BlockJobs:
                 notes.append(
                     _left_out(
                         chunk.offset,
-                        counted(
-                            stop - chunk_scan.end, "byte in it is no record", "bytes in it are no records"
-                        ),
+                        counted(stop - chunk_scan.end, "byte in it is no record", "bytes in it are no records"),
                     )
                 )
                 continue
             scan.extend(chunk_scan)
             starts.append((start, chunk.offset))
             start = stop
-        return Block(
-            data, scan, starts, True, split_by_channel(scan.events(data)), notes, memory, len(chunks)
-        )
+        return Block(data, scan, starts, True, split_by_channel(scan.events(data)), notes, memory, len(chunks))
 
     def _resume_after(self, torn: TornRecordError) -> int | None:
         """Return the offset at which reading resumes after a damaged record; None if it cannot."""
@@ -240,9 +236,7 @@ class BlockJobs:
         if self.file.read(at, min(len(MAGIC), self.file.size - at)) != MAGIC:
             self.truncated = f"ends early, byte {at}: the closing magic bytes are not there; every record is"
         elif at + len(MAGIC) < self.file.size:
-            self.notes.append(
-                f"the bytes from {at + len(MAGIC)} on follow the end of the MCAP file and were ignored"
-            )
+            self.notes.append(f"the bytes from {at + len(MAGIC)} on follow the end of the MCAP file and were ignored")
 
 
 def _free_memory() -> UnpackMemory:

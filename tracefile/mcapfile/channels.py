@@ -87,9 +87,7 @@ class ChannelTable:
     def _fault(self, channel: Channel) -> str | None:
         if channel.message_encoding != "cdr":
             return f"its messages are encoded as {channel.message_encoding!r}, not 'cdr'"
-        schema = self._schemas.get(
-            channel.schema_id, EVENT_SCHEMA_NAME
-        )  # a lost schema is not another schema
+        schema = self._schemas.get(channel.schema_id, EVENT_SCHEMA_NAME)  # a lost schema is not another schema
         if schema != EVENT_SCHEMA_NAME:
             return f"its schema is {schema!r}, not {EVENT_SCHEMA_NAME!r}"
         return None

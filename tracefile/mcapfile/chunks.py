@@ -65,9 +65,7 @@ class PackedChunk:
             raise DamagedChunkError(f"its header is damaged ({err})") from err
         data_offset = header.content + content.count
         if packed_bytes > header.end - data_offset:
-            raise DamagedChunkError(
-                f"it claims {counted(packed_bytes, 'packed byte')}, more than its record has"
-            )
+            raise DamagedChunkError(f"it claims {counted(packed_bytes, 'packed byte')}, more than its record has")
         _check_claims(compression, packed_bytes, unpacked_bytes)
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
@@ -85,9 +83,7 @@ class PackedChunk:
         except (ValueError, MemoryError, zstandard.ZstdError, cramjam.DecompressionError) as err:
             raise DamagedChunkError(f"it cannot be unpacked ({err})") from err
         if unpacked_bytes != self.unpacked_bytes:
-            raise DamagedChunkError(
-                f"it holds {counted(unpacked_bytes, 'byte')} and claims {self.unpacked_bytes}"
-            )
+            raise DamagedChunkError(f"it holds {counted(unpacked_bytes, 'byte')} and claims {self.unpacked_bytes}")
         if self.crc and crc32(target) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return target
@@ -186,8 +182,5 @@ def _zstd() -> zstandard.ZstdDecompressor:
     return unpacker
 
 
-_UNPACKERS: dict[str, Callable[[memoryview, memoryview], int]] = {
-    "zstd": _unpack_zstd_into,
-    "lz4": _unpack_lz4_into,
-}
+_UNPACKERS: dict[str, Callable[[memoryview, memoryview], int]] = {"zstd": _unpack_zstd_into, "lz4": _unpack_lz4_into}
 """Compression -> function that unpacks into a buffer and returns the number of unpacked bytes."""

@@ -132,9 +132,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         """
         while True:
             if offset + RECORD_HEADER.size > self.size:
-                raise TornRecordError(
-                    offset, "no footer" if offset >= self.size else "a record's header is cut off"
-                )
+                raise TornRecordError(offset, "no footer" if offset >= self.size else "a record's header is cut off")
             at = offset - self._ahead_at
             if at < 0 or at + RECORD_HEADER.size > len(self._ahead):
                 self.peek(offset, RECORD_HEADER.size)

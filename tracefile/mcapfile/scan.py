@@ -86,9 +86,7 @@ class Scan:
         for offset, count in self.runs:
             records = np.frombuffer(data, EVENT_RECORD_DTYPE, count, offset)
             starts = (
-                offset
-                + RECORD_HEADER.size
-                + np.flatnonzero(records["channel_id"] == channel_id) * EVENT_RECORD_BYTES
+                offset + RECORD_HEADER.size + np.flatnonzero(records["channel_id"] == channel_id) * EVENT_RECORD_BYTES
             )
             offsets += [(start, length) for start in starts.tolist()]
         return offsets
@@ -102,12 +100,7 @@ class Scan:
 
 
 def scan_records(
-    data: Buffer,
-    start: int,
-    stop: int,
-    opcodes: Container[int] = MESSAGES_AND_CHANNELS,
-    *,
-    only: bool = False,
+    data: Buffer, start: int, stop: int, opcodes: Container[int] = MESSAGES_AND_CHANNELS, *, only: bool = False
 ) -> Scan:
     """Scan the records in `data[start:stop]`; list the other records of `opcodes` besides the events.
 

@@ -93,9 +93,7 @@ def bounded_unpacking(bag: Path) -> Iterator[Callable[[bytes], bytes]]:
 
     One bag at a time: the tables are rosbags' own.
     """
-    from lz4.frame import (  # type: ignore[import-untyped]  # noqa: PLC0415 - a dependency of rosbags, and only bags need it
-        LZ4FrameDecompressor,
-    )
+    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415 - a dependency of rosbags, and only bags need it
     from rosbags.rosbag1 import reader as ros1  # noqa: PLC0415
     from rosbags.rosbag2 import reader as ros2  # noqa: PLC0415
     from rosbags.rosbag2 import storage_mcap as mcap  # noqa: PLC0415

@@ -52,14 +52,9 @@ class ColumnsBuilder:
     """Events of all stages, each batch copied into memory reserved for the `expected` number; full at `most_events`."""
 
     def __init__(
-        self,
-        expected: Mapping[Stage, int],
-        most_events: int = sys.maxsize,
-        memory: ColumnsMemory | None = None,
+        self, expected: Mapping[Stage, int], most_events: int = sys.maxsize, memory: ColumnsMemory | None = None
     ) -> None:
-        self._columns = {
-            stage: _StageColumns(min(most_events, expected.get(stage, 0)), memory) for stage in Stage
-        }
+        self._columns = {stage: _StageColumns(min(most_events, expected.get(stage, 0)), memory) for stage in Stage}
         self._most_events = most_events
 
     def is_full_before(self, events: int) -> bool:

@@ -35,9 +35,7 @@ _UNSUSPECTED_STEPS = 2_000_000
 _STEP_BYTES = 4  # a recorded message that is not an event needs more, even packed
 _ROOM_CHUNKS = 100_000  # chunks whose headers are read before the first is unpacked
 _BYTES_AHEAD = 32 << 20  # of all these blocks
-_SMALL_FILE_BYTES = (
-    1 << 19
-)  # read by the calling thread: a block is unpacked before another thread has started
+_SMALL_FILE_BYTES = 1 << 19  # read by the calling thread: a block is unpacked before another thread has started
 
 
 class McapSource:
@@ -145,9 +143,7 @@ class McapSource:
         if packed:
             yield event_batch(packed)
 
-    def _add_single(
-        self, content: memoryview, offset: int, batch: Batch, packed: list[tuple[Stage, bytes]]
-    ) -> None:
+    def _add_single(self, content: memoryview, offset: int, batch: Batch, packed: list[tuple[Stage, bytes]]) -> None:
         """Add a message that is not part of an array: a text, an event that was packed by itself, or a foreign one."""
         if len(content) < MESSAGE_HEADER.size:
             return

@@ -81,11 +81,7 @@ def _described(folder: Path) -> RecordingFiles:
     files = [file for file in stored if _unpacked_name(file.name) in names]
     missing = sorted(names - {_unpacked_name(file.name) for file in files})
     notes = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
-    notes += [
-        f"{file.name} is not listed in {METADATA_NAME} and was not read"
-        for file in stored
-        if file not in files
-    ]
+    notes += [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in stored if file not in files]
     if not files:
         raise TraceFormatError(folder, "; ".join(notes[:3]))
     return RecordingFiles(files, notes, claimed)

@@ -88,10 +88,7 @@ def event_batch(singles: Sequence[tuple[Stage, bytes]]) -> Batch:
         else:
             unreadable += 1
     dtype = np.dtype([("cdr", f"V{len(CDR_HEADER)}"), ("event", EVENT_DTYPE)])
-    arrays = [
-        (stage, np.frombuffer(b"".join(messages), dtype)["event"].copy())
-        for stage, messages in events.items()
-    ]
+    arrays = [(stage, np.frombuffer(b"".join(messages), dtype)["event"].copy()) for stage, messages in events.items()]
     return Batch(arrays, unreadable=unreadable)
 
 

@@ -71,14 +71,11 @@ class SqliteSource:
                 self._database.execute("PRAGMA trusted_schema = OFF")
                 if self._one(_TABLES) != 2 or self._one(_COMPUTED):
                     raise TraceFormatError(
-                        self._shown_as,
-                        "not a rosbag2 database: no tables 'topics' and 'messages' as it makes them",
+                        self._shown_as, "not a rosbag2 database: no tables 'topics' and 'messages' as it makes them"
                     )
                 topics = self._database.execute(_TOPICS, [_MOST_TOPICS + 1]).fetchall()
                 if len(topics) > _MOST_TOPICS:
-                    raise TraceFormatError(
-                        self._shown_as, f"not a rosbag2 database: more than {_MOST_TOPICS} topics"
-                    )
+                    raise TraceFormatError(self._shown_as, f"not a rosbag2 database: more than {_MOST_TOPICS} topics")
                 self._last_row = self._one(_LAST_ROW)
             except (*_SQLITE_ERRORS, OSError, ValueError) as err:
                 raise TraceFormatError(self._shown_as, f"not a rosbag2 database ({err!r})") from err
@@ -114,9 +111,7 @@ class SqliteSource:
         ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
         faults = self._faults()
         ids = ",".join(map(str, ours))
-        last = Batch(
-            notes=[f"messages of {names[topic_id]} are not used: {why}" for topic_id, why in faults.items()]
-        )
+        last = Batch(notes=[f"messages of {names[topic_id]} are not used: {why}" for topic_id, why in faults.items()])
         rows = _Rows(self._shown_as)
         try:
             with closing(self._database.execute(_MESSAGES.format(limit=_BATCH_BYTES, ids=ids))) as cursor:
@@ -125,9 +120,7 @@ class SqliteSource:
                     rows_left -= 1
                     bytes_left -= len(data) if isinstance(data, bytes) else 0
                     if rows_left < 0 or bytes_left < 0:
-                        last.truncated = (
-                            "ends early: it has more rows, or larger ones, than so few bytes can hold"
-                        )
+                        last.truncated = "ends early: it has more rows, or larger ones, than so few bytes can hold"
                         break
                     if rows.full:
                         yield from rows.batches()

@@ -35,9 +35,7 @@ def _open_sqlite(path: Path, _pool: Executor, shown_as: Path) -> Source:
 _OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {".mcap": McapSource, ".db3": _open_sqlite}
 
 
-def find_traces(
-    folder: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()
-) -> list[Path]:
+def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:
     """Find the traces in `folder` and below it: `.mcap` files and rosbag2 folders, sorted, without those in `skip`.
 
     Files are found by name and not opened; `read_trace` refuses what is not a trace. A `folder` that is itself a file or a
@@ -85,9 +83,7 @@ def storage_files(path: Path) -> list[Path]:
         raise TraceFormatError(path, "not a rosbag2 folder: it contains no .mcap or .db3 file")
     return sorted(
         files,
-        key=lambda file: [
-            (len(part), part) if part.isdigit() else (0, part) for part in re.split(r"(\d+)", file.name)
-        ],
+        key=lambda file: [(len(part), part) if part.isdigit() else (0, part) for part in re.split(r"(\d+)", file.name)],
     )
 
 
@@ -122,9 +118,7 @@ def _opener_suffix(file: Path) -> str | None:
     return suffix if suffix in _OPENERS else None
 
 
-def unpack_file(
-    packed: Path, copy: IO[bytes], ratio: int = LARGEST_RATIO, unsuspected_bytes: int = 0
-) -> None:
+def unpack_file(packed: Path, copy: IO[bytes], ratio: int = LARGEST_RATIO, unsuspected_bytes: int = 0) -> None:
     """Unpack a file as far as possible: the copy of a cut off file is cut off, and its reader reports it."""
     limit = max(packed.stat().st_size * ratio, unsuspected_bytes)
     with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:

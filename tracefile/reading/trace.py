@@ -130,9 +130,7 @@ class TextCollector:
 def _string(text: Text) -> str:
     data = text.data
     if len(data) > _MAX_BYTES:
-        raise TraceFormatError(
-            text.path, f"a message of {text.topic} has {len(data)} bytes, more than any description"
-        )
+        raise TraceFormatError(text.path, f"a message of {text.topic} has {len(data)} bytes, more than any description")
     try:
         return decode_string(data)
     except ValueError as err:
@@ -159,9 +157,7 @@ class RingBeside:
             last = int(slots["mark"][-1] & TICKET_MASK)
             missing = last + 1 - events_in_file - len(slots)
             if missing:
-                batch.notes.append(
-                    f"{counted(missing, 'event is', 'events are')} neither in the file nor in its ring"
-                )
+                batch.notes.append(f"{counted(missing, 'event is', 'events are')} neither in the file nor in its ring")
         if self.contents.recording:
             batch.notes.append("still being recorded; these are the events up to now")
         return batch

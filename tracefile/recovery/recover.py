@@ -62,9 +62,7 @@ class RecoveryReport:
     def lines(self) -> list[str]:
         """Return the report as lines for a terminal."""
         if self.recovered is None:
-            whole = (
-                f"{self.path} is closed and whole ({counted(self.file_events, 'event')}); nothing to recover"
-            )
+            whole = f"{self.path} is closed and whole ({counted(self.file_events, 'event')}); nothing to recover"
             fault = f"its damaged ring is left as it is: {self.ring_fault}"
             return [whole, fault] if self.ring_fault else [whole]
         torn = counted(self.torn_bytes, "byte")
@@ -77,9 +75,7 @@ class RecoveryReport:
         ]
 
 
-def recover(
-    path: str | os.PathLike[str], destination: str | os.PathLike[str] | None = None
-) -> RecoveryReport:
+def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | None = None) -> RecoveryReport:
     """Make a closed trace of a cut off one and its ring, without changing a byte of either.
 
     What is whole is used: only the ring if the file is gone, only the file if the ring is, and whole slots of a damaged ring.
@@ -182,12 +178,8 @@ def _inspect(trace: Path) -> _KilledTrace:
             ring_file, f"this ring belongs to another recording than {trace.name}; move one of them away"
         )
     if ring is None and not sessions:
-        raise TraceFormatError(
-            trace, "ends before its session description and has no whole ring: it holds no event"
-        )
-    return _KilledTrace(
-        trace, counts, sessions[-1] if sessions or ring is None else ring.session, ring, fault
-    )
+        raise TraceFormatError(trace, "ends before its session description and has no whole ring: it holds no event")
+    return _KilledTrace(trace, counts, sessions[-1] if sessions or ring is None else ring.session, ring, fault)
 
 
 def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
@@ -198,15 +190,11 @@ def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
             for item in salvage
             if isinstance(item, SalvagedText) and item.topic == SESSION_TOPIC
         ]
-    counts = _FileCounts(
-        salvage.closed, salvage.events, salvage.tickets, salvage.torn_bytes, salvage.damaged_chunks
-    )
+    counts = _FileCounts(salvage.closed, salvage.events, salvage.tickets, salvage.torn_bytes, salvage.damaged_chunks)
     return counts, sessions
 
 
-def _read_ring(
-    ring: Path, events_in_trace: int, session: Session | None
-) -> tuple[RingContents | None, str | None]:
+def _read_ring(ring: Path, events_in_trace: int, session: Session | None) -> tuple[RingContents | None, str | None]:
     """Return the content of a ring and its damage in words; both None if there is no ring, or an empty one."""
     if not ring.exists():
         return None, None
@@ -234,9 +222,7 @@ def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> Tr
         "missing_events": report.missing_events,
     }
     session = replace(
-        killed.session,
-        dropped_events=report.dropped_events,
-        extra={**killed.session.extra, "recovered": counts},
+        killed.session, dropped_events=report.dropped_events, extra={**killed.session.extra, "recovered": counts}
     )
     with TraceWriter(unfinished, killed.session, mode=killed.mode) as writer:
         for item in _salvaged(killed.trace):

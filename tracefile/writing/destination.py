@@ -104,9 +104,7 @@ def make_room(destination: TraceDestination) -> None:
     if existing and not destination.force:
         raise OutputExistsError(f"{existing[0]} is there already; choose another name or use --force")
     if is_recorded(destination.trace_path):
-        raise OutputExistsError(
-            f"{destination.path} is still being recorded; choose another name or stop its recorder"
-        )
+        raise OutputExistsError(f"{destination.path} is still being recorded; choose another name or stop its recorder")
     try:
         for path in ours:
             path.unlink(missing_ok=True)

@@ -227,9 +227,7 @@ class EventPacker:
                     words[at + MARK_WORD] = mark
                     self._head = following
                     return departure_ns
-        self.record(
-            stages[0], run_id, sequence, monotonic_ns, 0, source_ns, received_ns, payload_bytes, relay_id
-        )
+        self.record(stages[0], run_id, sequence, monotonic_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
         return self.stamp(stages[1], run_id, sequence, 0, 0, 0, payload_bytes, relay_id)
 
     def expect(
@@ -257,9 +255,7 @@ class EventPacker:
             self._expected = expected = head, slot * SLOT_WORDS, *marks
             return expected
 
-    def record_expected(
-        self, expected: ExpectedPair, monotonic_ns: int, source_ns: int, received_ns: int
-    ) -> bool:
+    def record_expected(self, expected: ExpectedPair, monotonic_ns: int, source_ns: int, received_ns: int) -> bool:
         """Store the pair that `expect` has packed, with its arrival's times; the clock gives the departure's.
 
         Returns:

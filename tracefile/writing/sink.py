@@ -45,11 +45,7 @@ class TraceSink(EventPacker):
     """
 
     def __init__(
-        self,
-        destination: TraceDestination,
-        session: Session,
-        *,
-        clock_ns: Callable[[], int] = time.monotonic_ns,
+        self, destination: TraceDestination, session: Session, *, clock_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
         self._session = session
         self._flush_seconds = destination.flush_seconds
@@ -76,9 +72,7 @@ class TraceSink(EventPacker):
 
     def _write(self, topic: str, text: str) -> None:
         with self._write_lock:
-            if (
-                self._closed is None and not self._is_paused
-            ):  # a host sample during a pause is not worth the space
+            if self._closed is None and not self._is_paused:  # a host sample during a pause is not worth the space
                 self._texts.append((topic, text, self._session.wall_ns(self._clock_ns())))
                 self._flush()
 

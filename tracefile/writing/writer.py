@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    Message,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Channel, ChunkIndex, DataEnd, Footer, Header, Message, Schema, Statistics, SummaryOffset
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import OWNER_AND_GROUP, flush_to_disk, output_error
@@ -75,9 +65,7 @@ class TraceWriter:
         OutputError: the file cannot be created; later, by each method: it cannot be written.
     """
 
-    def __init__(
-        self, path: Path, session: Session, *, fsync: bool = False, mode: int = OWNER_AND_GROUP
-    ) -> None:
+    def __init__(self, path: Path, session: Session, *, fsync: bool = False, mode: int = OWNER_AND_GROUP) -> None:
         self.path = path
         self._fsync = fsync
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
@@ -137,9 +125,7 @@ class TraceWriter:
         for first in range(0, len(slots), MAX_CHUNK_EVENTS):
             chunk = slots[first : first + MAX_CHUNK_EVENTS]
             by_channel = positions_by_channel(chunk)
-            declarations = declarations_of(
-                [self._channels[EVENT_TOPICS[number - 1]] for number in by_channel]
-            )
+            declarations = declarations_of([self._channels[EVENT_TOPICS[number - 1]] for number in by_channel])
             built = self._builder.build(chunk, by_channel, declarations, self._counts, self._last_ns)
             self._write_chunk(built)
 
@@ -225,13 +211,8 @@ class TraceWriter:
         compressed = self._compressor.compress(chunk.content)
         size = len(chunk.content)
         body = _CHUNK_HEADER.size - 9 + len(_COMPRESSION) + 8 + len(compressed)
-        header = _CHUNK_HEADER.pack(
-            Opcode.CHUNK, body, chunk.start_ns, chunk.end_ns, size, crc32(chunk.content)
-        )
-        parts: list[bytes | memoryview] = [
-            header + _COMPRESSION + struct.pack("<Q", len(compressed)),
-            compressed,
-        ]
+        header = _CHUNK_HEADER.pack(Opcode.CHUNK, body, chunk.start_ns, chunk.end_ns, size, crc32(chunk.content))
+        parts: list[bytes | memoryview] = [header + _COMPRESSION + struct.pack("<Q", len(compressed)), compressed]
         chunk_length = 9 + body
         index_at = self._end + chunk_length
         offsets = {}

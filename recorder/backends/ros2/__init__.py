@@ -14,14 +14,7 @@ from ...choices import Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import DDS_MEETING, Backend, Meeting
 from .fastdds_profile import applied_transport
-from .installation import (
-    INSTALL,
-    check_installed,
-    check_settings,
-    check_vendor,
-    find_rmws,
-    set_discovery_range,
-)
+from .installation import INSTALL, check_installed, check_settings, check_vendor, find_rmws, set_discovery_range
 from .node import Ros2Node, running_rmw
 from .router import open_router
 

@@ -57,11 +57,7 @@ def check_installed() -> None:
     # With a middleware that it was not built for, rclpy ends the process that imports it.
     script = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
     done = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        timeout=WRONG_RMW_TIMEOUT_S,
-        check=False,
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=WRONG_RMW_TIMEOUT_S, check=False
     )
     running = done.stdout.strip()
     if running != rmw:

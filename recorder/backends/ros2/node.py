@@ -57,14 +57,10 @@ class Ros2Node(ThreadedNode):
         self._subscriptions: tuple[_Ros2Subscription, ...] = ()
         self._incompatible: dict[str, set[str]] = {}
 
-    def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None
-    ) -> Publisher[RawMessage]:
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         return self._open_publisher(_RawPublisher, topic, type_name, qos)
 
-    def create_object_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None
-    ) -> Publisher[RosMessage]:
+    def create_object_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RosMessage]:
         return self._open_publisher(_ObjectPublisher, topic, type_name, qos)
 
     def _open_publisher(
@@ -296,9 +292,7 @@ def _with_info(receive: Receive[Any], *, stamps_reception: bool) -> Callable[...
 
 def _events(class_name: str, on_incompatible: Callable[[Any], None]) -> Any:
     module = "rclpy.event_handler" if find_spec("rclpy.event_handler") else "rclpy.qos_event"  # Humble
-    return getattr(import_module(module), class_name)(
-        incompatible_qos=on_incompatible, use_default_callbacks=False
-    )
+    return getattr(import_module(module), class_name)(incompatible_qos=on_incompatible, use_default_callbacks=False)
 
 
 def _message_class(type_name: str) -> Any:

@@ -63,9 +63,7 @@ def open_router(rmw: str, discovery: Discovery, patience_s: float = PATIENCE_S) 
     start = f"start it with `ros2 run {rmw} {middleware.router}`"
     missing = f"{rmw} needs its router, and none listens at {host}:{port}"
     if not is_local:
-        raise BackendUnavailableError(
-            f"{missing}; {start}, on each device, and connect the routers (docs of {rmw})"
-        )
+        raise BackendUnavailableError(f"{missing}; {start}, on each device, and connect the routers (docs of {rmw})")
     program = find_program(rmw, middleware.router)
     if program is None:
         raise BackendUnavailableError(
@@ -91,9 +89,7 @@ def _listens(host: str, port: int) -> bool:
     return False
 
 
-def _comes_up(
-    host: str, port: int, patience_s: float, process: subprocess.Popen[bytes] | None = None
-) -> bool:
+def _comes_up(host: str, port: int, patience_s: float, process: subprocess.Popen[bytes] | None = None) -> bool:
     """Wait until a router listens or its process ends; return whether it listens."""
     end_s = time.monotonic() + patience_s
     while not _listens(host, port):
@@ -104,9 +100,7 @@ def _comes_up(
 
 
 def _start(program: Path, port: int) -> subprocess.Popen[bytes]:
-    overrides = filter(
-        None, (os.environ.get("ZENOH_CONFIG_OVERRIDE"), f'listen/endpoints=["tcp/localhost:{port}"]')
-    )
+    overrides = filter(None, (os.environ.get("ZENOH_CONFIG_OVERRIDE"), f'listen/endpoints=["tcp/localhost:{port}"]'))
     environment = {**os.environ, "ZENOH_CONFIG_OVERRIDE": ";".join(overrides)}
     return subprocess.Popen(
         [*ending_with_parent(), str(program)],

@@ -55,9 +55,7 @@ class SocketNode(ThreadedNode):
         self._links: TcpLinks | UdpLinks
         if options.transport is Transport.UDP:
             if options.congestion_control is not None:
-                raise OptionError(
-                    f"--congestion-control {options.congestion_control}: UDP has none; leave it out"
-                )
+                raise OptionError(f"--congestion-control {options.congestion_control}: UDP has none; leave it out")
             buffer_bytes = BUFFER_BYTES if options.tuned else None
             links = UdpLinks(self._own, listen, resolved, self._receivers, self.strangers, buffer_bytes)
             settings["receive_buffer_bytes"] = str(links.receive_buffer_bytes)
@@ -76,9 +74,7 @@ class SocketNode(ThreadedNode):
         """Port at which the node listens; 0 if it does not."""
         return self._links.port
 
-    def create_publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None
-    ) -> Publisher[RawMessage]:
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         _check_qos(qos or self.options.qos, PROTOCOLS[self.options.transport])
         self._own.publishers = {**self._own.publishers, topic: type_name}
         self._links.announce()
@@ -110,14 +106,8 @@ class SocketNode(ThreadedNode):
         greetings = [self._own, *self._links.greetings()]
         return TopicView(
             topic,
-            tuple(
-                Endpoint(node.name, node.publishers[topic]) for node in greetings if topic in node.publishers
-            ),
-            tuple(
-                Endpoint(node.name, node.subscriptions[topic])
-                for node in greetings
-                if topic in node.subscriptions
-            ),
+            tuple(Endpoint(node.name, node.publishers[topic]) for node in greetings if topic in node.publishers),
+            tuple(Endpoint(node.name, node.subscriptions[topic]) for node in greetings if topic in node.subscriptions),
         )
 
     def count_participants(self) -> int | None:

@@ -166,10 +166,7 @@ class TcpLinks:
         def connected() -> None:
             self._selector.unregister(connection)
             # While nobody listens, a connection to a local port can connect to itself (simultaneous open).
-            if (
-                connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-                or connection.getsockname() == address
-            ):
+            if connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or connection.getsockname() == address:
                 connection.close()
                 self._retry_s[address] = time.monotonic() + RETRY_S
             else:
@@ -251,11 +248,7 @@ class _TcpPeer:
     """
 
     def __init__(
-        self,
-        connection: socket.socket,
-        has_memory: Callable[[_TcpPeer, int], bool],
-        *,
-        is_chosen: bool,
+        self, connection: socket.socket, has_memory: Callable[[_TcpPeer, int], bool], *, is_chosen: bool
     ) -> None:
         self.since_s = time.monotonic()
         self.has_greeted = False

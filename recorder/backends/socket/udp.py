@@ -117,9 +117,7 @@ class UdpLinks:
         return partial(self._send, topic)
 
     def _send(self, topic: str, message: RawMessage) -> None:
-        subscribers = [
-            address for address, peer in list(self._peers.items()) if topic in peer.greeting.subscriptions
-        ]
+        subscribers = [address for address, peer in list(self._peers.items()) if topic in peer.greeting.subscriptions]
         self._send_to(subscribers, topic.encode(), message)
 
     def _send_to(self, addresses: Sequence[Address], name: bytes, message: RawMessage) -> None:

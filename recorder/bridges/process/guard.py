@@ -193,11 +193,7 @@ def main() -> int:
     left_behind = end_all(program, drain, patience_s)
     code = program.wait()
     code = code if code >= 0 else 128 - code
-    say(
-        json.dumps(
-            {"asked": still_ran, "exit_code": code, "left_behind": left_behind, "log_bytes": log.total_bytes}
-        )
-    )
+    say(json.dumps({"asked": still_ran, "exit_code": code, "left_behind": left_behind, "log_bytes": log.total_bytes}))
     if drain.orphaned and drain.stopping:  # nobody else removes it
         shutil.rmtree(folder, ignore_errors=True)
         with contextlib.suppress(OSError):  # the other half's folder is still in it

@@ -43,9 +43,7 @@ class ProgramReadBack:
             return
         self._applied = applied
         vendors = (library.vendor for library in applied.begin.libraries)
-        vendor = next(
-            (vendor for vendor in vendors if vendor not in LINK_MIDDLEWARES), self._bridge.compiled_in
-        )
+        vendor = next((vendor for vendor in vendors if vendor not in LINK_MIDDLEWARES), self._bridge.compiled_in)
         self._requested = tuple(
             asked_settings(
                 vendor,
@@ -71,9 +69,7 @@ class ProgramReadBack:
         name = self._bridge.name
         by_setting = {
             difference.setting: replace(
-                difference,
-                asked=f"{name}: {difference.asked}",
-                words=f"the bridge {name}: {difference.words}",
+                difference, asked=f"{name}: {difference.asked}", words=f"the bridge {name}: {difference.words}"
             )
             for requested in self._requested
             for difference in differences(requested, self._applied)

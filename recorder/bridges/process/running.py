@@ -132,9 +132,7 @@ class RunningBridge:
                     "half": half.half.value,
                     "version": half.version,
                     # Without folders: a trace is passed on to others.
-                    "command": [
-                        Path(part).name if part.startswith("/") else part for part in half.program.command
-                    ],
+                    "command": [Path(part).name if part.startswith("/") else part for part in half.program.command],
                     "configuration": half.configuration,
                     "environment": dict(half.environment),
                     "log_tail": self.log_tail(half.half),
@@ -184,9 +182,7 @@ class RunningBridge:
 
 
 @contextmanager
-def open_bridge(
-    name: str, options: BridgeOptions, *, up_timeout_s: float = UP_TIMEOUT_S
-) -> Iterator[RunningBridge]:
+def open_bridge(name: str, options: BridgeOptions, *, up_timeout_s: float = UP_TIMEOUT_S) -> Iterator[RunningBridge]:
     """Run the bridge called `name` while the block runs; no message has crossed yet when the block starts.
 
     Raises:
@@ -222,9 +218,7 @@ def find_program(bridge: Bridge) -> Path:
     return program
 
 
-def _start_half(
-    bridge: Bridge, program: Path, version: str, options: BridgeOptions, folder: Path
-) -> _RunningHalf:
+def _start_half(bridge: Bridge, program: Path, version: str, options: BridgeOptions, folder: Path) -> _RunningHalf:
     folder = folder / options.half.value
     folder.mkdir()
     text = bridge.configuration(options)

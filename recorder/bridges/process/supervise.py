@@ -117,9 +117,7 @@ class SupervisedProgram:
 
     def last_line(self) -> str:
         """Return the last line of the log."""
-        return next(
-            (line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it logged nothing"
-        )
+        return next((line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it logged nothing")
 
     def load(self) -> ProgramLoad:
         """Return the present load of the program and its children."""

@@ -92,9 +92,7 @@ AXES: Mapping[str, PlanAxis] = {
     "relay_backend": PlanAxis(
         "backend of the relay", default_words="the ping's", option="--backend", row=OPTIONS["backend"]
     ),
-    "relay_rmw": PlanAxis(
-        "ROS middleware of the relay", limits.RMW, default_words="the ping's", option="--rmw"
-    ),
+    "relay_rmw": PlanAxis("ROS middleware of the relay", limits.RMW, default_words="the ping's", option="--rmw"),
     "environment": PlanAxis(
         "folder of the Python environment whose `dds-record` runs; both sides on this machine",
         default_words="this environment",

@@ -42,25 +42,16 @@ class Link:
         unit="ms",
     )
     loss_percent: float = plan_key(
-        0.0,
-        limits.PERCENT,
-        "share of lost IP fragments, independent of each other, before reassembly",
-        unit="%",
+        0.0, limits.PERCENT, "share of lost IP fragments, independent of each other, before reassembly", unit="%"
     )
     outage_every_s: float = plan_key(
         0.0, limits.WAIT_S, "time from one outage to the next, by our forwarder; needs `outage_ms`", unit="s"
     )
     outage_ms: float = plan_key(
-        0.0,
-        limits.DELAY_MS,
-        "length of each outage, in which every frame is lost; needs `outage_every_s`",
-        unit="ms",
+        0.0, limits.DELAY_MS, "length of each outage, in which every frame is lost; needs `outage_every_s`", unit="ms"
     )
     queue_ms: float = plan_key(
-        100.0,
-        limits.DELAY_MS,
-        "longest wait of a frame for a full line; later ones are dropped (tail drop)",
-        unit="ms",
+        100.0, limits.DELAY_MS, "longest wait of a frame for a full line; later ones are dropped (tail drop)", unit="ms"
     )
 
     @property
@@ -126,15 +117,7 @@ PRESETS: Mapping[str, Link] = {
         Link("ethernet-100m", rate_mbit_s=100),
         # 802.11g/a at its highest rate. In the air both directions share it; here each has it.
         Link("wifi-54", rate_mbit_s=54, delay_ms=1, jitter_ms=0.5, loss_percent=0.1),
-        Link(
-            "wifi-poor",
-            rate_mbit_s=12,
-            delay_ms=5,
-            jitter_ms=5,
-            loss_percent=2,
-            outage_every_s=10,
-            outage_ms=300,
-        ),
+        Link("wifi-poor", rate_mbit_s=12, delay_ms=5, jitter_ms=5, loss_percent=2, outage_every_s=10, outage_ms=300),
         Link("5g", rate_mbit_s=100, delay_ms=10, jitter_ms=3, loss_percent=0.01),
     )
 }

@@ -54,9 +54,7 @@ class RunSettings:
         unit="s",
         default_words="none",
     )
-    min_messages: int = plan_key(
-        1, limits.MESSAGES, "fewest messages of a run with `seconds`, however low its rate"
-    )
+    min_messages: int = plan_key(1, limits.MESSAGES, "fewest messages of a run with `seconds`, however low its rate")
     warmup: int = plan_key(10, limits.WARMUP, "messages at the start of each run that are in no statistic")
     settle_seconds: float = plan_key(
         0.5, limits.WAIT_S, "pause between two runs, in which buffers empty and CPUs cool", unit="s"
@@ -71,9 +69,7 @@ class RunSettings:
     )
     seed: int = plan_key(0, limits.SEED, "seed of the shuffling")
     repeats: int = plan_key(
-        1,
-        limits.REPEATS,
-        "runs of each result; a verdict needs three, and five find +20 % in most comparisons",
+        1, limits.REPEATS, "runs of each result; a verdict needs three, and five find +20 % in most comparisons"
     )
     attempts: int = plan_key(2, limits.ATTEMPTS, "most attempts at a run that fails")
     discovery: str | None = plan_key(
@@ -90,9 +86,7 @@ class RunSettings:
         "whether both sides count packets on their interfaces ([wire.md](wire.md)); needs CAP_NET_RAW",
     )
     own_cost_passes: int = plan_key(
-        0,
-        limits.PASSES_OR_ALL,
-        "first repeats in which sessions measure their own cost, for one second each; 0: all",
+        0, limits.PASSES_OR_ALL, "first repeats in which sessions measure their own cost, for one second each; 0: all"
     )
 
     def messages_at(self, rate_hz: float) -> int:
@@ -112,18 +106,14 @@ class RunSettings:
 class DeviceSettings:
     """`[devices.ping]` or `[devices.relay]`."""
 
-    name: str | None = plan_key(
-        None, limits.NAME, "name of the device in the trace", default_words="its host name"
-    )
+    name: str | None = plan_key(None, limits.NAME, "name of the device in the trace", default_words="its host name")
     ssh: str | None = plan_key(
         None,
         limits.NAME,
         "`user@host` of the relay's device, reached by `ssh` with keys",
         default_words="none: this machine",
     )
-    ssh_options: tuple[str, ...] = plan_key(
-        (), limits.TEXT, 'further arguments of `ssh`, such as `["-p", "2222"]`'
-    )
+    ssh_options: tuple[str, ...] = plan_key((), limits.TEXT, 'further arguments of `ssh`, such as `["-p", "2222"]`')
     setup: str | None = plan_key(
         None,
         limits.TEXT,
@@ -172,9 +162,7 @@ class Search:
 
     min_rate: float = plan_key(1.0, limits.RATE_HZ, "lowest rate tried", unit="Hz")
     max_rate: float = plan_key(2000.0, limits.RATE_HZ, "highest rate tried", unit="Hz")
-    loss_percent: float = plan_key(
-        0.1, limits.PERCENT, "largest share of lost messages of a rate that works", unit="%"
-    )
+    loss_percent: float = plan_key(0.1, limits.PERCENT, "largest share of lost messages of a rate that works", unit="%")
     deadline_ms: float = plan_key(
         50.0,
         limits.DEADLINE_MS,
@@ -184,13 +172,9 @@ class Search:
     percentile: float = plan_key(
         99.0, limits.OneOf(PERCENTILES), "percentile of the responses that must meet the deadline"
     )
-    resolution: float = plan_key(
-        1.1, limits.FACTOR, "factor within which the answer is exact (1.1: within 10 %)"
-    )
+    resolution: float = plan_key(1.1, limits.FACTOR, "factor within which the answer is exact (1.1: within 10 %)")
     knee_repeats: int = plan_key(
-        3,
-        limits.KNEE_REPEATS,
-        "runs at the last rate that worked and at the first that did not; the majority counts",
+        3, limits.KNEE_REPEATS, "runs at the last rate that worked and at the first that did not; the majority counts"
     )
     seconds: float = plan_key(
         5.0,
@@ -256,9 +240,7 @@ class Plan:
 
     def runs_halves(self, cell: Cell) -> bool:
         """Return whether half of the cell's bridge runs next to the relay."""
-        return (
-            self.has_two_devices and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS
-        )
+        return self.has_two_devices and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS
 
     @property
     def digest(self) -> str:
@@ -285,9 +267,7 @@ def depth_warnings(plan: Plan) -> list[str]:
         if (warning := depth_warning(cell)) is not None:
             warned.setdefault(warning, []).append(cell.name)
     return [
-        f"{warning} (in {names[0]})"
-        if len(names) == 1
-        else f"{warning} (in {len(names)} results: {names[0]} ...)"
+        f"{warning} (in {names[0]})" if len(names) == 1 else f"{warning} (in {len(names)} results: {names[0]} ...)"
         for warning, names in warned.items()
     ]
 

@@ -54,21 +54,15 @@ def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = F
             data = file.read(MAX_PLAN_BYTES + 1)
         text = data.decode()
     except OSError as err:
-        raise OptionError(
-            f"{path}: {err.strerror}; give the path of a plan such as plans/quick.toml"
-        ) from err
+        raise OptionError(f"{path}: {err.strerror}; give the path of a plan such as plans/quick.toml") from err
     except UnicodeDecodeError as err:
         raise OptionError(f"{path}: {err}; a plan is UTF-8 text") from err
     if len(data) > MAX_PLAN_BYTES:
-        raise OptionError(
-            f"{path} is larger than {MAX_PLAN_BYTES >> 20} MiB, which no plan is; give another file"
-        )
+        raise OptionError(f"{path} is larger than {MAX_PLAN_BYTES >> 20} MiB, which no plan is; give another file")
     return parse_plan(text, path.stem, str(path), installed, by_hand=by_hand)
 
 
-def parse_plan(
-    text: str, name: str, where: str, installed: FindInstalled = tuple, *, by_hand: bool = False
-) -> Plan:
+def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
     """Return the plan in a TOML text; `where` names it in errors."""
     root = TomlTable.parse(text, where, PLAN_LIMITS)
     root.allow(*TABLES[""].words)
@@ -107,9 +101,7 @@ def parse_plan(
         relay=relay,
         namespaces=network.namespaces or link is not None,
         link=link,
-        connectivity=devices.take(
-            "connectivity", str, _connectivity(link, network.namespaces, relay, by_hand)
-        ),
+        connectivity=devices.take("connectivity", str, _connectivity(link, network.namespaces, relay, by_hand)),
         by_hand=by_hand,
         search=root.table("search").fill(Search()),
     )
@@ -178,9 +170,7 @@ def _check_names(cells: list[Cell], where: str, passes: int) -> None:
     seen: set[str] = set()
     for cell in cells:
         if cell.name in seen:
-            raise OptionError(
-                f"{where}: {cell.name} is there twice; two [[matrix]] overlap, so remove it from one"
-            )
+            raise OptionError(f"{where}: {cell.name} is there twice; two [[matrix]] overlap, so remove it from one")
         if len(cell.name.encode()) > MOST_NAME_BYTES:
             raise OptionError(
                 f"{where}: {cell.name[:60]}... has a name of {len(cell.name.encode())} bytes, which no file may have; "
@@ -250,18 +240,14 @@ def _link(table: TomlTable) -> Link | None:
     if preset and table.values.keys() - {"preset"} and "name" not in table.values:
         link = replace(link, name=f"{base.name}-changed")
     if (link.outage_ms > 0) != (link.outage_every_s > 0):
-        raise OptionError(
-            f"{table.where}: an outage has both outage_every_s and outage_ms; give both or none"
-        )
+        raise OptionError(f"{table.where}: an outage has both outage_every_s and outage_ms; give both or none")
     return link
 
 
 def _axis_values(table: TomlTable, ignore: Collection[str] = ()) -> AxisValues:
     table.allow(*AXES, *ignore)
     return {
-        axis: [
-            _axis_value(table, axis, value) for value in (listed if isinstance(listed, list) else [listed])
-        ]
+        axis: [_axis_value(table, axis, value) for value in (listed if isinstance(listed, list) else [listed])]
         for axis, listed in table.values.items()
         if axis not in ignore
     }

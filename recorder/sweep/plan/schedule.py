@@ -39,11 +39,7 @@ class CellGroup:
 
 def schedule(plan: Plan) -> list[CellGroup]:
     """Return all cells of all passes in groups of one relay, in an order that only depends on the plan."""
-    groups = [
-        group
-        for number in range(1, plan.run.repeats + 1)
-        for group in schedule_pass(plan, plan.cells, number)
-    ]
+    groups = [group for number in range(1, plan.run.repeats + 1) for group in schedule_pass(plan, plan.cells, number)]
     return number_groups(groups)
 
 

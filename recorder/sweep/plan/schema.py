@@ -163,20 +163,12 @@ def _table(name: str) -> Schema:
         return schema | _object(name, table)
     # A table or an array of tables.
     one = _object(name, table)
-    return schema | {
-        **one,
-        "type": ["object", "array"],
-        "items": {"$ref": f"#/properties/{name}", "type": "object"},
-    }
+    return schema | {**one, "type": ["object", "array"], "items": {"$ref": f"#/properties/{name}", "type": "object"}}
 
 
 def _reference(table: str, name: str, key: Key) -> Schema:
     """Return a key; three tables share `[axes]`."""
-    return (
-        {"$ref": f"#/$defs/{name}"}
-        if name in TABLES["axes"].keys and key.takes_list
-        else _key(table, name, key)
-    )
+    return {"$ref": f"#/$defs/{name}"} if name in TABLES["axes"].keys and key.takes_list else _key(table, name, key)
 
 
 def _key(table: str, name: str, key: Key) -> Schema:
@@ -231,10 +223,7 @@ def _words(limit: limits.Words) -> Schema:
 
 _BOUNDS: Mapping[type[Limit], Callable[..., Schema]] = {
     limits.Whole: lambda limit: {"minimum": limit.low, "maximum": limit.high},
-    limits.Real: lambda limit: {
-        "exclusiveMinimum" if limit.is_above else "minimum": limit.low,
-        "maximum": limit.high,
-    },
+    limits.Real: lambda limit: {"exclusiveMinimum" if limit.is_above else "minimum": limit.low, "maximum": limit.high},
     limits.Words: _words,
     limits.OneOf: lambda limit: {"enum": list(limit.choices)},
     limits.Flag: lambda _: {},

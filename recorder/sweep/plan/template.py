@@ -55,9 +55,7 @@ def _message(text: str) -> Message:
     named, at, rate = text.rpartition("@")
     quantity = split_quantity(rate.lower().removesuffix("hz"))
     if not at or quantity is None or quantity[1]:
-        raise OptionError(
-            f"{limits.shown(text)}: write a kind, a size and a rate, for example {DATA_EXAMPLE}"
-        )
+        raise OptionError(f"{limits.shown(text)}: write a kind, a size and a rate, for example {DATA_EXAMPLE}")
     data, size = named.strip(), None
     if not isinstance(PAYLOADS.get(data.partition(":")[0]), Source):
         data, *sizes = data.split() or [""]
@@ -82,9 +80,7 @@ def check_location(text: str) -> str:
     """Return where the relay is: `here`, `USER@HOST`, or the name of an emulated link."""
     location = text.strip()
     if location != HERE and location not in PRESETS and "@" not in location:
-        raise OptionError(
-            f"{limits.shown(location)}: write {HERE}, USER@HOST, or a link: {', '.join(PRESETS)}"
-        )
+        raise OptionError(f"{limits.shown(location)}: write {HERE}, USER@HOST, or a link: {', '.join(PRESETS)}")
     limits.check(limits.NAME, location, "the relay's device")
     return location
 

@@ -48,9 +48,7 @@ class TomlTable:
     validators: Mapping[str, Mapping[str, Limit]] = field(default_factory=dict)
 
     @classmethod
-    def parse(
-        cls, text: str, path: str, validators: Mapping[str, Mapping[str, Limit]] | None = None
-    ) -> TomlTable:
+    def parse(cls, text: str, path: str, validators: Mapping[str, Mapping[str, Limit]] | None = None) -> TomlTable:
         """Return the root table of a TOML text."""
         try:
             return cls(tomllib.loads(text), path, validators=validators or {})
@@ -66,18 +64,14 @@ class TomlTable:
 
     def table(self, key: str) -> TomlTable:
         """Return the table `key` of this one, empty if it is missing."""
-        return TomlTable(
-            self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."), self.validators
-        )
+        return TomlTable(self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."), self.validators)
 
     def tables(self, key: str) -> list[TomlTable]:
         """Return an array of tables; a single table counts as an array of one."""
         if isinstance(self.values.get(key), dict):
             return [self.table(key)]
         return [
-            TomlTable(
-                self.check(f"{key} number {number}", table, dict), self.path, f"[{key}]", self.validators
-            )
+            TomlTable(self.check(f"{key} number {number}", table, dict), self.path, f"[{key}]", self.validators)
             for number, table in enumerate(self.take(key, list, []), 1)
         ]
 
@@ -107,9 +101,7 @@ class TomlTable:
         """Raise an `OptionError` for a key that is not among `keys`."""
         for key in self.values:
             if key not in keys:
-                raise OptionError(
-                    f"{self.where}: there is no {limits.shown(key)}; {limits.nearest(key, keys)}"
-                )
+                raise OptionError(f"{self.where}: there is no {limits.shown(key)}; {limits.nearest(key, keys)}")
 
     def fill(self, defaults: _Record, *others: str) -> _Record:
         """Return a dataclass with the table's values, and with `defaults` where a key is missing.
@@ -119,8 +111,7 @@ class TomlTable:
         names = [field.name for field in fields(defaults)]
         self.allow(*names, *others)
         return replace(
-            defaults,
-            **{name: self._like(name, getattr(defaults, name)) for name in names if name in self.values},
+            defaults, **{name: self._like(name, getattr(defaults, name)) for name in names if name in self.values}
         )
 
     def _like(self, name: str, default: object) -> object:
@@ -129,7 +120,5 @@ class TomlTable:
             choices = {str(choice.value): choice for choice in type(default)}
             return choices[self.choose(name, value, choices)]
         if isinstance(default, tuple):
-            return tuple(
-                self.check(name, item, str) for item in (value if isinstance(value, list) else [value])
-            )
+            return tuple(self.check(name, item, str) for item in (value if isinstance(value, list) else [value]))
         return self.check(name, value, str if default is None else type(default))

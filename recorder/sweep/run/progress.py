@@ -62,9 +62,7 @@ class PlainProgress(SweepProgress):
 
     def note(self, text: str) -> None:
         """Print a line without markup, as it may be a program's."""
-        self._console.print(
-            printable(text, MAX_FINDING_CHARACTERS), markup=False, highlight=False, soft_wrap=True
-        )
+        self._console.print(printable(text, MAX_FINDING_CHARACTERS), markup=False, highlight=False, soft_wrap=True)
 
 
 class RichProgress(PlainProgress):

@@ -59,9 +59,7 @@ class CellResult:
     def __str__(self) -> str:
         loss = f", {self.loss_percent:.2g} % lost" if self.received < self.published else ""
         cut = f", cut off after {self.published} of {self.planned}" if self.cut_off else ""
-        rtt = (
-            f"RTT p50 {self.rtt_ms['p50']:.2f} p99 {self.rtt_ms['p99']:.2f} ms" if self.rtt_ms else "no reply"
-        )
+        rtt = f"RTT p50 {self.rtt_ms['p50']:.2f} p99 {self.rtt_ms['p99']:.2f} ms" if self.rtt_ms else "no reply"
         not_applied = f"; not applied: {self.not_applied}" if self.not_applied else ""
         return f"{rtt}, {self.received}/{counted(self.published, 'message')}{loss}{cut}{not_applied}"
 
@@ -113,6 +111,5 @@ def _percentiles_ms(times_ns: NDArray[np.int64]) -> dict[str, float] | None:
         return None
     values_ms = np.percentile(times_ns, PERCENTILES) / 1e6
     return {
-        f"p{percentile:g}": round(float(value), 4)
-        for percentile, value in zip(PERCENTILES, values_ms, strict=True)
+        f"p{percentile:g}": round(float(value), 4) for percentile, value in zip(PERCENTILES, values_ms, strict=True)
     }

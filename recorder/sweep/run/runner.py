@@ -63,11 +63,7 @@ class GroupRelay:
     """The relay of a group of cells with its half of a bridge (if any); after an end by itself a new segment follows."""
 
     def __init__(
-        self,
-        device: RelayDevice,
-        arguments: Sequence[str],
-        half: Sequence[str] | None,
-        new_segments: Iterator[str],
+        self, device: RelayDevice, arguments: Sequence[str], half: Sequence[str] | None, new_segments: Iterator[str]
     ) -> None:
         self._device = device
         self._arguments = arguments
@@ -160,9 +156,7 @@ class Runner:
         for segment in self.state.segments:
             self._collect(segment)
         if foreign := clear_parts(self._parts):
-            self._progress.note(
-                f"{self._parts} contains {', '.join(foreign)}, which no sweep wrote; not deleted"
-            )
+            self._progress.note(f"{self._parts} contains {', '.join(foreign)}, which no sweep wrote; not deleted")
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
         """Run the incomplete cells of a group; the time left counts `all_cells`."""
@@ -210,12 +204,7 @@ class Runner:
                 self._refresh(relay)
             else:
                 self.state[cell.name] = replace(
-                    running,
-                    status=Status.RECORDED,
-                    run_id=result.run_id,
-                    segment=segment,
-                    result=result,
-                    link=link,
+                    running, status=Status.RECORDED, run_id=result.run_id, segment=segment, result=result, link=link
                 )
                 self._progress.ended(cell.name, str(result), complete=True)
                 if result.received < result.published:
@@ -304,9 +293,7 @@ class Runner:
                 self.state[name] = replace(cell, status=Status.COMPLETE, segment="")
             else:
                 remove_files(self.folder, self.ping_path(name).name, ("",))
-                self.state[name] = replace(
-                    cell, status=Status.FAILED, segment="", reason="its relay trace is lost"
-                )
+                self.state[name] = replace(cell, status=Status.FAILED, segment="", reason="its relay trace is lost")
                 self._progress.note(f"{name}: its relay trace is lost")
         try:
             device.discard(segment)
@@ -314,9 +301,7 @@ class Runner:
             self._progress.note(f"{err}; a trace that is no longer needed stays on the device")
 
     def _split(self, path: Path | None, cells: Mapping[str, CellState]) -> dict[int, int]:
-        parts = [
-            CellPart(int(cell.run_id, 16), self.relay_path(name), cell.link) for name, cell in cells.items()
-        ]
+        parts = [CellPart(int(cell.run_id, 16), self.relay_path(name), cell.link) for name, cell in cells.items()]
         try:
             return split_relay_trace(path, parts) if path is not None else {}
         except (TraceFormatError, OSError) as err:

@@ -50,9 +50,7 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
     """
     trace = read_trace(segment)
     if not trace.sessions:
-        raise TraceFormatError(
-            segment, "names no session, so its events have no clock; record the cells again"
-        )
+        raise TraceFormatError(segment, "names no session, so its events have no clock; record the cells again")
     counts = {}
     for part in parts:
         slots = slots_in_time(

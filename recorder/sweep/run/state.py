@@ -124,7 +124,7 @@ class SweepState:
         if digest != self._digest:
             raise OptionError(
                 f"{self.path.parent}: recorded under other [run], [link] or [devices] settings of the plan "
-                f"{self._plan_name!r}; give another --out or name, so that different runs are not mixed",
+                f"{self._plan_name!r}; give another --out or name, so that different runs are not mixed"
             )
 
     def _save(self) -> None:

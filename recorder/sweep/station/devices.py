@@ -105,9 +105,7 @@ class PrintedDevice(RelayDevice):
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """Print the command to start on the device."""
-        prefix = (
-            "end the relay there (Ctrl-C), then start" if self._is_running else "start on the other device"
-        )
+        prefix = "end the relay there (Ctrl-C), then start" if self._is_running else "start on the other device"
         self._is_running = True
         self._show(f"{prefix}: {printed_command(arguments, segment.split('-', maxsplit=1)[0])}")
         return _PrintedProgram()

@@ -51,7 +51,7 @@ def _system(program: str, *arguments: str) -> str:
         return subprocess.run([path, *arguments], capture_output=True, text=True, check=True).stdout
     except subprocess.CalledProcessError as err:
         raise BackendUnavailableError(
-            f"{program} {' '.join(arguments)}: {err.stderr.strip() or err.returncode}",
+            f"{program} {' '.join(arguments)}: {err.stderr.strip() or err.returncode}"
         ) from err
 
 
@@ -95,7 +95,7 @@ def open_tap(name: str, namespace: str) -> int:
     except OSError as err:
         raise BackendUnavailableError(
             f"/dev/net/tun: {err.strerror}; this kernel has no netem, and without TAP devices (modprobe tun) "
-            "a link can only have a rate",
+            "a link can only have a rate"
         ) from err
     ip("link", "set", name, "netns", namespace, "name", INTERFACE)
     return descriptor

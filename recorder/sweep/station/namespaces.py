@@ -16,16 +16,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..plan.link import EndCounters
-from .emulation import (
-    INTERFACE,
-    SYSTEM_PATH,
-    count_traffic,
-    ip,
-    open_tap,
-    queue_disciplines,
-    start_forwarder,
-    tc,
-)
+from .emulation import INTERFACE, SYSTEM_PATH, count_traffic, ip, open_tap, queue_disciplines, start_forwarder, tc
 
 if TYPE_CHECKING:
     import subprocess
@@ -65,8 +56,7 @@ class NamespacePair:
         self.link = link
         number = self._number = next(_counter)
         self.ping, self.relay = (
-            Side(f"ddstrace-{os.getpid()}-{number}-{role}", f"10.213.0.{host}")
-            for host, role in enumerate(_ROLES, 1)
+            Side(f"ddstrace-{os.getpid()}-{number}-{role}", f"10.213.0.{host}") for host, role in enumerate(_ROLES, 1)
         )
         self.applied_by = ""
         self.commands: list[str] = []
@@ -85,10 +75,7 @@ class NamespacePair:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._remove()
 
@@ -142,9 +129,7 @@ class NamespacePair:
             applied += [discipline[discipline.index("handle") + 2] for discipline in disciplines]
             for side, discipline in itertools.product(sides, disciplines):
                 tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
-            self.commands = [
-                "tc qdisc add dev " + " ".join([INTERFACE, *discipline]) for discipline in disciplines
-            ]
+            self.commands = ["tc qdisc add dev " + " ".join([INTERFACE, *discipline]) for discipline in disciplines]
         self.applied_by = "+".join(applied)
         if needs_forwarder and link is not None:
             self._forwarder = start_forwarder(self._taps, link)
@@ -195,6 +180,4 @@ def remove_stale() -> list[str]:
 def require_root() -> None:
     """Raise an OptionError unless this user is root."""
     if os.geteuid() != 0:
-        raise OptionError(
-            "[network] and [link] need root to make network namespaces; run dds-sweep with sudo"
-        )
+        raise OptionError("[network] and [link] need root to make network namespaces; run dds-sweep with sudo")

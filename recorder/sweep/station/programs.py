@@ -64,12 +64,7 @@ class Program:
     """One running program with a log file; on another device it `stops_by_input`, when its standard input closes."""
 
     def __init__(
-        self,
-        command: Sequence[str],
-        log: Path,
-        *,
-        stops_by_input: bool = False,
-        lock: int | None = None,
+        self, command: Sequence[str], log: Path, *, stops_by_input: bool = False, lock: int | None = None
     ) -> None:
         self.log = log
         self._stops_by_input = stops_by_input

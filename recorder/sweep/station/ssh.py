@@ -38,9 +38,7 @@ MOST_TRACE_BYTES = 1 << 30
 MOST_ANSWER_BYTES = 1 << 16
 _COPY_BYTES = 1 << 18
 _POLL_S = 0.2
-_WAIT_FOR_END = (
-    "for i in $(seq 100); do kill -0 $(cat {pid}) 2>/dev/null || break; sleep 0.2; done; rm -f {pid}"
-)
+_WAIT_FOR_END = "for i in $(seq 100); do kill -0 $(cat {pid}) 2>/dev/null || break; sleep 0.2; done; rm -f {pid}"
 """Shell commands that wait up to 20 s for the process whose id is in the file {pid} to end, and remove the file."""
 
 
@@ -60,9 +58,7 @@ class SshDevice(RelayDevice):
         ]
         path = f"PATH={quoted_path(settings.path)}:$PATH" if settings.path else ":"
         # The setup prints to stderr, so that its output is not taken for an answer.
-        self._setup = (
-            f"export {DEFAULTS_VARIABLE}=; {{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
-        )
+        self._setup = f"export {DEFAULTS_VARIABLE}=; {{ {path} && {settings.setup or ':'}; }} >&2 || exit 127;"
         self._folder = folder
         self._remote = f'"$HOME"/.cache/dds-trace/{shlex.quote(sweep)}'
 
@@ -96,7 +92,7 @@ class SshDevice(RelayDevice):
         if there != __version__:
             raise OptionError(
                 f"{self._host} has dds-trace {there}, this machine {__version__}; install the same version "
-                "on both; results of different versions must not be mixed",
+                "on both; results of different versions must not be mixed"
             )
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
@@ -107,9 +103,7 @@ class SshDevice(RelayDevice):
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
         """Start a half there."""
         name = f"{segment}.half"
-        return self._start(
-            f"dds-bridge {shlex.join(arguments)}", self._pid_file(name), log_path(self._folder, name)
-        )
+        return self._start(f"dds-bridge {shlex.join(arguments)}", self._pid_file(name), log_path(self._folder, name))
 
     def _start(self, command: str, pid: str, log: Path) -> StartedProgram:
         # The id in the file is this shell's, which ends after the program.
@@ -171,10 +165,7 @@ class SshDevice(RelayDevice):
             raise BackendUnavailableError("ssh is not installed; apt install openssh-client")
         with tempfile.TemporaryFile() as errors:
             process = subprocess.Popen(
-                [*self._ssh, f"{self._setup} {script}"],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=errors,
+                [*self._ssh, f"{self._setup} {script}"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors
             )
             try:
                 assert process.stdout is not None

@@ -57,12 +57,7 @@ class Station:
 
 @contextmanager
 def open_station(
-    plan: Plan,
-    folder: Path,
-    lock: int | None,
-    *,
-    show: Callable[[str], None],
-    command: Sequence[str] | None = None,
+    plan: Plan, folder: Path, lock: int | None, *, show: Callable[[str], None], command: Sequence[str] | None = None
 ) -> Iterator[Station]:
     """Yield the station of a plan; namespaces and link are removed after the block.
 

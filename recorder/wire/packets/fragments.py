@@ -48,9 +48,7 @@ class FragmentTable(Generic[Owner]):
         self.lost_trails = 0
         self._datagrams: dict[Hashable, _Datagram[Owner]] = {}
 
-    def begin(
-        self, key: Hashable, owner: Owner, datagram_bytes: int, next_at: int, carried: bytes = b""
-    ) -> None:
+    def begin(self, key: Hashable, owner: Owner, datagram_bytes: int, next_at: int, carried: bytes = b"") -> None:
         """Note a first fragment: the owner of later ones, and where the first unread submessage header begins."""
         self._datagrams.pop(key, None)  # a reused identification becomes the newest
         if len(self._datagrams) >= REMEMBERED_DATAGRAMS:

@@ -104,9 +104,7 @@ def read_headers(batch: FrameBatch) -> Headers:
         source_port=np.where(has_ports, number(transport, 2), 0),
         destination_port=np.where(has_ports, number(transport + 2, 2), 0),
         datagram_bytes=np.where(is_udp, number(transport + 4, 2), 0),
-        is_rtps=is_udp
-        & (transport + _UDP_BYTES + 20 <= seen_end)
-        & (number(transport + _UDP_BYTES, 4) == _RTPS_MAGIC),
+        is_rtps=is_udp & (transport + _UDP_BYTES + 20 <= seen_end) & (number(transport + _UDP_BYTES, 4) == _RTPS_MAGIC),
     )
 
 

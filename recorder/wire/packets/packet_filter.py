@@ -85,9 +85,7 @@ def attach_filter(target: socket.socket, program: bytes) -> None:
     buffer = ctypes.create_string_buffer(program, len(program))
     count = len(program) // 8
     # struct sock_fprog: the native alignment puts the pointer where the kernel looks for it.
-    target.setsockopt(
-        socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("@HP", count, ctypes.addressof(buffer))
-    )
+    target.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("@HP", count, ctypes.addressof(buffer)))
 
 
 def wire_program(udp_ports: Sequence[PortRange], tcp_ports: Sequence[PortRange]) -> bytes:
@@ -228,9 +226,7 @@ def _assemble(steps: Sequence[_Step]) -> bytes:
             targets[step.label] = len(instructions)
     coded = []
     for number, step in enumerate(instructions):
-        true_jump, false_jump = (
-            targets[label] - number - 1 if label else 0 for label in (step.if_true, step.if_false)
-        )
+        true_jump, false_jump = (targets[label] - number - 1 if label else 0 for label in (step.if_true, step.if_false))
         operand = step.operand
         if step.operation == "ja":  # the only jump that may be longer than 255 instructions
             operand, true_jump = true_jump, 0

@@ -66,9 +66,7 @@ class _Order(NamedTuple):
     word: struct.Struct
 
 
-_ORDERS = {
-    order: _Order(*(struct.Struct(order + fields) for fields in ("H", "iI", "IHHI", "I"))) for order in "<>"
-}
+_ORDERS = {order: _Order(*(struct.Struct(order + fields) for fields in ("H", "iI", "IHHI", "I"))) for order in "<>"}
 
 _Read = Callable[["memoryview", int, int, int, _Order], Submessage]
 """Read a submessage: memory, index of its header, its flags, its length, its byte order."""
@@ -93,9 +91,7 @@ def _read_data_frag(memory: memoryview, at: int, flags: int, length: int, order:
     count = min(count, -(-length // max(size, 1)))  # no more than there is room for, whatever the header says
     (writer,) = _ENTITY.unpack_from(memory, at + 12)
     payload_at = _payload_at(memory, at, flags, length, order) if first == 1 else None
-    return Submessage(
-        DATA_FRAG, length, writer, (high << 32) + low, first, count, sample_bytes, payload_at=payload_at
-    )
+    return Submessage(DATA_FRAG, length, writer, (high << 32) + low, first, count, sample_bytes, payload_at=payload_at)
 
 
 def _read_numbered(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:

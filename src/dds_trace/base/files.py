@@ -51,9 +51,7 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
 def _draft_lock(folder: Path) -> Iterator[None]:
     """Share the lock of a folder while a draft is in it, so that `remove_drafts` knows which drafts nobody writes any more."""
     descriptor = None
-    with suppress(
-        OSError
-    ):  # the folder is not there, or its file system has no locks: then no draft is removed either
+    with suppress(OSError):  # the folder is not there, or its file system has no locks: then no draft is removed either
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         for _ in range(_LOCK_ATTEMPTS):
             with suppress(BlockingIOError):

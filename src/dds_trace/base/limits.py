@@ -230,23 +230,17 @@ PATH = FilePath("a path")
 FOLDER = FilePath("a path", is_folder=True)
 INPUT = FilePath("a path", is_folder=True, is_input=True)
 SCHEDULER = Words(
-    "HOST:PORT or tcp://HOST:PORT",
-    re.compile(r"(?:[a-z]+://)?[\w.%\[\]-]+(?::[\w%]+)*:\d{1,5}", re.ASCII),
-    255,
+    "HOST:PORT or tcp://HOST:PORT", re.compile(r"(?:[a-z]+://)?[\w.%\[\]-]+(?::[\w%]+)*:\d{1,5}", re.ASCII), 255
 )
 CPUS = Words(
     "CPU numbers and ranges, such as 3 or 0,2 or 2-3",
     re.compile(r"\s*\d{1,4}(?:-\d{1,4})?\s*(?:,\s*\d{1,4}(?:-\d{1,4})?\s*)*", re.ASCII),
 )
 RMW = Words("a ROS middleware's name such as rmw_fastrtps_cpp", re.compile(r"\w+", re.ASCII), 255)
-ADDRESS = Words(
-    "HOST:PORT, for example 192.168.0.5:7447", re.compile(r"[\w.:%\[\]-]+:\d{1,5}", re.ASCII), 255
-)
+ADDRESS = Words("HOST:PORT, for example 192.168.0.5:7447", re.compile(r"[\w.:%\[\]-]+:\d{1,5}", re.ASCII), 255)
 HOST = Words("a host's name or address", re.compile(r"[\w.:%\[\]-]+", re.ASCII), 255)
 TOPIC_NAME = Words(
-    "a ROS topic's name such as /camera/image",
-    re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*/?", re.ASCII),
-    200,
+    "a ROS topic's name such as /camera/image", re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*/?", re.ASCII), 200
 )
 
 # Fields of traces: what the columns of an analysis can store, sums and differences of two included.

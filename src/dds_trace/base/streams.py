@@ -31,8 +31,7 @@ def plain(text: str) -> str:
 
 def _spelled(character: str) -> str:
     return "".join(
-        f"\\u{int.from_bytes(unit, 'big'):04x}"
-        for unit in _units(character.encode("utf-16-be", "surrogatepass"))
+        f"\\u{int.from_bytes(unit, 'big'):04x}" for unit in _units(character.encode("utf-16-be", "surrogatepass"))
     )
 
 
@@ -139,6 +138,4 @@ def plain_console(**options: Any) -> Console:
 
     stream = sys.stderr if options.pop("stderr", False) else sys.stdout
     options.setdefault("file", getattr(stream, "rich_proxied_file", stream))
-    return PlainConsole(
-        **{"markup": False, "highlight": False, "emoji": False, "legacy_windows": False, **options}
-    )
+    return PlainConsole(**{"markup": False, "highlight": False, "emoji": False, "legacy_windows": False, **options})

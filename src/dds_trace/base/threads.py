@@ -28,9 +28,7 @@ class PendingResult(Protocol[T_co]):
         """Keep the job from starting, if it has not."""
 
 
-def in_turn(
-    jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_jobs: int, most_size: int
-) -> Iterator[T]:
+def in_turn(jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_jobs: int, most_size: int) -> Iterator[T]:
     """Yield the results of (size, function that starts a job) pairs in order; a failing job raises here, perhaps before its turn.
 
     At most `most_jobs` jobs, with sizes of at most `most_size` in total, are started before their results are requested; a
@@ -39,9 +37,7 @@ def in_turn(
     started: deque[tuple[int, PendingResult[T]]] = deque()
     try:
         for size, start in jobs:
-            while started and (
-                len(started) >= most_jobs or size + sum(other for other, _ in started) > most_size
-            ):
+            while started and (len(started) >= most_jobs or size + sum(other for other, _ in started) > most_size):
                 yield started.popleft()[1].result()
             started.append((size, start()))
         while started:

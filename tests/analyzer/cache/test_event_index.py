@@ -3,16 +3,7 @@
 import random
 
 import numpy as np
-from trace_files import (
-    RELAY_ID,
-    RUN_ID,
-    Message,
-    event,
-    relay_events,
-    relay_session,
-    write_pair,
-    write_trace,
-)
+from trace_files import RELAY_ID, RUN_ID, Message, event, relay_events, relay_session, write_pair, write_trace
 
 from dds_trace.analyzer.cache.event_index import (
     EventPart,
@@ -26,8 +17,7 @@ from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
 TIMELINE = [
-    Message(s, t0=1000 * s, t1=1000 * s + 5, t3=1000 * s + 900, t4=1000 * s + 930, t2=1000 * s + 205)
-    for s in range(12)
+    Message(s, t0=1000 * s, t1=1000 * s + 5, t3=1000 * s + 900, t4=1000 * s + 930, t2=1000 * s + 205) for s in range(12)
 ]
 
 

@@ -30,12 +30,7 @@ def test_a_grown_campaign_reads_only_new_files(tmp_path, files_read):
     runs, out = tmp_path / "runs", tmp_path / "out"
     write_runs(runs, range(3))
     analyze(runs, out=out, cache=True)
-    assert sorted(files_read) == [
-        "ping0.mcap",
-        "ping1.mcap",
-        "ping2.mcap",
-        *(f"relay{n}.mcap" for n in range(3)),
-    ]
+    assert sorted(files_read) == ["ping0.mcap", "ping1.mcap", "ping2.mcap", *(f"relay{n}.mcap" for n in range(3))]
     files_read.clear()
     write_runs(runs, range(3, 4))
     grown = analyze(runs, out=out, cache=True)
@@ -112,9 +107,7 @@ def test_a_large_trace_waits_in_a_file_and_a_small_one_in_memory(tmp_path, monke
     in_files = []
 
     def process(batch, parts, *options):
-        in_files.extend(
-            not isinstance(part.events, EventColumns) for of_key in parts.values() for part in of_key
-        )
+        in_files.extend(not isinstance(part.events, EventColumns) for of_key in parts.values() for part in of_key)
         return dds_trace.analyzer.engines.process.process(batch, parts, *options)
 
     monkeypatch.setattr(dds_trace.analyzer.engines.local, "process", process)
@@ -173,9 +166,7 @@ def test_traces_in_pieces_say_the_same(runs_in_turns, monkeypatch, files_read, c
     write = EventsFile.write
     monkeypatch.setattr(EventsFile, "write", lambda *args: pieces.append(write(*args)) or pieces[-1])
     found = [analyze(runs_in_turns, cache=cache) for _ in range(2)]
-    assert (
-        len(pieces) > 2 * 2 * 2 * 2 * 3
-    )  # twice: two files, two stages, two runs, each in more than three pieces
+    assert len(pieces) > 2 * 2 * 2 * 2 * 3  # twice: two files, two stages, two runs, each in more than three pieces
     assert files_read == [path.name for path in sorted(runs_in_turns.iterdir())] * (1 if cache else 2)
     monkeypatch.undo()
     whole = analyze(runs_in_turns)
@@ -237,9 +228,7 @@ def test_columns_come_back_however_they_are_kept(tmp_path):
             found = getattr(events, name)
             assert found.dtype == EVENT_DTYPE[name]
             assert found.tolist() == getattr(expected, name).tolist()
-        written = [
-            array.tolist() for part in parts for array in ([part.monotonic_ns] if len(part) > 1 else [])
-        ]
+        written = [array.tolist() for part in parts for array in ([part.monotonic_ns] if len(part) > 1 else [])]
         assert [array.tolist() for array in stored.arrays(events)] == written
     (tmp_path / "x.events").write_bytes(b"short")
     with pytest.raises(OSError, match="shorter"):

@@ -28,10 +28,7 @@ def plain_stretches(points, after_step):
 
     def is_reached(one, other):
         reach = DRIFT * abs(points.time[other] - points.time[one])
-        return (
-            points.lower[one] - reach <= points.upper[other]
-            and points.lower[other] <= points.upper[one] + reach
-        )
+        return points.lower[one] - reach <= points.upper[other] and points.lower[other] <= points.upper[one] + reach
 
     start, count = 0, len(points)
     while start < count:
@@ -41,9 +38,7 @@ def plain_stretches(points, after_step):
         stop = step
         if step < count:
             after = range(step, min(step + after_step, count))
-            foreign = [
-                one for one in range(start, step) if not all(is_reached(one, other) for other in after)
-            ]
+            foreign = [one for one in range(start, step) if not all(is_reached(one, other) for other in after)]
             stop = foreign[-1] + 1 if foreign else step
         yield start, stop
         start = step
@@ -103,10 +98,7 @@ def test_windows_of_several_blocks_tell_their_messages_from_the_first_of_all(mon
 def test_a_stretch_is_cut_into_windows_of_equal_length_none_too_long():
     second = WINDOW_NS / 10
     time = np.arange(40) * second  # each stretch lies between its first message and its last
-    assert [side.tolist() for side in windows._cut(time, [(0, 11)])] == [
-        [0],
-        [11],
-    ]  # ten seconds are one window
+    assert [side.tolist() for side in windows._cut(time, [(0, 11)])] == [[0], [11]]  # ten seconds are one window
     assert [side.tolist() for side in windows._cut(time, [(0, 12)])] == [[0, 6], [6, 12]]
     several = windows._cut(time, [(2, 5), (5, 36)])
     assert [side.tolist() for side in several] == [[2, 5, 15, 25], [5, 15, 25, 36]]

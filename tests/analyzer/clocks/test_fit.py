@@ -16,9 +16,7 @@ from dds_trace.analyzer.clocks import windows
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.analyzer.clocks.lines import DRIFT, Lines, OffsetIntervals
 
-START_NS = (
-    40 * 24 * 3600 * S
-)  # forty days after boot: an int64 that a float32 or a careless float64 would spoil
+START_NS = 40 * 24 * 3600 * S  # forty days after boot: an int64 that a float32 or a careless float64 would spoil
 
 
 def fit_clock(*stamps, **names):
@@ -108,13 +106,7 @@ def test_a_slow_message_borrows_the_bound_of_its_fast_neighbour():
 def test_a_known_offset_and_drift_come_back_within_the_bound(
     *, offset_ns, drift_ppb, slow_return, rate_hz, messages, seed
 ):
-    drawn = draw(
-        Truth(offset_ns, drift_ppb),
-        messages=messages,
-        rate_hz=rate_hz,
-        slow_return=slow_return,
-        seed=seed,
-    )
+    drawn = draw(Truth(offset_ns, drift_ppb), messages=messages, rate_hz=rate_hz, slow_return=slow_return, seed=seed)
     fit, offsets = fit_clock(*drawn.stamps)
     assert np.all(np.abs(offsets.offset_ns - drawn.theta_ns) <= offsets.bound_ns)
     half_under_way = ((drawn.t2 - drawn.t1) - (drawn.t4 - drawn.t3)) / 2
@@ -138,9 +130,7 @@ def test_a_known_offset_and_drift_come_back_within_the_bound(
 def test_a_step_is_found_and_splits_the_fit(*, step_ns, backwards, drift_ppb, step_at_ms, seed):
     jump = -step_ns if backwards else step_ns
     drawn = draw(Truth(10**9, drift_ppb, jump, step_at_ms * MS), seed=seed)
-    keep = (drawn.t2 - drawn.t1) >= (
-        drawn.t4 - drawn.t3
-    )  # the message under way during the step may be absurd
+    keep = (drawn.t2 - drawn.t1) >= (drawn.t4 - drawn.t3)  # the message under way during the step may be absurd
     fit, offsets = fit_clock(*(stamp[keep] for stamp in drawn.stamps))
     touched = (drawn.t1 < START_NS + step_at_ms * MS) & (drawn.t2 >= START_NS + step_at_ms * MS)
     wrong = np.abs(offsets.offset_ns - drawn.theta_ns[keep]) > offsets.bound_ns
@@ -227,9 +217,7 @@ def test_on_one_machine_the_fit_is_zero_within_its_bound():
 
 
 def test_two_devices_of_one_name_are_not_taken_for_one_machine():
-    fit, _ = fit_clock(
-        *draw(Truth(offset_ns=5 * S)).stamps, ping_device="raspberrypi", relay_device="raspberrypi"
-    )
+    fit, _ = fit_clock(*draw(Truth(offset_ns=5 * S)).stamps, ping_device="raspberrypi", relay_device="raspberrypi")
     assert not fit.same_clock
 
 
@@ -281,9 +269,7 @@ def test_the_corners_of_the_lines_reach_as_far_as_all_lines(messages, drift, see
     for slope in np.linspace(-DRIFT, DRIFT, 2001):
         low = (points.lower - slope * (time - centre)).max()
         high = (points.upper - slope * (time - centre)).min()
-        if (
-            low <= high
-        ):  # a line of this slope respects every message, so it lies within what the corners reach
+        if low <= high:  # a line of this slope respects every message, so it lies within what the corners reach
             assert (low + slope * (time - centre) >= lowest - 0.01).all()
             assert (high + slope * (time - centre) <= highest + 0.01).all()
 

@@ -26,17 +26,13 @@ def test_the_lowest_point_of_each_part_is_the_first_of_the_lowest():
         inside = np.sort(draw.integers(1, 20, (3, 4)), axis=1)
         first = draw.integers(0, 2, (3, 1)) * inside[:, :1] // 2
         edges = np.append(first, inside, axis=1) + np.array([[0], [20], [40]])
-        edges[-1, -1] = draw.choice(
-            [edges[-1, -1], 60]
-        )  # the last window may end with the messages, or before
+        edges[-1, -1] = draw.choice([edges[-1, -1], 60])  # the last window may end with the messages, or before
         found = lowest_of_parts(height, edges)
         for row, lowest in zip(edges.tolist(), found.tolist(), strict=True):
             before = None
             for begin, end, place in zip(row[:-1], row[1:], lowest, strict=True):
                 part = height[begin:end].tolist()
-                before = (
-                    begin + part.index(min(part)) if part else before
-                )  # an empty part takes the point before it
+                before = begin + part.index(min(part)) if part else before  # an empty part takes the point before it
                 assert place == before
                 empty += not part
                 equal += bool(part) and part.count(min(part)) > 1
@@ -49,8 +45,7 @@ def is_lower_hull(time, height, corners):
         return False
     slopes = np.diff(height[corners]) / np.diff(time[corners])
     return bool(
-        (np.diff(slopes) > 1e-12).all()
-        and (np.interp(time, time[corners], height[corners]) <= height + 1e-9).all()
+        (np.diff(slopes) > 1e-12).all() and (np.interp(time, time[corners], height[corners]) <= height + 1e-9).all()
     )
 
 

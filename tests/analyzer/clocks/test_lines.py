@@ -150,22 +150,16 @@ def test_many_windows_are_fitted_as_one_after_another():
                 np.minimum(high[start:stop], highest),
             )
         windows = fit_windows(points, stretches)
-        assert [windows.start.tolist(), windows.stop.tolist()] == [
-            list(each) for each in zip(*plain, strict=True)
-        ][:2]
+        assert [windows.start.tolist(), windows.stop.tolist()] == [list(each) for each in zip(*plain, strict=True)][:2]
         assert points.lower == pytest.approx(low, abs=1e-4)
         assert points.upper == pytest.approx(high, abs=1e-4)
         untouched = np.ones(len(low), np.bool_)
         for place, (start, stop, lines) in enumerate(plain):
             untouched[start:stop] = False
-            assert windows.steepness[place] == pytest.approx(
-                [lines.slope.min(), lines.slope.max()], abs=1e-12
-            )
+            assert windows.steepness[place] == pytest.approx([lines.slope.min(), lines.slope.max()], abs=1e-12)
             time = points.time[start:stop]
             ends = np.array(lines.range_at(time[[0, -1]]))
-            assert windows.first[place] == pytest.approx(
-                [ends[:, 0].mean(), np.ptp(ends[:, 0]) / 2], abs=1e-4
-            )
+            assert windows.first[place] == pytest.approx([ends[:, 0].mean(), np.ptp(ends[:, 0]) / 2], abs=1e-4)
             assert windows.last[place] == pytest.approx([ends[:, 1].mean(), np.ptp(ends[:, 1]) / 2], abs=1e-4)
             best = plain_clock_fit._Best.of(points.part(start, stop), lines)
             assert (windows.time[place], windows.offset[place], windows.bound[place]) == pytest.approx(

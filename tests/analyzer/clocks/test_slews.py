@@ -57,9 +57,7 @@ def test_a_step_that_barely_shows_beside_a_fast_clock_is_a_slew():
     ids=["alone", "set", "other way", "drift", "surely slow between", "to and fro"],
 )
 def test_jumps_and_drifts_are_no_slews(drawn):
-    assert [
-        slew for slew in found(drawn, gain_ppm=600, begin_s=20, end_s=60) if slew.after > slew.first
-    ] == []
+    assert [slew for slew in found(drawn, gain_ppm=600, begin_s=20, end_s=60) if slew.after > slew.first] == []
 
 
 @pytest.mark.parametrize(
@@ -68,9 +66,7 @@ def test_jumps_and_drifts_are_no_slews(drawn):
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_slew_below_the_fits_limit_bends_a_stretch_without_a_step(gain_ppm, begin_s, expected, way):
     """A rate that holds throughout is a drift, 40 ppm may be a crystal's."""
-    slews = found(
-        [(0, 100, STEADY, 0, 0)], gain_ppm=way * gain_ppm, begin_s=begin_s, end_s=60 if begin_s else 100
-    )
+    slews = found([(0, 100, STEADY, 0, 0)], gain_ppm=way * gain_ppm, begin_s=begin_s, end_s=60 if begin_s else 100)
     assert [(slew.first, slew.after) for slew in slews] == expected
     assert all(slew.rate_ppm == pytest.approx(way * gain_ppm, rel=0.05) for slew in slews)
 
@@ -126,19 +122,13 @@ def test_what_a_stretch_says_at_its_edges(way):
         (steps(20, 45, 70, step=12, bound=11, drift=(40_000.0, 50_000.0)), []),  # surely below 100 ppm since
         (steps(40, step=12, bound=11, drift=FAST), [(1, 2)]),  # fast behind the step
         (steps(20, 30, 40, step=1e-6, bound=0), [(1, 4)]),  # a nanosecond
-        (
-            [*steps(20, 45, step=12, bound=11)[:2], (25, 30, STEADY, -12, 11), (30, 99, FAST, -12, 11)],
-            [],
-        ),
+        ([*steps(20, 45, step=12, bound=11)[:2], (25, 30, STEADY, -12, 11), (30, 99, FAST, -12, 11)], []),
         ([*steps(20, 25, 30)[:-1], (30, 40, UNSURE, 10, 0.1), (70, 99, UNSURE, 10, 0.1)], [(1, 4)]),
     ],
 )
 def test_chains_end_where_they_should(drawn, places, way):
     """A clock that falls back leaves the same chains as one that runs ahead."""
-    mirrored = [
-        (begin, end, (way * drift[0], drift[1]), way * step, bound)
-        for begin, end, drift, step, bound in drawn
-    ]
+    mirrored = [(begin, end, (way * drift[0], drift[1]), way * step, bound) for begin, end, drift, step, bound in drawn]
     slews = found(mirrored, gain_ppm=way * 600, begin_s=20, end_s=60)
     assert [(slew.first, slew.after) for slew in slews if slew.after > slew.first] == places
     for slew in slews:
@@ -203,9 +193,7 @@ def test_of_too_many_knots_every_second_or_third_counts(knots, ends):
 
 def sampled(gain_us, at_s=None, way=1):
     """What is said of samples a second apart whose monotonic clock is ahead of the raw one by so much."""
-    monotonic_ns = 7 * S + np.rint(np.array(range(len(gain_us)) if at_s is None else at_s) * 1e9).astype(
-        np.int64
-    )
+    monotonic_ns = 7 * S + np.rint(np.array(range(len(gain_us)) if at_s is None else at_s) * 1e9).astype(np.int64)
     gain_ns = way * np.rint(np.array(gain_us) * 1000).astype(np.int64)
     return way * slewed_ppm(monotonic_ns, monotonic_ns - gain_ns - 3 * S)
 

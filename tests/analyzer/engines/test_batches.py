@@ -24,9 +24,7 @@ def plan(*groups):
     """Batches of groups of (run_id, events) pairs: positions of exchanges, group of each, and whether whole."""
     runs = {run_id: SimpleNamespace(run_id=run_id) for group in groups for run_id, _ in group}
     exchanges = tuple(
-        SimpleNamespace(run=runs[run_id], counts=(events, 0, 0, 0))
-        for group in groups
-        for run_id, events in group
+        SimpleNamespace(run=runs[run_id], counts=(events, 0, 0, 0)) for group in groups for run_id, events in group
     )
     group_of_exchange = np.repeat(np.arange(len(groups), dtype=np.uint32), [len(group) for group in groups])
     parameters = pl.DataFrame({"payload_bytes": [1000 * number for number in range(len(groups))]})
@@ -34,8 +32,7 @@ def plan(*groups):
     place = {id(exchange): position for position, exchange in enumerate(exchanges)}
     assert {batch.all_exchanges for batch in batches} == {len(exchanges)}
     return batches, [
-        ([place[id(e)] for e in batch.exchanges], batch.group_of_exchange.tolist(), batch.whole)
-        for batch in batches
+        ([place[id(e)] for e in batch.exchanges], batch.group_of_exchange.tolist(), batch.whole) for batch in batches
     ]
 
 
@@ -124,9 +121,7 @@ def test_a_batch_ends_behind_groups_that_fill_one_as_often_as_they_do(parameters
     assert 20 < sum(dds_trace.analyzer.engines.batches._ends_batch(row, 10) for row in rows) < 60
 
 
-@pytest.mark.skipif(
-    platform.libc_ver()[0] != "glibc", reason="what other C libraries keep is their own affair"
-)
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what other C libraries keep is their own affair")
 def test_the_memory_of_one_array_is_that_of_the_next():
     def pages_touched(preparation):
         code = f"""

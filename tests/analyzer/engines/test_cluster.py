@@ -29,10 +29,7 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # vendors' own, at their star
 def start(module, *arguments, env=None):
     """A process of Dask on loopback, and what it says line by line."""
     return subprocess.Popen(
-        [sys.executable, "-m", module, *arguments],
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, **(env or {})},
+        [sys.executable, "-m", module, *arguments], stderr=subprocess.PIPE, text=True, env={**os.environ, **(env or {})}
     )
 
 
@@ -58,9 +55,7 @@ def end(process):
 @pytest.fixture(scope="module")
 def bucket():
     """Where an S3 server on loopback listens, with a bucket `bucket`, and what a client must be told."""
-    server = pytest.importorskip("moto.server").ThreadedMotoServer(
-        ip_address="127.0.0.1", port=0, verbose=False
-    )
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     host, port = server.get_host_and_port()
     env = {

@@ -201,9 +201,7 @@ def test_a_killed_worker_is_one_line(runs, started, monkeypatch, temporary):
 
     monkeypatch.setattr(local.LocalEngine, "process", process_batches)
     monkeypatch.setattr(local, "is_large", lambda _batch: False)
-    with pytest.raises(
-        TraceError, match=r"^a worker process of the analysis was killed, perhaps because memory"
-    ):
+    with pytest.raises(TraceError, match=r"^a worker process of the analysis was killed, perhaps because memory"):
         analyze(runs)
     assert not any(process.is_running() for process in started)
     assert list(temporary.iterdir()) == []
@@ -217,9 +215,7 @@ def test_workers_end_with_their_analysis(runs, temporary, sent):
             workers = [psutil.Process(int(analysis.stdout.readline())) for _ in range(2)]
             others = psutil.Process(analysis.pid).children(recursive=True)
             analysis.send_signal(sent)
-            if (
-                sent == signal.SIGINT
-            ):  # Ctrl-C comes to workers too, and the analysis waits for what they have begun
+            if sent == signal.SIGINT:  # Ctrl-C comes to workers too, and the analysis waits for what they have begun
                 blocked = [Path(f"/proc/{worker.pid}/status").read_text() for worker in workers]
                 assert [int(re.search(r"SigBlk:\s*(\w+)", text)[1], 16) & 2 for text in blocked] == [2, 2]
                 for worker in workers:
@@ -243,9 +239,7 @@ def test_a_script_that_analyzes_is_not_run_again_by_workers(runs, tmp_path):
         "print('begun')\n"
         f"print(analyze({str(runs)!r}).summary.height, Path(__file__).name)\n"
     )
-    done = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, check=False, timeout=PATIENCE_S
-    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert (done.stdout, done.stderr) == ("begun\n3 script.py\n", "")
 
 
@@ -271,9 +265,7 @@ def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
 
 
 @pytest.mark.usefixtures("nothing_here")
-def test_workers_answer_the_kinds_of_messages_where_their_rows_are_in_a_file(
-    runs, tmp_path, request, answer_elsewhere
-):
+def test_workers_answer_the_kinds_of_messages_where_their_rows_are_in_a_file(runs, tmp_path, request, answer_elsewhere):
     expected = analyze(runs).details.answers
     assert len(expected) == 3
     answer_elsewhere()

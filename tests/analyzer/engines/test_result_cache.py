@@ -160,15 +160,11 @@ def test_a_new_group_before_the_others_renumbers_them(runs, again):
         for role in ("ping", "relay"):
             (runs / f"{role}{number}.mcap").unlink()
     assert again() == ([1, 2, 4, 5], [1001, 1002], [1, 2, 4, 5])
-    write_runs(
-        runs, [3], groups=3, received=BOTH
-    )  # 1000 bytes: the first group now; five runs of at most eight
+    write_runs(runs, [3], groups=3, received=BOTH)  # 1000 bytes: the first group now; five runs of at most eight
     assert again() == ([3], [1000], [3])
 
 
-@pytest.mark.parametrize(
-    ("exchanges", "points"), [(0, 8), (1, 8), (2, 8), (3, 4), (4, 4), (5, 2), (8, 2), (9, 2)]
-)
+@pytest.mark.parametrize(("exchanges", "points"), [(0, 8), (1, 8), (2, 8), (3, 4), (4, 4), (5, 2), (8, 2), (9, 2)])
 def test_the_share_of_points_changes_at_powers_of_two(exchanges, points, monkeypatch):
     monkeypatch.setattr(timeline, "_ALL_POINTS", 16)
     monkeypatch.setattr(timeline, "_POINTS_OF_EXCHANGE", (2, 8))
@@ -227,14 +223,7 @@ def test_other_code_computes_again(again, monkeypatch):
 
 def test_every_file_that_can_change_a_number_is_part_of_the_code():
     names = {entry[0] for entry in result_cache.code_of_analysis() if isinstance(entry, tuple)}
-    assert {
-        "intervals.py",
-        "one_way.py",
-        "freshness.py",
-        "events.py",
-        "result_cache.py",
-        "reader.py",
-    } <= names
+    assert {"intervals.py", "one_way.py", "freshness.py", "events.py", "result_cache.py", "reader.py"} <= names
 
 
 @pytest.mark.parametrize("ending", ["rows", "details"])
@@ -268,9 +257,7 @@ def test_files_of_other_batches_are_not_used(again, cached, ending):
     assert again() == ((ALL, [], []) if ending == "rows" else ([], SIZES, ALL))
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"[]", b"[]\n", b'[["intervals", 9]]\nnot arrow', b"3\n", b"\xff\n"]
-)
+@pytest.mark.parametrize("content", [b"", b"[]", b"[]\n", b'[["intervals", 9]]\nnot arrow', b"3\n", b"\xff\n"])
 @pytest.mark.usefixtures("mode")
 def test_sealed_nonsense_is_replaced(again, cached, content):
     again()
@@ -284,8 +271,7 @@ def test_sealed_nonsense_is_replaced(again, cached, content):
 
 
 @pytest.mark.parametrize(
-    ("missing", "work"),
-    [("statistics", ([], SIZES, [])), ("intervals", ([], SIZES, [])), ("sending", ([], [], ALL))],
+    ("missing", "work"), [("statistics", ([], SIZES, [])), ("intervals", ([], SIZES, [])), ("sending", ([], [], ALL))]
 )
 @pytest.mark.usefixtures("mode")
 def test_sealed_frames_without_one_are_replaced(again, cached, missing, work):
@@ -366,8 +352,7 @@ def test_deliveries_are_shown_of_what_was_stamped(runs, again):
 def test_runs_that_started_in_another_order_than_their_numbers(runs, again, monkeypatch):
     """Freshness and outages are by run_id, rows by start."""
     monkeypatch.setattr(
-        "campaigns.run",
-        lambda run_id, real=write_runs.__globals__["run"], **of: real(run_id=57 - run_id, **of),
+        "campaigns.run", lambda run_id, real=write_runs.__globals__["run"], **of: real(run_id=57 - run_id, **of)
     )
     shutil.rmtree(runs)
     write_runs(runs, range(4))

@@ -34,12 +34,7 @@ def test_rosbags_reads_back_every_number(tmp_path):
         ]
     first, second = "/latency/fastdds/none/binary_33000B_10Hz", "/latency/zenoh/none/imu_33000B_2_5Hz"
     one, two = f"{first}/run_{0xA1:016x}/relay_00000003", f"{second}/run_{0xB2:016x}/relay_00000003"
-    assert [(topic, since) for topic, since, _ in found] == [
-        (one, 0),
-        (two, 50 * MS),
-        (one, 100 * MS),
-        (one, 200 * MS),
-    ]
+    assert [(topic, since) for topic, since, _ in found] == [(one, 0), (two, 50 * MS), (one, 100 * MS), (one, 200 * MS)]
     message = found[0][2]
     assert (message.sequence, message.payload_bytes, message.lost) == (0, 33_000, False)
     assert (message.latency_ms, message.rtt_ms, message.response_ms) == (5.0, 10.001, 10.001)

@@ -43,11 +43,7 @@ def record(folder, vendor="fastdds", way_ns=MS, *, ping=None, relay=None, number
         messages(way_ns),
         ping=ping_session(session_id=1 + number, vendor=vendor, domain_id=domains[0], extra=ping or {}),
         relay=relay_session(
-            device="alpha",
-            session_id=101 + number,
-            vendor=vendor,
-            domain_id=domains[1],
-            extra=relay or {},
+            device="alpha", session_id=101 + number, vendor=vendor, domain_id=domains[1], extra=relay or {}
         ),
         runs=[
             run(
@@ -92,9 +88,7 @@ def test_a_barred_group_is_in_no_answer_and_in_no_recommendation(tmp_path):
     record(tmp_path, "cyclonedds", 2 * MS, number=1)
     record(tmp_path, "zenoh", 3 * MS, number=2)
     job = parse_job("data=binary size=1000 rate=10 deadline=50ms reliability=0.99")
-    analysis = analyze(
-        tmp_path, job=replace(job, payload_bytes=analyze(tmp_path).summary["payload_bytes"][0])
-    )
+    analysis = analyze(tmp_path, job=replace(job, payload_bytes=analyze(tmp_path).summary["payload_bytes"][0]))
     (answer,) = analysis.details.answers
     assert [each.setting["vendor"] for each in answer.contenders] == ["cyclonedds", "zenoh"]
     candidates = analysis.details.recommendation.candidates
@@ -143,10 +137,7 @@ def instants(begin_sockets, end_sockets, begin_counters=None, end_counters=None)
 
 
 def test_drops_of_the_own_sockets_are_found(tmp_path):
-    begin, end = (
-        (udp(7411, inode=1, dropped=5),),
-        (udp(7411, inode=1, dropped=12), udp(1, inode=2, dropped=2)),
-    )
+    begin, end = ((udp(7411, inode=1, dropped=5),), (udp(7411, inode=1, dropped=12), udp(1, inode=2, dropped=2)))
     record(tmp_path, relay=instants(begin, end), ping=instants(begin, begin))
     (finding,) = of_code(analyze(tmp_path), "udp_buffer_overflow")
     assert finding.where.startswith("relay on alpha")
@@ -193,9 +184,7 @@ def test_lost_fragments_are_found(tmp_path):
         (None, {}, 900, True),  # an older recorder does not tell
     ],
 )
-def test_fragments_of_others_are_not_blamed_on_a_run_that_sent_none(
-    tmp_path, path, mtu, payload_bytes, is_blamed
-):
+def test_fragments_of_others_are_not_blamed_on_a_run_that_sent_none(tmp_path, path, mtu, payload_bytes, is_blamed):
     fields = instants((), (), {"ReasmFails": 5}, {"ReasmFails": 25})
     fields["applied"]["path"] = path
     host = {"mtu": mtu}
@@ -252,13 +241,6 @@ def of_path(path, *, memory=(), sockets=()):
 )
 def test_the_cause_of_a_jump_looks_at_what_was_applied(tmp_path, fields, cause):
     for number, (size, way_ns) in enumerate([(502_000, MS), (1_000_000, 50 * MS)] * 3):
-        record(
-            tmp_path / f"{number}",
-            way_ns=way_ns,
-            number=number,
-            payload_bytes=size,
-            ping=fields,
-            relay=fields,
-        )
+        record(tmp_path / f"{number}", way_ns=way_ns, number=number, payload_bytes=size, ping=fields, relay=fields)
     (finding,) = of_code(analyze(tmp_path), "latency_jumps_with_size")
     assert cause in finding.what

@@ -39,14 +39,7 @@ PERIOD = 100 * MS  # 10 Hz
 
 def sound(count=1000):
     return [
-        Message(
-            s,
-            t0=s * PERIOD,
-            t1=s * PERIOD + 50,
-            t3=s * PERIOD,
-            t4=s * PERIOD + 20,
-            t2=s * PERIOD + 1000 + s % 7,
-        )
+        Message(s, t0=s * PERIOD, t1=s * PERIOD + 50, t3=s * PERIOD, t4=s * PERIOD + 20, t2=s * PERIOD + 1000 + s % 7)
         for s in range(count)
     ]
 
@@ -100,9 +93,7 @@ def test_of_many_findings_of_a_kind_the_rest_are_counted(tmp_path):
 def test_every_finding_says_what_where_and_what_to_do(tmp_path):
     messages = sound(30)
     messages[3] = replace(messages[3], t2=None)
-    write_pair(
-        tmp_path, messages, ping=ping_session(dropped_events=2), runs=[described(messages, rate_hz=50.0)]
-    )
+    write_pair(tmp_path, messages, ping=ping_session(dropped_events=2), runs=[described(messages, rate_hz=50.0)])
     found = analyze(tmp_path).findings
     assert {f.code for f in found} == {"recorder_drops", "loss", "schedule_not_held", "few_samples"}
     for finding in found:
@@ -125,9 +116,7 @@ def test_every_finding_says_what_where_and_what_to_do(tmp_path):
         ),
     ],
 )
-def test_a_recording_that_went_wrong_names_its_session_and_results(
-    tmp_path, ping, relay, code, severity, words
-):
+def test_a_recording_that_went_wrong_names_its_session_and_results(tmp_path, ping, relay, code, severity, words):
     write_pair(tmp_path, sound(), ping=ping_session(**ping), relay=relay_session(**relay))
     (finding,) = findings(tmp_path).values()
     assert (finding.code, finding.severity) == (code, severity)
@@ -202,9 +191,7 @@ def test_names_of_groups_leave_out_what_only_follows_something_else(tmp_path):
 def test_a_session_of_many_files_names_a_few(tmp_path):
     messages = sound(5)
     for number in range(4):
-        write_trace(
-            tmp_path / f"part{number}.mcap", relay_session(dropped_events=1), (), relay_events(messages)
-        )
+        write_trace(tmp_path / f"part{number}.mcap", relay_session(dropped_events=1), (), relay_events(messages))
     write_trace(tmp_path / "ping.mcap", ping_session(), [described(messages)], ping_events(messages))
     assert findings(tmp_path)["recorder_drops"].where == "relay on beta (part0.mcap; part1.mcap; and 2 more)"
 
@@ -214,9 +201,7 @@ def test_few_samples_names_percentiles_and_counts(tmp_path):
     write_pair(tmp_path, messages)
     finding = findings(tmp_path)["few_samples"]
     assert finding.severity is Severity.INFO
-    assert finding.what == (
-        f"p99 needs 100 messages, p99.9 needs 1,000; you have 50 (of {', '.join(METRICS)})."
-    )
+    assert finding.what == (f"p99 needs 100 messages, p99.9 needs 1,000; you have 50 (of {', '.join(METRICS)}).")
     assert "1000" in finding.action
 
 
@@ -283,24 +268,15 @@ def test_a_ping_that_stood_still_is_a_finding_of_its_own(tmp_path):
         "The ping sent nothing for 5.0 s though messages were due, until 35.0 s of its clock; 99 % of all left at most "
         "4001.003 ms late."
     )
-    assert (found["stood_still"].groups, found["stood_still"].where) == (
-        (0,),
-        f"run {RUN_ID:016x} (ping.mcap)",
-    )
-    assert found["stood_still"].effect == pytest.approx(
-        5 / 94.95, rel=1e-3
-    )  # to the middle of the last tenth
+    assert (found["stood_still"].groups, found["stood_still"].where) == ((0,), f"run {RUN_ID:016x} (ping.mcap)")
+    assert found["stood_still"].effect == pytest.approx(5 / 94.95, rel=1e-3)  # to the middle of the last tenth
 
 
 def test_a_second_without_a_message_that_was_due_is_no_stand_still(tmp_path):
-    write_pair(
-        tmp_path, sent_late(lambda s: 850 * MS - (s - 300) * PERIOD + 10 * s if 300 <= s < 309 else 50)
-    )
+    write_pair(tmp_path, sent_late(lambda s: 850 * MS - (s - 300) * PERIOD + 10 * s if 300 <= s < 309 else 50))
     assert findings(tmp_path) == {}
     slow = [replace(m, t0=m.t0 * 30, t1=m.t1 * 30, t3=m.t3 * 30, t4=m.t4 * 30, t2=m.t2 * 30) for m in sound()]
-    write_pair(
-        tmp_path, slow, runs=[described(slow, rate_hz=1 / 3)]
-    )  # three seconds between two that are due
+    write_pair(tmp_path, slow, runs=[described(slow, rate_hz=1 / 3)])  # three seconds between two that are due
     assert "stood_still" not in findings(tmp_path)
 
 
@@ -312,11 +288,7 @@ STOPPED = [*range(30), *range(36, 40)]
     [
         (range(40), [], ". Meanwhile the sampling thread of its process went on."),
         (STOPPED, [], ". Meanwhile its whole process did nothing, as no sample of the host was taken."),
-        (
-            STOPPED,
-            range(40),
-            ". Meanwhile its whole process did nothing, and other recordings on its machine went on.",
-        ),
+        (STOPPED, range(40), ". Meanwhile its whole process did nothing, and other recordings on its machine went on."),
         (
             STOPPED,
             [*range(32), *range(36, 40)],
@@ -352,12 +324,7 @@ def stood_still(folder, seconds, of_relay=(), **host):
 
 
 def test_stolen_time_and_pressure_stand_beside_a_stand_still(tmp_path):
-    found = stood_still(
-        tmp_path,
-        STOPPED,
-        steal_ns=(10**9, 45 * 10**8),
-        pressure_us=({"cpu": 100}, {"cpu": 5_600_100}),
-    )
+    found = stood_still(tmp_path, STOPPED, steal_ns=(10**9, 45 * 10**8), pressure_us=({"cpu": 100}, {"cpu": 5_600_100}))
     # From the sample at 29 s to that at 36 s.
     assert found.what.endswith(
         "the hypervisor gave 3.5 s of processor time to others, and some task waited for a processor in 80 % of that time."
@@ -379,21 +346,14 @@ def test_what_a_stand_still_held_up_is_no_late_send(tmp_path):
         ({"state": "started", "published": 0}, "unfinished_run", "The run has no end: 1000 messages"),
         ({"published": 1000, "planned_messages": 1500}, "unfinished_run", "stopped after 1000 of 1500"),
         ({"published": 1003}, "missing_publications", "3 of 1003 published messages have no T1"),
-        (
-            {"payload_bytes": 20},
-            "unlike_payloads",
-            "described as 20 B a message, its T1 events say 33000 to 33000 B",
-        ),
+        ({"payload_bytes": 20}, "unlike_payloads", "described as 20 B a message, its T1 events say 33000 to 33000 B"),
         ({"relay_domain_id": 7}, "unlike_domains", "given relay domain 7, the relay was in 10"),
     ],
 )
 def test_runs_that_are_not_what_they_say(tmp_path, changes, code, text):
     messages = sound()
     write_trace(
-        tmp_path / "ping.mcap",
-        ping_session(),
-        [replace(described(messages), **changes)],
-        ping_events(messages),
+        tmp_path / "ping.mcap", ping_session(), [replace(described(messages), **changes)], ping_events(messages)
     )
     write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(messages))
     found = findings(tmp_path)
@@ -431,16 +391,8 @@ def test_labels_of_plain_repeats_are_no_finding(tmp_path):
 
 
 def test_unlike_environments(tmp_path):
-    host = {
-        "kernel": "6.1",
-        "wifi": {"wlan0": {"signal_dbm": -60}},
-        "socket_buffers": {"net.core.rmem_max": 212992},
-    }
-    other = {
-        "kernel": "6.6",
-        "wifi": {"wlan0": {"signal_dbm": -70}},
-        "socket_buffers": {"net.core.rmem_max": 212992},
-    }
+    host = {"kernel": "6.1", "wifi": {"wlan0": {"signal_dbm": -60}}, "socket_buffers": {"net.core.rmem_max": 212992}}
+    other = {"kernel": "6.6", "wifi": {"wlan0": {"signal_dbm": -70}}, "socket_buffers": {"net.core.rmem_max": 212992}}
     write_pair(tmp_path, sound(), ping=ping_session(host=host), relay=relay_session(host=other))
     assert "unlike_environments" not in findings(tmp_path)  # a ping is not compared with a relay
     write_trace(
@@ -506,9 +458,7 @@ def test_what_the_reader_noticed(tmp_path, monkeypatch):
     write_pair(tmp_path, sound())
 
     def noticing(path: Path):
-        return replace(
-            read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9"
-        )
+        return replace(read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9")
 
     monkeypatch.setattr(dds_trace.analyzer.cache.loaded, "read_trace", noticing)
     found = findings(tmp_path)
@@ -550,14 +500,9 @@ def side_by_side(folder, shift_ns, **second):
     """Two runs of one ping device, the second `shift_ns` after the first, with other fields."""
     sessions = ping_session(), ping_session(session_id=9, **second)
     for number, (session, shift) in enumerate(zip(sessions, (0, shift_ns), strict=True), 1):
-        moved = [
-            Message(m.sequence, *(t + shift for t in (m.t0, m.t1, m.t3, m.t4, m.t2))) for m in sound(100)
-        ]
+        moved = [Message(m.sequence, *(t + shift for t in (m.t0, m.t1, m.t3, m.t4, m.t2))) for m in sound(100)]
         described_run = described(
-            moved,
-            run_id=number,
-            payload_bytes=1000 * number,
-            extra={"session_id": f"{session.session_id:016x}"},
+            moved, run_id=number, payload_bytes=1000 * number, extra={"session_id": f"{session.session_id:016x}"}
         )
         fields = {"run_id": number, "payload_bytes": 1000 * number}
         write_trace(folder / f"ping{number}.mcap", session, [described_run], ping_events(moved, **fields))
@@ -626,14 +571,8 @@ def test_two_names_of_one_boot_are_one_device(tmp_path):
 
 
 def test_a_ping_and_a_relay_of_unlike_versions(tmp_path):
-    old = {
-        "host": {"versions": {"rmw_fastrtps_cpp": "8.4.1", "rclpy": "7"}},
-        "extra": {"recorder_version": "0.1.0"},
-    }
-    new = {
-        "host": {"versions": {"rmw_fastrtps_cpp": "8.4.2", "rclpy": "7"}},
-        "extra": {"recorder_version": "0.2.0"},
-    }
+    old = {"host": {"versions": {"rmw_fastrtps_cpp": "8.4.1", "rclpy": "7"}}, "extra": {"recorder_version": "0.1.0"}}
+    new = {"host": {"versions": {"rmw_fastrtps_cpp": "8.4.2", "rclpy": "7"}}, "extra": {"recorder_version": "0.2.0"}}
     write_pair(tmp_path, sound(), ping=ping_session(**old), relay=relay_session(**new))
     found = findings(tmp_path)["unlike_versions"]
     assert found.what == (

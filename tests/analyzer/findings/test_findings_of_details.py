@@ -61,9 +61,7 @@ def test_a_suspended_relay_is_named_as_such(tmp_path):
     found = findings(tmp_path)
     assert "clock_step" not in found
     assert found["suspend"].where == "beta (beta against alpha)"
-    stood_s, within_s = map(
-        float, re.search(r"for ([\d.]+) s \(within ([\d.]+) s\)", found["suspend"].what).groups()
-    )
+    stood_s, within_s = map(float, re.search(r"for ([\d.]+) s \(within ([\d.]+) s\)", found["suspend"].what).groups())
     assert abs(stood_s - 20) <= within_s < 0.1
     assert "suspend" not in findings(tmp_path, details=False)
 
@@ -296,9 +294,7 @@ def test_messages_that_wait_in_a_reader_for_later_ones(tmp_path):
 
 def test_a_tail_that_waits_in_a_reader(tmp_path):
     write_waiting(tmp_path, waits=5 * PERIOD, every=20)
-    assert findings(tmp_path)["waits_in_reader"].what.startswith(
-        "One message in a hundred waited 500.000 ms or "
-    )
+    assert findings(tmp_path)["waits_in_reader"].what.startswith("One message in a hundred waited 500.000 ms or ")
 
 
 def test_a_callback_that_keeps_up_waits_for_nothing(tmp_path):
@@ -327,9 +323,7 @@ def test_a_bridge_that_went_well_is_no_finding(tmp_path):
 
 
 def test_a_run_that_an_error_ended(tmp_path):
-    error = (
-        "the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); look at the link to it"
-    )
+    error = "the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); look at the link to it"
     write_pair(tmp_path, drawn(), ping=ping_session(extra={"error": error}))
     found = findings(tmp_path)["ended_by_error"]
     assert found.severity is Severity.ERROR
@@ -373,9 +367,7 @@ def test_replies_that_the_relays_whole_trace_does_not_know_are_forged_or_foreign
     finding = findings(tmp_path)["forged_or_foreign"]
     assert finding.severity is Severity.ERROR
     assert "1 are not in the relay's trace" in finding.what
-    write_pair(
-        tmp_path, messages, relay=relay_session(dropped_events=2)
-    )  # its recorder may have dropped them
+    write_pair(tmp_path, messages, relay=relay_session(dropped_events=2))  # its recorder may have dropped them
     assert "forged_or_foreign" not in findings(tmp_path)
     write_pair(tmp_path, drawn(count=100))
     assert "forged_or_foreign" not in findings(tmp_path)

@@ -3,16 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from trace_files import (
-    Message,
-    ping_events,
-    ping_session,
-    relay_events,
-    relay_session,
-    run,
-    write_pair,
-    write_trace,
-)
+from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_pair, write_trace
 
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
@@ -100,9 +91,7 @@ def test_a_run_with_two_relays_is_another_group_than_one_with_one(tmp_path):
     write_trace(
         tmp_path / "2" / "ping.mcap",
         ping_session(session_id=52, host={"kernel": "6.1"}),
-        [
-            run(run_id=72, planned_messages=30, published=30, extra={"session_id": f"{52:016x}"}),
-        ],
+        [run(run_id=72, planned_messages=30, published=30, extra={"session_id": f"{52:016x}"})],
         _with_both(messages(2)),
     )
     assert sorted(analyze(tmp_path).summary["setting"].to_list()) == ["", "relays=2"]

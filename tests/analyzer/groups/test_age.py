@@ -29,9 +29,7 @@ def test_a_late_older_message_is_no_news():
 
 
 def test_two_at_one_instant_are_one_update():
-    assert age_of_information(times(0, 5, 10), times(4, 12, 12)) == age_of_information(
-        times(0, 10), times(4, 12)
-    )
+    assert age_of_information(times(0, 5, 10), times(4, 12, 12)) == age_of_information(times(0, 10), times(4, 12))
 
 
 def test_one_update_has_no_age_over_time():

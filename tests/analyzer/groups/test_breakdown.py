@@ -99,9 +99,7 @@ def test_a_run_has_the_anchors_of_all_its_messages_lost_ones_too():
     """The last message contradicts the anchor of the relay, the second is nearest to that of the ping."""
     rows = [MESSAGE, {**MESSAGE, "reply_received_ns": PING_WALL + 119_000}, MESSAGE, MESSAGE]
     assert breakdown_of(rows)["mean_ns"][5] == (8_000 * 3 + 1_000) / 4
-    lost = {
-        k: v for k, v in MESSAGE.items() if k not in {"receive_ns", "reply_source_ns", "reply_received_ns"}
-    }
+    lost = {k: v for k, v in MESSAGE.items() if k not in {"receive_ns", "reply_source_ns", "reply_received_ns"}}
     contradiction = {**lost, "relay_received_ns": RELAY_WALL + 60_001}
     assert breakdown_of([*rows, lost])["part"].to_list() == list(STAGES)
     assert breakdown_of([*rows, contradiction])["part"].to_list() == COARSE
@@ -156,9 +154,7 @@ def test_without_a_source_stamp_one_side_of_an_anchor_is_not_judged():
 
 
 def test_lost_messages_are_no_part_of_it():
-    lost = {
-        k: v for k, v in MESSAGE.items() if k not in {"receive_ns", "reply_source_ns", "reply_received_ns"}
-    }
+    lost = {k: v for k, v in MESSAGE.items() if k not in {"receive_ns", "reply_source_ns", "reply_received_ns"}}
     table = breakdown_of([lost, MESSAGE, lost])
     assert table["messages"].to_list() == [1] * 6
     assert table["mean_ns"].sum() == 120_000
@@ -212,7 +208,7 @@ def test_waiting_shows_in_the_response_and_not_in_the_round_trip():
     # 10 Hz. A stall: message 1 is planned at 100 ms and sent at 250 ms, message 2 planned at 200, sent at 260.
     plan = [(0, 0), (100, 250), (200, 260), (300, 300)]
     frame = roundtrips(
-        [{"scheduled_ns": t0 * MS, "publish_ns": t1 * MS, "receive_ns": (t1 + 2) * MS} for t0, t1 in plan],
+        [{"scheduled_ns": t0 * MS, "publish_ns": t1 * MS, "receive_ns": (t1 + 2) * MS} for t0, t1 in plan]
     )
     (row,) = response_frame(*paired(frame)).iter_rows(named=True)
     assert (row["messages"], row["late_ratio"], row["waiting_max_ns"]) == (4, 0.5, 150 * MS)
@@ -224,9 +220,7 @@ def test_waiting_shows_in_the_response_and_not_in_the_round_trip():
 
 def test_p99_of_responses_takes_a_hundred_messages_and_a_late_one_more_than_a_tenth_of_the_period():
     # 10 Hz: of 99 messages one is 10 ms late, and the last one by a nanosecond more.
-    rows = [
-        {"scheduled_ns": 0, "publish_ns": 10 * MS + (n > 98), "receive_ns": (20 + n) * MS} for n in range(100)
-    ]
+    rows = [{"scheduled_ns": 0, "publish_ns": 10 * MS + (n > 98), "receive_ns": (20 + n) * MS} for n in range(100)]
     (row,) = response_frame(*paired(roundtrips(rows))).iter_rows(named=True)
     assert row["late_ratio"] == 0.01
     assert row["response_p99_ns"] == pytest.approx((20 + 98.01) * MS)
@@ -242,9 +236,6 @@ def test_without_a_rate_nothing_is_late():
 @pytest.mark.parametrize("rows", [[], [{"publish_ns": 0}]])
 def test_without_a_reply_frames_have_their_columns(rows):
     held = paired(frame_of(rows))
-    for table, schema in (
-        (breakdown_frame(*held), BREAKDOWN_SCHEMA),
-        (response_frame(*held), RESPONSE_SCHEMA),
-    ):
+    for table, schema in ((breakdown_frame(*held), BREAKDOWN_SCHEMA), (response_frame(*held), RESPONSE_SCHEMA)):
         assert table.is_empty()
         assert dict(table.schema) == schema

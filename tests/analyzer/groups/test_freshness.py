@@ -59,15 +59,11 @@ def test_the_age_is_known_at_the_ping_and_with_a_bound_at_the_relay():
                 for sent in (0, 100, 200)
             ],
             relay_device="ping-pi",
-        ),
+        )
     )
     row = summarize_freshness(frame).row(0, named=True)
     # From 21 to 121 on average over each 100 ms; at the relay from 10 to 110. One machine: no clock error.
-    assert (row["age_mean_ns"], row["age_peak_mean_ns"], row["age_peak_max_ns"]) == (
-        71 * MS,
-        121 * MS,
-        121 * MS,
-    )
+    assert (row["age_mean_ns"], row["age_peak_mean_ns"], row["age_peak_max_ns"]) == (71 * MS, 121 * MS, 121 * MS)
     assert (row["relay_age_mean_ns"], row["relay_age_peak_max_ns"]) == (60 * MS, 110 * MS)
     assert row["clock_bound_ns"] == 0
 
@@ -84,11 +80,7 @@ def test_an_outage_lasts_from_its_first_loss_to_the_next_reply():
     # Five in a row in time begin with message 20, whose reply came at 2010 ms.
     assert outage["recovery_ns"] == (2010 - 1620) * MS
     row = summarize_freshness(frame, deadline_ns=20 * MS).row(0, named=True)
-    assert (row["outages"], row["outage_longest_ns"], row["recovery_longest_ns"]) == (
-        1,
-        620 * MS + 1000,
-        390 * MS,
-    )
+    assert (row["outages"], row["outage_longest_ns"], row["recovery_longest_ns"]) == (1, 620 * MS + 1000, 390 * MS)
 
 
 def test_an_outage_that_is_over_at_once_and_one_that_never_ends():
@@ -136,9 +128,7 @@ def test_a_deadline_is_for_the_response_unless_another_metric_is_named():
 
 
 def test_messages_that_never_left_miss_the_deadline():
-    frame = roundtrips(
-        [{"publish_ns": 0, "receive_ns": 10 * MS}, {"publish_ns": 100 * MS}], run_id=4, relay_id=7
-    )
+    frame = roundtrips([{"publish_ns": 0, "receive_ns": 10 * MS}, {"publish_ns": 100 * MS}], run_id=4, relay_id=7)
     row = summarize_freshness(frame, deadline_ns=20 * MS, unsent={(4, 7): 3}).row(0, named=True)
     assert (row["messages"], row["judged"], row["missed"], row["longest_missed"]) == (2, 5, 4, 4)
     assert row["missed_ratio"] == 0.8
@@ -146,9 +136,7 @@ def test_messages_that_never_left_miss_the_deadline():
 
 def test_a_one_way_deadline_is_surely_met_surely_missed_or_cannot_be_told():
     # 5, 19, 21, 30 ms out, each wrong by at most 2 ms, deadline 20 ms; one lost on its way out, one on its way back.
-    ways = [
-        {"outbound_ns": ms * MS, "clock_bound_ns": 2 * MS, "receive_ns": 50 * MS} for ms in (5, 19, 21, 30)
-    ]
+    ways = [{"outbound_ns": ms * MS, "clock_bound_ns": 2 * MS, "receive_ns": 50 * MS} for ms in (5, 19, 21, 30)]
     lost = [{"outcome": "lost_outbound"}, {"outcome": "lost_return"}]
     frame = roundtrips({"publish_ns": 0, "sequence": n, **row} for n, row in enumerate([*ways, *lost]))
     row = summarize_freshness(frame, deadline_ns=20 * MS, metric="outbound").row(0, named=True)

@@ -36,9 +36,7 @@ def measured():
                 "relay_out_ns": sent + there + 1000 + 7 * S,
                 "receive_ns": sent + there + 1000 + again,
             }
-            for sent, there, again in zip(
-                range(0, 30 * S, 100 * MS), out[-1].tolist(), back[-1].tolist(), strict=True
-            )
+            for sent, there, again in zip(range(0, 30 * S, 100 * MS), out[-1].tolist(), back[-1].tolist(), strict=True)
         ]
         runs.append(roundtrips(rows, run_id=number + 1))
     frame = with_one_way(pl.concat(runs))
@@ -134,8 +132,7 @@ def test_metrics_side_by_side_are_each_as_by_themselves(runs, monkeypatch):
     messages, run_of_row = 1200 * runs, np.repeat(np.arange(runs), 1200)
     lost = draw.random(messages) < 0.1 + 0.2 * (run_of_row == 1)
     latency_ns = [
-        None if gone else int(value)
-        for gone, value in zip(lost, draw.lognormal(13, 1, messages), strict=True)
+        None if gone else int(value) for gone, value in zip(lost, draw.lognormal(13, 1, messages), strict=True)
     ]
     held = {
         "outbound_ns": draw.normal(0, MS, messages).astype(np.int64),
@@ -169,9 +166,7 @@ def test_one_way_rows_are_wider_by_the_worst_bound_and_those_of_a_round_trip_are
     assert "outbound" not in {row["metric"] for row in interval_rows(0, unbounded, run_of_row)}
     assert list(one_way_rows(3, unbounded)) == []
     one_way = list(one_way_rows(3, columns_of(values, sent, **bounds)))
-    assert [
-        (row["metric"], row["messages"], row["bound_max_ns"], row["bound_p50_ns"]) for row in one_way
-    ] == [
+    assert [(row["metric"], row["messages"], row["bound_max_ns"], row["bound_p50_ns"]) for row in one_way] == [
         ("outbound", 300, 9, 7.0),
         ("return", 300, 9, 7.0),
     ]

@@ -38,6 +38,8 @@ def test_a_side_that_measured_none_leaves_it_unknown(of_ping, of_relay):
 
 def test_the_share_is_that_of_the_median_round_trip():
     frame = pl.DataFrame({"own_cost_ns": [50.0, None, 50.0], "rtt_p50_ns": [200.0, 200.0, None]})
-    assert frame.select(ratio(pl.col("own_cost_ns"), pl.col("rtt_p50_ns")).alias("share"))[
-        "share"
-    ].to_list() == [0.25, None, None]
+    assert frame.select(ratio(pl.col("own_cost_ns"), pl.col("rtt_p50_ns")).alias("share"))["share"].to_list() == [
+        0.25,
+        None,
+        None,
+    ]

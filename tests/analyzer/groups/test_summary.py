@@ -28,18 +28,12 @@ MS = 1_000_000
 def test_counts_and_statistics_of_one_group(tmp_path):
     messages = [
         Message(0, t0=0, t1=10, t3=100, t4=120, t2=210),  # warm-up
-        Message(
-            1, t0=1000, t1=1010, t3=1100, t4=1120, t2=1230
-        ),  # rtt 220, intermediate 20, latency 100, response 230
-        Message(
-            2, t0=2000, t1=2020, t3=2100, t4=2130, t2=2370
-        ),  # rtt 350, intermediate 30, latency 160, response 370
+        Message(1, t0=1000, t1=1010, t3=1100, t4=1120, t2=1230),  # rtt 220, intermediate 20, latency 100, response 230
+        Message(2, t0=2000, t1=2020, t3=2100, t4=2130, t2=2370),  # rtt 350, intermediate 30, latency 160, response 370
         Message(3, t0=3000, t1=3000),  # lost on the way out
         Message(4, t0=4000, t1=4000, t3=4100),  # lost in the relay
         Message(5, t0=5000, t1=5000, t3=5100, t4=5160),  # lost on the way back, intermediate 60
-        Message(
-            6, t0=6000, t1=6000, t3=6100, t4=6110, t2=6110
-        ),  # rtt 110, intermediate 10, latency 50, response 110
+        Message(6, t0=6000, t1=6000, t3=6100, t4=6110, t2=6110),  # rtt 110, intermediate 10, latency 50, response 110
     ]
     write_pair(tmp_path, messages, runs=[run(warmup_messages=1, payload_bytes=1000)])
     (group,) = analyze(tmp_path).summary.to_dicts()
@@ -68,11 +62,7 @@ def test_counts_and_statistics_of_one_group(tmp_path):
     assert group["rtt_std_ns"] == pytest.approx(
         math.sqrt(((220 - 680 / 3) ** 2 + (350 - 680 / 3) ** 2 + (110 - 680 / 3) ** 2) / 2)
     )
-    assert (group["intermediate_mean_ns"], group["intermediate_p50_ns"], group["intermediate_max_ns"]) == (
-        30,
-        25,
-        60,
-    )
+    assert (group["intermediate_mean_ns"], group["intermediate_p50_ns"], group["intermediate_max_ns"]) == (30, 25, 60)
     assert (group["latency_mean_ns"], group["latency_p50_ns"]) == (pytest.approx(310 / 3), 100)
     assert (group["response_min_ns"], group["response_p50_ns"], group["response_max_ns"]) == (110, 230, 370)
     assert [group[f"{metric}_p90_ns"] for metric in METRICS] == [None] * len(METRICS)
@@ -80,16 +70,10 @@ def test_counts_and_statistics_of_one_group(tmp_path):
 
 def test_duplicates_and_reordering_are_counted(tmp_path):
     ping = ping_events([Message(s, t0=s, t1=s) for s in range(3)])
-    ping[Stage.T2] = [
-        event(s, t, relay_id=RELAY_ID) for s, t in ((1, 50), (0, 60), (0, 61), (2, 70), (0, 80))
-    ]
+    ping[Stage.T2] = [event(s, t, relay_id=RELAY_ID) for s, t in ((1, 50), (0, 60), (0, 61), (2, 70), (0, 80))]
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping)
     analysis = analyze(tmp_path)
-    assert analysis.load_roundtrips().select("duplicates", "reordered").rows() == [
-        (2, True),
-        (0, False),
-        (0, False),
-    ]
+    assert analysis.load_roundtrips().select("duplicates", "reordered").rows() == [(2, True), (0, False), (0, False)]
     assert analysis.summary.select("duplicates", "reordered", "received").rows() == [(2, 1, 3)]
     assert {"duplicates", "reordering"} <= {finding.code for finding in analysis.findings}
 
@@ -173,20 +157,14 @@ def test_only_warmup_leaves_a_group_without_numbers(tmp_path):
     analysis = analyze(tmp_path)
     assert analysis.load_roundtrips().height == analysis.timeline.height == analysis.distributions.height == 0
     (group,) = analysis.summary.to_dicts()
-    assert (group["published"], group["received"], group["received_ratio"], group["rtt_p50_ns"]) == (
-        0,
-        0,
-        None,
-        None,
-    )
+    assert (group["published"], group["received"], group["received_ratio"], group["rtt_p50_ns"]) == (0, 0, None, None)
     assert "nothing_counted" in {finding.code for finding in analysis.findings}
 
 
 def test_a_thousand_messages_support_every_percentile(tmp_path):
     # rtt = 1001, 1003 ... 2999 ns; intermediate 1 ns: latency = 500, 501 ... 1499 ns.
     messages = [
-        Message(s, t0=s * MS, t1=s * MS, t3=s * MS, t4=s * MS + 1, t2=s * MS + 1001 + 2 * s)
-        for s in range(1000)
+        Message(s, t0=s * MS, t1=s * MS, t3=s * MS, t4=s * MS + 1, t2=s * MS + 1001 + 2 * s) for s in range(1000)
     ]
     write_pair(tmp_path, messages)
     analysis = analyze(tmp_path)
@@ -196,6 +174,4 @@ def test_a_thousand_messages_support_every_percentile(tmp_path):
     assert "few_samples" not in {finding.code for finding in analysis.findings}
     latency = analysis.distributions.filter(metric="latency")
     assert latency["count"].sum() == 1000
-    assert latency["value_ns"].to_list() == [
-        float(v) for v in range(500, 1500)
-    ]  # one bucket a nanosecond here
+    assert latency["value_ns"].to_list() == [float(v) for v in range(500, 1500)]  # one bucket a nanosecond here

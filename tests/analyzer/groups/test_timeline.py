@@ -38,9 +38,7 @@ def worth_drawing(exchanges, share):
             times = [(latency, place) for latency, place in drawn if not isinstance(latency, str)]
             if times:
                 kept |= {min(times)[1], min(times, key=lambda one: (-one[0], one[1]))[1]}
-            kept |= {
-                place for kind, place in drawn if kind in LOSSES and (kind, place) == first_of(drawn, kind)
-            }
+            kept |= {place for kind, place in drawn if kind in LOSSES and (kind, place) == first_of(drawn, kind)}
         kept |= {row} if rows else set()
         row += len(rows)
     return sorted(kept)

@@ -65,11 +65,7 @@ MESSAGES = [Message(s, t0=s, t1=s, t3=s + 10, t4=s + 10, t2=s + 20 * (s + 1)) fo
 
 
 def folder_of(tmp_path, ping_wire=(), relay_wire=(), counts=COUNTS):
-    described = run(
-        planned_messages=4,
-        published=4,
-        extra={"session_id": f"{PING_SESSION_ID:016x}", "wire": counts},
-    )
+    described = run(planned_messages=4, published=4, extra={"session_id": f"{PING_SESSION_ID:016x}", "wire": counts})
     write_trace(tmp_path / "ping.mcap", ping_session(), [described], ping_events(MESSAGES), wire=ping_wire)
     write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(MESSAGES), wire=relay_wire)
     return tmp_path
@@ -218,10 +214,7 @@ def finding(tmp_path, **changes):
 def test_repeats_that_are_a_load_of_their_own_are_a_storm(tmp_path):
     classes = [*COUNTS["classes"], {"name": "data_frag_again", "packets": 1, "bytes": 100_000}]
     storm = finding(tmp_path, classes=classes)["retransmission_storm"]
-    assert (
-        storm.what
-        == "26.7 % of the bytes on the wire were sent again, 4 of 4 messages; readers asked 2 times."
-    )
+    assert storm.what == "26.7 % of the bytes on the wire were sent again, 4 of 4 messages; readers asked 2 times."
     assert "retransmission_storm" not in finding(tmp_path)  # a fifth is the limit
 
 
@@ -230,9 +223,7 @@ def many_again(tmp_path, again, count=40, **changes):
     messages = [Message(s, t0=s, t1=s, t3=s + 10, t4=s + 10, t2=s + 20) for s in range(count)]
     counts = {**COUNTS, "classes": COUNTS["classes"][:2], "requests": 0, "ip": {}, **changes}
     described = run(
-        planned_messages=count,
-        published=count,
-        extra={"session_id": f"{PING_SESSION_ID:016x}", "wire": counts},
+        planned_messages=count, published=count, extra={"session_id": f"{PING_SESSION_ID:016x}", "wire": counts}
     )
     wire = texts(*(record(s, repeats=int(s < again), resent_after_ns=MS) for s in range(count)))
     write_trace(tmp_path / "ping.mcap", ping_session(), [described], ping_events(messages), wire=wire)
@@ -286,9 +277,7 @@ def test_discovery_is_held_against_payload_that_went_through_memory(tmp_path):
     assert "discovery_traffic" not in finding(tmp_path, **through_memory)
     assert "discovery_traffic" not in {
         each.code
-        for each in many_again(
-            tmp_path, 0, classes=[{"name": "spdp", "packets": 9, "bytes": 600_000}]
-        ).values()
+        for each in many_again(tmp_path, 0, classes=[{"name": "spdp", "packets": 9, "bytes": 600_000}]).values()
     }  # of 2.6 MB
 
 

@@ -22,8 +22,7 @@ from dds_trace.analyzer.pipeline import analyze, default_output
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 
 TIMELINE = [
-    Message(s, t0=1000 * s, t1=1000 * s + 5, t3=1000 * s + 900, t4=1000 * s + 930, t2=1000 * s + 205)
-    for s in range(12)
+    Message(s, t0=1000 * s, t1=1000 * s + 5, t3=1000 * s + 900, t4=1000 * s + 930, t2=1000 * s + 205) for s in range(12)
 ]
 
 

@@ -12,8 +12,7 @@ STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_
 
 def metrics(t0=0, t1=0, t2=None, t3=None, t4=None):
     stamps = pl.DataFrame(
-        dict(zip(STAMPS, ([t] for t in (t0, t1, t2, t3, t4)), strict=True)),
-        schema=dict.fromkeys(STAMPS, pl.Int64),
+        dict(zip(STAMPS, ([t] for t in (t0, t1, t2, t3, t4)), strict=True)), schema=dict.fromkeys(STAMPS, pl.Int64)
     )
     row = with_metrics(stamps).row(0, named=True)
     return row["rtt_ns"], row["intermediate_ns"], row["latency_ns"], row["response_ns"]

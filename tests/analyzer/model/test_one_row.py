@@ -42,8 +42,7 @@ def analyze_with(tmp_path, file, rows, runs):
     (tmp_path / "traces").mkdir()
     for number, of_run in enumerate(runs, 1):
         messages = [
-            Message(n, t0=n * MS, t1=n * MS, t3=n * MS + 100 + n, t4=n * MS + 300, t2=n * MS + 900)
-            for n in range(40)
+            Message(n, t0=n * MS, t1=n * MS, t3=n * MS + 100 + n, t4=n * MS + 300, t2=n * MS + 900) for n in range(40)
         ]
         (tmp_path / "traces" / str(number)).mkdir()
         write_pair(tmp_path / "traces" / str(number), messages, runs=[of_run])
@@ -61,9 +60,7 @@ def analyze_with(tmp_path, file, rows, runs):
     return out
 
 
-METRIC = {
-    '        Metric("response",': '        Metric("hold", "Hold in relay", (_t4 - _t3) * 2, "twice T4 - T3"),\n'
-}
+METRIC = {'        Metric("response",': '        Metric("hold", "Hold in relay", (_t4 - _t3) * 2, "twice T4 - T3"),\n'}
 
 FOLLOWING = {
     "tests/analyzer/findings/test_findings.py": "few_samples or fewer_samples",
@@ -102,9 +99,7 @@ def test_tests_of_outputs_follow_a_new_metric(tmp_path):
 def test_a_metric_is_one_row_of_the_table_of_metrics(tmp_path):
     out = analyze_with(tmp_path, "model/metrics.py", METRIC, [run()])
 
-    assert pl.read_parquet(out / "roundtrips.parquet")["hold_ns"].to_list() == [
-        2 * (200 - n) for n in range(40)
-    ]
+    assert pl.read_parquet(out / "roundtrips.parquet")["hold_ns"].to_list() == [2 * (200 - n) for n in range(40)]
     field = pq.read_schema(out / "roundtrips.parquet").field("hold_ns")
     assert field.metadata == {b"unit": b"ns", b"meaning": b"twice T4 - T3; null where an input is missing"}
     (group,) = pl.read_parquet(out / "summary.parquet").to_dicts()

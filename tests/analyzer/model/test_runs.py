@@ -17,9 +17,7 @@ def values_of(frame, metric="latency"):
 
 def test_lost_messages_are_infinitely_late_and_replies_without_stamps_take_half_their_round_trip():
     late = steady([5 * MS, None, 7 * MS])
-    bare = late.with_columns(
-        latency_ns=pl.when(pl.col("sequence") == 2).then(None).otherwise(pl.col("latency_ns"))
-    )
+    bare = late.with_columns(latency_ns=pl.when(pl.col("sequence") == 2).then(None).otherwise(pl.col("latency_ns")))
     assert bare["rtt_ns"][2] == 14 * MS + 1000
     assert values_of(bare) == [[5 * MS, math.inf, 7 * MS + 500]]
 
@@ -41,9 +39,7 @@ def described(run_id, **labels):
 
 
 def test_passes_pair_runs_only_where_every_run_has_one():
-    passes = pass_numbers(
-        [described(1, **{"pass": "1"}), described(2, **{"pass": "2"}), described(3, other="x")]
-    )
+    passes = pass_numbers([described(1, **{"pass": "1"}), described(2, **{"pass": "2"}), described(3, other="x")])
     assert passes == {1: 1, 2: 2}
     one, two, three = (split_runs(steady([MS], run_id=number)) for number in (1, 2, 3))
     assert passes_of(one, two, passes) == ([1], [2])

@@ -11,13 +11,7 @@ from trace_files import ping_session, relay_session, run
 
 from dds_trace.analyzer.model.environment import environment_differences, environment_of
 from dds_trace.analyzer.model.parameters import parameters_of
-from dds_trace.analyzer.model.setting import (
-    choice_of,
-    condition_of,
-    parse_setting,
-    setting_of,
-    write_setting,
-)
+from dds_trace.analyzer.model.setting import choice_of, condition_of, parse_setting, setting_of, write_setting
 from dds_trace.tracefile.format.descriptions import Qos
 
 LINK = "wifi-54(delay_ms=1,rate_mbit_s=54)"
@@ -40,9 +34,7 @@ def test_what_was_asked_for_is_sorted_and_what_has_a_column_is_left_out():
 
 
 def test_the_relay_tells_where_it_was_asked_otherwise():
-    assert (
-        setting_of(run(), ping(tuned=True), relay(depth=3)) == "relay.depth=3,relay.tuned=default,tuned=true"
-    )
+    assert setting_of(run(), ping(tuned=True), relay(depth=3)) == "relay.depth=3,relay.tuned=default,tuned=true"
     assert setting_of(run(), ping(), relay_session(rmw="rmw_fastrtps_dynamic_cpp")) == (
         "relay.rmw=rmw_fastrtps_dynamic_cpp"
     )
@@ -68,10 +60,7 @@ def test_conditions_surround_a_run_and_the_rest_is_a_choice():
     ("middleware", "expected"),
     [
         ({"executor": "events", "transport": "default", "tuned": "false"}, ""),
-        (
-            {"executor": "single", "transport": "udp", "tuned": "true"},
-            "executor=single,transport=udp,tuned=true",
-        ),
+        ({"executor": "single", "transport": "udp", "tuned": "true"}, "executor=single,transport=udp,tuned=true"),
         ({"tuned": "nothing to tune: the kernel does"}, "tuned=true"),
     ],
 )
@@ -82,10 +71,7 @@ def test_an_older_recorder_tells_it_by_what_was_in_effect(middleware, expected):
 
 def test_a_configuration_file_is_asked_for():
     host = {"configuration": {"CYCLONEDDS_URI": [{"name": "a.xml", "sha256": "0123456789"}]}}
-    assert (
-        setting_of(run(), ping_session(host=host), relay_session(host=host))
-        == "CYCLONEDDS_URI=a.xml#01234567"
-    )
+    assert setting_of(run(), ping_session(host=host), relay_session(host=host)) == "CYCLONEDDS_URI=a.xml#01234567"
 
 
 @given(st.dictionaries(st.text(min_size=1), st.text(), max_size=4))
@@ -108,6 +94,4 @@ def test_the_environment_is_a_digest_of_what_lasts_on_both_sides():
     assert int(digest, 16) >= 0
     assert environment_of(again, other) == digest
     assert environment_of(one, newer) != digest
-    assert environment_differences([(one, other), (again, newer), (one, None)]) == {
-        "relay kernel": ['"6.1"', '"6.2"']
-    }
+    assert environment_differences([(one, other), (again, newer), (one, None)]) == {"relay kernel": ['"6.1"', '"6.2"']}

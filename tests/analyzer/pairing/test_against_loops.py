@@ -42,10 +42,7 @@ def recordings(draw):
     chance = random.Random(draw(st.integers(0, 2**32)))
     keep, twice = draw(st.sampled_from([0.2, 0.7, 1.0])), draw(st.sampled_from([0.0, 0.3]))
     absurd = draw(st.booleans())
-    files = {
-        "ping": {stage: [] for stage in Stage},
-        **{relay: {stage: [] for stage in Stage} for relay in RELAYS},
-    }
+    files = {"ping": {stage: [] for stage in Stage}, **{relay: {stage: [] for stage in Stage} for relay in RELAYS}}
     for run_id in RUNS:
         for sequence in range(draw(st.integers(0, 12))):
             number = sequence + (2**63 if absurd and sequence > 8 else 0)
@@ -87,14 +84,9 @@ def write(folder, files, *, reverse=False, copies=False, names=("ping", "relay")
 
 
 def expected_rows(files):
-    packed = {
-        stage.value: [pack_event(*e)[4:] for stages in files.values() for e in stages[stage]]
-        for stage in Stage
-    }
+    packed = {stage.value: [pack_event(*e)[4:] for stages in files.values() for e in stages[stage]] for stage in Stage}
     return {
-        (run_id, *key): row
-        for run_id in RUNS
-        for key, row in plain_roundtrips(run_id, WARMUP[run_id], packed).items()
+        (run_id, *key): row for run_id in RUNS for key, row in plain_roundtrips(run_id, WARMUP[run_id], packed).items()
     }
 
 
@@ -136,17 +128,10 @@ def test_the_summary_is_that_of_its_rows(files):
     with tempfile.TemporaryDirectory() as name:
         write(Path(name), files)
         analysis = analyze(name)
-    keys = [
-        "relay_device",
-        "relay_vendor",
-        "relay_domain_id",
-        "setting",
-    ]  # nothing else differs in these recordings
+    keys = ["relay_device", "relay_vendor", "relay_domain_id", "setting"]  # nothing else differs in these recordings
     for group in analysis.summary.to_dicts():
         rows = (
-            analysis.load_roundtrips()
-            .filter(*(pl.col(key).eq_missing(pl.lit(group[key])) for key in keys))
-            .to_dicts()
+            analysis.load_roundtrips().filter(*(pl.col(key).eq_missing(pl.lit(group[key])) for key in keys)).to_dicts()
         )
         assert group["published"] == len(rows)
         assert group["received"] == sum(row["outcome"] == "completed" for row in rows)
@@ -158,9 +143,7 @@ def test_the_summary_is_that_of_its_rows(files):
             values = sorted(row[f"{metric}_ns"] for row in rows if row[f"{metric}_ns"] is not None)
             assert group[f"{metric}_min_ns"] == (values[0] if values else None)
             assert group[f"{metric}_max_ns"] == (values[-1] if values else None)
-            assert group[f"{metric}_mean_ns"] == (
-                pytest.approx(sum(values) / len(values)) if values else None
-            )
+            assert group[f"{metric}_mean_ns"] == (pytest.approx(sum(values) / len(values)) if values else None)
             for percentile in PERCENTILES:
                 value = group[f"{metric}_{percentile.name}_ns"]
                 assert (value is None) == (len(values) < percentile.needs)
@@ -168,6 +151,4 @@ def test_the_summary_is_that_of_its_rows(files):
                     position = percentile.quantile * (len(values) - 1)
                     low = int(position)
                     high = min(low + 1, len(values) - 1)
-                    assert value == pytest.approx(
-                        values[low] + (values[high] - values[low]) * (position - low)
-                    )
+                    assert value == pytest.approx(values[low] + (values[high] - values[low]) * (position - low))

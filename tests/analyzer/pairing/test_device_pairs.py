@@ -32,10 +32,7 @@ def fits_of(*segments):
 
 def knots_of(*knots):
     """Knots of `(run, instant in s, offset in ms)`, of alpha and beta."""
-    rows = [
-        (0, run_id, 1, "alpha", "beta", 1, at * S, offset * MS, 10_000, None, None)
-        for run_id, at, offset in knots
-    ]
+    rows = [(0, run_id, 1, "alpha", "beta", 1, at * S, offset * MS, 10_000, None, None) for run_id, at, offset in knots]
     return pl.DataFrame(rows, schema=KNOT_SCHEMA, orient="row")
 
 
@@ -54,9 +51,7 @@ def test_steps_from_the_second_segment_on_are_slews():
     # 10 ms each five seconds; the first segment, which has no step, is as near as the others.
     unsure = (0.0, 500_000.0)
     starts = (5, 10, 15)
-    fits = fits_of(
-        (0, 0, 5, unsure, None, None), *((0, at, at + 5, unsure, 10 * MS, MS // 10) for at in starts)
-    )
+    fits = fits_of((0, 0, 5, unsure, None, None), *((0, at, at + 5, unsure, 10 * MS, MS // 10) for at in starts))
     (pair,) = pair_devices(fits, knots_of(*((1, at, 2 * at) for at in range(21))), {1: 0})
     (slew,) = pair.slews
     assert (slew.first, slew.after, slew.rate_ppm) == (1, 4, 2000.0)

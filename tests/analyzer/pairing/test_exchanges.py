@@ -28,14 +28,7 @@ from dds_trace.tracefile.format.descriptions import Qos, Run
 from dds_trace.tracefile.format.events import Stage
 
 TWO = [Message(0, t0=0, t1=10, t3=500, t4=520, t2=140), Message(1, t0=1000, t1=1010)]
-NO_RELAY_COLUMNS = (
-    "relay_vendor",
-    "relay_backend",
-    "relay_device",
-    "relay_in_ns",
-    "relay_out_ns",
-    "latency_ns",
-)
+NO_RELAY_COLUMNS = ("relay_vendor", "relay_backend", "relay_device", "relay_in_ns", "relay_out_ns", "latency_ns")
 
 
 def rows(analysis):
@@ -49,9 +42,7 @@ def codes(analysis):
 def test_columns_and_types_are_those_of_the_format(tmp_path):
     write_pair(tmp_path, TWO)
     analysis = analyze(tmp_path)
-    assert dict(analysis.load_roundtrips().schema) == {
-        column.name: column.dtype for column in ROUNDTRIP_COLUMNS
-    }
+    assert dict(analysis.load_roundtrips().schema) == {column.name: column.dtype for column in ROUNDTRIP_COLUMNS}
     assert dict(analysis.summary.schema) == {column.name: column.dtype for column in SUMMARY_COLUMNS}
 
 
@@ -113,10 +104,7 @@ def test_parameters_come_from_run_and_sessions(tmp_path):
 )
 def test_the_relays_own_domain_decides_the_domain_mode(tmp_path, relay_domain, told, bridge, expected):
     ping, relay = write_pair(
-        tmp_path,
-        TWO,
-        relay=relay_session(domain_id=relay_domain or 0),
-        runs=[run(relay_domain_id=told, bridge=bridge)],
+        tmp_path, TWO, relay=relay_session(domain_id=relay_domain or 0), runs=[run(relay_domain_id=told, bridge=bridge)]
     )
     if relay_domain is None:
         relay.unlink()
@@ -145,10 +133,7 @@ def test_two_relays_give_two_rows_a_message_each_with_its_own_outcome(tmp_path):
             },
         )
     analysis = analyze(tmp_path)
-    found = [
-        (r["relay_id"], r["sequence"], r["outcome"], r["latency_ns"], r["relay_device"])
-        for r in rows(analysis)
-    ]
+    found = [(r["relay_id"], r["sequence"], r["outcome"], r["latency_ns"], r["relay_device"]) for r in rows(analysis)]
     assert found == [
         (near, 0, "completed", 45, "pi17"),  # (100 - 10) // 2
         (near, 1, "completed", 50, "pi17"),  # (120 - 20) // 2
@@ -247,19 +232,13 @@ def test_several_runs_in_one_file_are_rows_by_group_and_runs_by_start(tmp_path):
         events[stage] = of_early + events[stage]
     write_trace(tmp_path / "ping.mcap", ping_session(), [late, early], events)
     analysis = analyze(tmp_path)
-    assert [(r["run_id"], r["payload_bytes"], r["rtt_ns"]) for r in rows(analysis)] == [
-        (1, 10, 100),
-        (2, 20, 200),
-    ]
+    assert [(r["run_id"], r["payload_bytes"], r["rtt_ns"]) for r in rows(analysis)] == [(1, 10, 100), (2, 20, 200)]
     assert [described.run_id for described in analysis.runs] == [2, 1]
 
 
 def test_a_restarted_relay_is_another_relay(tmp_path):
     """A new process draws a new relay_id: each has the outcomes of the messages that it could see."""
-    messages = [
-        Message(0, t0=0, t1=10, t3=500, t4=520, t2=140),
-        Message(1, t0=1000, t1=1010, t3=9, t4=11, t2=1112),
-    ]
+    messages = [Message(0, t0=0, t1=10, t3=500, t4=520, t2=140), Message(1, t0=1000, t1=1010, t3=9, t4=11, t2=1112)]
     ping = ping_events(messages)
     ping[Stage.T2] = [event(0, 140, relay_id=1), event(1, 1112, relay_id=2)]
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping)
@@ -295,20 +274,14 @@ def test_a_relay_restarted_under_its_old_id_gets_the_last_session_before_its_eve
 
 
 @pytest.mark.parametrize(
-    ("t3", "t4", "device"),
-    [(900, 1100, "before"), (1000, 1100, "after"), (None, 1100, "after"), (None, 900, "before")],
+    ("t3", "t4", "device"), [(900, 1100, "before"), (1000, 1100, "after"), (None, 1100, "after"), (None, 900, "before")]
 )
 def test_the_first_event_of_a_relay_tells_which_of_its_sessions_it_was(tmp_path, t3, t4, device):
     """The second session starts at 1000 on the relay's clock; where no T3 is kept, the T4 tells."""
     messages = [Message(0, t0=0, t1=10, t3=t3, t4=t4, t2=500)]
     sessions = [
         relay_session(session_id=50, device="before"),
-        relay_session(
-            session_id=51,
-            device="after",
-            monotonic_anchor_ns=1000,
-            wall_anchor_ns=WALL_ANCHOR_NS + 1000,
-        ),
+        relay_session(session_id=51, device="after", monotonic_anchor_ns=1000, wall_anchor_ns=WALL_ANCHOR_NS + 1000),
     ]
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(messages))
     write_trace(tmp_path / "relay.mcap", sessions, (), relay_events(messages))
@@ -322,36 +295,27 @@ def test_merged_pings_are_told_apart_by_what_the_run_names(tmp_path):
     events[Stage.T1] += [event(0, 9000, run_id=9, scheduled_ns=9000)]
     write_trace(tmp_path / "all.mcap", sessions, runs, events)
     analysis = analyze(tmp_path)
-    assert [(r["run_id"], r["ping_device"]) for r in rows(analysis)] == [(RUN_ID, "alpha")] * 2 + [
-        (9, "omega")
-    ]
+    assert [(r["run_id"], r["ping_device"]) for r in rows(analysis)] == [(RUN_ID, "alpha")] * 2 + [(9, "omega")]
     assert "doubtful_session" not in codes(analysis)
 
 
 def test_merged_pings_without_a_name_are_told_apart_by_their_start(tmp_path):
     sessions = [
         ping_session(),
-        ping_session(
-            session_id=9, device="omega", wall_anchor_ns=WALL_ANCHOR_NS + 8000, monotonic_anchor_ns=8000
-        ),
+        ping_session(session_id=9, device="omega", wall_anchor_ns=WALL_ANCHOR_NS + 8000, monotonic_anchor_ns=8000),
     ]
     events = ping_events(TWO)
     events[Stage.T1] += [event(0, 9000, run_id=9, scheduled_ns=9000)]
     write_trace(tmp_path / "all.mcap", sessions, [run(extra={}), run(run_id=9, extra={})], events)
     analysis = analyze(tmp_path)
-    assert [(r["run_id"], r["ping_device"]) for r in rows(analysis)] == [(RUN_ID, "alpha")] * 2 + [
-        (9, "omega")
-    ]
+    assert [(r["run_id"], r["ping_device"]) for r in rows(analysis)] == [(RUN_ID, "alpha")] * 2 + [(9, "omega")]
     assert "doubtful_session" in codes(analysis)
 
 
 def test_relay_events_without_their_ping_have_no_row_and_a_finding(tmp_path):
     write_pair(tmp_path, TWO)
     write_trace(
-        tmp_path / "other.mcap",
-        relay_session(session_id=3, relay_id=3),
-        (),
-        relay_events(TWO, run_id=99, relay_id=3),
+        tmp_path / "other.mcap", relay_session(session_id=3, relay_id=3), (), relay_events(TWO, run_id=99, relay_id=3)
     )
     analysis = analyze(tmp_path)
     assert set(analysis.load_roundtrips()["run_id"]) == {RUN_ID}
@@ -375,10 +339,7 @@ def test_relay_events_without_their_ping_that_two_files_hold_are_told_as_copies(
 
 @pytest.mark.parametrize(
     ("runs", "sessions", "code"),
-    [
-        ([], [ping_session()], "undescribed_run"),
-        ([run(run_id=8, extra={})], [relay_session()], "undescribed_session"),
-    ],
+    [([], [ping_session()], "undescribed_run"), ([run(run_id=8, extra={})], [relay_session()], "undescribed_session")],
 )
 def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessions, code):
     write_trace(tmp_path / "odd.mcap", sessions, runs, ping_events(TWO, run_id=8))
@@ -395,23 +356,15 @@ def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessi
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        (
-            {"payload_bytes": 2**40},
-            "field 'payload_bytes' of the run description is 1099511627776; a size in bytes",
-        ),
+        ({"payload_bytes": 2**40}, "field 'payload_bytes' of the run description is 1099511627776; a size in bytes"),
         ({"payload_bytes": -1}, "field 'payload_bytes' of the run description is -1; a size in bytes"),
-        (
-            {"rate_hz": float("nan")},
-            "field 'rate_hz' of the run description is nan; a rate in messages a second",
-        ),
+        ({"rate_hz": float("nan")}, "field 'rate_hz' of the run description is nan; a rate in messages a second"),
         ({"warmup_messages": -1}, "field 'warmup_messages' of the run description is -1; a count"),
         ({"qos": Qos(depth=2**70)}, "an integer of 22 digits does not fit into 64 bits"),
     ],
 )
 def test_an_impossible_description_is_not_used_and_its_field_is_named(tmp_path, values, words):
-    write_trace(
-        tmp_path / "odd.mcap", [ping_session()], [run(run_id=8, **values)], ping_events(TWO, run_id=8)
-    )
+    write_trace(tmp_path / "odd.mcap", [ping_session()], [run(run_id=8, **values)], ping_events(TWO, run_id=8))
     with pytest.raises(MissingEventsError, match=r"odd\.mcap") as error:
         analyze(tmp_path)
     assert words in str(error.value)
@@ -441,9 +394,7 @@ def test_an_impossible_description_is_not_used_and_its_field_is_named(tmp_path, 
 )
 def test_a_bad_description_alone_says_what_is_bad_in_it(tmp_path, monkeypatch, field, value, words):
     described = Run.to_json
-    monkeypatch.setattr(
-        Run, "to_json", lambda self: json.dumps({**json.loads(described(self)), field: value})
-    )
+    monkeypatch.setattr(Run, "to_json", lambda self: json.dumps({**json.loads(described(self)), field: value}))
     write_pair(tmp_path, TWO)
     with pytest.raises(MissingEventsError, match=words) as error:
         analyze(tmp_path)
@@ -452,9 +403,7 @@ def test_a_bad_description_alone_says_what_is_bad_in_it(tmp_path, monkeypatch, f
 
 def test_sessions_are_listed_once_and_by_start(tmp_path):
     write_pair(tmp_path, TWO, relay=relay_session(wall_anchor_ns=5))
-    write_trace(
-        tmp_path / "part.mcap", relay_session(wall_anchor_ns=5, state="open"), (), relay_events(TWO[:1])
-    )
+    write_trace(tmp_path / "part.mcap", relay_session(wall_anchor_ns=5, state="open"), (), relay_events(TWO[:1]))
     analysis = analyze(tmp_path)
     assert [(s.session_id, s.state) for s in analysis.sessions] == [
         (RELAY_SESSION_ID, "closed"),

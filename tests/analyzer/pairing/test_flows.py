@@ -55,9 +55,6 @@ def test_what_counts_as_a_flow_is_an_overlap(drawn):
     flows = count_flows(runs)
     assert all(flows[run.run_id] - 1 <= of_run[run.run_id] for run in runs)
     mutual = Counter(
-        run_id
-        for overlap in find_overlaps(runs)
-        if overlap.is_mutual
-        for run_id in (overlap.one, overlap.other)
+        run_id for overlap in find_overlaps(runs) if overlap.is_mutual for run_id in (overlap.one, overlap.other)
     )
     assert all(flows[run.run_id] - 1 >= mutual[run.run_id] for run in runs)

@@ -19,13 +19,8 @@ def test_one_way_times_take_four_stamps_that_agree():
         [
             MESSAGE,
             {"publish_ns": 1000, "relay_in_ns": 2100},  # lost on the way back
-            {
-                "publish_ns": 2000,
-                "relay_in_ns": 3100,
-                "relay_out_ns": 3900,
-                "receive_ns": 2500,
-            },  # 800 in 500 ns
-        ],
+            {"publish_ns": 2000, "relay_in_ns": 3100, "relay_out_ns": 3900, "receive_ns": 2500},  # 800 in 500 ns
+        ]
     )
     aligned = with_one_way(frame)
     assert aligned.select(ONE_WAY).rows() == [(100, 100, 101), (None, None, None), (None, None, None)]
@@ -34,9 +29,7 @@ def test_one_way_times_take_four_stamps_that_agree():
 
 def test_a_way_may_take_no_time():
     # The clocks are apart by 1000 or 1001 ns, by the even one of the two.
-    aligned = with_one_way(
-        roundtrips([{"publish_ns": 7, "relay_in_ns": 1007, "relay_out_ns": 1007, "receive_ns": 8}])
-    )
+    aligned = with_one_way(roundtrips([{"publish_ns": 7, "relay_in_ns": 1007, "relay_out_ns": 1007, "receive_ns": 8}]))
     assert aligned.select("outbound_ns", "return_ns").rows() == [(0, 1)]
 
 
@@ -95,14 +88,7 @@ def test_a_segment_is_told_with_the_step_that_began_it():
 
 @pytest.mark.parametrize(
     ("ppm", "step_ns", "is_bounded"),
-    [
-        (0, 0, True),
-        (90, 0, True),
-        (600, 0, False),
-        (1000, 0, False),
-        (1500, 0, False),
-        (0, 50_000_000, False),
-    ],
+    [(0, 0, True), (90, 0, True), (600, 0, False), (1000, 0, False), (1500, 0, False), (0, 50_000_000, False)],
 )
 def test_a_clock_that_was_slewed_or_stepped_has_no_bounds(ppm, step_ns, is_bounded):
     """A relay that slews from 20 to 40 s of a minute, and is set then; 90 ppm from the start are a crystal's."""

@@ -30,12 +30,7 @@ def test_every_outcome_follows_from_where_a_message_was_seen_last():
         t2=[(0, 1200)],
     )
     assert published.sequence.tolist() == [0, 1, 2, 3]
-    assert outcomes(paired) == [
-        Outcome.COMPLETED,
-        Outcome.LOST_OUTBOUND,
-        Outcome.LOST_IN_RELAY,
-        Outcome.LOST_RETURN,
-    ]
+    assert outcomes(paired) == [Outcome.COMPLETED, Outcome.LOST_OUTBOUND, Outcome.LOST_IN_RELAY, Outcome.LOST_RETURN]
     assert paired.receive_ns.tolist() == [1200, MISSING, MISSING, MISSING]
     assert paired.relay_in_ns.tolist() == [50, MISSING, 70, 80]
     assert paired.relay_out_ns.tolist() == [55, MISSING, MISSING, 88]
@@ -60,11 +55,7 @@ def test_a_departure_without_arrival_was_not_lost_on_the_way_out():
 
 
 def test_warmup_messages_have_no_row_and_are_no_orphans():
-    published, paired = pair(
-        t1=[(0, 10), (1, 20), (2, 30), (3, 40)],
-        t2=[(0, 11), (1, 21), (2, 31), (3, 41)],
-        warmup=2,
-    )
+    published, paired = pair(t1=[(0, 10), (1, 20), (2, 30), (3, 40)], t2=[(0, 11), (1, 21), (2, 31), (3, 41)], warmup=2)
     assert published.sequence.tolist() == [2, 3]
     assert published.publish_ns.tolist() == [30, 40]
     assert paired.receive_ns.tolist() == [31, 41]
@@ -86,17 +77,14 @@ def test_a_run_of_warmup_only_has_no_rows():
 
 
 @pytest.mark.parametrize(
-    ("sizes", "told"),
-    [((), (2**32 - 1, 0)), ((0,), (0, 0)), ((7, 3, 9), (3, 9)), ((2**32 - 1,), (2**32 - 1,) * 2)],
+    ("sizes", "told"), [((), (2**32 - 1, 0)), ((0,), (0, 0)), ((7, 3, 9), (3, 9)), ((2**32 - 1,), (2**32 - 1,) * 2)]
 )
 def test_the_range_of_payloads_is_that_of_all_publications(sizes, told):
     t1 = columns(*(event(s, 10 * s, payload_bytes=size) for s, size in enumerate(sizes)))
     assert published_messages(t1, 1).payload_range_bytes == told
 
 
-@pytest.mark.parametrize(
-    "sequences", [(3, 4, 5, 6), (3, 4, 6), (3, 4, 7), (3, 5, 9), (3, 5, 7, 9), (3,), (2, 2**63)]
-)
+@pytest.mark.parametrize("sequences", [(3, 4, 5, 6), (3, 4, 6), (3, 4, 7), (3, 5, 9), (3, 5, 7, 9), (3,), (2, 2**63)])
 def test_each_message_has_the_row_that_a_search_finds_and_no_other_number_has_one(sequences):
     """Also where one, two or three T1 are missing, and the numbers are not those of the rows."""
     published, _ = pair(t1=[(each, 10 + row) for row, each in enumerate(sequences)], warmup=1)
@@ -137,9 +125,7 @@ def test_repeated_arrivals_and_departures_count_once():
 
 def test_reordered_is_who_came_after_a_later_one():
     #  sequence  0    1    2    3    4        1 came after 2; 3 was lost; 4 came after nobody later
-    _, paired = pair(
-        t1=[(0, 0), (1, 10), (2, 20), (3, 30), (4, 40)], t2=[(0, 100), (2, 110), (1, 115), (4, 120)]
-    )
+    _, paired = pair(t1=[(0, 0), (1, 10), (2, 20), (3, 30), (4, 40)], t2=[(0, 100), (2, 110), (1, 115), (4, 120)])
     assert paired.reordered.tolist() == [False, True, False, False, False]
     # 0 came last of all: only it is late, the others are in order among themselves.
     _, paired = pair(t1=[(0, 0), (1, 10), (2, 20)], t2=[(1, 50), (2, 60), (0, 70)])

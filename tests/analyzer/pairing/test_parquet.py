@@ -121,10 +121,7 @@ def test_files_tell_who_wrote_them_by_which_contract_of_what_and_when(tmp_path):
         }
         clocks = json.loads(told["dds_trace.clocks"])
         assert clocks["count"] == 2
-        assert {each["role"]: each["synchronized"] for each in clocks["sessions"]} == {
-            "ping": False,
-            "relay": None,
-        }
+        assert {each["role"]: each["synchronized"] for each in clocks["sessions"]} == {"ping": False, "relay": None}
 
 
 def test_of_many_traces_and_sessions_the_first_thousand_are_named(tmp_path):
@@ -132,20 +129,12 @@ def test_of_many_traces_and_sessions_the_first_thousand_are_named(tmp_path):
     campaign = SimpleNamespace(
         folder=tmp_path,
         sources=[SimpleNamespace(path=f"{number:04}.mcap", status="used") for number in reversed(numbers)],
-        sessions={
-            number: ping_session(session_id=number, wall_anchor_ns=1001 - number) for number in numbers
-        },
+        sessions={number: ping_session(session_id=number, wall_anchor_ns=1001 - number) for number in numbers},
     )
-    exchanges = SimpleNamespace(
-        placed=[SimpleNamespace(start_ns=5, end_ns=7), SimpleNamespace(start_ns=3, end_ns=9)]
-    )
+    exchanges = SimpleNamespace(placed=[SimpleNamespace(start_ns=5, end_ns=7), SimpleNamespace(start_ns=3, end_ns=9)])
     told = provenance(campaign, exchanges)
     sources, clocks = json.loads(told["dds_trace.sources"]), json.loads(told["dds_trace.clocks"])
-    assert sources == {
-        "folder": tmp_path.name,
-        "count": 1001,
-        "names": [f"{number:04}.mcap" for number in range(1000)],
-    }
+    assert sources == {"folder": tmp_path.name, "count": 1001, "names": [f"{number:04}.mcap" for number in range(1000)]}
     assert clocks["count"] == 1001
     assert [int(each["session_id"], 16) for each in clocks["sessions"]] == list(range(1000, 0, -1))
     assert json.loads(told["dds_trace.recorded"]) == {
@@ -182,9 +171,7 @@ def test_what_is_read_back_is_what_was_analyzed(tmp_path, monkeypatch):
     assert analysis.load_roundtrips().height == 18
     assert pq.ParquetFile(analysis.outputs["roundtrips"]).num_row_groups == 3
     third = f"SELECT sequence, outcome FROM '{analysis.outputs['roundtrips']}' OFFSET 5 LIMIT 9"
-    assert (
-        duckdb.sql(third).fetchall() == analysis.load_roundtrips()[5:14].select("sequence", "outcome").rows()
-    )
+    assert duckdb.sql(third).fetchall() == analysis.load_roundtrips()[5:14].select("sequence", "outcome").rows()
     for kind, frame in (("roundtrips", analysis.load_roundtrips()), ("summary", analysis.summary)):
         read = pl.read_parquet(analysis.outputs[kind])
         assert read.schema == frame.schema
@@ -203,10 +190,7 @@ def test_a_file_without_rows_has_its_columns(tmp_path):
 def test_absurd_numbers_survive(tmp_path):
     messages = [event(s, 10 + i, run_id=2**64 - 1) for i, s in enumerate((0, 2**63, 2**64 - 1))]
     write_trace(
-        tmp_path / "ping.mcap",
-        ping_session(),
-        [run(run_id=2**64 - 1, payload_bytes=2**32 - 1)],
-        {Stage.T1: messages},
+        tmp_path / "ping.mcap", ping_session(), [run(run_id=2**64 - 1, payload_bytes=2**32 - 1)], {Stage.T1: messages}
     )
     analysis = analyze(tmp_path, out=tmp_path / "out")
     read = pl.read_parquet(analysis.outputs["roundtrips"])
@@ -226,9 +210,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
-    with pytest.raises(
-        OutputError, match=r"roundtrips\.parquet cannot be written \(No space left on device\).*--out"
-    ):
+    with pytest.raises(OutputError, match=r"roundtrips\.parquet cannot be written \(No space left on device\).*--out"):
         analyze(tmp_path, out=out)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 

@@ -86,9 +86,7 @@ def test_texts_are_dictionaries_that_share_their_positions_where_one_holds_throu
         [exchange(1, data_type="imu"), exchange(2)],
         [(plain((0, 10), (1, 20)), (), (), ()), (plain((0, 40)), (), (), ())],
     )
-    (table,) = tables_of(
-        replace(found, described=found.described.with_columns(rmw=pl.Series([None, "rmw_a"])))
-    )
+    (table,) = tables_of(replace(found, described=found.described.with_columns(rmw=pl.Series([None, "rmw_a"]))))
     assert table["data_type"].to_pylist() == ["imu", "imu", "binary"]
     assert table["rmw"].to_pylist() == [None, None, "rmw_a"]
     assert table["vendor"].to_pylist() == ["fastdds"] * 3
@@ -161,8 +159,5 @@ def test_a_message_has_the_stamps_of_the_event_that_it_was_paired_with():
     source_ns, received_ns = middleware_stamps(published, replies, np.array([15, 25]))
     assert (source_ns.tolist(), received_ns.tolist()) == ([5, 0], [6, 9])
     only_source = columns(event(1, 15, source_ns=5))
-    assert [each.tolist() for each in middleware_stamps(published, only_source, np.array([15, 25]))] == [
-        [5, 0],
-        [0, 0],
-    ]
+    assert [each.tolist() for each in middleware_stamps(published, only_source, np.array([15, 25]))] == [[5, 0], [0, 0]]
     assert middleware_stamps(published, columns(event(1, 15)), np.array([15, 25])) == ()

@@ -20,20 +20,14 @@ def analysis(tmp_path):
     for number, messages in enumerate((3, 2), 1):
         folder = tmp_path / "traces" / str(number)
         folder.mkdir(parents=True)
-        timeline = [
-            Message(s, t0=s * MS, t1=s * MS, t3=s * MS, t4=s * MS, t2=s * MS + number)
-            for s in range(messages)
-        ]
+        timeline = [Message(s, t0=s * MS, t1=s * MS, t3=s * MS, t4=s * MS, t2=s * MS + number) for s in range(messages)]
         write_pair(folder, timeline, runs=[run(run_id=number, payload_bytes=100 * number)])
     return analyze(tmp_path / "traces", details=False)
 
 
 def test_rows_are_found_by_group(analysis):
     rows = analysis.rows
-    assert rows.groups.select("group", "payload_bytes", "first", "published").rows() == [
-        (0, 100, 0, 3),
-        (1, 200, 3, 2),
-    ]
+    assert rows.groups.select("group", "payload_bytes", "first", "published").rows() == [(0, 100, 0, 3), (1, 200, 3, 2)]
     assert rows.frame(rows.groups[1], ["payload_bytes", "rtt_ns"]).rows() == [(200, 2), (200, 2)]
     assert rows.frame(rows.groups, ["sequence"])["sequence"].to_list() == [0, 1, 2, 0, 1]
     assert rows.frame(rows.groups.head(0)).columns == rows.load().columns

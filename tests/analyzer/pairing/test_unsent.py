@@ -89,9 +89,7 @@ def test_without_a_plan_nothing_was_due():
     assert count_unsent(run(**ten_s, extra=ended), published(0), replies()) == 0
     assert count_unsent(run(**{**ten_s, "rate_hz": 0.0}, extra=ended), published(5), replies()) == 0
     assert count_unsent(run(**{**ten_s, "rate_hz": 1.0}, extra=ended), published(5), replies()) == 6
-    assert (
-        count_unsent(run(**ten_s, extra={**ended, "data_source": "topic:/a"}), published(5), replies()) == 0
-    )
+    assert count_unsent(run(**ten_s, extra={**ended, "data_source": "topic:/a"}), published(5), replies()) == 0
     unknown = replace(published(5), scheduled_ns=np.full(5, MISSING))
     assert count_unsent(run(**ten_s, extra=ended), unknown, replies()) == 0
     # 40 s after boot: from T0 of the first, not from zero; the run ended at its last T1 if it does not tell.
@@ -102,9 +100,7 @@ def test_without_a_plan_nothing_was_due():
 
 
 def test_a_ping_that_died_does_not_say_how_many_left():
-    died = run(
-        rate_hz=10.0, planned_messages=100, warmup_messages=0, published=0, extra={"ended_ns": 1250 * MS}
-    )
+    died = run(rate_hz=10.0, planned_messages=100, warmup_messages=0, published=0, extra={"ended_ns": 1250 * MS})
     assert count_unsent(died, published(5), replies()) == 8
 
 

@@ -15,9 +15,7 @@ SANE_NS = 1 << 61
 
 
 def session(wall_ns, monotonic_ns, **extra):
-    return Session(
-        1, "ping", "a", "ros2", "fastdds", None, 5, None, "wired", wall_ns, monotonic_ns, extra=extra
-    )
+    return Session(1, "ping", "a", "ros2", "fastdds", None, 5, None, "wired", wall_ns, monotonic_ns, extra=extra)
 
 
 def utc_of(*of_exchanges):
@@ -32,8 +30,7 @@ def utc_of(*of_exchanges):
 def test_an_instant_is_as_far_from_the_anchor_on_both_clocks():
     instants_ns = [99, 100, 250, SANE_NS - 1, SANE_NS, MISSING]
     publish, relay_in = utc_of(
-        (session(1100, 100), session(5000, 0), instants_ns),
-        (None, session(7000, 3000), [250, 3000]),
+        (session(1100, 100), session(5000, 0), instants_ns), (None, session(7000, 3000), [250, 3000])
     )
     # Before its session's start, beyond 73 years and without an event there is none.
     assert publish == [None, 1100, 1250, SANE_NS - 1 + 1000, None, None, None, None]
@@ -43,10 +40,7 @@ def test_an_instant_is_as_far_from_the_anchor_on_both_clocks():
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_wall_clock_that_is_off_by_73_years_tells_nothing(way):
     assert utc_of((session(way * SANE_NS, 0), None, [0, 5]))[0] == [None, None]
-    assert utc_of((session(way * (SANE_NS - 1), 0), None, [0, 5]))[0] == [
-        way * (SANE_NS - 1),
-        way * (SANE_NS - 1) + 5,
-    ]
+    assert utc_of((session(way * (SANE_NS - 1), 0), None, [0, 5]))[0] == [way * (SANE_NS - 1), way * (SANE_NS - 1) + 5]
 
 
 def test_the_kernel_says_whether_a_clock_is_synchronized():

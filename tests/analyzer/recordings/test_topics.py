@@ -101,9 +101,7 @@ def test_one_timeline_in_every_format(tmp_path, kind):
     assert (row["messages"], row["start_ns"], row["duration_ns"]) == (5, START_NS, 600 * MS)
     assert row["rate_hz"] == pytest.approx(4 / 0.6)
     assert (row["period_p50_ns"], row["gaps"], row["gap_max_ns"]) == (100 * MS, 1, 300 * MS)
-    assert row["jitter_ns"] == pytest.approx(
-        100 * MS
-    )  # of 100, 100, 300, 100: mean 150, sum of squares 30000, / 3
+    assert row["jitter_ns"] == pytest.approx(100 * MS)  # of 100, 100, 300, 100: mean 150, sum of squares 30000, / 3
     assert (row["age_from"], row["age_messages"], row["age_negative"]) == ("header", 5, 0)
     assert (row["age_min_ns"], row["age_p50_ns"], row["age_max_ns"]) == (5 * MS, 5 * MS, 9 * MS)
     assert (row["age_p99_ns"], row["stamps_backwards"]) == (None, 0)
@@ -123,19 +121,11 @@ def test_without_a_header_the_age_comes_from_the_publish_time(tmp_path):
 
 
 def stamped(seconds, nanoseconds=0, order=1):
-    return (
-        bytes([0, order, 0, 0])
-        + struct.pack("<iI" if order == 1 else ">iI", seconds, nanoseconds)
-        + b"\0" * 8
-    )
+    return bytes([0, order, 0, 0]) + struct.pack("<iI" if order == 1 else ">iI", seconds, nanoseconds) + b"\0" * 8
 
 
 def test_stamps_ahead_of_the_log_and_backwards_are_counted(tmp_path):
-    schema = (
-        "pkg/msg/Odd",
-        "ros2msg",
-        b"# a comment\nuint8 ODD=1\n\nstd_msgs/Header header  # first\nint32 x\n",
-    )
+    schema = ("pkg/msg/Odd", "ros2msg", b"# a comment\nuint8 ODD=1\n\nstd_msgs/Header header  # first\nint32 x\n")
     data = [
         (10, stamped(8)),
         (20, stamped(21)),  # a second ahead
@@ -143,19 +133,9 @@ def test_stamps_ahead_of_the_log_and_backwards_are_counted(tmp_path):
         (40, stamped(0)),  # never set
         (50, b"\x00\x01"),  # cut off
     ]
-    write_mcap(
-        tmp_path / "x.mcap",
-        [("/odd", t * 10**9, t * 10**9, d) for t, d in data],
-        encoding="cdr",
-        schema=schema,
-    )
+    write_mcap(tmp_path / "x.mcap", [("/odd", t * 10**9, t * 10**9, d) for t, d in data], encoding="cdr", schema=schema)
     (row,) = analyze_topics(tmp_path).topics.iter_rows(named=True)
-    assert (row["messages"], row["age_messages"], row["age_negative"], row["stamps_backwards"]) == (
-        5,
-        3,
-        1,
-        1,
-    )
+    assert (row["messages"], row["age_messages"], row["age_negative"], row["stamps_backwards"]) == (5, 3, 1, 1)
     assert (row["age_min_ns"], row["age_max_ns"]) == (-(10**9), 10 * 10**9)
 
 

@@ -11,13 +11,7 @@ from drawn_series import log_normal_groups
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dds_trace.analyzer.run_statistics.between_runs import (
-    Scale,
-    ends_of_units,
-    interval_of_runs,
-    scale_of,
-    units_of,
-)
+from dds_trace.analyzer.run_statistics.between_runs import Scale, ends_of_units, interval_of_runs, scale_of, units_of
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Statistic, joined_runs
 from dds_trace.analyzer.statistics.intervals import Basis
 

@@ -71,8 +71,7 @@ def test_series_without_anything_to_compare_count_in_full(marked):
 
 
 @pytest.mark.parametrize(
-    "lengths",
-    [(2000, 2000, 2000), (2000, 300, 2000, 300), (300, 300, 0, 1, 24, 300), (2000, 1500, 1024, 1023, 1023)],
+    "lengths", [(2000, 2000, 2000), (2000, 300, 2000, 300), (300, 300, 0, 1, 24, 300), (2000, 1500, 1024, 1023, 1023)]
 )
 def test_series_side_by_side_are_each_as_by_themselves(lengths):
     draw = np.random.default_rng(3)

@@ -46,9 +46,7 @@ def test_three_runs_a_side_by_hand():
 
 def test_the_ends_of_the_difference_by_hand():
     # Each side's own error 1 / sqrt(3), Welch's t 2.7764: ends of the logarithms 1 -+ 1.603 and 4 -+ 1.603.
-    change = change_of_runs(
-        constant_runs(1, math.e, math.e**2), constant_runs(math.e**3, math.e**4, math.e**5), P50
-    )
+    change = change_of_runs(constant_runs(1, math.e, math.e**2), constant_runs(math.e**3, math.e**4, math.e**5), P50)
     reach = 2.776445 / math.sqrt(3)
     base = [math.exp(1 + side * reach) for side in (0, -1, 1)]
     new = [math.exp(4 + side * reach) for side in (0, -1, 1)]
@@ -199,9 +197,7 @@ def test_twenty_percent_are_found_with_five_runs_of_1000_a_side(statistic):
 def test_the_smallest_ratio_is_found_in_80_of_100():
     groups = log_normal_groups(800, 5, 300, 0.05, seed=6)
     pairs = list(zip(groups[::2], groups[1::2], strict=True))
-    smallest = np.mean(
-        [change_of_runs(runs_of(base), runs_of(new), P50).smallest_ratio for base, new in pairs]
-    )
+    smallest = np.mean([change_of_runs(runs_of(base), runs_of(new), P50).smallest_ratio for base, new in pairs])
     found = [change_of_runs(runs_of(base), runs_of(smallest * new), P50).ratio_low > 1 for base, new in pairs]
     assert np.mean(found) == pytest.approx(0.8, abs=0.06)
 
@@ -222,9 +218,7 @@ def test_the_smallest_ratio_is_found_in_80_of_100():
 )
 def test_a_verdict_begins_where_its_interval_ends(ends, verdict):
     side = interval_of_runs(constant_runs(1.0, 1.0, 1.0), P50)
-    assert (
-        Change(side, side, Basis.BETWEEN_RUNS, ratio_low=ends[0], ratio_high=ends[1]).verdict(0.1) is verdict
-    )
+    assert Change(side, side, Basis.BETWEEN_RUNS, ratio_low=ends[0], ratio_high=ends[1]).verdict(0.1) is verdict
     within = Change(side, side, Basis.WITHIN_RUN, ratio_low=ends[0], ratio_high=ends[1])
     assert within.verdict(0.1) is Verdict.INCONCLUSIVE
 
@@ -237,9 +231,7 @@ def test_two_intervals_within_runs_are_put_together():
     # 10 (8 to 14) and 20 (16 to 25): 10 - hypot(4, 4), 10 + hypot(5, 2); 2 times and through hypot of the logarithms.
     change = _change_within(side(10.0, 8.0, 14.0), side(20.0, 16.0, 25.0))
     assert (change.difference, change.ratio, change.basis) == (10, 2, Basis.WITHIN_RUN)
-    assert (change.difference_low, change.difference_high) == pytest.approx(
-        (10 - math.sqrt(32), 10 + math.sqrt(29))
-    )
+    assert (change.difference_low, change.difference_high) == pytest.approx((10 - math.sqrt(32), 10 + math.sqrt(29)))
     low = math.log(2) - math.hypot(math.log(20 / 16), math.log(14 / 10))
     high = math.log(2) + math.hypot(math.log(25 / 20), math.log(10 / 8))
     assert (change.ratio_low, change.ratio_high) == pytest.approx((math.exp(low), math.exp(high)))

@@ -13,8 +13,7 @@ import pytest
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 
 SCRIPT = (
-    next(folder for folder in Path(__file__).parents if (folder / "benchmarks").is_dir())
-    / "benchmarks/coverage.py"
+    next(folder for folder in Path(__file__).parents if (folder / "benchmarks").is_dir()) / "benchmarks/coverage.py"
 )
 
 
@@ -29,8 +28,7 @@ def coverage():
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["independent", "AR(1) 0.8", "bursts of 20, 5 %, runs +-5 %", "losses 0.5 %", "outages of 20, 2 %"],
+    "name", ["independent", "AR(1) 0.8", "bursts of 20, 5 %, runs +-5 %", "losses 0.5 %", "outages of 20, 2 %"]
 )
 def test_truths_are_those_of_the_draws(coverage, name):
     (scenario,) = (scenario for scenario in coverage.SCENARIOS if scenario.name == name)

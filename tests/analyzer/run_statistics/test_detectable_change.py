@@ -20,10 +20,7 @@ TRIALS = 150
 
 
 def changes_of(pairs, ratio=1.0):
-    return [
-        change_of_runs([Run(one) for one in base], [Run(ratio * one) for one in new], P50)
-        for base, new in pairs
-    ]
+    return [change_of_runs([Run(one) for one in base], [Run(ratio * one) for one in new], P50) for base, new in pairs]
 
 
 def share_called_slower(changes, groups):
@@ -62,9 +59,5 @@ def test_the_group_that_sees_least_counts_and_others_are_counted():
     alone, both = (detectable_changes(some, CONFIDENCE, SAME_WITHIN)[0] for some in (named[:1], named))
     assert (both.metric, both.statistic, both.groups, both.told) == ("latency", "p50", 3, 2)
     assert both.smallest_ratio == smallest_detectable_ratio(wild, 2, CONFIDENCE, SAME_WITHIN)
-    assert (
-        alone.smallest_ratio
-        < smallest_detectable_ratio(steady, 2, CONFIDENCE, SAME_WITHIN)
-        < both.smallest_ratio
-    )
+    assert alone.smallest_ratio < smallest_detectable_ratio(steady, 2, CONFIDENCE, SAME_WITHIN) < both.smallest_ratio
     assert detectable_changes(named[2:], CONFIDENCE, SAME_WITHIN)[0].smallest_ratio is None

@@ -44,9 +44,7 @@ def test_two_of_twenty_runs_wholly_late_are_a_tenth_of_the_messages(levels, late
 def test_of_runs_that_spread_by_a_fifth_few_limits_are_below_a_true_share_of_2_percent(runs):
     """By Student's limit of the late shares alone 25 to 70 of 100 are."""
     draws, spread = np.random.default_rng(runs), 0.2
-    deadline_ns = MS * math.exp(
-        2.0537 * math.hypot(spread, 0.1)
-    )  # the 98 % quantile of the normal distribution
+    deadline_ns = MS * math.exp(2.0537 * math.hypot(spread, 0.1))  # the 98 % quantile of the normal distribution
     below = 0
     for seed in range(60):
         share = late_share(runs_at(np.exp(spread * draws.standard_normal(runs)), seed=seed), deadline_ns)

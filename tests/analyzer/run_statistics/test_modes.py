@@ -41,9 +41,7 @@ def test_one_mode_is_never_two(name, messages):
 
 def test_correlated_messages_make_no_modes():
     runs = np.exp(0.5 * autoregressive(300, 1000, 0.95, seed=2))
-    found = [
-        find_modes(np.sort(run), share_inflation(np.flatnonzero(run > np.median(run)), 1000)) for run in runs
-    ]
+    found = [find_modes(np.sort(run), share_inflation(np.flatnonzero(run > np.median(run)), 1000)) for run in runs]
     assert sum(modes is not None for modes in found) <= 3
 
 
@@ -122,10 +120,7 @@ def test_of_two_valleys_the_deeper_one_counts():
 
 def test_blocks_are_equally_long():
     assert block_medians(np.array([3, 1, 2, 9, 8, 7, 5]), 2).tolist() == [2, 8]
-    assert block_medians(np.array([4, 1, 9, 2, 8, 7, 5, 5, 6]), 2).tolist() == [
-        3,
-        6,
-    ]  # even: between the middle two
+    assert block_medians(np.array([4, 1, 9, 2, 8, 7, 5, 5, 6]), 2).tolist() == [3, 6]  # even: between the middle two
 
 
 def test_a_straight_line_by_hand():

@@ -69,9 +69,7 @@ def test_without_messages_there_is_no_ratio():
 def test_ends_of_a_few_messages_are_cut():
     one = received_interval([losing(1)])
     assert (one.lower, one.upper, one.independent) == (0.0, 1.0, 1)
-    assert (
-        received_interval([losing(7, (2, 5))]).lower == 0.0
-    )  # 5.57 outages of five messages are more than seven
+    assert received_interval([losing(7, (2, 5))]).lower == 0.0  # 5.57 outages of five messages are more than seven
 
 
 def test_from_ten_episodes_on_the_share_is_normal():
@@ -91,10 +89,7 @@ def test_no_share_is_below_none_or_above_all():
 
 def test_wilson_by_hand():
     # 5 of 10: centre 1/2, reach 1.96 sqrt(0.025 + 0.0096) / 1.384 = 0.2634.
-    assert wilson_ends(0.5, 10, 1.959964) == (
-        pytest.approx(0.2366, abs=1e-4),
-        pytest.approx(0.7634, abs=1e-4),
-    )
+    assert wilson_ends(0.5, 10, 1.959964) == (pytest.approx(0.2366, abs=1e-4), pytest.approx(0.7634, abs=1e-4))
 
 
 def test_runs_that_lose_unlike_shares_widen():
@@ -179,9 +174,7 @@ def test_one_outage_in_one_run_of_five_is_no_verdict(length):
     )
 
 
-@pytest.mark.parametrize(
-    ("runs", "messages"), [((5, 5), (400, 400)), ((3, 10), (400, 400)), ((5, 5), (200, 1000))]
-)
+@pytest.mark.parametrize(("runs", "messages"), [((5, 5), (400, 400)), ((3, 10), (400, 400)), ((5, 5), (200, 1000))])
 @pytest.mark.parametrize("together", [1, 20, 100])
 def test_equal_sides_with_outages_are_rarely_told_apart(together, runs, messages):
     generator = np.random.default_rng(6)

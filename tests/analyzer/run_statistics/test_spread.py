@@ -12,12 +12,7 @@ from drawn_series import log_normal_groups
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.change import change_of_runs
 from dds_trace.analyzer.run_statistics.runs import MEAN, Run, Runs, Statistic
-from dds_trace.analyzer.run_statistics.spread import (
-    Spread,
-    runs_to_settle_ratio,
-    runs_to_settle_value,
-    spread_of_runs,
-)
+from dds_trace.analyzer.run_statistics.spread import Spread, runs_to_settle_ratio, runs_to_settle_value, spread_of_runs
 from dds_trace.analyzer.run_statistics.tails import inflations_of
 from dds_trace.analyzer.statistics.power import runs_to_decide
 
@@ -109,9 +104,7 @@ def test_a_value_and_its_limit():
 def test_joined_runs_count_as_what_they_are_joined_of():
     # Ten runs of 60 messages are too few for p99: units of two or more runs each.
     generator = np.random.default_rng(1)
-    interval = interval_of_runs(
-        [Run(np.exp(generator.standard_normal(60))) for _ in range(10)], Statistic(0.99)
-    )
+    interval = interval_of_runs([Run(np.exp(generator.standard_normal(60))) for _ in range(10)], Statistic(0.99))
     units = runs_to_decide(math.log(1 / 1.5), interval.unit_spread, 0.0)
     assert interval.units < 10
     assert runs_to_settle_value(interval, 1.5 * interval.value) == math.ceil(units * 10 / interval.units)

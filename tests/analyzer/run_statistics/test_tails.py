@@ -42,9 +42,7 @@ def test_the_tail_begins_at_an_order_statistic():
 
 
 @given(
-    groups=st.lists(
-        st.lists(st.integers(1, 50) | st.just(math.inf), min_size=1, max_size=40), min_size=1, max_size=5
-    ),
+    groups=st.lists(st.lists(st.integers(1, 50) | st.just(math.inf), min_size=1, max_size=40), min_size=1, max_size=5),
     quantile=st.sampled_from([0.01, 0.1, 0.5, 0.9, 0.99]),
 )
 @settings(deadline=None)
@@ -62,9 +60,7 @@ def test_a_group_has_the_threshold_of_all_its_values(groups, quantile):
 
 
 @given(
-    groups=st.lists(
-        st.lists(st.integers(1, 50) | st.just(math.inf), min_size=1, max_size=60), min_size=1, max_size=4
-    ),
+    groups=st.lists(st.lists(st.integers(1, 50) | st.just(math.inf), min_size=1, max_size=60), min_size=1, max_size=4),
     quantiles=st.permutations([0.01, 0.1, 0.5, 0.9, 0.95, 0.99]),
 )
 @settings(deadline=None)
@@ -81,9 +77,7 @@ def test_quantiles_together_give_the_same_as_one_by_one(groups, quantiles):
     for row, quantile in enumerate(quantiles):
         alone = tails_of(runs, quantile)
         assert compared(beyond[row], tails[row]) == compared(beyond_quantiles(runs, [quantile])[0], alone)
-        assert [tail.inflation for tail in tails[row]] == pytest.approx(
-            [tail.inflation for tail in alone], rel=1e-9
-        )
+        assert [tail.inflation for tail in tails[row]] == pytest.approx([tail.inflation for tail in alone], rel=1e-9)
         assert inflations[row] == pytest.approx(inflations_of(runs, [quantile])[0], rel=1e-9)
         assert values[row].tolist() == quantiles_of_runs(runs, [quantile])[0].tolist()
 
@@ -157,15 +151,9 @@ def test_episodes_of_unlike_sizes_are_worth_fewer():
 
 
 def test_levels_that_are_not_positive_are_taken_off():
-    assert Runs.of([Run(np.array([-2, -1, 0])), Run(np.array([4, 5, 6]))]).levels == Levels(
-        (-1, 5), is_ratio=False
-    )
-    assert Runs.of([Run(np.array([1, 2, 3])), Run(np.array([4, 5, 6]))]).levels == Levels(
-        (2, 5), is_ratio=True
-    )
-    assert Runs.of([Run(np.array([-1, 0, 1])), Run(np.array([4, 5, 6]))]).levels == Levels(
-        (0, 5), is_ratio=False
-    )
+    assert Runs.of([Run(np.array([-2, -1, 0])), Run(np.array([4, 5, 6]))]).levels == Levels((-1, 5), is_ratio=False)
+    assert Runs.of([Run(np.array([1, 2, 3])), Run(np.array([4, 5, 6]))]).levels == Levels((2, 5), is_ratio=True)
+    assert Runs.of([Run(np.array([-1, 0, 1])), Run(np.array([4, 5, 6]))]).levels == Levels((0, 5), is_ratio=False)
 
 
 def test_a_run_that_lost_most_is_given_the_level_of_the_others():
@@ -189,14 +177,13 @@ SINGLES = np.arange(5, MESSAGES, 10)  # one message in ten, none beside another
 
 def below_with(*rows: tuple[int, int]) -> np.ndarray:
     """The positions of the singles and of unbroken rows, each given as its first message and its length."""
-    return np.unique(
-        np.concatenate([SINGLES, *(first + np.arange(length) for first, length in rows)])
-    ).astype(np.float64)
+    return np.unique(np.concatenate([SINGLES, *(first + np.arange(length) for first, length in rows)])).astype(
+        np.float64
+    )
 
 
 @pytest.mark.parametrize(
-    ("quantile", "below"),
-    [(0.99, 0.9), (0.999, 0.99), (0.95, 0.9), (0.9, None), (0.5, None), (0.01, 0.1), (0.1, None)],
+    ("quantile", "below"), [(0.99, 0.9), (0.999, 0.99), (0.95, 0.9), (0.9, None), (0.5, None), (0.01, 0.1), (0.1, None)]
 )
 def test_bursts_are_looked_for_where_ten_times_as_many_are_beyond(quantile, below):
     assert level_below(quantile) == (None if below is None else pytest.approx(below))

@@ -28,9 +28,7 @@ def test_welch_by_hand():
     assert test.error == pytest.approx(1)
     # (1/3 + 2/3)^2 / ((1/3)^2 / 2 + (2/3)^2 / 3) = 1 / (1/18 + 4/27)
     assert test.degrees == pytest.approx(1 / (1 / 18 + 4 / 27))
-    assert test.p_value == pytest.approx(
-        0.030801487692069, rel=1e-9
-    )  # scipy.stats.ttest_ind, equal_var=False
+    assert test.p_value == pytest.approx(0.030801487692069, rel=1e-9)  # scipy.stats.ttest_ind, equal_var=False
     assert test.pairs == 0
 
 

@@ -32,9 +32,7 @@ def test_no_more_is_left_out_where_the_rest_is_constant(rest):
 def test_the_criterion_is_whites(values):
     series = np.array(values)
     n = len(series)
-    direct = [
-        float(np.square(series[d:] - series[d:].mean()).sum() / (n - d) ** 2) for d in range(n // 4 + 1)
-    ]
+    direct = [float(np.square(series[d:] - series[d:].mean()).sum() / (n - d) ** 2) for d in range(n // 4 + 1)]
     assert direct[mser_truncation(series)] == pytest.approx(min(direct), abs=1e-9)
 
 

@@ -93,8 +93,7 @@ def test_nineteen_of_twenty_means_are_held(correlation):
 def test_nineteen_of_twenty_quantiles_are_held(correlation, quantile):
     true = NormalDist().inv_cdf(quantile)
     found = [
-        interval_of_runs([Run(run)], Statistic(quantile))
-        for run in autoregressive(400, 2000, correlation, seed=4)
+        interval_of_runs([Run(run)], Statistic(quantile)) for run in autoregressive(400, 2000, correlation, seed=4)
     ]
     assert np.mean([i.is_two_sided for i in found]) > 0.9
     held = np.mean([i.lower <= true <= i.upper for i in found if i.is_two_sided])

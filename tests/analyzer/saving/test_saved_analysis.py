@@ -101,8 +101,7 @@ def test_a_second_save_replaces_the_first_and_leaves_no_file_of_it(saved, analys
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
-    [(OSError(28, "No space left on device"), OutputError), (KeyboardInterrupt(), KeyboardInterrupt)],
+    ("error", "told"), [(OSError(28, "No space left on device"), OutputError), (KeyboardInterrupt(), KeyboardInterrupt)]
 )
 def test_a_save_that_fails_keeps_the_earlier_one(saved, analysis, monkeypatch, error, told):
     def fail(*_: object, **__: object) -> None:
@@ -189,23 +188,14 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
     [
         ({"format": "something else"}, "not the manifest of a saved analysis"),
         ({"version": 7}, "version 7 of a saved analysis; this program reads version 6: read it with"),
-        (
-            {"version": 1},
-            "version 1 of a saved analysis; this program reads version 6: analyze the traces again",
-        ),
+        ({"version": 1}, "version 1 of a saved analysis; this program reads version 6: analyze the traces again"),
         ({"files": {}}, "cannot be read"),
-        (
-            {"files": {"content.json": {"file": "../content.json", "bytes": 0, "sha256": ""}}},
-            "names '../content.json'",
-        ),
+        ({"files": {"content.json": {"file": "../content.json", "bytes": 0, "sha256": ""}}}, "names '../content.json'"),
         (
             {"files": {"content.json": {"file": "notes-12345678.json", "bytes": 0, "sha256": ""}}},
             "names 'notes-12345678.json'",
         ),
-        (
-            {"files": {"content.json": {"file": 7, "bytes": 0, "sha256": ""}}},
-            "Manifest.files.content.json.file is 7",
-        ),
+        ({"files": {"content.json": {"file": 7, "bytes": 0, "sha256": ""}}}, "Manifest.files.content.json.file is 7"),
         ({"files": None}, "Manifest.files is None"),
     ],
 )

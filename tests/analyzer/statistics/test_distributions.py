@@ -24,12 +24,8 @@ from dds_trace.analyzer.statistics.distributions import (
 def test_quantiles_with_one_two_and_four_degrees_have_closed_forms(probability):
     # W. T. Shaw, "Sampling Student's T distribution", 2006: 1 is Cauchy's; 2 and 4 are roots of polynomials.
     alpha = 4 * probability * (1 - probability)
-    assert student_quantile(probability, 1) == pytest.approx(
-        math.tan(math.pi * (probability - 0.5)), rel=1e-9
-    )
-    assert student_quantile(probability, 2) == pytest.approx(
-        2 * (probability - 0.5) * math.sqrt(2 / alpha), rel=1e-9
-    )
+    assert student_quantile(probability, 1) == pytest.approx(math.tan(math.pi * (probability - 0.5)), rel=1e-9)
+    assert student_quantile(probability, 2) == pytest.approx(2 * (probability - 0.5) * math.sqrt(2 / alpha), rel=1e-9)
     root = math.cos(math.acos(math.sqrt(alpha)) / 3) / math.sqrt(alpha)
     assert student_quantile(probability, 4) == pytest.approx(2 * math.sqrt(root - 1), rel=1e-9)
 
@@ -120,10 +116,7 @@ def test_poisson_limits_are_garwoods(count, low, high):
 
 def test_limits_of_no_event_are_those_of_an_exponential():
     for confidence in (0.5, 0.95, 0.999999):
-        assert poisson_limits(0, confidence) == (
-            0.0,
-            pytest.approx(-math.log((1 - confidence) / 2), rel=1e-9),
-        )
+        assert poisson_limits(0, confidence) == (0.0, pytest.approx(-math.log((1 - confidence) / 2), rel=1e-9))
     assert poisson_cdf(0, 2.0) == pytest.approx(math.exp(-2), rel=1e-12)
     assert poisson_cdf(3, 0.0) == poisson_cdf(3, -1.0) == 1.0
 

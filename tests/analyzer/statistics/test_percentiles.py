@@ -92,9 +92,7 @@ def test_planned_is_the_first_size_with_both_ends(quantile):
 
 
 def test_minimum_agrees_with_the_summary():
-    assert {p.name: minimum_messages(p.quantile) for p in PERCENTILES} == {
-        p.name: p.needs for p in PERCENTILES
-    }
+    assert {p.name: minimum_messages(p.quantile) for p in PERCENTILES} == {p.name: p.needs for p in PERCENTILES}
     assert minimum_messages(0.9999) == 10_000
 
 

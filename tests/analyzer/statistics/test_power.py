@@ -80,9 +80,7 @@ def test_more_spread_takes_more_runs(distance, spread):
     assert many is None or few <= many
 
 
-@pytest.mark.parametrize(
-    ("enough", "fewest"), [(1, 3), (3, 3), (4, 4), (7, 7), (999, 999), (1000, 1000), (1001, None)]
-)
+@pytest.mark.parametrize(("enough", "fewest"), [(1, 3), (3, 3), (4, 4), (7, 7), (999, 999), (1000, 1000), (1001, None)])
 def test_the_fewest_runs_from_three_to_a_thousand(enough, fewest):
     assert _fewest(lambda runs: runs >= enough) == fewest
 
@@ -99,9 +97,7 @@ def test_messages_that_close_an_interval():
     assert messages_to_close(interval(1, None, samples=1000, independent=900, episodes=0), 0.99) is None
     # Two messages that are worth one or none: 368 times as many.
     for independent in (1, 0):
-        assert (
-            messages_to_close(interval(1, None, samples=2, independent=independent, episodes=9), 0.99) == 734
-        )
+        assert messages_to_close(interval(1, None, samples=2, independent=independent, episodes=9), 0.99) == 734
 
 
 p_values = st.lists(st.floats(0, 1), max_size=20)
@@ -114,9 +110,7 @@ def test_holm_by_hand():
 
 def test_benjamini_and_hochberg_by_hand():
     # Rising 0.01, 0.02, 0.03, 0.2: times 4/1, 4/2, 4/3, 1 = 0.04, 0.04, 0.04, 0.2.
-    assert benjamini_hochberg_adjusted([0.03, 0.01, 0.2, 0.02]).tolist() == pytest.approx(
-        [0.04, 0.04, 0.2, 0.04]
-    )
+    assert benjamini_hochberg_adjusted([0.03, 0.01, 0.2, 0.02]).tolist() == pytest.approx([0.04, 0.04, 0.2, 0.04])
 
 
 @pytest.mark.parametrize("adjust", [holm_adjusted, benjamini_hochberg_adjusted])
@@ -152,6 +146,4 @@ def test_a_twentieth_of_the_alarms_is_false():
 
 
 def test_looks_are_stricter_by_pocock():
-    assert [confidence_at_each(looks) for looks in (1, 2, 5, 10)] == pytest.approx(
-        [0.95, 0.9706, 0.9842, 0.9894]
-    )
+    assert [confidence_at_each(looks) for looks in (1, 2, 5, 10)] == pytest.approx([0.95, 0.9706, 0.9842, 0.9894])

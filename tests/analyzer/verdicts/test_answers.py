@@ -57,9 +57,7 @@ def test_tails_are_compared_where_every_sample_supports_them():
 def test_the_median_and_the_p99_may_have_leaders_of_their_own():
     # One is twice as quick but for one message in thirty, which takes eight times as long.
     bursty = [8 * ns if i % 30 == 7 else ns for i, ns in enumerate(noisy(5 * MS, 1000))]
-    frame = pl.concat(
-        [in_runs(noisy(10 * MS, 1000)), in_runs(bursty, vendor="zenoh", relay_vendor="zenoh", run_id=2)]
-    )
+    frame = pl.concat([in_runs(noisy(10 * MS, 1000)), in_runs(bursty, vendor="zenoh", relay_vendor="zenoh", run_id=2)])
     (answer,) = find_answers(rows_by_group(frame))
     assert (answer.leader_p50, answer.leader_p99) == ("zenoh", "fastdds")
     # The late ones take 40 ms, 10 % more or less: the p99 lies among the upper two thirds of them.
@@ -77,10 +75,7 @@ def test_losing_most_messages_is_not_fast():
     lossy = [MS if i % 4 == 0 else None for i in range(60)]
     frame = pl.concat([steady(noisy(10 * MS)), steady(lossy, reliability="best_effort", run_id=2)])
     (answer,) = find_answers(rows_by_group(frame))
-    assert [c.name for c in answer.contenders] == [
-        "fastdds, reliability reliable",
-        "fastdds, reliability best_effort",
-    ]
+    assert [c.name for c in answer.contenders] == ["fastdds, reliability reliable", "fastdds, reliability best_effort"]
     assert answer.contenders[1].latency.value == math.inf
     assert answer.contenders[1].received.value == 0.25
 
@@ -119,9 +114,7 @@ def in_repeats(factors, first_run_id, seed, **parameters):
 @pytest.mark.parametrize(("share", "leader"), [(0.9, ""), (0.5, "zenoh")])
 def test_what_a_repeat_does_to_all_setups_widens_the_test(share, leader):
     # Repeats differ by a factor of up to 1.5; by Welch's test 10 % between the setups are then no difference.
-    zenoh = in_repeats(
-        [share * factor for factor in SHARED_FACTORS], 20, 50, vendor="zenoh", relay_vendor="zenoh"
-    )
+    zenoh = in_repeats([share * factor for factor in SHARED_FACTORS], 20, 50, vendor="zenoh", relay_vendor="zenoh")
     frame = pl.concat([*in_repeats(SHARED_FACTORS, 10, 0), *zenoh])
     passes = {first + i: i for first in (10, 20) for i in range(4)}
     (answer,) = find_answers(rows_by_group(frame), passes=passes)
@@ -130,10 +123,7 @@ def test_what_a_repeat_does_to_all_setups_widens_the_test(share, leader):
 
 def test_a_lead_below_the_margin_names_nobody():
     frame = pl.concat(
-        [
-            in_runs(noisy(10 * MS), spread=0.001),
-            in_runs(noisy(9.8 * MS), spread=0.001, vendor="zenoh", run_id=2),
-        ]
+        [in_runs(noisy(10 * MS), spread=0.001), in_runs(noisy(9.8 * MS), spread=0.001, vendor="zenoh", run_id=2)]
     )
     (within,) = find_answers(rows_by_group(frame))
     (named,) = find_answers(rows_by_group(frame), options=RankingOptions(margin=0.01))
@@ -149,11 +139,7 @@ def test_equal_setups_of_twenty_sizes_have_no_leader_by_chance():
         for size in range(1, 21)
         for number, sides in enumerate(({}, {"vendor": "zenoh", "relay_vendor": "zenoh"}))
         for run in in_repeats(
-            np.exp(0.2 * generator.standard_normal(4)),
-            100 * size + 10 * number,
-            size,
-            payload_bytes=size,
-            **sides,
+            np.exp(0.2 * generator.standard_normal(4)), 100 * size + 10 * number, size, payload_bytes=size, **sides
         )
     )
     answers = find_answers(rows_by_group(frame))
@@ -170,19 +156,13 @@ def test_tiers_name_who_is_slower_where_nobody_leads():
     )
     (answer,) = find_answers(rows_by_group(frame))
     assert answer.leader_p50 == ""
-    assert {one.name: one.letters_p50 for one in answer.contenders} == {
-        "fastdds": "a",
-        "zenoh": "a",
-        "cyclonedds": "b",
-    }
+    assert {one.name: one.letters_p50 for one in answer.contenders} == {"fastdds": "a", "zenoh": "a", "cyclonedds": "b"}
     assert [one.name for one in answer.leaders] == ["fastdds", "zenoh"]
     assert 4 < answer.repeats_p50 < 100
 
 
 def test_setups_recorded_one_after_the_other_have_no_verdict_unless_their_order_is_trusted():
-    frame = pl.concat(
-        [in_runs(noisy(10 * MS)), in_runs(noisy(5 * MS), vendor="zenoh", relay_vendor="zenoh", run_id=2)]
-    )
+    frame = pl.concat([in_runs(noisy(10 * MS)), in_runs(noisy(5 * MS), vendor="zenoh", relay_vendor="zenoh", run_id=2)])
     apart = {100 + i: i * S for i in range(3)} | {200 + i: (3 + i) * S for i in range(3)}
     in_turn = {100 + i: 2 * i * S for i in range(3)} | {200 + i: (2 * i + 1) * S for i in range(3)}
     rows = rows_by_group(frame)
@@ -200,11 +180,7 @@ def test_setups_recorded_one_after_the_other_have_no_verdict_unless_their_order_
 def test_the_order_of_setups_with_fewer_than_three_runs_is_not_to_blame():
     frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(5 * MS), vendor="zenoh", run_id=2)])
     (answer,) = find_answers(rows_by_group(frame), wall_offsets_ns={1: 0, 2: 1000 * S})
-    assert (answer.clarity, answer.basis, answer.interleaved) == (
-        Clarity.INCONCLUSIVE,
-        "within one run",
-        True,
-    )
+    assert (answer.clarity, answer.basis, answer.interleaved) == (Clarity.INCONCLUSIVE, "within one run", True)
 
 
 @pytest.mark.parametrize(("lossy", "leader"), [((True, True), "zenoh"), ((False, True), "")])
@@ -233,15 +209,13 @@ def test_headlines_count_cases():
                 run_id=20 + number,
                 vendor="cyclonedds",
                 relay_vendor="cyclonedds",
-            ),
+            )
         )
     runs.append(in_runs(noisy(MS), data_type="imu", payload_bytes=296, run_id=30))
     headlines = find_headlines(find_answers(rows_by_group(pl.concat(runs))))
     devices = {"ping_device": "ping-pi", "relay_device": "relay-pi"}
     assert headlines == (
-        Headline(
-            "wired", "same", "binary", 3, (Lead("cyclonedds", 2),), inconclusive=1, only_one=0, **devices
-        ),
+        Headline("wired", "same", "binary", 3, (Lead("cyclonedds", 2),), inconclusive=1, only_one=0, **devices),
         Headline("wired", "same", "imu", 0, (), inconclusive=0, only_one=1, **devices),
     )
 
@@ -292,9 +266,7 @@ def test_devices_of_unlike_speed_are_answered_each_for_itself():
     assert [answer.ping_device for answer in answers] == ["fast", "pi", "zero"]
     assert {answer.clarity for answer in answers} == {Clarity.CLEAR}
     assert {answer.leaders[0].setting["vendor"] for answer in answers} == {"cyclonedds"}
-    assert [
-        (one.ping_device, one.cases, one.leads[0].cases, one.inconclusive) for one in find_headlines(answers)
-    ] == [
+    assert [(one.ping_device, one.cases, one.leads[0].cases, one.inconclusive) for one in find_headlines(answers)] == [
         ("fast", 1, 1, 0),
         ("pi", 1, 1, 0),
         ("zero", 1, 1, 0),

@@ -40,9 +40,9 @@ def test_superiority_is_the_mean_over_all_pairs(base, new):
 
 
 def test_one_run_a_side_has_an_interval_and_no_verdict():
-    (row,) = compare_roundtrips(
-        steady(drawn(400, MS, 1)), steady(drawn(400, 9 * MS, 2)), P50_ONLY
-    ).rows.iter_rows(named=True)
+    (row,) = compare_roundtrips(steady(drawn(400, MS, 1)), steady(drawn(400, 9 * MS, 2)), P50_ONLY).rows.iter_rows(
+        named=True
+    )
     assert row["ratio_low"] > 2
     assert (row["verdict"], row["basis"], row["p_value"]) == ("inconclusive", "within one run", None)
     assert (row["base_runs"], row["new_runs"]) == (1, 1)
@@ -75,8 +75,7 @@ def test_verdicts_of_many_groups_are_adjusted():
     # One of forty groups has a p value of about 0.02: alone it is worse, among forty it is not.
     def side(factors):
         return pl.concat(
-            in_runs([round(5 * MS * f)] * 30, run_id=i + 1, payload_bytes=1000 + i)
-            for i, f in enumerate(factors)
+            in_runs([round(5 * MS * f)] * 30, run_id=i + 1, payload_bytes=1000 + i) for i, f in enumerate(factors)
         )
 
     alone = compare_roundtrips(side([1.0]), side([1.1]), P50_ONLY).rows
@@ -90,13 +89,9 @@ def test_verdicts_of_many_groups_are_adjusted():
 
 
 def test_the_smallest_change_that_would_have_been_found_is_told():
-    (row,) = compare_roundtrips(in_runs([MS] * 30), in_runs([MS] * 30, run_id=2), P50_ONLY).rows.iter_rows(
-        named=True
-    )
+    (row,) = compare_roundtrips(in_runs([MS] * 30), in_runs([MS] * 30, run_id=2), P50_ONLY).rows.iter_rows(named=True)
     # Logarithms 3 % apart: error sqrt(2/3) * log(1.03); 3.761 of them are found in 80 of 100 (test_distributions).
-    assert math.log(row["smallest_ratio"]) == pytest.approx(
-        3.761 * math.sqrt(2 / 3) * math.log(1.03), rel=1e-3
-    )
+    assert math.log(row["smallest_ratio"]) == pytest.approx(3.761 * math.sqrt(2 / 3) * math.log(1.03), rel=1e-3)
 
 
 def test_a_machine_that_replaced_the_only_other_one_is_compared_with_it():
@@ -105,7 +100,7 @@ def test_a_machine_that_replaced_the_only_other_one_is_compared_with_it():
         [
             in_runs([10 * MS] * 20, ping_device="other-pi", ping_domain_id=7, relay_domain_id=7),
             steady([7 * MS] * 20, run_id=3, rate_hz=20.0, ping_device="other-pi"),
-        ],
+        ]
     )
     found = compare_roundtrips(base, new, P50_ONLY)
     (row,) = found.rows.iter_rows(named=True)
@@ -142,15 +137,9 @@ def test_of_several_devices_each_is_compared_with_itself():
 def test_losses_are_compared_beside_the_times():
     found = compare_roundtrips(steady([5 * MS] * 20), steady([5 * MS, None] * 10), P50_ONLY)
     (row,) = found.delivery.iter_rows(named=True)
-    assert (row["base_published"], row["base_received_ratio"], row["base_received_ratio_high"]) == (
-        20,
-        1.0,
-        1.0,
-    )
+    assert (row["base_published"], row["base_received_ratio"], row["base_received_ratio_high"]) == (20, 1.0, 1.0)
     assert (row["new_published"], row["new_received_ratio"]) == (20, 0.5)
-    assert row["new_received_ratio_low"] == pytest.approx(
-        0.281, abs=1e-3
-    )  # Wilson with t of 12 degrees, 2.179
+    assert row["new_received_ratio_low"] == pytest.approx(0.281, abs=1e-3)  # Wilson with t of 12 degrees, 2.179
     assert found.rows["new_messages"].to_list() == [10]
 
 

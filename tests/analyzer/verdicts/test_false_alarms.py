@@ -8,12 +8,7 @@ import pytest
 from roundtrip_frames import MS, roundtrips
 
 from dds_trace.analyzer.verdicts.compare import CompareOptions
-from dds_trace.analyzer.verdicts.false_alarms import (
-    MOST_DEALS,
-    check_statistic,
-    count_false_alarms,
-    half_widths,
-)
+from dds_trace.analyzer.verdicts.false_alarms import MOST_DEALS, check_statistic, count_false_alarms, half_widths
 from dds_trace.base.errors import OptionError
 
 P50 = CompareOptions(metrics=("rtt",), statistics=("p50",), paired=True)
@@ -104,8 +99,7 @@ def test_sets_of_runs_are_measured_each_by_itself():
 
 
 @pytest.mark.parametrize(
-    ("rtts_ms", "why"),
-    [([1.0, 1.0], "fewer than three runs"), ([1.0, 1.0, None], "a run that lost everything")],
+    ("rtts_ms", "why"), [([1.0, 1.0], "fewer than three runs"), ([1.0, 1.0, None], "a run that lost everything")]
 )
 def test_interval_that_lacks_an_end_is_infinitely_wide(rtts_ms, why):
     runs = tuple(range(1, len(rtts_ms) + 1))

@@ -18,13 +18,7 @@ from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.statistics.power import holm_adjusted
 from dds_trace.analyzer.verdicts import gates
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
-from dds_trace.analyzer.verdicts.gate import (
-    DEFAULT_GATES,
-    Against,
-    GateOutcome,
-    parse_gate,
-    parse_gates,
-)
+from dds_trace.analyzer.verdicts.gate import DEFAULT_GATES, Against, GateOutcome, parse_gate, parse_gates
 from dds_trace.analyzer.verdicts.gates import (
     _advice,
     _advice_on_received,
@@ -110,13 +104,7 @@ def test_gates_on_frames():
         "latency_p99 > +1%",
     ]
     results = results_of(texts, base, new)
-    assert [r.outcome.value for r in results] == [
-        "regressed",
-        "passed",
-        "regressed",
-        "passed",
-        "inconclusive",
-    ]
+    assert [r.outcome.value for r in results] == ["regressed", "passed", "regressed", "passed", "inconclusive"]
     assert [r.measured for r in results[:4]] == pytest.approx([1.2, MS, 6 * MS, 1.0])
     assert results[4].reason.startswith("within one run: ")
     assert "payload_bytes=33000 rate_hz=10" in results[0].where
@@ -126,9 +114,7 @@ def test_gates_on_frames():
 
 
 def test_a_single_side_gate_needs_no_interval_of_the_base():
-    (result,) = results_of(
-        ["latency_p50 > 5.5ms"], steady([5 * MS] * 3), in_runs([6 * MS] * 40, spread=0.001)
-    )
+    (result,) = results_of(["latency_p50 > 5.5ms"], steady([5 * MS] * 3), in_runs([6 * MS] * 40, spread=0.001))
     assert result.outcome is GateOutcome.REGRESSED
 
 
@@ -138,9 +124,7 @@ def test_losses_regress():
 
 
 def test_one_run_decides_no_gate_and_says_what_it_takes():
-    results = results_of(
-        ["latency_p50 > +10%", "received_ratio < 99%"], steady([MS] * 99), steady([9 * MS] * 99)
-    )
+    results = results_of(["latency_p50 > +10%", "received_ratio < 99%"], steady([MS] * 99), steady([9 * MS] * 99))
     assert [r.outcome for r in results] == [GateOutcome.INCONCLUSIVE] * 2
     assert all("within one run: it takes 3 runs" in r.reason for r in results)
 
@@ -187,12 +171,8 @@ def test_an_inconclusive_received_ratio_says_how_many_runs_and_what_it_could_hav
 
 
 def test_a_missing_and_a_dead_group_regress_unless_that_is_allowed():
-    base = pl.concat(
-        [in_runs([MS] * 40, payload_bytes=size, run_id=size) for size in (1, 2, 3)],
-    )
-    new = pl.concat(
-        [in_runs([MS] * 40, payload_bytes=1), in_runs([None] * 40, payload_bytes=2, run_id=2)],
-    )
+    base = pl.concat([in_runs([MS] * 40, payload_bytes=size, run_id=size) for size in (1, 2, 3)])
+    new = pl.concat([in_runs([MS] * 40, payload_bytes=1), in_runs([None] * 40, payload_bytes=2, run_id=2)])
     comparison = compare_roundtrips(base, new, CompareOptions(metrics=("latency",), statistics=("p50",)))
     gates = [parse_gate("latency_p50 > +50%")]
     results = judge_gates(comparison, gates)
@@ -227,8 +207,7 @@ def test_an_error_of_a_recording_is_about_the_whole_side_though_it_names_its_gro
 def test_many_groups_are_adjusted_by_holm():
     def side(factors):
         return pl.concat(
-            in_runs([round(5 * MS * f)] * 30, run_id=i + 1, payload_bytes=1000 + i)
-            for i, f in enumerate(factors)
+            in_runs([round(5 * MS * f)] * 30, run_id=i + 1, payload_bytes=1000 + i) for i, f in enumerate(factors)
         )
 
     (alone,) = results_of(["latency_p50 > +1%"], side([1.0]), side([1.1]))
@@ -288,13 +267,7 @@ def side(value, low, high, *, runs=4, basis=Basis.BETWEEN_RUNS, samples=400, spr
         ("received_ratio < -1 points", 0.0, -0.03, 0.02, "about 36 runs a side"),
         ("received_ratio < -1 points", -0.02, -0.05, 0.0, "about 16 runs a side"),
         # A limit that is far takes one run more at the least, of the side that has more.
-        (
-            "received_ratio < -50 points",
-            0.0,
-            -0.03,
-            0.02,
-            "about 5 runs a side would decide, there are 3 and 4",
-        ),
+        ("received_ratio < -50 points", 0.0, -0.03, 0.02, "about 5 runs a side would decide, there are 3 and 4"),
         ("received_ratio < -1 points", -0.01, -0.03, 0.02, "more runs of this kind do not decide"),
         ("received_ratio < -1 points", None, -0.03, 0.02, "more runs of this kind do not decide"),
         ("received_ratio < -1 points", 0.0, None, 0.02, "more runs of this kind do not decide"),
@@ -363,12 +336,7 @@ def family(monkeypatch):
 def test_each_gate_asks_how_likely_its_groups_are_by_chance(family):
     base = in_runs([5 * MS] * 40, runs=5, spread=0.003)
     new = in_runs([6 * MS, 6 * MS, 6 * MS, None] * 10, runs=4, spread=0.003)
-    texts = [
-        "latency_p50 > 5.9ms",
-        "latency_p50 > +15%",
-        "received_ratio < 90%",
-        "received_ratio < -5 points",
-    ]
+    texts = ["latency_p50 > 5.9ms", "latency_p50 > +15%", "received_ratio < 90%", "received_ratio < -5 points"]
     results = results_of(texts, base, new)
     assert {each.outcome for each in results} == {GateOutcome.REGRESSED}
     assert [len(each) for each in family.asked] == [1] * 4
@@ -438,20 +406,12 @@ def test_exit_codes_are_distinct_and_not_those_of_errors():
 def test_a_run_without_an_end_passes_no_gate_and_its_fragment_weighs_nothing():
     base, whole = in_runs([5 * MS] * 40, runs=5), in_runs([5 * MS] * 40, runs=4)
     gates = [parse_gate("latency_p50 > +10%"), parse_gate("received_ratio < -50 points")]
-    for fragment, unfinished in (
-        ([5 * MS], 1),
-        ([900 * MS], 1),
-        ([None], 1),
-        ([5 * MS] * 40, 1),
-        ([5 * MS] * 40, 0),
-    ):
+    for fragment, unfinished in (([5 * MS], 1), ([900 * MS], 1), ([None], 1), ([5 * MS] * 40, 1), ([5 * MS] * 40, 0)):
         new = pl.concat([whole, steady(fragment, run_id=99)])
         found = compare_roundtrips(base, new, unfinished=[99] if unfinished else [])
         results = judge_gates(found, gates)
         assert [r.outcome.value for r in results] == ["inconclusive" if unfinished else "passed"] * 2
-        assert [r.reason for r in results] == [
-            "1 run did not finish: record it again" if unfinished else ""
-        ] * 2
+        assert [r.reason for r in results] == ["1 run did not finish: record it again" if unfinished else ""] * 2
         assert found.rows.filter(statistic="p50")["ratio"].to_list() == pytest.approx([1, 1], rel=0.01)
     slow = pl.concat([in_runs([9 * MS] * 40, runs=4), steady([5 * MS], run_id=99)])
     results = judge_gates(compare_roundtrips(base, slow, unfinished=[99]), gates)
@@ -464,14 +424,10 @@ def test_a_p99_that_is_lost_in_every_run_is_by_chance_among_many(results, outcom
     some = [MS] * 98 + [None] * 2
 
     def side(times):
-        return pl.concat(
-            in_runs(times, runs=5, run_id=10 * size, payload_bytes=size) for size in range(1, results + 1)
-        )
+        return pl.concat(in_runs(times, runs=5, run_id=10 * size, payload_bytes=size) for size in range(1, results + 1))
 
     whole = side([MS] * 100)
-    lossy = pl.concat(
-        [whole.filter(pl.col("payload_bytes") > 1), in_runs(some, runs=5, run_id=10, payload_bytes=1)]
-    )
+    lossy = pl.concat([whole.filter(pl.col("payload_bytes") > 1), in_runs(some, runs=5, run_id=10, payload_bytes=1)])
     judged = judge_gates(
         compare_roundtrips(whole, lossy, CompareOptions(metrics=("latency",), statistics=("p99",))),
         [parse_gate("latency_p99 > +20%")],

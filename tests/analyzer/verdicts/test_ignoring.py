@@ -32,9 +32,7 @@ def test_groups_pair_without_the_columns_in_which_they_differ():
 
 def test_a_side_with_two_groups_that_become_one_is_refused():
     both = groups(SAME, BRIDGED)
-    with pytest.raises(
-        OptionError, match=r"the new side has two results .* bridge \(none and builtin\), domain_mode"
-    ):
+    with pytest.raises(OptionError, match=r"the new side has two results .* bridge \(none and builtin\), domain_mode"):
         check_match(both, "new side", BRIDGE)
     check_match(both, "new side", match_without([]))
     check_match(groups({"payload_bytes": 1}, {"payload_bytes": 2}), "base", BRIDGE)

@@ -107,8 +107,7 @@ def test_a_finding_about_a_silent_relay_is_about_the_group_that_it_is_compared_w
     assert found.delivery["relay_vendor"].to_list() == ["fastdds"] * 2
     results = judge_gates(found, [gate], allow_missing=True)
     outcomes = {
-        row["payload_bytes"]: result
-        for row, result in zip(found.delivery.iter_rows(named=True), results, strict=True)
+        row["payload_bytes"]: result for row, result in zip(found.delivery.iter_rows(named=True), results, strict=True)
     }
     assert outcomes[33_000].outcome is GateOutcome.PASSED
     assert outcomes[1000].outcome is GateOutcome.INCONCLUSIVE

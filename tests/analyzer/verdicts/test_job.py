@@ -13,21 +13,10 @@ from dds_trace.base.errors import OptionError
 
 def test_the_grammar():
     assert parse_job("data=binary size=502KB rate=20 deadline=50ms reliability=0.999") == Job(
-        "binary",
-        502_000,
-        20.0,
-        50 * MS,
-        0.999,
+        "binary", 502_000, 20.0, 50 * MS, 0.999
     )
-    assert parse_job(
-        "domain=different reliability=99.9% deadline=0.5s rate=2.5Hz size=1KiB data=string"
-    ) == Job(
-        "string",
-        1024,
-        2.5,
-        500 * MS,
-        pytest.approx(0.999),
-        "different",
+    assert parse_job("domain=different reliability=99.9% deadline=0.5s rate=2.5Hz size=1KiB data=string") == Job(
+        "string", 1024, 2.5, 500 * MS, pytest.approx(0.999), "different"
     )
     assert parse_job("data=imu rate=100 deadline=5ms reliability=0.9").payload_bytes == 296
 
@@ -64,12 +53,7 @@ def grid(law):
     return {(size, rate): law(size, rate) for size in SIZES for rate in RATES}
 
 
-@given(
-    exponent=st.floats(-1, 2),
-    slope=st.floats(-1, 2),
-    size=st.floats(10_000, 1_000_000),
-    rate=st.floats(10, 40),
-)
+@given(exponent=st.floats(-1, 2), slope=st.floats(-1, 2), size=st.floats(10_000, 1_000_000), rate=st.floats(10, 40))
 @settings(deadline=None)
 def test_a_power_law_comes_back_exactly(exponent, slope, size, rate):
     law = lambda s, r: 1000 * s**exponent * r**slope  # noqa: E731 - one formula, used twice

@@ -56,9 +56,7 @@ def test_a_relay_without_a_trace_does_not_hide_that_the_ping_was_asked_otherwise
 
 
 def test_of_relays_asked_for_two_things_nobody_knows_which_one_is_silent():
-    base = pl.concat(
-        in_runs([5 * MS] * 20, run_id=run_id, setting=f"relay.depth={run_id}") for run_id in (1, 2)
-    )
+    base = pl.concat(in_runs([5 * MS] * 20, run_id=run_id, setting=f"relay.depth={run_id}") for run_id in (1, 2))
     silent = in_runs([None] * 20, run_id=3, setting="", **NO_RELAY)
     found = compare_roundtrips(base, silent, P50_ONLY)
     assert found.delivery.is_empty()
@@ -83,14 +81,7 @@ def test_a_run_that_lost_everything_counts_in_the_group_of_its_siblings():
 def test_runs_with_replies_and_without_the_relays_trace_stay_apart():
     """Their latency is not known: counted with the others they would make it worse than it is."""
     rows = pl.concat(
-        [
-            in_runs([5 * MS] * 20),
-            steady([5 * MS] * 20, run_id=8, **NO_RELAY),
-            steady([None] * 20, run_id=9, **NO_RELAY),
-        ]
+        [in_runs([5 * MS] * 20), steady([5 * MS] * 20, run_id=8, **NO_RELAY), steady([None] * 20, run_id=9, **NO_RELAY)]
     )
     groups = match_groups(rows, MATCH_COLUMNS)
-    assert [sorted(run.run_id for run in group.runs) for group in groups.values()] == [
-        [8],
-        [9, 100, 101, 102],
-    ]
+    assert [sorted(run.run_id for run in group.runs) for group in groups.values()] == [[8], [9, 100, 101, 102]]

@@ -30,9 +30,7 @@ def record(folder, *, labelled, in_turn=True):
                 folder / str(number),
                 messages,
                 ping=ping_session(vendor=vendor, session_id=50 + number),
-                relay=relay_session(
-                    vendor=vendor, session_id=500 + number, relay_id=900 + number, domain_id=domain_id
-                ),
+                relay=relay_session(vendor=vendor, session_id=500 + number, relay_id=900 + number, domain_id=domain_id),
                 runs=[
                     run(
                         run_id=70 + number,
@@ -48,13 +46,8 @@ def record(folder, *, labelled, in_turn=True):
     return analyze(folder)
 
 
-@pytest.mark.parametrize(
-    ("labelled", "verdict", "pairs"),
-    [(True, "worse", 5), (False, "inconclusive", 0)],
-)
-def test_bridge_costs_are_paired_where_runs_tell_their_pass_and_answers_are_not(
-    tmp_path, labelled, verdict, pairs
-):
+@pytest.mark.parametrize(("labelled", "verdict", "pairs"), [(True, "worse", 5), (False, "inconclusive", 0)])
+def test_bridge_costs_are_paired_where_runs_tell_their_pass_and_answers_are_not(tmp_path, labelled, verdict, pairs):
     details = record(tmp_path, labelled=labelled).details
     (answer,) = (one for one in details.answers if one.domain_mode == "same")
     assert (answer.clarity.value, answer.fewest_runs) == ("inconclusive", 5)

@@ -30,7 +30,7 @@ def test_a_ranking_by_what_is_sure():
             in_runs(noisy(17 * MS), vendor="connext", run_id=3, spread=0.01),  # up to 19 ms
             in_runs(noisy(40 * MS), vendor="zenoh", run_id=4, spread=0.01),
             steady([9 * MS] * 30, vendor="socket", run_id=5),  # 36 messages are needed for p90
-        ],
+        ]
     )
     ranking = recommend_settings(frame, JOB)
     assert [(c.setting["vendor"], c.fit.value) for c in ranking.candidates] == [
@@ -47,17 +47,12 @@ def test_a_ranking_by_what_is_sure():
     assert (best.messages, best.runs, best.basis, best.received_ratio) == (600, 3, "between runs", 1.0)
     assert [c.setting["vendor"] for c in ranking.best] == ["cyclonedds"]
     assert ranking.is_conclusive
-    assert (
-        ranking.candidates[3].reason == "30 messages; an interval at 0.9 takes 44"
-    )  # 36, times 1.24 within a run
+    assert ranking.candidates[3].reason == "30 messages; an interval at 0.9 takes 44"  # 36, times 1.24 within a run
 
 
 def test_two_that_cannot_be_told_apart_are_both_best():
     frame = pl.concat(
-        [
-            in_runs(noisy(10 * MS), spread=0.01),
-            in_runs(noisy(10 * MS, seed=5), vendor="zenoh", run_id=2, spread=0.01),
-        ]
+        [in_runs(noisy(10 * MS), spread=0.01), in_runs(noisy(10 * MS, seed=5), vendor="zenoh", run_id=2, spread=0.01)]
     )
     ranking = recommend_settings(frame, JOB)
     assert {c.setting["vendor"] for c in ranking.best} == {"fastdds", "zenoh"}
@@ -88,14 +83,9 @@ def test_a_failing_neighbour_forbids_a_guess():
     sizes = (10_000, 20_000, 40_000, 80_000, 160_000)
     lossy = [None if i % 5 < 3 else MS for i in range(40)]
     frame = pl.concat(
-        [
-            steady(lossy if size == 40_000 else [size * 100] * 40, run_id=size, payload_bytes=size)
-            for size in sizes
-        ]
+        [steady(lossy if size == 40_000 else [size * 100] * 40, run_id=size, payload_bytes=size) for size in sizes]
     )
-    (candidate,) = recommend_settings(
-        frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")
-    ).candidates
+    (candidate,) = recommend_settings(frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")).candidates
     assert (candidate.fit, candidate.value_ns) == (Fit.INCONCLUSIVE, None)
     assert candidate.reason == (
         "not measured, and not guessed: 40000 B at 10 Hz is later than the deadline and loses 60.00%"
@@ -126,7 +116,7 @@ def test_settings_are_candidates_of_their_own_and_domains_can_be_chosen():
             steady(noisy(10 * MS)),
             steady(noisy(10 * MS), run_id=2, reliability="best_effort"),
             steady(noisy(10 * MS), run_id=3, **apart),
-        ],
+        ]
     )
     assert len(recommend_settings(frame, JOB).candidates) == 3
     (only,) = recommend_settings(frame, Job("binary", 33_000, 10.0, 20 * MS, 0.9, "different")).candidates
@@ -143,9 +133,7 @@ def test_without_the_relays_trace_there_is_no_answer():
 def test_an_unmeasured_cell_is_a_guess_that_says_so():
     sizes = (10_000, 20_000, 40_000, 80_000, 160_000)
     frame = pl.concat([steady([size * 100] * 40, run_id=size, payload_bytes=size) for size in sizes])
-    (candidate,) = recommend_settings(
-        frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")
-    ).candidates
+    (candidate,) = recommend_settings(frame, Job("binary", 30_000, 10.0, 20 * MS, 0.9, metric="latency")).candidates
     assert not candidate.measured
     assert candidate.value_ns == pytest.approx(3 * MS, rel=1e-3)
     assert (candidate.messages, candidate.held_out) == (0, 3)
@@ -233,9 +221,7 @@ def test_400_kb_are_not_guessed_where_502_kb_lose_60_percent():
         "not measured, and not guessed: 502000 B at 10 Hz is later than the deadline and loses 60.00%"
     )
     # Without the losses it would be a guess, and a guess does not meet a deadline, however many runs it rests on.
-    healthy = pl.concat(
-        in_runs(noisy(size * 10), payload_bytes=size, rate_hz=10.0, run_id=size) for size in sizes
-    )
+    healthy = pl.concat(in_runs(noisy(size * 10), payload_bytes=size, rate_hz=10.0, run_id=size) for size in sizes)
     (guessed,) = recommend_settings(healthy, job).candidates
     assert (guessed.fit, guessed.measured) == (Fit.LIKELY, False)
     assert recommend_settings(healthy, job).best == ()
@@ -253,11 +239,7 @@ def test_a_neighbour_that_did_not_do_its_own_job_forbids_a_guess_too(failing):
         )
         for size in sizes
     )
-    cut = (
-        [Run(4_000_000, "binary", 40_000, 10.0, 500, 0, state="started")]
-        if failing == "unfinished run"
-        else []
-    )
+    cut = [Run(4_000_000, "binary", 40_000, 10.0, 500, 0, state="started")] if failing == "unfinished run" else []
     (candidate,) = recommend_settings(frame, Job("binary", 30_000, 10.0, 50 * MS, 0.9), runs=cut).candidates
     assert candidate.fit is Fit.INCONCLUSIVE
     assert candidate.reason.startswith("not measured, and not guessed: 40000 B at 10 Hz ")
@@ -287,9 +269,7 @@ def test_devices_links_and_conditions_are_no_alternatives():
         for number, place in enumerate(
             ({}, {"ping_device": "laptop"}, {"connectivity": "wireless"}, {"setting": "flows=2"}), 1
         )
-        for first, (vendor, centre_ns) in enumerate(
-            {"fastdds": number * 2 * MS, "zenoh": number * 3 * MS}.items()
-        )
+        for first, (vendor, centre_ns) in enumerate({"fastdds": number * 2 * MS, "zenoh": number * 3 * MS}.items())
     )
     ranking = recommend_settings(frame, JOB)
     assert len(ranking.candidates) == 8

@@ -43,12 +43,8 @@ def pings_at(*seconds):
 
 
 def test_sides_that_were_not_recorded_in_turns_are_told():
-    assert recorded_apart(pings_at(1, 2), pings_at(3, 4)).startswith(
-        "the base was recorded before the new side: "
-    )
-    assert recorded_apart(pings_at(3, 4), pings_at(1, 2)).startswith(
-        "the new side was recorded before the base: "
-    )
+    assert recorded_apart(pings_at(1, 2), pings_at(3, 4)).startswith("the base was recorded before the new side: ")
+    assert recorded_apart(pings_at(3, 4), pings_at(1, 2)).startswith("the new side was recorded before the base: ")
     assert recorded_apart(pings_at(1, 4), pings_at(2, 3)) == ""
     assert recorded_apart([], pings_at(2, 3)) == ""
 
@@ -57,11 +53,7 @@ def test_the_order_of_the_sides_stands_in_the_notes(tmp_path):
     for name, second in (("base", 1), ("new", 100)):
         (tmp_path / name).mkdir()
         messages = [Message(n, n * 100, n * 100, n * 100 + 10, n * 100 + 20, n * 100 + 30) for n in range(10)]
-        write_pair(
-            tmp_path / name,
-            messages,
-            ping=ping_session(wall_anchor_ns=second * 1_000_000_000),
-        )
+        write_pair(tmp_path / name, messages, ping=ping_session(wall_anchor_ns=second * 1_000_000_000))
     found = compare(analyze(tmp_path / "base", details=False), analyze(tmp_path / "new", details=False))
     assert "Order: the base was recorded before the new side" in markdown.render(comparison_info(found))
 

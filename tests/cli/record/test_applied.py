@@ -27,9 +27,7 @@ def session(path):
     return read_trace(path).sessions[-1].extra
 
 
-@pytest.mark.parametrize(
-    "more", [("--transport", "udp"), pytest.param(("--tuned",), marks=needs_large_buffers)]
-)
+@pytest.mark.parametrize("more", [("--transport", "udp"), pytest.param(("--tuned",), marks=needs_large_buffers)])
 def test_transport_and_tuning_are_applied_on_this_machine(domain_id, tmp_path, more):
     with relay(domain_id, tmp_path / "relay.mcap", *more, "--strict") as relaying:
         done = ping(domain_id, tmp_path / "ping.mcap", *more, "--strict")
@@ -41,9 +39,7 @@ def test_transport_and_tuning_are_applied_on_this_machine(domain_id, tmp_path, m
         assert read["not_applied"] == []
         assert read["applied"]["path"] in ("lo", "unknown")  # unknown where other tests use loopback as well
         for instant in ("begin", "end"):
-            assert [
-                each["name"] for each in read["applied"][instant]["memory"] if not each["is_deleted"]
-            ] == []
+            assert [each["name"] for each in read["applied"][instant]["memory"] if not each["is_deleted"]] == []
 
 
 def test_a_setting_that_is_ignored_is_told_at_once_and_kept(domain_id, tmp_path):
@@ -64,9 +60,7 @@ def test_strict_ends_a_ping_before_its_trace(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap"):
         done = ping(domain_id, out, "--strict", environment=IGNORED)
     assert done.status == NotAppliedError.exit_code
-    assert done.stderr.splitlines()[-1].startswith(
-        "dds-record: --strict: asked for UDP, shared memory is open"
-    )
+    assert done.stderr.splitlines()[-1].startswith("dds-record: --strict: asked for UDP, shared memory is open")
     assert not out.exists()
 
 

@@ -12,13 +12,7 @@ import pytest
 from trace_files import ping_session, run
 from typer.testing import CliRunner
 
-from dds_trace.base.errors import (
-    BackendUnavailableError,
-    OptionError,
-    OutputError,
-    OutputExistsError,
-    TraceError,
-)
+from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, OutputExistsError, TraceError
 from dds_trace.cli.record import command
 from dds_trace.cli.record.run import print_result
 from dds_trace.recorder import choices
@@ -125,11 +119,7 @@ def test_everything_given(parsed, tmp_path):
     assert options.destination.force
     assert options.node.qos == Qos("best_effort", "transient_local", "keep_all", 5)
     assert options.node.executor.value == "single"
-    assert (options.node.rmw, options.node.transport, options.node.tuned) == (
-        "rmw_fastrtps_cpp",
-        Transport.UDP,
-        True,
-    )
+    assert (options.node.rmw, options.node.transport, options.node.tuned) == ("rmw_fastrtps_cpp", Transport.UDP, True)
     assert options.serialization is Serialization.TYPED
     assert (options.cpu_affinity, options.realtime_priority) == ("0", 10)
     assert (options.device, options.connectivity, options.duration_s) == ("pi4", "wireless", 9)
@@ -199,11 +189,7 @@ def test_wrong_value_is_refused(parsed, arguments, role, message):
             "--serialization typed: sensor_msgs/msg/PointCloud2 is only sent as raw bytes",
         ),
         (["--bridge-running"], "ping", "--bridge-running, --bridge-listen and --bridge-peer need --bridge"),
-        (
-            ["--bridge", "x", "--bridge-running", "--bridge-peer", "a:1"],
-            "ping",
-            "--bridge-running starts nothing",
-        ),
+        (["--bridge", "x", "--bridge-running", "--bridge-peer", "a:1"], "ping", "--bridge-running starts nothing"),
         (["--data", "video"], "ping", "there is no data type 'video'"),
         (["--data", "file:/nowhere"], "ping", "--data file:/nowhere: No such file"),
         (["--data", "bag:/nowhere#/x"], "ping", "--data bag:/nowhere: there is no such file or folder"),
@@ -212,9 +198,7 @@ def test_wrong_value_is_refused(parsed, arguments, role, message):
         (["--data", "topic:/imu_data_relay"], "ping", "--data topic:/imu_data_relay: "),
     ],
 )
-def test_what_cannot_be_recorded_is_refused_before_anything_is_opened(
-    arguments, role, message, tmp_path, monkeypatch
-):
+def test_what_cannot_be_recorded_is_refused_before_anything_is_opened(arguments, role, message, tmp_path, monkeypatch):
     monkeypatch.setattr("dds_trace.recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
     out = tmp_path / "x.mcap"
     result = CliRunner().invoke(command.app, ["--role", role, "--out", str(out), *arguments])
@@ -264,8 +248,7 @@ def test_a_trace_that_was_cut_off_is_closed_again(tmp_path):
 def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tmp_path):
     cost = RecorderCost(30.0, 500.0, 900.0, 4_000.0, 9_000.0, 3000)
     monkeypatch.setattr(
-        "dds_trace.cli.record.tools.measure_recorder_cost",
-        lambda folder: cost if folder == tmp_path else None,
+        "dds_trace.cli.record.tools.measure_recorder_cost", lambda folder: cost if folder == tmp_path else None
     )
 
     def without_middleware(*_):
@@ -373,17 +356,13 @@ def test_a_bridge_that_died_is_an_error_after_the_counts(capsys):
     assert (told["error"], told["events"]) == ("the bridge builtin was killed by signal 9 (SIGKILL)", 4)
 
 
-@pytest.mark.parametrize(
-    ("lost", "allowed", "fails"), [(1, 0.01, False), (2, 0.01, True), (100, None, False)]
-)
+@pytest.mark.parametrize(("lost", "allowed", "fails"), [(1, 0.01, False), (2, 0.01, True), (100, None, False)])
 def test_losses_above_the_limit_are_an_error(capsys, lost, allowed, fails):
     ended = replace(recorded(), progress=PingProgress(100, 100, 100 - lost, lost))
     if not fails:
         print_result(ended, as_json=False, fail_if_lost=allowed)
         return
-    with pytest.raises(
-        LossesError, match=r"2 of 100 messages lost, 2\.00%; --fail-if-lost allows 1\.00%"
-    ) as error:
+    with pytest.raises(LossesError, match=r"2 of 100 messages lost, 2\.00%; --fail-if-lost allows 1\.00%") as error:
         print_result(ended, as_json=False, fail_if_lost=allowed)
     assert error.value.exit_code == 13
     assert capsys.readouterr().out.startswith("Wrote x.mcap")
@@ -393,8 +372,7 @@ def test_events_that_wait_in_the_ring_are_counted_with_the_way_to_get_them():
     ended = recorded(OutputError("x.mcap: cannot write the trace: the disk is full"))
     ended = replace(ended, trace=replace(ended.trace, ring_events=7))
     with pytest.raises(
-        OutputError,
-        match=r"the disk is full; 7 events wait in its ring file: .*`dds-record --recover x\.mcap`$",
+        OutputError, match=r"the disk is full; 7 events wait in its ring file: .*`dds-record --recover x\.mcap`$"
     ):
         print_result(ended, as_json=False)
 

@@ -39,9 +39,7 @@ def test_a_bridge_that_is_killed_ends_the_run_with_the_reason(domains, tmp_path)
     ):
         wait_for_chunks(out)
         guard = next(
-            child
-            for child in psutil.Process(command.pid).children()
-            if "guard.py" in " ".join(child.cmdline())
+            child for child in psutil.Process(command.pid).children() if "guard.py" in " ".join(child.cmdline())
         )
         (program,) = guard.children()
         program.kill()
@@ -61,9 +59,7 @@ def test_a_relay_that_is_killed_ends_the_run_with_the_reason(domain_id, tmp_path
     out = tmp_path / "ping.mcap"
     with (
         relay(domain_id, tmp_path / "relay.mcap", *SOCKET) as other,
-        running(
-            "dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, *LONG
-        ) as command,
+        running("dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, *LONG) as command,
     ):
         wait_for_chunks(out)
         other.send_signal(signal.SIGKILL)
@@ -107,9 +103,7 @@ def test_losses_within_the_limit_are_no_error(domain_id, tmp_path):
 
 def test_ctrl_c_before_the_first_echo_leaves_no_file(domain_id, tmp_path):
     out = tmp_path / "traces" / "ping.mcap"
-    with running(
-        "dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, *LONG
-    ) as command:
+    with running("dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, *LONG) as command:
         command.wait_for_line("waiting for an echo")
         done = command.stop(signal.SIGINT)
     assert (done.status, done.stdout) == (0, "stopped before the first echo; nothing was written\n")

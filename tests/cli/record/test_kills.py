@@ -38,8 +38,7 @@ pytestmark = [
         "backend",
         [
             pytest.param(
-                name,
-                marks=pytest.mark.skipif(bool(module) and find_spec(module) is None, reason="not installed"),
+                name, marks=pytest.mark.skipif(bool(module) and find_spec(module) is None, reason="not installed")
             )
             for name, module in BACKENDS.items()
         ],
@@ -99,10 +98,7 @@ def test_killed_relays_leave_no_t2_without_t3_and_t4(domain_id, tmp_path, backen
     moment, answered = random.Random(f"relay {backend} {load}"), 0
     for number in range(EACH):
         out, other_out = tmp_path / f"ping{number}.mcap", tmp_path / f"relay{number}.mcap"
-        with (
-            start_relay(domain_id, other_out, backend) as other,
-            start_ping(domain_id, out, backend, load) as command,
-        ):
+        with start_relay(domain_id, other_out, backend) as other, start_ping(domain_id, out, backend, load) as command:
             wait_for_run(out)
             time.sleep(moment.random() * LONGEST_S)
             other.send_signal(signal.SIGKILL)

@@ -42,9 +42,7 @@ def test_files_and_bags_go_there_and_back(domain_id, tmp_path):
             "/text": [text("hello"), text("")],
         },
     )
-    bag1 = write_bag1(
-        tmp_path / "x.bag", {"/camera": [image(40, ROS1)] * 2, "/points": [points(9, ROS1)] * 2}
-    )
+    bag1 = write_bag1(tmp_path / "x.bag", {"/camera": [image(40, ROS1)] * 2, "/points": [points(9, ROS1)] * 2})
     # --data, data_type, rate, bytes of the first messages (None: what the type adds to its data is counted elsewhere)
     cases = {
         f"file:{tmp_path}/photos": ("binary", 10.0, [3000, 500, 3000]),
@@ -74,9 +72,7 @@ def test_files_and_bags_go_there_and_back(domain_id, tmp_path):
         assert command.stop().status == 0
     for run_id, sent in relayed:
         for stage in ("t3", "t4"):
-            events = [
-                event for event in events_of(tmp_path / "relay.mcap", stage) if event["run_id"] == run_id
-            ]
+            events = [event for event in events_of(tmp_path / "relay.mcap", stage) if event["run_id"] == run_id]
             assert {event["sequence"]: event["payload_bytes"] for event in events} == sent
     session = last_json(tmp_path / "relay.mcap", "session")
     assert session["recorder_cost"]["record_median_ns"] > 0

@@ -111,9 +111,7 @@ def test_with_fsync_a_power_loss_takes_a_second_at_the_most(domain_id, tmp_path)
 @pytest.mark.slow
 def test_without_fsync_a_power_loss_takes_more_and_leaves_nothing_wrong(domain_id, tmp_path):
     cuts_ns, _ = take_the_power(tmp_path, domain_id, 2, 9, 5000)
-    assert (
-        longest_loss_ns(tmp_path, cuts_ns) > SECOND_NS
-    )  # else this disk forgets nothing, and proves nothing
+    assert longest_loss_ns(tmp_path, cuts_ns) > SECOND_NS  # else this disk forgets nothing, and proves nothing
 
 
 @pytest.mark.slow

@@ -82,9 +82,7 @@ def test_all_data_types_go_there_and_back(domain_id, tmp_path, serialization):
                 *("--messages", 20, "--warmup", 3, "--rate", 100, "--label", "room=lab", "--device", "pi4"),
             )
             assert done.status == 0, done.stderr
-            assert done.stdout.startswith(
-                f"Wrote {tmp_path / data}.mcap\nsent 20/20 (+3 warm-up), received 20, lost 0"
-            )
+            assert done.stdout.startswith(f"Wrote {tmp_path / data}.mcap\nsent 20/20 (+3 warm-up), received 20, lost 0")
         done = command.stop()
     assert done.status == 0, done.stderr
     assert "69 messages sent back in 3 runs; 138 events, 0 dropped" in done.stdout
@@ -112,35 +110,13 @@ def test_all_data_types_go_there_and_back(domain_id, tmp_path, serialization):
 def test_two_pings_and_two_relays_at_once(domain_id, tmp_path):
     with ExitStack() as stack:
         relays = [
-            stack.enter_context(relay(domain_id, tmp_path / f"relay{n}.mcap", "--relay-id", n, *ROOMY))
-            for n in (1, 2)
+            stack.enter_context(relay(domain_id, tmp_path / f"relay{n}.mcap", "--relay-id", n, *ROOMY)) for n in (1, 2)
         ]
         pings = [
             stack.enter_context(
                 running(
-                    *(
-                        "dds-record",
-                        "--role",
-                        "ping",
-                        "--domain",
-                        domain_id,
-                        "--out",
-                        tmp_path / f"{data}.mcap",
-                    ),
-                    *(
-                        "--data",
-                        data,
-                        "--messages",
-                        40,
-                        "--warmup",
-                        0,
-                        "--rate",
-                        50,
-                        "--json",
-                        "--relays",
-                        2,
-                        *ROOMY,
-                    ),
+                    *("dds-record", "--role", "ping", "--domain", domain_id, "--out", tmp_path / f"{data}.mcap"),
+                    *("--data", data, "--messages", 40, "--warmup", 0, "--rate", 50, "--json", "--relays", 2, *ROOMY),
                 )
             )
             for data in ("binary", "imu")
@@ -234,9 +210,7 @@ def test_progress_is_drawn_on_a_terminal_alone(domain_id, tmp_path):
         assert drawn.returncode == 0
         command.stop()
     assert b"waiting for an echo" in seen
-    assert re.search(
-        rb"sent \d+/60 \(\+10 warm-up\), received \d+, lost 0, RTT p50 [\d.]+ ms, p99 [\d.]+ ms", seen
-    )
+    assert re.search(rb"sent \d+/60 \(\+10 warm-up\), received \d+, lost 0, RTT p50 [\d.]+ ms, p99 [\d.]+ ms", seen)
     assert stdout.startswith(f"Wrote {tmp_path / 'drawn.mcap'}\n")
     assert "\x1b" not in stdout
 
@@ -244,21 +218,14 @@ def test_progress_is_drawn_on_a_terminal_alone(domain_id, tmp_path):
 def test_a_folder_is_a_rosbag(domain_id, tmp_path):
     highlevel = pytest.importorskip("rosbags.highlevel")
     with relay(domain_id, tmp_path / "relay") as command:
-        done = ping(
-            domain_id, tmp_path / "ping", "--data", "string", "--messages", 5, "--warmup", 0, "--rate", 50
-        )
+        done = ping(domain_id, tmp_path / "ping", "--data", "string", "--messages", 5, "--warmup", 0, "--rate", 50)
         assert done.status == 0, done.stderr
         assert done.stdout.startswith(f"Wrote {tmp_path / 'ping'}\n")
         command.stop()
     with highlevel.AnyReader([tmp_path / "ping"]) as reader:
         counts = {each.topic: each.msgcount for each in reader.connections}
         assert counts.pop("/dds_trace/host") >= 1
-        assert counts == {
-            "/dds_trace/t1": 5,
-            "/dds_trace/t2": 5,
-            "/dds_trace/session": 2,
-            "/dds_trace/run": 2,
-        }
+        assert counts == {"/dds_trace/t1": 5, "/dds_trace/t2": 5, "/dds_trace/session": 2, "/dds_trace/run": 2}
         events = [
             reader.deserialize(data, connection.msgtype)
             for connection, _, data in reader.messages()
@@ -282,9 +249,7 @@ def test_best_effort_on_both_sides(domain_id, tmp_path, data):
 
 def test_quality_of_service_that_never_matches_ends_the_wait_and_is_named(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap") as command:
-        done = ping(
-            domain_id, tmp_path / "ping.mcap", "--reliability", "best_effort", "--wait", PATIENCE_S * 10
-        )
+        done = ping(domain_id, tmp_path / "ping.mcap", "--reliability", "best_effort", "--wait", PATIENCE_S * 10)
         command.stop()
     assert done.status == 8
     assert "differ in reliability (best_effort offered, reliable requested)" in done.stderr
@@ -304,9 +269,7 @@ def test_a_ping_without_a_relay_names_what_it_looked_for(domain_id, tmp_path):
 
 
 def test_a_ping_that_is_stopped_before_its_echo(domain_id, tmp_path):
-    with running(
-        "dds-record", "--role", "ping", "--domain", domain_id, "--out", tmp_path / "ping.mcap"
-    ) as command:
+    with running("dds-record", "--role", "ping", "--domain", domain_id, "--out", tmp_path / "ping.mcap") as command:
         command.wait_for_line("waiting for an echo")
         done = command.stop()
     assert done.status == 0, done.stderr
@@ -326,10 +289,7 @@ def test_a_bridge_joins_two_domains(domains, tmp_path):
     trace, relay_trace = Read(tmp_path / "ping.mcap"), Read(tmp_path / "relay.mcap")
     assert_whole(trace, relay_trace, 22)
     assert (trace.runs[-1]["bridge"], trace.runs[-1]["relay_domain_id"]) == ("builtin", relay_domain)
-    assert (trace.sessions[-1]["domain_id"], relay_trace.sessions[-1]["domain_id"]) == (
-        ping_domain,
-        relay_domain,
-    )
+    assert (trace.sessions[-1]["domain_id"], relay_trace.sessions[-1]["domain_id"]) == (ping_domain, relay_domain)
     assert trace.sessions[-1]["bridge"]["state"] == "stopped"  # by us, after it had served
     assert {"self", "bridge"} <= set(trace.host[-1]["processes"])
 

@@ -30,9 +30,7 @@ def status(pid):
     assert (told.status, listed.status) == (0, 0), told.stderr
     lines = told.stdout.splitlines()
     first = next((number for number, line in enumerate(lines) if f"  pid {pid}  " in line), len(lines))
-    return [each for each in json.loads(listed.stdout) if each["pid"] == pid], "\n".join(
-        lines[first : first + 3]
-    )
+    return [each for each in json.loads(listed.stdout) if each["pid"] == pid], "\n".join(lines[first : first + 3])
 
 
 ROOM = 100_000_000
@@ -65,9 +63,7 @@ def test_a_rotated_relay_is_one_recording_to_all_who_ask(domain_id, tmp_path, ma
         assert ready[:2] == ["READY=1", "WATCHDOG=1"]
         assert ready[2].startswith("STATUS=0 messages, into ")
         monkeypatch.delenv("NOTIFY_SOCKET")
-        done = ping(
-            domain_id, traces / "ping.mcap", *SOCKET, "--messages", 300, "--rate", 100, "--data", "imu"
-        )
+        done = ping(domain_id, traces / "ping.mcap", *SOCKET, "--messages", 300, "--rate", 100, "--data", "imu")
         assert done.status == 0, done.stderr
         (listed,), text = status(command.pid)
         while "  310 messages, " not in text:  # the relay tells it twice a second
@@ -113,20 +109,8 @@ def check_traces(traces, away):
     assert len(relays) == 1
     codes = {finding.code for finding in analysis.findings}
     shutil.rmtree(traces / "analysis", ignore_errors=True)
-    about_files = {
-        "missing_files",
-        "unclosed_session",
-        "doubtful_session",
-        "relay_trace_gaps",
-        "restarted_relay",
-    }
-    assert not codes & {
-        *about_files,
-        "duplicate_file",
-        "overlapping_files",
-        "ring_recovered",
-        "truncated_file",
-    }
+    about_files = {"missing_files", "unclosed_session", "doubtful_session", "relay_trace_gaps", "restarted_relay"}
+    assert not codes & {*about_files, "duplicate_file", "overlapping_files", "ring_recovered", "truncated_file"}
     parts[0].rename(away)
     assert "missing_files" in {finding.code for finding in analyze(traces).findings}
 
@@ -137,10 +121,7 @@ def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(doma
         command.stop(signal.SIGKILL)
     left = sorted(path.name for path in tmp_path.glob("relay.*"))
     assert "relay.00001.mcap" not in left
-    assert len([name for name in left if name.endswith(".mcap")]) in (
-        2,
-        3,
-    )  # killed before the next one was dropped
+    assert len([name for name in left if name.endswith(".mcap")]) in (2, 3)  # killed before the next one was dropped
     said = status(command.pid)[1].splitlines()
     assert said[0].startswith(f"killed: relay  domain {domain_id}  socket  pid {command.pid}  0 messages, ")
     assert said[2].startswith(f"    its last events are in the ring: dds-record --recover {tmp_path}/relay.0")
@@ -198,9 +179,7 @@ def short_of_disk(domain_id, disk):
     assert "must stay free (--keep-free)" in stopped.stderr
     assert " sent back in 4 runs; " in stopped.stdout
     trace, cut = read_trace(traces / "relay.mcap"), read_trace(traces / "long.mcap")
-    runs = [
-        run_of(path) for path in (traces / "first.mcap", traces.parent / "second.mcap", traces / "third.mcap")
-    ]
+    runs = [run_of(path) for path in (traces / "first.mcap", traces.parent / "second.mcap", traces / "third.mcap")]
     of_runs = [trace.events[Stage.T3].run_id.tolist().count(each) for each in runs]
     assert (trace.truncated, trace.sessions[0].state, of_runs) == (None, "closed", [30, 30, 5])
     assert trace.sessions[0].dropped_events == 0

@@ -30,9 +30,7 @@ WARNING = "--depth 10 keeps 10 ms of messages at 1000 Hz"
         ("socket", 10, False),  # TCP keeps what does not fit, whatever the depth
     ],
 )
-def test_a_depth_below_rate_times_stall_is_warned_of_before_the_run(
-    domain_id, tmp_path, backend, depth, warned
-):
+def test_a_depth_below_rate_times_stall_is_warned_of_before_the_run(domain_id, tmp_path, backend, depth, warned):
     common = ("--backend", backend, "--depth", depth, "--discovery", "localhost")
     with relay(domain_id, tmp_path / "relay.mcap", *common):
         out = ("--out", tmp_path / "ping.mcap", "--domain", domain_id)

@@ -53,9 +53,7 @@ def test_its_commands_lead_to_completed_round_trips_over_the_link(tmp_path):
                 sent = pair.report()
                 # The messages found no other way than the link; those that `_check` lets a busy machine lose, less.
                 for role in ("ping", "relay"):
-                    assert sent[role]["sent_bytes"] > LEAST_RECEIVED * (MESSAGES + WARMUP) * PAYLOAD_BYTES, (
-                        section
-                    )
+                    assert sent[role]["sent_bytes"] > LEAST_RECEIVED * (MESSAGES + WARMUP) * PAYLOAD_BYTES, section
     _check(devices["ping"].folder / "runs")
 
 

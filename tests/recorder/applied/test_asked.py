@@ -100,9 +100,7 @@ def test_options_by_vendor(vendor, options, expected):
     ],
 )
 def test_the_users_own_variable(value, expected):
-    assert (
-        asked_settings("fastdds", domain_id=5, environment={"FASTDDS_BUILTIN_TRANSPORTS": value}) == expected
-    )
+    assert asked_settings("fastdds", domain_id=5, environment={"FASTDDS_BUILTIN_TRANSPORTS": value}) == expected
 
 
 def test_the_users_profile_wins_over_the_variable_and_an_option_over_both(tmp_path):
@@ -139,9 +137,7 @@ def test_the_interface_that_a_profile_names(tmp_path, whitelist, interface):
 
 def test_a_profile_that_cannot_be_read_asks_for_nothing(tmp_path):
     environment = {"FASTDDS_DEFAULT_PROFILES_FILE": str(tmp_path / "none.xml")}
-    assert asked_settings("fastdds", domain_id=5, environment=environment) == Asked(
-        "fastdds", 5, profile="none.xml"
-    )
+    assert asked_settings("fastdds", domain_id=5, environment=environment) == Asked("fastdds", 5, profile="none.xml")
 
 
 def test_the_interface_that_cyclone_is_told(tmp_path):
@@ -155,12 +151,7 @@ def test_the_interface_that_cyclone_is_told(tmp_path):
     assert interface_named(f"<CycloneDDS/>,{settings('lo')}") == "lo"
     assert interface_named(str(path)) == interface_named(path.as_uri()) == "eth1"
     assert interface_named(f"{path.as_uri()},{settings('lo')}") == ""  # two: either may carry the payload
-    assert (
-        interface_named(settings("eth0", "eth1"))
-        == interface_named("")
-        == interface_named("<CycloneDDS/>")
-        == ""
-    )
+    assert interface_named(settings("eth0", "eth1")) == interface_named("") == interface_named("<CycloneDDS/>") == ""
     asked = asked_settings("cyclonedds", domain_id=5, settings={"CYCLONEDDS_URI": settings("eth1")})
     assert asked.interface == "eth1"
     own = {"CYCLONEDDS_URI": settings("eth2")}  # rmw_cyclonedds, to whose settings the recorder adds nothing

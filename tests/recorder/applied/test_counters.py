@@ -79,9 +79,7 @@ def test_interfaces_have_bytes_and_packets_both_ways(root):
 
 
 def test_what_was_added_since_the_beginning():
-    assert InterfaceCounters(10, 20, 3, 4).since(InterfaceCounters(1, 5, 1, 4)) == InterfaceCounters(
-        9, 15, 2, 0
-    )
+    assert InterfaceCounters(10, 20, 3, 4).since(InterfaceCounters(1, 5, 1, 4)) == InterfaceCounters(9, 15, 2, 0)
 
 
 def test_lost_fragments_and_datagrams_come_from_the_lines_of_ip_and_udp(root):

@@ -16,9 +16,7 @@ MB = 1_000_000
 TRAFFIC = Traffic(sent=100, received=100, payload_bytes=100_000)
 SHARED = (segment(), port(), segment("fastrtps_00000000000000bb", is_own=False), port(7413, is_own=False))
 LIMITS = {"net.core.rmem_max": 4_194_304, "net.core.wmem_max": 4_194_304}
-TUNED = Asked(
-    "fastdds", transport="udp", tuned=True, receive_buffer_bytes=4_000_000, send_buffer_bytes=4_000_000
-)
+TUNED = Asked("fastdds", transport="udp", tuned=True, receive_buffer_bytes=4_000_000, send_buffer_bytes=4_000_000)
 
 
 def only(asked, read_back, traffic=None):
@@ -41,18 +39,12 @@ def test_udp_that_is_shared_memory_is_named_before_and_after():
 def test_memory_of_another_middleware_or_of_an_ended_participant_is_no_difference():
     zenoh = segment("1.zenoh", vendor="zenoh", is_own=None)
     gone = replace(segment(), is_deleted=True)
-    assert (
-        differences(Asked("fastdds", transport="udp"), applied(sockets=(udp(7411),), memory=(zenoh, gone)))
-        == ()
-    )
+    assert differences(Asked("fastdds", transport="udp"), applied(sockets=(udp(7411),), memory=(zenoh, gone))) == ()
 
 
 def test_shared_memory_that_is_not_there():
     found = only(Asked("fastdds", transport="shm"), applied(sockets=(udp(7411),)))
-    assert (found.setting, found.words) == (
-        Setting.TRANSPORT,
-        "asked for shared memory, no shared memory is mapped",
-    )
+    assert (found.setting, found.words) == (Setting.TRANSPORT, "asked for shared memory, no shared memory is mapped")
 
 
 def test_large_data_without_tcp():
@@ -90,9 +82,9 @@ def test_buffers_that_the_kernel_cut():
 def test_one_receiving_socket_with_a_small_buffer_is_enough():
     sending = udp(45_000, send_buffer_bytes=8_000_000)
     large, small = udp(7410, 8_000_000), udp(7411)
-    assert [
-        each.setting for each in differences(TUNED, applied(sockets=(sending, large, small), limits=LIMITS))
-    ] == [Setting.TUNED]
+    assert [each.setting for each in differences(TUNED, applied(sockets=(sending, large, small), limits=LIMITS))] == [
+        Setting.TUNED
+    ]
     assert differences(TUNED, applied(sockets=(sending, large), limits=LIMITS)) == ()
 
 
@@ -100,9 +92,7 @@ def test_the_ports_are_those_of_the_domain():
     asked = replace(TUNED, domain_id=12)
     sockets = (udp(10_411, 8_000_000), udp(7000), udp(45_000, send_buffer_bytes=8_000_000))
     assert differences(asked, applied(sockets=sockets)) == ()
-    assert [
-        each.setting for each in differences(replace(asked, domain_id=200), applied(sockets=sockets))
-    ] == []
+    assert [each.setting for each in differences(replace(asked, domain_id=200), applied(sockets=sockets))] == []
 
 
 def test_a_sending_socket_whose_port_the_kernel_chose_is_not_a_receiving_one():
@@ -111,16 +101,12 @@ def test_a_sending_socket_whose_port_the_kernel_chose_is_not_a_receiving_one():
     sockets = (udp(36_160, 8_000_000), udp(36_342, send_buffer_bytes=8_000_000))
     assert differences(asked, applied(sockets=sockets)) == ()
     far = {"net.ipv4.ip_local_port_range.min": 40_000}
-    assert [each.setting for each in differences(asked, applied(sockets=sockets, limits=far))] == [
-        Setting.TUNED
-    ]
+    assert [each.setting for each in differences(asked, applied(sockets=sockets, limits=far))] == [Setting.TUNED]
 
 
 def test_an_interface_that_carried_nothing():
     asked = Asked("cyclonedds", interface="eth1")
-    carried = applied(
-        begin=counted(lo=(0, 0), eth1=(0, 0)), end=counted(lo=(20 * MB, 20 * MB), eth1=(900, 900))
-    )
+    carried = applied(begin=counted(lo=(0, 0), eth1=(0, 0)), end=counted(lo=(20 * MB, 20 * MB), eth1=(900, 900)))
     found = only(asked, carried, TRAFFIC)
     assert (found.setting, found.asked, found.applied) == (Setting.INTERFACE, "eth1", "lo")
     assert found.words == "asked for the interface eth1, the bytes went through lo"
@@ -128,9 +114,7 @@ def test_an_interface_that_carried_nothing():
     assert differences(asked, carried) == ()  # before the end it could still come
     busy = applied(begin=counted(lo=(0, 0), eth1=(0, 0)), end=counted(lo=(900 * MB, 900 * MB), eth1=(0, 0)))
     assert only(asked, busy, TRAFFIC).words == "asked for the interface eth1, the bytes went another way"
-    shared = applied(
-        memory=SHARED, begin=counted(lo=(0, 0), eth1=(0, 0)), end=counted(lo=(MB, MB), eth1=(0, 0))
-    )
+    shared = applied(memory=SHARED, begin=counted(lo=(0, 0), eth1=(0, 0)), end=counted(lo=(MB, MB), eth1=(0, 0)))
     assert (
         only(replace(asked, vendor="fastdds"), shared, TRAFFIC).words
         == "asked for the interface eth1, the bytes went through shared memory"
@@ -177,9 +161,7 @@ def test_a_port_that_nobody_serves_has_other_reasons():
     foreign = segment("fastrtps_00000000000000bb", is_own=False)
 
     def settings(*memory, domain_id=0):
-        return [
-            each.setting for each in differences(Asked("fastdds", domain_id), applied(memory=memory), in_vain)
-        ]
+        return [each.setting for each in differences(Asked("fastdds", domain_id), applied(memory=memory), in_vain)]
 
     assert settings(unserved) == [Setting.MEMORY_NAMESPACE]
     # Another domain's participant has sent to a port that all domains share.
@@ -215,9 +197,7 @@ def test_a_default_asks_for_nothing(vendor, read_back):
 
 def test_the_default_of_sockets_is_tcp():
     assert differences(Asked("socket"), applied(sockets=(tcp(),))) == ()
-    assert (
-        only(Asked("socket"), applied(sockets=(udp(8908),))).words == "asked for TCP, no TCP socket is open"
-    )
+    assert only(Asked("socket"), applied(sockets=(udp(8908),))).words == "asked for TCP, no TCP socket is open"
 
 
 def test_a_difference_as_the_session_has_it():
@@ -247,7 +227,5 @@ def test_an_honest_tuned_run():
         udp(7000, 8_000_000),
         udp(45_000, send_buffer_bytes=8_000_000),
     )
-    ended = applied(
-        sockets=sockets, limits=LIMITS, begin=counted(lo=(0, 0)), end=counted(lo=(20 * MB, 20 * MB))
-    )
+    ended = applied(sockets=sockets, limits=LIMITS, begin=counted(lo=(0, 0)), end=counted(lo=(20 * MB, 20 * MB)))
     assert differences(TUNED, ended, TRAFFIC) == ()

@@ -139,9 +139,7 @@ def test_6_large_data_under_the_localhost_range(domain_id):
 
 
 @needs_zenoh
-@pytest.mark.parametrize(
-    ("is_on", "words"), [(True, "asked for no shared memory, "), (False, "none is mapped")]
-)
+@pytest.mark.parametrize(("is_on", "words"), [(True, "asked for no shared memory, "), (False, "none is mapped")])
 def test_7_zenohs_shared_memory(domain_id, is_on, words):
     # Not a word of the settings says it: zenoh's own default is on, and a message of 3 KB or more leaves TCP for it.
     for side in run_pair("zenoh", domain_id, zenoh_memory=is_on, asked={"shared_memory": not is_on}):
@@ -187,8 +185,6 @@ def test_8_fast_dds_with_a_dev_shm_of_another_namespace_sends_in_vain(domain_id)
 @needs_large_buffers
 def test_udp_reaches_a_side_whose_dev_shm_is_another(domain_id):
     with written_profile(requested_profile(Transport.UDP, tuned=True)) as path:
-        sides = run_pair(
-            "ros2", domain_id, tuned=True, environment=profile_environment(path, {}), relay_prefix=OWN_SHM
-        )
+        sides = run_pair("ros2", domain_id, tuned=True, environment=profile_environment(path, {}), relay_prefix=OWN_SHM)
     for side in sides:
         assert side.at_end == []

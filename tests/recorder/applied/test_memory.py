@@ -99,11 +99,7 @@ def test_a_mapped_segment_has_size_and_owner(segment):
 
 
 def test_a_segment_is_own_while_its_lock_is_open(segment):
-    assert (seen(segment).is_own, seen(segment).is_served, seen(segment).is_foreign_segment) == (
-        False,
-        False,
-        True,
-    )
+    assert (seen(segment).is_own, seen(segment).is_served, seen(segment).is_foreign_segment) == (False, False, True)
     lock = segment.with_name(segment.name + "_el")
     try:
         with lock.open("w") as file:
@@ -115,9 +111,7 @@ def test_a_segment_is_own_while_its_lock_is_open(segment):
 
 
 @pytest.mark.parametrize(("suffix", "lock"), [("_el", fcntl.LOCK_EX), ("_sl", fcntl.LOCK_SH)])
-def test_a_file_is_served_while_its_lock_is_held_and_abandoned_while_it_only_exists(
-    tmp_path, segment, suffix, lock
-):
+def test_a_file_is_served_while_its_lock_is_held_and_abandoned_while_it_only_exists(tmp_path, segment, suffix, lock):
     def state():
         read = seen(segment, tmp_path)
         return read.is_served, read.is_abandoned

@@ -69,10 +69,7 @@ def test_datagrams_that_do_not_fit_are_counted_at_their_socket(udp):
 @contextmanager
 def connection(sent_bytes):
     """A listening socket and both ends of a connection over which so many bytes went and one came back."""
-    with (
-        socket.create_server(("127.0.0.1", 0)) as server,
-        socket.create_connection(server.getsockname()) as client,
-    ):
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as client:
         accepted, _ = server.accept()
         with accepted:
             client.sendall(bytes(sent_bytes))

@@ -5,12 +5,7 @@ from __future__ import annotations
 import pytest
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.backends import (
-    BACKEND_MODULES,
-    installed_middlewares,
-    load_backend,
-    load_backends,
-)
+from dds_trace.recorder.backends import BACKEND_MODULES, installed_middlewares, load_backend, load_backends
 from dds_trace.recorder.backends.base import Meeting
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
@@ -39,16 +34,8 @@ def test_relays_of_two_backends_share_no_port():
     ("more", "is_known", "line"),
     [
         ({"domain_id": 232}, lambda _: False, "--domain 232: a DDS domain id must be between 0 and 231"),
-        (
-            {"rmw": "rmw_x"},
-            lambda backend: backend.has_ros,
-            "--rmw rmw_x: the backend {} has no ROS middleware",
-        ),
-        (
-            {"executor": ExecutorKind.SINGLE},
-            lambda backend: backend.has_ros,
-            "--executor single: the backend {}",
-        ),
+        ({"rmw": "rmw_x"}, lambda backend: backend.has_ros, "--rmw rmw_x: the backend {} has no ROS middleware"),
+        ({"executor": ExecutorKind.SINGLE}, lambda backend: backend.has_ros, "--executor single: the backend {}"),
         (
             {"transport": Transport.SHM},
             lambda backend: Transport.SHM in backend.transports,
@@ -87,9 +74,7 @@ def test_each_rmw_of_an_installation_is_a_middleware_and_connext_needs_a_licence
         (index / name).touch()
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
     monkeypatch.delenv("RTI_LICENSE_FILE", raising=False)
-    monkeypatch.setattr(
-        "dds_trace.recorder.backends.ros2.installation.has_package", lambda name: name == "rclpy"
-    )
+    monkeypatch.setattr("dds_trace.recorder.backends.ros2.installation.has_package", lambda name: name == "rclpy")
     found = installed_middlewares()
     assert [pair for pair in found if pair[0] == "ros2"] == [
         ("ros2", "rmw_cyclonedds_cpp"),

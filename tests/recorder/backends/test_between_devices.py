@@ -9,10 +9,7 @@ from two_devices import needs_devices, two_devices
 
 from dds_trace.tracefile.reading.reader import read_trace
 
-pytestmark = [
-    pytest.mark.middleware,
-    needs_devices,
-]
+pytestmark = [pytest.mark.middleware, needs_devices]
 
 PING, RELAY = "192.168.0.10", "192.168.0.20"
 PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh"}
@@ -56,10 +53,7 @@ def meet(network, request):
     return run
 
 
-@pytest.mark.parametrize(
-    ("ping", "relay"),
-    [("ros2", "cyclonedds"), ("cyclonedds", "ros2")],
-)
+@pytest.mark.parametrize(("ping", "relay"), [("ros2", "cyclonedds"), ("cyclonedds", "ros2")])
 def test_dds_looks_on_the_network(meet, ping, relay):
     meet((ping,), (relay,))
 

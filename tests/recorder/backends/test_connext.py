@@ -19,8 +19,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 dds = pytest.importorskip("rti.connextdds", reason="no rti.connext here")
 
 needs_licence = pytest.mark.skipif(
-    not os.environ.get("RTI_LICENSE_FILE"),
-    reason="RTI Connext starts with a licence alone (RTI_LICENSE_FILE)",
+    not os.environ.get("RTI_LICENSE_FILE"), reason="RTI Connext starts with a licence alone (RTI_LICENSE_FILE)"
 )
 
 
@@ -68,9 +67,7 @@ def test_every_known_type_can_be_made(type_name):
     assert made.name.replace("::", "/").replace("/dds_", "").rstrip("_") == type_name
 
 
-@pytest.mark.parametrize(
-    "qos", [Qos(), Qos("best_effort", "transient_local", "keep_all"), Qos(depth=7)], ids=str
-)
+@pytest.mark.parametrize("qos", [Qos(), Qos("best_effort", "transient_local", "keep_all"), Qos(depth=7)], ids=str)
 @pytest.mark.parametrize("kind", ["DataWriterQos", "DataReaderQos"])
 def test_quality_of_service_is_ours(qos, kind):
     kept = connext._fill(getattr(dds, kind)(), qos)

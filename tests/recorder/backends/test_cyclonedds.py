@@ -79,9 +79,7 @@ def test_all_that_waits_is_handed_on_in_its_order_and_each_to_its_reader(domain_
         open_node("cyclonedds", options(domain_id, name="two")) as here,
     ):
         for topic, kept in got.items():
-            there.create_subscription(
-                topic, IMU.type_name, lambda message, *_, kept=kept: kept.append(bytes(message))
-            )
+            there.create_subscription(topic, IMU.type_name, lambda message, *_, kept=kept: kept.append(bytes(message)))
         there.create_subscription("closed", IMU.type_name, pytest.fail).close()
         publishers = [here.create_publisher(topic, IMU.type_name) for topic in (*got, "closed")]
         deadline = time.monotonic() + PATIENCE_S
@@ -105,9 +103,7 @@ def test_quality_of_service_that_never_matches_is_seen(domain_id):
         open_node("cyclonedds", options(domain_id, name="two")) as two,
     ):
         one.create_publisher(IMU.topic, IMU.type_name, qos=Qos(reliability="best_effort"))
-        two.create_subscription(
-            IMU.topic, IMU.type_name, lambda *_: None, qos=Qos(durability="transient_local")
-        )
+        two.create_subscription(IMU.topic, IMU.type_name, lambda *_: None, qos=Qos(durability="transient_local"))
         deadline = time.monotonic() + PATIENCE_S
         while not (one.look_at(IMU.topic).incompatible and two.look_at(IMU.topic).incompatible):
             assert time.monotonic() < deadline
@@ -121,9 +117,7 @@ def test_quality_of_service_that_never_matches_is_seen(domain_id):
 
 def test_a_ping_that_can_never_match_says_so(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap", *CYCLONE) as command:
-        done = ping(
-            domain_id, tmp_path / "ping.mcap", *CYCLONE, "--reliability", "best_effort", "--wait", PATIENCE_S
-        )
+        done = ping(domain_id, tmp_path / "ping.mcap", *CYCLONE, "--reliability", "best_effort", "--wait", PATIENCE_S)
         command.stop()
     assert done.status == 8
     assert "differ in reliability (best_effort offered, reliable requested)" in done.stderr
@@ -195,13 +189,13 @@ def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch):
         finally:
             cyclonedds._message_type.cache_clear()
     assert there.unassignable == ("imu_data: a subscription's type has the same name and another definition",)
-    assert back.unassignable == (
-        "imu_data_relay: a publisher's type has the same name and another definition",
-    )
+    assert back.unassignable == ("imu_data_relay: a publisher's type has the same name and another definition",)
     assert there.incompatible == back.incompatible == ()
 
 
-LOOPBACK = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface {}/></Interfaces></General></Domain></CycloneDDS>"
+LOOPBACK = (
+    "<CycloneDDS><Domain><General><Interfaces><NetworkInterface {}/></Interfaces></General></Domain></CycloneDDS>"
+)
 
 
 @pytest.mark.parametrize("attribute", ['name="lo"', 'address="127.0.0.1"', "priority='5' name='lo'"])

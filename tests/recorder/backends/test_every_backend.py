@@ -96,9 +96,7 @@ def test_without_its_package_it_says_how_to_get_it(backend, line):
         f"try: open_node('{backend}', NodeOptions(discovery=Discovery.LOCALHOST))\n"
         "except BackendUnavailableError as error: print(error)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S
-    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S)
     assert line in done.stdout
     assert f"pip install 'dds-trace[{backend}]'" in done.stdout
     assert ("setup.bash" in done.stdout) is (backend == "ros2")

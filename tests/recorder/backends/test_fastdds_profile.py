@@ -104,9 +104,7 @@ def run(domain_id):
 def assert_honest(side):
     assert side.at_begin == side.at_end == []
     assert {
-        each.local_address
-        for each in side.applied.latest.sockets
-        if each.remote_port or each.protocol == "udp"
+        each.local_address for each in side.applied.latest.sockets if each.remote_port or each.protocol == "udp"
     } <= (ON_THIS_MACHINE)
 
 
@@ -194,10 +192,7 @@ def test_a_process_has_one_profile():
     with applied_transport(replace(LOCAL, name="second"), "rmw_fastrtps_cpp"):
         pass
     other = replace(LOCAL, transport=Transport.DEFAULT)
-    with (
-        pytest.raises(OptionError, match="once in each process"),
-        applied_transport(other, "rmw_fastrtps_cpp"),
-    ):
+    with pytest.raises(OptionError, match="once in each process"), applied_transport(other, "rmw_fastrtps_cpp"):
         pass
 
 

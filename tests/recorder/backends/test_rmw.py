@@ -75,11 +75,7 @@ def test_a_version_is_found_wherever_the_installation_tells_it(tmp_path, monkeyp
             {"qos": Qos(extra={"deadline_ns": 5})},
             "--deadline: rmw_zenoh_cpp does not implement it; leave it out",
         ),
-        (
-            "rmw_zenoh_cpp",
-            {"qos": Qos(extra={"lifespan_ns": 5})},
-            "--lifespan: rmw_zenoh_cpp does not implement it",
-        ),
+        ("rmw_zenoh_cpp", {"qos": Qos(extra={"lifespan_ns": 5})}, "--lifespan: rmw_zenoh_cpp does not implement it"),
     ],
 )
 def test_settings_of_one_vendor_are_refused_on_the_others_before_anything_is_opened(rmw, more, said):
@@ -95,15 +91,10 @@ def test_settings_of_one_vendor_are_refused_on_the_others_before_anything_is_ope
     ("version", "variables"),
     [
         (None, ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"]),
-        (
-            "3.2.3",
-            ["FASTDDS_DEFAULT_PROFILES_FILE"],
-        ),  # which warns of the other one, and then loads the profile twice
+        ("3.2.3", ["FASTDDS_DEFAULT_PROFILES_FILE"]),  # which warns of the other one, and then loads the profile twice
     ],
 )
-def test_a_profile_of_ours_is_named_by_the_variables_that_the_installed_fast_dds_reads(
-    monkeypatch, version, variables
-):
+def test_a_profile_of_ours_is_named_by_the_variables_that_the_installed_fast_dds_reads(monkeypatch, version, variables):
     monkeypatch.setattr(fastdds_profile, "package_version", lambda package: {"fastdds": version}[package])
     told = fastdds_profile.profile_environment(fastdds_profile.Path("/x.xml"), {})
     assert [name for name in told if "PROFILES" in name] == variables

@@ -167,10 +167,7 @@ def test_quality_of_service_that_never_matches_is_seen(domain_id, executor):
         deadline = time.monotonic() + PATIENCE_S
         views = []
         # The middleware's event comes first and knows the policy alone; the graph names both sides.
-        while (
-            not all(line.startswith(expected) for view in views for line in view.incompatible or ("",))
-            or not views
-        ):
+        while not all(line.startswith(expected) for view in views for line in view.incompatible or ("",)) or not views:
             assert time.monotonic() < deadline, views
             time.sleep(0.05)
             views = [node.look_at("imu_data") for node in (one, two)]
@@ -224,8 +221,7 @@ def python(code, **environment):
 
 
 @pytest.mark.parametrize(
-    ("option", "environment"),
-    [("None", {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}), ("'rmw_cyclonedds_cpp'", {})],
+    ("option", "environment"), [("None", {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}), ("'rmw_cyclonedds_cpp'", {})]
 )
 def test_a_missing_middleware_is_one_line_and_no_dead_process(domain_id, option, environment):
     done = python(
@@ -305,17 +301,11 @@ def test_a_type_of_the_same_name_and_another_definition_is_named():
     assert list(ros2._other_definitions("imu_data", [ours, info("you", "RIHS01_bb")], "me")) == [
         "imu_data: you's sensor_msgs/msg/Imu has the same name and another definition"
     ]
-    alike = [
-        info("you", "RIHS01_aa"),
-        info("cyclone", "INVALID"),
-        info("other", "RIHS01_cc", "std_msgs/msg/String"),
-    ]
+    alike = [info("you", "RIHS01_aa"), info("cyclone", "INVALID"), info("other", "RIHS01_cc", "std_msgs/msg/String")]
     assert (
         list(
             ros2._other_definitions(
-                "imu_data",
-                [ours, *alike, SimpleNamespace(node_name="humble", topic_type=ours.topic_type)],
-                "me",
+                "imu_data", [ours, *alike, SimpleNamespace(node_name="humble", topic_type=ours.topic_type)], "me"
             )
         )
         == []

@@ -32,9 +32,7 @@ def port(monkeypatch):
     monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", f'connect/endpoints=["tcp/localhost:{number}"]')
     zenoh = vendors.ROS_MIDDLEWARES[RMW]
     monkeypatch.setitem(
-        ROS_MIDDLEWARES,
-        RMW,
-        type(zenoh)(zenoh.vendor, zenoh.label, (), router=zenoh.router, router_port=number),
+        ROS_MIDDLEWARES, RMW, type(zenoh)(zenoh.vendor, zenoh.label, (), router=zenoh.router, router_port=number)
     )
     return number
 

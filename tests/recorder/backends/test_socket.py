@@ -21,14 +21,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
 from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.backends.socket import BACKEND, tcp
-from dds_trace.recorder.backends.socket.greeting import (
-    CROWD,
-    HALF_OPEN,
-    MALFORMED,
-    MAX_PEERS,
-    SLOW,
-    TOO_LARGE,
-)
+from dds_trace.recorder.backends.socket.greeting import CROWD, HALF_OPEN, MALFORMED, MAX_PEERS, SLOW, TOO_LARGE
 from dds_trace.recorder.backends.socket.udp import FRAGMENT_BYTES, MAX_FRAGMENTS
 from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.payloads import BINARY, IMU
@@ -92,9 +85,7 @@ def independent_delays(domain_id, folder, delay_s):
     script = Path(__file__).parents[2] / "support" / "plain_echo.py"
     port = BACKEND.port_of(domain_id)
     with subprocess.Popen(
-        [sys.executable, script, str(port), IMU.topic, IMU.type_name, str(delay_s)],
-        stdout=subprocess.PIPE,
-        text=True,
+        [sys.executable, script, str(port), IMU.topic, IMU.type_name, str(delay_s)], stdout=subprocess.PIPE, text=True
     ) as echo:
         try:
             assert echo.stdout.readline() == "ready\n"
@@ -114,10 +105,7 @@ def independent_delays(domain_id, folder, delay_s):
     for run, sequence, in_ns, out_ns in stamps:
         if run != run_id:  # a probe
             continue
-        publish_ns, receive_ns = (
-            int(t1.monotonic_ns[sent[sequence]]),
-            int(t2.monotonic_ns[received[sequence]]),
-        )
+        publish_ns, receive_ns = (int(t1.monotonic_ns[sent[sequence]]), int(t2.monotonic_ns[received[sequence]]))
         assert publish_ns <= in_ns <= out_ns <= receive_ns  # one machine, one clock
         found[sequence % 2].append((receive_ns - publish_ns, out_ns - in_ns))
     assert [len(each) for each in found] == [30, 30]
@@ -202,11 +190,7 @@ def test_strangers_do_no_harm(domain_id):
 def test_strangers_on_udp_do_no_harm(domain_id):
     got = threading.Event()
     with (
-        pair(domain_id, lambda *_: got.set(), transport=Transport.UDP, qos=BEST_EFFORT) as (
-            _,
-            there,
-            publisher,
-        ),
+        pair(domain_id, lambda *_: got.set(), transport=Transport.UDP, qos=BEST_EFFORT) as (_, there, publisher),
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
     ):
         for noise in (b"", b"x", b"\xff" * 4096, b"\0" * 10 + b"{}", b"\0" * 6 + b"\1\0\0\0[]"):
@@ -465,8 +449,7 @@ def test_several_connections_call_back_one_at_a_time(domain_id):
             assert time.monotonic() < deadline
             time.sleep(0.01)
         senders = [
-            threading.Thread(target=lambda by=by: [by.publish(b"x") for _ in range(300)])
-            for by in (publisher, second)
+            threading.Thread(target=lambda by=by: [by.publish(b"x") for _ in range(300)]) for by in (publisher, second)
         ]
         for sender in senders:
             sender.start()

@@ -76,9 +76,7 @@ def test_domains_stay_apart_even_at_one_address(domains):
         open_node("zenoh", options(other, name="stranger", peers=peers)) as stranger,
         open_node("zenoh", options(one, name="ping")) as here,
     ):
-        there.create_subscription(
-            IMU.topic, IMU.type_name, lambda message, *_: got.set() or seen.add(message)
-        )
+        there.create_subscription(IMU.topic, IMU.type_name, lambda message, *_: got.set() or seen.add(message))
         seen = set()
         there.start()
         strange = stranger.create_publisher(IMU.topic, IMU.type_name)

@@ -31,11 +31,7 @@ from dds_trace.recorder.bridges.texts import element, xml_text, yaml_text
 from dds_trace.recorder.choices import Discovery
 from dds_trace.tracefile.format.descriptions import Qos
 
-IMAGE, STRING, IMU = (
-    "sensor_msgs::msg::dds_::Image_",
-    "std_msgs::msg::dds_::String_",
-    "sensor_msgs::msg::dds_::Imu_",
-)
+IMAGE, STRING, IMU = ("sensor_msgs::msg::dds_::Image_", "std_msgs::msg::dds_::String_", "sensor_msgs::msg::dds_::Imu_")
 BEST_EFFORT = Qos("best_effort", "transient_local", "keep_all", 7)
 ONE_TOPIC = (BridgedTopic("string_data", "std_msgs/msg/String"),)
 
@@ -109,12 +105,7 @@ def test_zenoh_bridge_dds():
     assert relay["plugins"]["dds"]["domain"] == 10
     for half in (ping, relay):
         # `deny_unknown_fields`: one field too many and the plugin does not start.
-        assert set(half["plugins"]["dds"]) == {
-            "domain",
-            "localhost_only",
-            "allow",
-            "reliable_routes_blocking",
-        }
+        assert set(half["plugins"]["dds"]) == {"domain", "localhost_only", "allow", "reliable_routes_blocking"}
         assert half["plugins"]["dds"]["localhost_only"] is True
         assert half["mode"] == "router"
         assert half["scouting"] == {"multicast": {"enabled": False}, "gossip": {"enabled": False}}
@@ -129,13 +120,7 @@ def test_zenoh_bridge_dds_allows_whole_names_only():
     for topic in BRIDGED_TOPICS:
         assert allow.search(f"rt/{topic.name}")
         assert allow.search(f"rt/{topic.reply_name}")
-    for other in (
-        "rt/string_data2",
-        "rt/my_string_data",
-        "ros_discovery_info",
-        "string_data",
-        "p/rt/string_data",
-    ):
+    for other in ("rt/string_data2", "rt/my_string_data", "ros_discovery_info", "string_data", "p/rt/string_data"):
         assert not allow.search(other)
 
 
@@ -158,9 +143,7 @@ def test_zenoh_bridge_ros2dds():
         assert set(half) == {"nodename", "domain", "ros_localhost_only", "allow", "reliable_routes_blocking"}
 
 
-@pytest.mark.parametrize(
-    ("name", "plugin"), [("zenoh-bridge-dds", "dds"), ("zenoh-bridge-ros2dds", "ros2dds")]
-)
+@pytest.mark.parametrize(("name", "plugin"), [("zenoh-bridge-dds", "dds"), ("zenoh-bridge-ros2dds", "ros2dds")])
 def test_zenohs_router_is_a_bridge_if_its_plugin_is_beside_it(name, plugin, tmp_path, monkeypatch):
     folder = tmp_path / "dds-trace" / "zenoh-bridge-dds"
     folder.mkdir(parents=True)
@@ -192,11 +175,7 @@ def test_integration_service():
         "relay_to_ping": {"from": "domain_10", "to": "domain_5"},
     }
     assert set(found["topics"]) == {name for t in BRIDGED_TOPICS for name in (t.name, t.reply_name)}
-    qos = {
-        "reliability": "BEST_EFFORT",
-        "durability": "TRANSIENT_LOCAL",
-        "history": {"kind": "KEEP_ALL", "depth": 7},
-    }
+    qos = {"reliability": "BEST_EFFORT", "durability": "TRANSIENT_LOCAL", "history": {"kind": "KEEP_ALL", "depth": 7}}
     ends = {"domain_5": {"qos": qos}, "domain_10": {"qos": qos}}
     image = {"type": "sensor_msgs/Image"}
     assert found["topics"]["binary_image"] == {**image, "route": "ping_to_relay", **ends}
@@ -230,11 +209,7 @@ def test_ddsrouter_as_a_half_on_each_device():
     (relay,) = map(from_yaml, texts("ddsrouter", half=Half.RELAY, peers=("192.168.0.5:11666", "pi1:11666")))
     assert ping["participants"] == [
         {"name": "domain_5", "kind": "local", "domain": 5},
-        {
-            "name": "link",
-            "kind": "wan",
-            "listening-addresses": [{"ip": "0.0.0.0", "port": 11666, "transport": "tcp"}],
-        },
+        {"name": "link", "kind": "wan", "listening-addresses": [{"ip": "0.0.0.0", "port": 11666, "transport": "tcp"}]},
     ]
     assert relay["participants"] == [
         {"name": "domain_10", "kind": "local", "domain": 10},
@@ -258,12 +233,7 @@ def test_domain_bridge():
         "binary_image": {"type": "sensor_msgs/msg/Image", "from_domain": 5, "to_domain": 10, "qos": qos},
         "string_data": {"type": "std_msgs/msg/String", "from_domain": 5, "to_domain": 10, "qos": qos},
         "imu_data": {"type": "sensor_msgs/msg/Imu", "from_domain": 5, "to_domain": 10, "qos": qos},
-        "binary_image_relay": {
-            "type": "sensor_msgs/msg/Image",
-            "from_domain": 10,
-            "to_domain": 5,
-            "qos": qos,
-        },
+        "binary_image_relay": {"type": "sensor_msgs/msg/Image", "from_domain": 10, "to_domain": 5, "qos": qos},
         "string_data_relay": {"type": "std_msgs/msg/String", "from_domain": 10, "to_domain": 5, "qos": qos},
         "imu_data_relay": {"type": "sensor_msgs/msg/Imu", "from_domain": 10, "to_domain": 5, "qos": qos},
     }
@@ -277,10 +247,7 @@ def test_routing_service_routes():
     assert service.get("name") == "dds_trace"
     (route,) = service
     participants = route.findall("participant")
-    assert [(p.get("name"), p.findtext("domain_id")) for p in participants] == [
-        ("domain_5", "5"),
-        ("domain_10", "10"),
-    ]
+    assert [(p.get("name"), p.findtext("domain_id")) for p in participants] == [("domain_5", "5"), ("domain_10", "10")]
     for participant in participants:
         registered = [(t.get("name"), t.get("type_name")) for t in participant.findall("registered_type")]
         assert registered == [(name, name) for name in (IMAGE, IMU, STRING)]
@@ -435,16 +402,7 @@ def test_no_topic_leaves_a_domain_and_comes_back_under_the_same_name():
 @pytest.mark.parametrize(
     "value",
     [
-        {
-            "a": "plain",
-            "b": "",
-            "c": "yes",
-            "d": "5",
-            "e": "a: b",
-            "f": 'quo"te',
-            "g": "#no comment",
-            "h": "Ünï",
-        },
+        {"a": "plain", "b": "", "c": "yes", "d": "5", "e": "a: b", "f": 'quo"te', "g": "#no comment", "h": "Ünï"},
         {"n": 5, "t": True, "none": None, "list": ["x", 1, {"deep": [1, 2]}, ["y"]], "empty": {}, "nil": []},
     ],
 )

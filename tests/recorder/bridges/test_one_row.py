@@ -75,9 +75,7 @@ def test_a_toy_bridge_is_listed_and_shows_its_configuration():
 
 @pytest.mark.usefixtures("toy_row")
 def test_a_toy_bridge_is_a_value_of_a_plans_axis():
-    plan = parse_plan(
-        '[run]\nmessages = 1\n[axes]\nbridge = ["none", "toy"]\n', "plan", "plan.toml", by_hand=True
-    )
+    plan = parse_plan('[run]\nmessages = 1\n[axes]\nbridge = ["none", "toy"]\n', "plan", "plan.toml", by_hand=True)
     same, through = plan.cells
     assert through.name == "ros2_toy_binary_10Hz"
     assert not plan.runs_halves(through)  # as its own fact `halves` says

@@ -9,13 +9,7 @@ import time
 from pathlib import Path
 
 from dds_trace.recorder.host import fingerprint
-from dds_trace.recorder.host.clock import (
-    ClockAnchor,
-    SystemClock,
-    read_adjtimex,
-    read_monotonic_pair,
-    sharpen_sleep,
-)
+from dds_trace.recorder.host.clock import ClockAnchor, SystemClock, read_adjtimex, read_monotonic_pair, sharpen_sleep
 from dds_trace.recorder.host.fingerprint import read_boot_id
 
 

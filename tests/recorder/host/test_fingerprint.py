@@ -33,7 +33,7 @@ def test_fingerprint_is_json_with_every_field_of_the_trace_format():
     assert fingerprint["cpu_model"]
     assert fingerprint["mtu"]["lo"] > 0
     assert {"cpu_governor", "socket_buffers", "clock_source", "kernel_realtime", "container", "wifi"} <= set(
-        fingerprint,
+        fingerprint
     )
 
 

@@ -16,13 +16,7 @@ from waiting import wait_until
 from dds_trace.base.errors import OptionError
 from dds_trace.base.threads import run_in_background
 from dds_trace.recorder.bridges.process import guard
-from dds_trace.recorder.host.process import (
-    STOP_SIGNALS,
-    apply_privileges,
-    parse_cpus,
-    set_realtime,
-    stop_at_signals,
-)
+from dds_trace.recorder.host.process import STOP_SIGNALS, apply_privileges, parse_cpus, set_realtime, stop_at_signals
 
 # Each runs in a process of its own: priority and affinity must not reach the other tests.
 REALTIME = """
@@ -76,8 +70,7 @@ def test_without_options_nothing_changes():
 
 
 @pytest.mark.parametrize(
-    ("text", "cpus"),
-    [("3", [3]), ("0,2", [0, 2]), ("2-4", [2, 3, 4]), ("0, 2-3", [0, 2, 3]), ("1,1", [1])],
+    ("text", "cpus"), [("3", [3]), ("0,2", [0, 2]), ("2-4", [2, 3, 4]), ("0, 2-3", [0, 2, 3]), ("1,1", [1])]
 )
 def test_cpu_lists(text, cpus):
     assert parse_cpus(text) == cpus

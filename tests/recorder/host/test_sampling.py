@@ -62,9 +62,7 @@ def test_dropped_datagrams_are_read_from_the_kernel(monkeypatch):
 
 def test_pressure_and_stolen_time_are_totals_since_boot(monkeypatch):
     pressure = "some avg10=75.08 avg60=81.32 avg300=89.07 total=7022655707\nfull avg10=0.00 total=3\n"
-    monkeypatch.setattr(
-        sampling, "read_text", {"/proc/pressure/cpu": pressure, "/proc/pressure/io": "odd"}.get
-    )
+    monkeypatch.setattr(sampling, "read_text", {"/proc/pressure/cpu": pressure, "/proc/pressure/io": "odd"}.get)
     monkeypatch.setattr(sampling.psutil, "cpu_percent", lambda **_options: [0.0])
     monkeypatch.setattr(sampling.psutil, "cpu_times", lambda: type("Times", (), {"steal": 26.82}))
     host = HostSampler(lambda _sample: None).sample()["host"]

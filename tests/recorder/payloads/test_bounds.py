@@ -31,9 +31,7 @@ class StopAtThird(threading.Event):
 
 def load(data, size_bytes=None, stop=None):
     stop = stop or threading.Event()
-    with open_payload(
-        data, size_bytes, 3, open_node=lambda: pytest.fail("a node"), wait_s=0, stop=stop
-    ) as payload:
+    with open_payload(data, size_bytes, 3, open_node=lambda: pytest.fail("a node"), wait_s=0, stop=stop) as payload:
         return payload
 
 

@@ -76,9 +76,7 @@ def test_messages_of_a_bag_keep_all_but_their_header(tmp_path, plugin):
     for count, message in zip((3, 100, 7), payload.messages, strict=True):
         stamps = data_type.raw.stamp
         stamps.write(message.data, 0xAB, 12)
-        stamps.write_nanoseconds(
-            message.data, 8_000_000_009 - stamps.write_second(message.data, 8_000_000_001)
-        )
+        stamps.write_nanoseconds(message.data, 8_000_000_009 - stamps.write_second(message.data, 8_000_000_001))
         assert stamps.read(message.data) == (0xAB, 12, 0)
         sent, original = ROS2.deserialize_cdr(bytes(message.data), data_type.type_name), points(count)
         assert sent.header.frame_id == stamp_text(0xAB, 12).decode()
@@ -134,9 +132,7 @@ def test_a_bag_of_ros_1_becomes_cdr(tmp_path):
 def test_a_bag_that_cannot_be_sent_is_refused_in_one_line(tmp_path, monkeypatch):
     vector = ROS2.types["geometry_msgs/msg/Vector3"](1.0, 2.0, 3.0)
     bag = write_bag2(tmp_path / "bag", {"/camera/image": [image(4)] * 3, "/vector": [vector]})
-    with pytest.raises(
-        OptionError, match=r"bag has no topic /camra/image; the nearest of its 2 is /camera/image$"
-    ):
+    with pytest.raises(OptionError, match=r"bag has no topic /camra/image; the nearest of its 2 is /camera/image$"):
         load(f"bag:{bag}#/camra/image")
     with pytest.raises(OptionError, match=r"geometry_msgs/msg/Vector3 does not start with a std_msgs/Header"):
         load(f"bag:{bag}#/vector")
@@ -161,9 +157,7 @@ def test_without_rosbags_the_extra_is_named(monkeypatch):
 
 
 def test_a_relay_serves_each_type_once():
-    served = served_data_types(
-        ["sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"]
-    )
+    served = served_data_types(["sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"])
     assert [data_type.name for data_type in served] == ["binary", "string", "imu", "pointcloud2"]
 
 

@@ -69,12 +69,7 @@ def write_time(place, message, wall_ns):
 
 @pytest.mark.parametrize(
     ("nanoseconds", "written"),
-    [
-        (0, (8, 0)),
-        (999_999_999, (8, 999_999_999)),
-        (1_000_000_000, (9, 0)),
-        (2_500_000_001, (10, 500_000_001)),
-    ],
+    [(0, (8, 0)), (999_999_999, (8, 999_999_999)), (1_000_000_000, (9, 0)), (2_500_000_001, (10, 500_000_001))],
 )
 def test_a_second_that_ends_between_its_writing_and_the_stamp(nanoseconds, written):
     raw, header = bytearray(64), SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=77))
@@ -126,9 +121,7 @@ def test_a_reply_differs_in_the_relay_alone():
     assert reply == header_message(TEXT[:38] + b"0000002a")
 
 
-@pytest.mark.parametrize(
-    "message", [b"", b"\0\1\0\0", header_message(b"camera_frame"), header_message(b"x" * 46)]
-)
+@pytest.mark.parametrize("message", [b"", b"\0\1\0\0", header_message(b"camera_frame"), header_message(b"x" * 46)])
 def test_foreign_messages_are_left_alone(message):
     assert RAW_HEADER_STAMP.read(message) is None
     assert RAW_HEADER_STAMP.reply(message, b"0000002a") is None

@@ -34,9 +34,7 @@ def plan():
 def see(node, *, listening=(), answering=(), incompatible=(), unassignable=()):
     own = Endpoint("me", IMAGE)
     node.views = {
-        "binary_image": TopicView(
-            "binary_image", (own,), tuple(listening), tuple(incompatible), tuple(unassignable)
-        ),
+        "binary_image": TopicView("binary_image", (own,), tuple(listening), tuple(incompatible), tuple(unassignable)),
         "binary_image_relay": TopicView("binary_image_relay", tuple(answering), (own,)),
     }
 
@@ -143,9 +141,7 @@ def test_a_relay_that_is_silent_and_out_of_sight_is_lost(node):
     see(node)
     error = find_loss(node, BINARY, LASTING, ended=False)
     assert isinstance(error, RelayLostError)
-    assert str(error).startswith(
-        "the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); check"
-    )
+    assert str(error).startswith("the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); check")
 
 
 def test_a_silent_relay_in_sight_may_come_back_until_the_run_has_ended(node):

@@ -60,9 +60,7 @@ def test_a_ping_and_a_relay_of_message_objects_record_all_four_stages():
     node.publishers["imu_data_relay"].on_publish = lambda message: node.deliver("imu_data_relay", message)
     run = ping.run(sink, NEVER)
     assert run.serialization == "typed"
-    (message,) = {
-        id(sent): sent for sent in node.publishers["imu_data"].sent
-    }.values()  # one object, sent thrice
+    (message,) = {id(sent): sent for sent in node.publishers["imu_data"].sent}.values()  # one object, sent thrice
     assert message.made_of == (IMU.type_name, bytes(plan.payload.messages[0].data))
     assert HEADER_STAMP.read(message) == (run.run_id, 2, RELAY)
     for stage, relay_id in ((1, 0), (3, RELAY), (4, RELAY), (2, RELAY)):

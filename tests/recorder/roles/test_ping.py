@@ -74,9 +74,7 @@ def test_messages_go_when_they_were_planned():
     t0 = START_NS + LEAD_NS
     expected = [(run.run_id, n, t0 + 10 * n * MS, t0 + 10 * n * MS, 0, 0, 296, 0) for n in range(4)]
     assert link.sink.of_stage(1) == expected
-    assert link.sink.of_stage(2) == [
-        (run.run_id, n, t0 + (10 * n + 3) * MS, 0, 11, 12, 296, RELAY) for n in range(4)
-    ]
+    assert link.sink.of_stage(2) == [(run.run_id, n, t0 + (10 * n + 3) * MS, 0, 11, 12, 296, RELAY) for n in range(4)]
 
 
 def test_a_rate_that_does_not_divide_a_second_does_not_drift():
@@ -127,9 +125,7 @@ def test_the_event_is_kept_before_the_message_leaves():
 
 
 def test_the_run_is_described_at_start_and_end():
-    link = Link(
-        plan(messages=3, warmup=2, data_type=BINARY, bridge="builtin", relay_domain_id=10, labels={"a": "b"})
-    )
+    link = Link(plan(messages=3, warmup=2, data_type=BINARY, bridge="builtin", relay_domain_id=10, labels={"a": "b"}))
     run = link.run()
     started, finished = link.sink.runs
     assert finished == run
@@ -315,9 +311,7 @@ def test_a_reply_to_a_message_that_was_not_sent_is_a_strangers():
     assert link.ping.progress().received == 100
 
 
-@pytest.mark.parametrize(
-    "digits", [b"-fffffffffffffff", b"+000000000000001", b"0x00000000000001", b"00000000_0000001"]
-)
+@pytest.mark.parametrize("digits", [b"-fffffffffffffff", b"+000000000000001", b"0x00000000000001", b"00000000_0000001"])
 def test_numbers_that_are_no_hex_digits_are_no_stamp(digits):
     link = Link(plan(messages=3))
     answer = bytearray(plan().payload.messages[0].data)

@@ -45,11 +45,7 @@ def test_rate_and_count(payload, asked, rate_hz, messages):
 
 def test_the_trace_says_where_the_data_is_from():
     assert planned().extra == {"session_id": "00000000000000ab", "seed": 4, "settings": {}}
-    assert planned(RECORDED).extra == {
-        "session_id": "00000000000000ab",
-        "data_source": "bag:x#/imu",
-        "settings": {},
-    }
+    assert planned(RECORDED).extra == {"session_id": "00000000000000ab", "data_source": "bag:x#/imu", "settings": {}}
     assert planned(bridge="builtin", bridge_running=True).extra["bridge_running"] is True
 
 

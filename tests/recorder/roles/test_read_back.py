@@ -68,9 +68,7 @@ def test_a_relay_learns_of_its_first_probe_at_once(monkeypatch):
 
 def test_what_a_bridge_does_not_use_is_told_and_kept_beside_the_own(monkeypatch):
     bench = Bench(monkeypatch, transport=Transport.DEFAULT)
-    of_bridge = Difference(
-        Setting.TUNED, "builtin: 8000000", "212992", "the bridge builtin: asked for buffers"
-    )
+    of_bridge = Difference(Setting.TUNED, "builtin: 8000000", "212992", "the bridge builtin: asked for buffers")
     bench.read_back.read_begin()
     bench.read_back.note_bridge((of_bridge,))
     bench.read_back.report()

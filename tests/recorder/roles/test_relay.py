@@ -25,9 +25,7 @@ class Bench:
         self.sink = ListSink(self.clock)
         ticks = itertools.count(1000, 1000)
         self.clock.monotonic_ns = lambda: next(ticks)
-        self.relay = Relay(
-            self.node, self.sink, RELAY, data_types=data_types().values(), qos=Qos(), clock=self.clock
-        )
+        self.relay = Relay(self.node, self.sink, RELAY, data_types=data_types().values(), qos=Qos(), clock=self.clock)
 
     def message(self, name, run_id, sequence, size=None):
         data_type = data_types()[name]
@@ -46,10 +44,7 @@ def test_every_data_type_is_served_at_once(name, size):
     raw = data_type.raw.stamp
     assert raw.read(reply) == (7, 3, RELAY)
     assert len(reply) == len(message)
-    assert bench.sink.events == [
-        (3, 7, 3, 1000, 0, 11, 12, size, RELAY),
-        (4, 7, 3, 2000, 0, 0, 0, size, RELAY),
-    ]
+    assert bench.sink.events == [(3, 7, 3, 1000, 0, 11, 12, size, RELAY), (4, 7, 3, 2000, 0, 0, 0, size, RELAY)]
 
 
 @pytest.mark.parametrize("name", ["binary", "string", "imu"])
@@ -69,9 +64,7 @@ def test_the_next_message_of_a_run_is_foreseen(name):
     for run_id, sequence, size in came:
         bench.node.deliver(data_type.topic, bytearray(bench.message(name, run_id, sequence, size)), 11, 12)
     raw, sent = data_type.raw, bench.node.publishers[data_type.relay_topic].sent
-    assert [raw.stamp.read(reply) for reply in sent] == [
-        (run_id, sequence, RELAY) for run_id, sequence, _ in came
-    ]
+    assert [raw.stamp.read(reply) for reply in sent] == [(run_id, sequence, RELAY) for run_id, sequence, _ in came]
     assert [event[1:3] + event[5:] for event in bench.sink.events if event[0] == 3] == [
         (run_id, sequence, 11, 12, raw.payload_bytes_of(bench.message(name, run_id, sequence, size)), RELAY)
         for run_id, sequence, size in came

@@ -101,9 +101,7 @@ def test_a_recording_outlives_its_capture(sink):
     record.begin(8)
     record.write_relay(3, SESSION_ID, sink)
     assert (sink.runs, sink.texts, record.processes) == ([], [], {})
-    assert notes == [
-        "the capturing process ended by itself; the recording continues without counts of the wire"
-    ]
+    assert notes == ["the capturing process ended by itself; the recording continues without counts of the wire"]
 
 
 def test_without_the_option_nothing_is_captured(sink):

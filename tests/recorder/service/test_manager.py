@@ -23,12 +23,7 @@ def listening(tmp_path, request):
 def test_ready_once_then_status_now_and_then_and_the_watchdog_at_each_look(listening):
     listener, address = listening
     now_s = 100.0
-    environment = {
-        "NOTIFY_SOCKET": address,
-        "WATCHDOG_USEC": "2000000",
-        "WATCHDOG_PID": str(os.getpid()),
-        "A": "b",
-    }
+    environment = {"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid()), "A": "b"}
     manager = ServiceManager(environment, lambda: now_s)
     assert environment == {"A": "b"}  # nobody speaks for us
     manager.notify("1 message")

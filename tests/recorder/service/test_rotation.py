@@ -26,13 +26,7 @@ def files(tmp_path):
 
 def test_numbers_go_on_behind_the_highest_that_is_taken(files, tmp_path):
     assert files.next().path == tmp_path / "relay.00001.mcap"
-    for name in (
-        "relay.00001.mcap",
-        "relay.mcap",
-        "relay.9.mcap",
-        "arelay.00050.mcap",
-        "relay.00060.mcap.bak",
-    ):
+    for name in ("relay.00001.mcap", "relay.mcap", "relay.9.mcap", "arelay.00050.mcap", "relay.00060.mcap.bak"):
         (tmp_path / name).touch()
     assert files.next().path.name == "relay.00002.mcap"
     (tmp_path / "relay.00007.mcap.ring").touch()  # of a killed recorder that had not even begun its trace

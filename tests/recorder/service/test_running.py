@@ -13,13 +13,7 @@ import time
 import pytest
 from trace_files import relay_session
 
-from dds_trace.recorder.service.running import (
-    SUFFIX,
-    RunningRecording,
-    State,
-    list_recordings,
-    runtime_folder,
-)
+from dds_trace.recorder.service.running import SUFFIX, RunningRecording, State, list_recordings, runtime_folder
 from dds_trace.tracefile.format.ring import ring_path
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
@@ -103,9 +97,7 @@ def test_an_entry_is_believed_only_with_its_lock_and_its_process(tmp_path):
     assert sorted(each.state.value for each in list_recordings([tmp_path])) == ["killed", "running"]
     with copy.open("r+") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        copy.write_text(
-            json.dumps(told | {"pid_start": told["pid_start"] - 1})
-        )  # an earlier process of this id
+        copy.write_text(json.dumps(told | {"pid_start": told["pid_start"] - 1}))  # an earlier process of this id
         assert sorted(each.state.value for each in list_recordings([tmp_path])) == ["running", "unseen"]
     for damage in ("", "{", "[]", "null", '{"role": 1}', "\0" * 9000):
         copy.write_text(damage)

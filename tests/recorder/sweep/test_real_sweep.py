@@ -65,10 +65,7 @@ class Sweep:
         return Counter(cell["status"] for cell in self.cells.values())
 
     def traces(self, role):
-        return {
-            path.name.removesuffix(f".{role}.mcap"): read_trace(path)
-            for path in self.runs.glob(f"*.{role}.mcap")
-        }
+        return {path.name.removesuffix(f".{role}.mcap"): read_trace(path) for path in self.runs.glob(f"*.{role}.mcap")}
 
 
 @pytest.fixture
@@ -134,8 +131,7 @@ def test_latencies_show_the_link_between_two_namespaces(sweep):
     ((name, ping),) = small.traces("ping").items()
     sent, replies = ping.events[Stage.T1], ping.events[Stage.T2]
     rtt_ms = [
-        (receive_ns - dict(zip(sent.sequence.tolist(), sent.monotonic_ns.tolist(), strict=True))[sequence])
-        / 1e6
+        (receive_ns - dict(zip(sent.sequence.tolist(), sent.monotonic_ns.tolist(), strict=True))[sequence]) / 1e6
         for sequence, receive_ns in zip(replies.sequence.tolist(), replies.monotonic_ns.tolist(), strict=True)
     ]
     # Each way: 10 ms of delay, and 33,000 bytes at 54 Mbit/s of which 3,028 pass at once.
@@ -182,8 +178,7 @@ def test_relay_over_ssh(sweep, robot, tmp_path):
 def test_half_of_a_bridge_beside_the_relay_over_ssh(sweep, robot):
     pytest.importorskip("zenoh", reason="no zenoh here")
     small = sweep(
-        'discovery = "localhost"\n[axes]\ndata = "imu"\nrate = 50\nbridge = ["none", "builtin-zenoh"]\n'
-        + robot
+        'discovery = "localhost"\n[axes]\ndata = "imu"\nrate = 50\nbridge = ["none", "builtin-zenoh"]\n' + robot
     )
     code, _, stderr = small.run()
     assert code == 0, stderr

@@ -52,10 +52,7 @@ def test_limit_is_found_within_the_resolution(limit_hz):
 
 @pytest.mark.parametrize(
     ("sustains", "knee"),
-    [
-        (True, (RateAnswer.AT_LEAST, 1000, None, "")),
-        (False, (RateAnswer.BELOW, 1, 1, "1 is too much")),
-    ],
+    [(True, (RateAnswer.AT_LEAST, 1000, None, "")), (False, (RateAnswer.BELOW, 1, 1, "1 is too much"))],
 )
 def test_middleware_that_sustains_everything_or_nothing(sustains, knee):
     found, trials = search(lambda *_: sustains)
@@ -116,9 +113,7 @@ def test_conditions_of_a_rate_that_holds(changes, why):
 def test_runs_are_long_enough_for_the_percentile():
     needed = {50.0: 2, 90.0: 10, 95.0: 20, 99.0: 100, 99.9: 1000}
     assert {p: messages_needed(Search(percentile=p)) for p in needed} == needed
-    plan = search_plan(
-        parse_plan("[run]\nmessages = 7\n[axes]\nrate = [1, 10]\n[search]\nseconds = 5\n", "p", "p")
-    )
+    plan = search_plan(parse_plan("[run]\nmessages = 7\n[axes]\nrate = [1, 10]\n[search]\nseconds = 5\n", "p", "p"))
     assert plan.name == "p-max-rate"
     assert len(plan.cells) == 1
     assert plan.run.messages_at(2.0) == 100
@@ -170,9 +165,7 @@ def test_single_losses_of_half_the_limit_seldom_halve_the_answer(truth_hz):
 
         def trial(rate_hz, number, losses=losses, draws=draws):
             sent = max(100, int(rate_hz * settings.seconds))
-            lost = result(
-                published=sent, received=sent - int(draws.binomial(sent, 5e-4)), achieved_rate_hz=rate_hz
-            )
+            lost = result(published=sent, received=sent - int(draws.binomial(sent, 5e-4)), achieved_rate_hz=rate_hz)
             why = why_not_sustained(settings, rate_hz, lost)
             return losses.setdefault((rate_hz, number), why or "late" * (rate_hz > truth_hz))
 

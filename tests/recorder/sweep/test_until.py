@@ -68,9 +68,7 @@ def test_target_is_a_statistic_and_a_percentage(text, target):
     assert parse_target(text) == target
 
 
-@pytest.mark.parametrize(
-    "text", ["latency_p99", "latency_p99:5", "latency_p99:0%", "latency_p99:1.2.3%", ":5%"]
-)
+@pytest.mark.parametrize("text", ["latency_p99", "latency_p99:5", "latency_p99:0%", "latency_p99:1.2.3%", ":5%"])
 def test_other_targets_are_refused(text):
     with pytest.raises(OptionError, match="write STATISTIC:PERCENT"):
         parse_target(text)

@@ -92,15 +92,7 @@ def rows_of(rows):
 
 def sample(sequence, repeats=(), resent_after_ns=None, heartbeats=0):
     return SentSample(
-        0,
-        9,
-        100,
-        Stamp(1, sequence, 0),
-        {(0, 1): 0},
-        dict(enumerate(repeats)),
-        resent_after_ns,
-        0,
-        heartbeats,
+        0, 9, 100, Stamp(1, sequence, 0), {(0, 1): 0}, dict(enumerate(repeats)), resent_after_ns, 0, heartbeats
     )
 
 

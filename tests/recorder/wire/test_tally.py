@@ -199,14 +199,7 @@ def test_padding_of_a_short_frame_is_no_submessage():
 
 def test_requests_and_the_gap_between_heartbeats_without_data():
     tally = WireTally()
-    packets = [
-        heartbeat(1, 1),
-        heartbeat(1, 2),
-        acknack(1, 2),
-        acknack(3),
-        nack_frag(1),
-        acknack(1, 2, SEDP_WRITER),
-    ]
+    packets = [heartbeat(1, 1), heartbeat(1, 2), acknack(1, 2), acknack(3), nack_frag(1), acknack(1, 2, SEDP_WRITER)]
     packets += [message(3) + heartbeat(1, 3), heartbeat(1, 3)]
     add(tally, [ipv4(udp(rtps(packet))) for packet in packets], [0, 100, 101, 102, 103, 104, 200, 400])
     assert tally.run.requests == 2
@@ -216,18 +209,9 @@ def test_requests_and_the_gap_between_heartbeats_without_data():
 def test_when_it_all_began():
     tally = WireTally()
     announcement = data(1, bytes(50), writer=SPDP_WRITER)
-    packets = [
-        heartbeat(1, 1),
-        announcement,
-        message(0, run_id=0),
-        message(0, run_id=0, relay_id=5, number=8),
-    ]
+    packets = [heartbeat(1, 1), announcement, message(0, run_id=0), message(0, run_id=0, relay_id=5, number=8)]
     add(tally, [ipv4(udp(rtps(packet))) for packet in packets + packets])
-    assert (tally.beginnings.spdp_ns, tally.beginnings.data_ns, tally.beginnings.reply_ns) == (
-        1001,
-        1002,
-        1003,
-    )
+    assert (tally.beginnings.spdp_ns, tally.beginnings.data_ns, tally.beginnings.reply_ns) == (1001, 1002, 1003)
 
 
 def test_another_domains_participants_are_left_out_with_their_fragments():

@@ -9,12 +9,7 @@ from hypothesis import strategies as st
 
 from dds_trace.recorder.wire.packets.classes import TcpFlows, WireClass
 from dds_trace.recorder.wire.packets.packet_filter import PortRange
-from dds_trace.recorder.wire.tcp_info import (
-    ClosedConnections,
-    TcpConnection,
-    parse_tcp_info,
-    read_connections,
-)
+from dds_trace.recorder.wire.tcp_info import ClosedConnections, TcpConnection, parse_tcp_info, read_connections
 
 ACK, SYN = 0x10, 0x02
 
@@ -52,16 +47,7 @@ def test_sequence_numbers_wrap(start, steps):
 
 def test_fields_of_a_tcp_info_drawn_by_hand():
     info = bytearray(232)
-    for offset, value in {
-        16: 1448,
-        68: 23_000,
-        72: 1_500,
-        80: 10,
-        100: 7,
-        136: 90,
-        140: 80,
-        148: 20_000,
-    }.items():
+    for offset, value in {16: 1448, 68: 23_000, 72: 1_500, 80: 10, 100: 7, 136: 90, 140: 80, 148: 20_000}.items():
         struct.pack_into("=I", info, offset, value)
     struct.pack_into("=QQ", info, 200, 1_000_000, 9_000)
     assert parse_tcp_info(bytes(info), 7500, 40000) == TcpConnection(
@@ -84,8 +70,7 @@ def test_the_kernel_says_the_same_of_a_connection_by_either_door():
             info = client.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 256)
             own = parse_tcp_info(info, client.getsockname()[1], port)
             found = {
-                (one.local_port, one.remote_port): one
-                for one in read_connections([PortRange(port, port)]).values()
+                (one.local_port, one.remote_port): one for one in read_connections([PortRange(port, port)]).values()
             }
             here, there = client.getsockname()[1], port
             assert set(found) == {(here, there), (there, here)}

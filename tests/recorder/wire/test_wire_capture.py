@@ -49,12 +49,7 @@ def test_each_packet_of_the_loopback_interface_counts_once(own):
         found = capture.take()
     counts = found.counts
     assert counts.complete
-    assert {one.name: one.packets for one in counts.classes} == {
-        "spdp": 1,
-        "data": 5,
-        "data_again": 1,
-        "data_frag": 1,
-    }
+    assert {one.name: one.packets for one in counts.classes} == {"spdp": 1, "data": 5, "data_again": 1, "data_frag": 1}
     assert {one.direction for one in counts.classes} == {"local"}
     assert counts.total_bytes == 7 * (14 + 20 + 8) + len(rtps()) * 8 + 42 + sum(
         len(packet) - len(rtps())

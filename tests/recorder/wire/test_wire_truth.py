@@ -217,9 +217,7 @@ def test_fast_dds_own_statistics_agree(tmp_path, fastdds_statistics):
 
     def counted(topic):
         """Of all writers or readers of user topics, whose ids end in 03 and 04."""
-        return sum(
-            count for (name, entity), count in own.items() if name == topic and entity[-2:] in ("03", "04")
-        )
+        return sum(count for (name, entity), count in own.items() if name == topic and entity[-2:] in ("03", "04"))
 
     # One of them may still have been on its way to the listener when the ping ended.
     again = fragments_again(counts)

@@ -84,9 +84,7 @@ def test_unlike_conditions_are_not_compared():
 
 def test_bridges_are_contenders_across_domains():
     answer = Book(
-        make_analysis(
-            Measured(SLOW, **BRIDGED), Measured(FAST, bridge="zenoh-bridge-dds", domain_mode="different")
-        )
+        make_analysis(Measured(SLOW, **BRIDGED), Measured(FAST, bridge="zenoh-bridge-dds", domain_mode="different"))
     ).answer
     (verdict,) = answer.verdicts
     assert verdict.data == "Binary, different domains"
@@ -129,9 +127,7 @@ DEVICES = {"fast": 1, "pi": 9, "zero": 80}
 def on_three_devices(shares, **more):
     """Groups of two middlewares on devices of unlike speed; `shares` of the time that Zenoh takes of Fast DDS's."""
     return [
-        Measured(
-            [int(ns * speed * part) for ns in SLOW], ping_device=device, relay_device=device, **sides, **more
-        )
+        Measured([int(ns * speed * part) for ns in SLOW], ping_device=device, relay_device=device, **sides, **more)
         for (device, speed), share in zip(DEVICES.items(), shares, strict=True)
         for part, sides in ((1.0, {}), (share, ZENOH))
     ]
@@ -191,9 +187,7 @@ def test_a_bridge_has_its_price_on_each_device():
 
 
 def test_the_deadline_is_judged_in_words_and_the_worst_result_is_named(sentences):
-    analysis = make_analysis(
-        Measured([MS] * 8), Measured([*[MS] * 3, 9 * MS, "lost_return"], payload_bytes=1000)
-    )
+    analysis = make_analysis(Measured([MS] * 8), Measured([*[MS] * 3, 9 * MS, "lost_return"], payload_bytes=1000))
     rows = analysis.load_roundtrips().with_columns(group=(pl.col("run_id") - 0xA000).cast(pl.UInt32))
     freshness = freshness_frame(*paired(rows, deadline_ns=10 * MS))
     details = replace(analysis.details, freshness=freshness, deadline_ns=10 * MS)
@@ -223,9 +217,7 @@ def test_overview_lists_what_was_measured():
         title="kitchen",
     )
     overview = Book(analysis).overview
-    assert (
-        overview.brief == "Fast DDS; pi-one → pi-two; 5 messages in 2 runs, 4 received; 2026-09-21 14:13 UTC"
-    )
+    assert overview.brief == "Fast DDS; pi-one → pi-two; 5 messages in 2 runs, 4 received; 2026-09-21 14:13 UTC"
     assert overview.title == "kitchen"
     assert overview.facts == (
         Fact("Devices", "pi-one → pi-two"),

@@ -11,9 +11,7 @@ from dds_trace.reports.html import page
 def rows_of(analysis):
     environment = Book(analysis).environment
     return environment.columns, {
-        (section, row.name): (row.values, row.unlike)
-        for section, rows in environment.sections
-        for row in rows
+        (section, row.name): (row.values, row.unlike) for section, rows in environment.sections for row in rows
     }
 
 

@@ -18,8 +18,7 @@ def analysis_with(*findings, rates=RATES):
 
 def loss(group, **changes):
     return replace(
-        Finding(Severity.WARNING, "loss", f"group {group}", "1 of 2 is lost.", "Look at it.", (group,)),
-        **changes,
+        Finding(Severity.WARNING, "loss", f"group {group}", "1 of 2 is lost.", "Look at it.", (group,)), **changes
     )
 
 
@@ -71,11 +70,7 @@ def test_a_finding_of_a_recording_keeps_its_name_and_links_to_its_groups():
 
 @pytest.mark.parametrize(
     ("groups", "where"),
-    [
-        ((0, 1), "Binary 33 KB at 10 Hz; Binary 33 KB at 20 Hz"),
-        ((0, 1, 2, 3, 4, 5), "all 6 results"),
-        ((), "group 0"),
-    ],
+    [((0, 1), "Binary 33 KB at 10 Hz; Binary 33 KB at 20 Hz"), ((0, 1, 2, 3, 4, 5), "all 6 results"), ((), "group 0")],
 )
 def test_where_is_made_from_what_tells_the_groups_apart(groups, where):
     (kind,) = Book(analysis_with(loss(0, groups=groups))).findings
@@ -85,8 +80,7 @@ def test_where_is_made_from_what_tells_the_groups_apart(groups, where):
 
 def test_actions_that_differ_are_not_said_for_all():
     same, differing = (
-        Book(analysis_with(loss(0), loss(1, action=action))).findings[0]
-        for action in ("Look at it.", "Leave it.")
+        Book(analysis_with(loss(0), loss(1, action=action))).findings[0] for action in ("Look at it.", "Leave it.")
     )
     assert (same.common_action, differing.common_action) == ("Look at it.", "")
 
@@ -94,9 +88,7 @@ def test_actions_that_differ_are_not_said_for_all():
 def test_severities_are_counted_in_words_the_most_severe_first():
     kinds = Book(
         analysis_with(
-            *(Finding(severity, f"code_{n}", "w", "x.", "y.") for n, severity in enumerate(Severity)),
-            loss(0),
-            loss(1),
+            *(Finding(severity, f"code_{n}", "w", "x.", "y.") for n, severity in enumerate(Severity)), loss(0), loss(1)
         )
     ).findings
     assert severity_counts(kinds) == (("error", "1 error"), ("warning", "2 warnings"), ("info", "1 note"))

@@ -57,11 +57,7 @@ def test_series_and_cells_are_sorted_as_people_read():
             Measured([MS], payload_bytes=33_000),
         )
     )
-    assert groups.cells == (
-        Cell("binary", 33_000, 10.0),
-        Cell("binary", 4_000_000, 10.0),
-        Cell("imu", 296, 10.0),
-    )
+    assert groups.cells == (Cell("binary", 33_000, 10.0), Cell("binary", 4_000_000, 10.0), Cell("imu", 296, 10.0))
     assert groups.labels == ("Fast DDS", "Zenoh")
     assert [cell.label for cell in groups.cells] == [
         "Binary 33 KB at 10 Hz",
@@ -114,9 +110,7 @@ def test_a_bridge_is_short_at_the_end_of_a_line_and_has_its_vendor_only_where_tw
     bridged = {"bridge": "builtin", "domain_mode": "different"}
     one = facets_info(groups_info(make_analysis(Measured([MS]), Measured([MS], **bridged))))
     assert one.dimensions["choice"].short == ("Fast DDS", "built-in")
-    two = make_analysis(
-        Measured([MS], **bridged), Measured([MS], vendor="zenoh", relay_vendor="zenoh", **bridged)
-    )
+    two = make_analysis(Measured([MS], **bridged), Measured([MS], vendor="zenoh", relay_vendor="zenoh", **bridged))
     assert facets_info(groups_info(two)).dimensions["choice"].options == ("Fast DDS", "Zenoh")
     four = make_analysis(
         *(
@@ -144,9 +138,7 @@ def test_only_what_varies_can_be_filtered():
     size, rate = filters_info(groups)
     assert (size.key, [option.label for option in size.options]) == ("size", ["33 KB", "67 KB", "1 MB"])
     assert (rate.key, [option.value for option in rate.options]) == ("rate", ["20", "100"])
-    by_group = {
-        groups.cell_of(group).label: (size.index[i], rate.index[i]) for i, group in enumerate(groups.groups)
-    }
+    by_group = {groups.cell_of(group).label: (size.index[i], rate.index[i]) for i, group in enumerate(groups.groups)}
     assert by_group == {
         "Binary 33 KB at 100 Hz": (0, 1),
         "Binary 67 KB at 20 Hz": (1, 0),

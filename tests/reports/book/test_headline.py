@@ -92,8 +92,7 @@ def test_every_report_says_the_same_sentences_in_the_same_order(kind):
     book = Book(make_analysis(*groups))
     text = " ".join(load_reporter(kind).render(book).split()).replace("&#40;", "(").replace("&#41;", ")")
     places = [
-        text.find(part.split(":")[0].split("→")[0].strip())
-        for part in (book.answer.headline, *book.answer.points)
+        text.find(part.split(":")[0].split("→")[0].strip()) for part in (book.answer.headline, *book.answer.points)
     ]
     assert -1 not in places
     assert places == sorted(places)

@@ -16,9 +16,7 @@ def analysis_of(extras, *measured):
     """One session's `extra` after the other, in the order of the sessions."""
     analysis = make_analysis(*(measured or (Measured([MS]),)))
     held = [replace(session, extra=extra) for session, extra in zip(analysis.sessions, extras, strict=False)]
-    return replace(
-        analysis, sessions=(*held, *(replace(one, extra={}) for one in analysis.sessions[len(held) :]))
-    )
+    return replace(analysis, sessions=(*held, *(replace(one, extra={}) for one in analysis.sessions[len(held) :])))
 
 
 def facts(analysis):
@@ -26,10 +24,7 @@ def facts(analysis):
 
 
 def test_of_several_sessions_the_slowest_counts():
-    slower = {
-        "recorder_cost": {**COST, "record_p99_ns": 5000},
-        "client_library_floor": {**FLOOR, "messages": 20},
-    }
+    slower = {"recorder_cost": {**COST, "record_p99_ns": 5000}, "client_library_floor": {**FLOOR, "messages": 20}}
     analysis = analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}, slower])
     assert own_costs(analysis) == (OwnCost("fastdds", "ros2", 900, 5000, 400_000, 1_200_000, 20),)
     assert facts(analysis)["Cost of measuring"] == (
@@ -58,9 +53,7 @@ def test_of_several_middlewares_the_slowest_is_told_in_one_line():
     }
 
 
-@pytest.mark.parametrize(
-    "extra", [{}, {"client_library_floor": None}, {"client_library_floor": {"median_ns": "x"}}]
-)
+@pytest.mark.parametrize("extra", [{}, {"client_library_floor": None}, {"client_library_floor": {"median_ns": "x"}}])
 def test_what_was_not_measured_is_not_shown(extra):
     assert own_costs(analysis_of([extra])) == ()
     assert "Cost of measuring" not in facts(analysis_of([extra]))
@@ -68,9 +61,7 @@ def test_what_was_not_measured_is_not_shown(extra):
 
 @pytest.mark.parametrize("kind", ["html", "md", "terminal", "json"])
 def test_every_report_has_both(kind):
-    text = load_reporter(kind).render(
-        Book(analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}]))
-    )
+    text = load_reporter(kind).render(Book(analysis_of([{"recorder_cost": COST, "client_library_floor": FLOOR}])))
     words = " ".join(text.split())
     assert "recording an event 900 ns" in words
     assert "a message from a node to itself 400" in words

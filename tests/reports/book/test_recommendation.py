@@ -25,9 +25,7 @@ def advised(frame):
 
 
 def test_the_job_has_its_deadline_and_what_meets_it(sentences):
-    advice = advised(
-        pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)])
-    )
+    advice = advised(pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)]))
     assert advice.sentence.startswith("Fast DDS meets the deadline of 50 ms. With 3 runs")
     assert advice.sentence.endswith("missed in 73 %.")
     sentences(advice.job)
@@ -46,9 +44,7 @@ def test_one_run_is_not_said_to_meet_it():
 
 def test_it_stands_on_top_of_the_page_and_of_markdown():
     analysis = make_analysis(Measured([MS, MS]))
-    asked = replace(
-        analysis, details=replace(analysis.details, recommendation=recommend_settings(in_runs(MIXED), JOB))
-    )
+    asked = replace(analysis, details=replace(analysis.details, recommendation=recommend_settings(in_runs(MIXED), JOB)))
     book = Book(asked)
     for text in (render_html(book), render_markdown(book)):
         assert "within the deadline of 50 ms" in text

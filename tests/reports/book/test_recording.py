@@ -15,9 +15,7 @@ def analysis():
 def test_sessions_that_are_alike_are_one_row(analysis):
     ping, relay = analysis.sessions
     again = [
-        replace(
-            ping, session_id=n, dropped_events=n, host={**ping.host, "wifi": {"wlan0": {"signal_dbm": -n}}}
-        )
+        replace(ping, session_id=n, dropped_events=n, host={**ping.host, "wifi": {"wlan0": {"signal_dbm": -n}}})
         for n in (1, 2)
     ]
     elsewhere = replace(ping, session_id=3, host={**ping.host, "kernel": "6.8"}, state="open")

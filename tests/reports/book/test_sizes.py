@@ -16,9 +16,7 @@ from dds_trace.reports.reporters import load_reporter
 
 def test_a_row_has_both_domains_and_bold_is_where_the_verdict_holds():
     table = Book(
-        make_analysis(
-            Measured(around(2 * MS)), Measured(around(MS), **ZENOH), Measured(around(4 * MS), **BRIDGED)
-        )
+        make_analysis(Measured(around(2 * MS)), Measured(around(MS), **ZENOH), Measured(around(4 * MS), **BRIDGED))
     ).sizes
     assert table.modes == (("same domain", 2), ("different domains", 1))
     assert table.choices == ("Fast DDS", "Zenoh", "Fast DDS through our built-in bridge")
@@ -70,9 +68,7 @@ def test_a_deadline_passes_where_no_message_is_late_and_fails_with_the_worst_res
 
 def test_unsent_messages_miss_the_deadline():
     table = Book(with_deadline(5 * MS, Measured(around(MS), unsent=20))).sizes
-    assert table.places[0].thresholds == (
-        Threshold("fail", "1 of 1 result, worst 33 KB at 10 Hz: 50 % late"),
-    )
+    assert table.places[0].thresholds == (Threshold("fail", "1 of 1 result, worst 33 KB at 10 Hz: 50 % late"),)
 
 
 def test_a_deadline_that_no_message_was_judged_by_is_not_passed():

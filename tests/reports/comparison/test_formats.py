@@ -24,17 +24,14 @@ from dds_trace.reports.comparison.info import comparison_info
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
 GATES = [
-    parse_gate(t)
-    for t in ("latency_p50 > +10%", "latency_p50 > +2ms", "latency_p99 > 1ms", "received_ratio < 1%")
+    parse_gate(t) for t in ("latency_p50 > +10%", "latency_p50 > +2ms", "latency_p99 > 1ms", "received_ratio < 1%")
 ]
 
 
 def compared(**parameters):
     options = CompareOptions(metrics=("latency",), statistics=("p50", "p99"))
     found = compare_roundtrips(
-        in_runs([5 * MS] * 40, spread=1e-9, **parameters),
-        in_runs([6 * MS] * 40, spread=1e-9, **parameters),
-        options,
+        in_runs([5 * MS] * 40, spread=1e-9, **parameters), in_runs([6 * MS] * 40, spread=1e-9, **parameters), options
     )
     return found, comparison_info(found, judge_gates(found, GATES))
 
@@ -56,9 +53,7 @@ def many():
         )
 
     base = pl.concat([side(MS), in_runs([MS] * 20, payload_bytes=7)])
-    found = compare_roundtrips(
-        base, side(2 * MS), CompareOptions(metrics=("latency",), statistics=("p50", "p90"))
-    )
+    found = compare_roundtrips(base, side(2 * MS), CompareOptions(metrics=("latency",), statistics=("p50", "p90")))
     return found, comparison_info(found, judge_gates(found, GATES[:1]))
 
 
@@ -67,14 +62,8 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first():
     short, whole = terminal.render(info), terminal.render(info, shows_all=True)
     for text in (short, whole):
         assert max(map(len, text.splitlines())) <= 80
-        assert text.startswith(
-            "Slower in 1 of 30 results, most the median of the latency in Binary 30 KB at 10"
-        )
-        assert (
-            text.index("Changes of the median below")
-            < text.index("1 ms → 2 ms")
-            < text.rindex("Binary 1 KB at")
-        )
+        assert text.startswith("Slower in 1 of 30 results, most the median of the latency in Binary 30 KB at 10")
+        assert text.index("Changes of the median below") < text.index("1 ms → 2 ms") < text.rindex("Binary 1 KB at")
         assert "109)" in text
         assert "Only in the base:\n  Binary 7 B at 10 Hz" in text
     assert whole.count("the same\n") == 29
@@ -100,17 +89,7 @@ def test_markdown_says_the_answer_first_then_gates_then_groups():
         "100 %",
         "slower",
     ]
-    assert rows[1][1:] == [
-        "Latency median",
-        "5 ms",
-        "6 ms",
-        "+20 %",
-        "+20 to +20 %",
-        "0%",
-        "3 and 3",
-        "0 %",
-        "slower",
-    ]
+    assert rows[1][1:] == ["Latency median", "5 ms", "6 ms", "+20 %", "+20 to +20 %", "0%", "3 and 3", "0 %", "slower"]
     assert rows[2][1:6] == ["Latency p99", "5 ms", "6 ms", "+20 %", "-"]
     assert rows[2][7:] == ["3 and 3, within one run", "", "no clear change"]
 
@@ -156,9 +135,7 @@ def test_json_follows_its_schema_to_the_last_field(case):
         "lost": lambda: _with_info(compare_roundtrips(in_runs([5 * MS] * 200), in_runs(lossy))),
         "ignored": lambda: _with_info(
             compare_roundtrips(
-                steady([MS]),
-                steady([MS]),
-                CompareOptions(match=match_without(["bridge", "domain_mode", "vendor"])),
+                steady([MS]), steady([MS]), CompareOptions(match=match_without(["bridge", "domain_mode", "vendor"]))
             )
         ),
         "nothing": lambda: _with_info(compare_roundtrips(steady([MS]), steady([MS], vendor="zenoh"))),
@@ -172,9 +149,7 @@ def test_json_follows_its_schema_to_the_last_field(case):
         lost = {row["statistic"] for row in group["changes"] if row["new_is_lost"] and row["new_ns"] is None}
         assert lost == {"mean", "p90", "p95", "p99"}
         base, new = (group["distributions"][0][side] for side in ("base", "new"))
-        assert [one["level"] for one in base] == [
-            level for level in DISTRIBUTION_LEVELS if level <= 1 - 1 / 600
-        ]
+        assert [one["level"] for one in base] == [level for level in DISTRIBUTION_LEVELS if level <= 1 - 1 / 600]
         assert max(one["level"] for one in new) == 0.8
     if case == "ignored":
         assert not {"bridge", "domain_mode", "vendor"} & set(told["groups"][0]["parameters"])

@@ -74,10 +74,7 @@ def test_the_second_sentence_says_which_changes_would_not_be_seen():
     assert info.said == "Nothing is shown to be slower in 1 result."
     # The runs agree to 0.1 %, yet a change within 5 % is called the same.
     assert info.seen == "Changes of the median below 4.84 % would not be seen."
-    assert (
-        comparison_info(compared_at(6)).said
-        == "Slower in 1 of 1 result, most the median of the latency: +20 %."
-    )
+    assert comparison_info(compared_at(6)).said == "Slower in 1 of 1 result, most the median of the latency: +20 %."
 
 
 def test_too_few_runs_do_not_reassure():
@@ -112,6 +109,4 @@ def test_a_missing_group_has_its_name_too():
     found = compare_roundtrips(base, in_runs([MS] * 9), OPTIONS)
     info = comparison_info(found, judge_gates(found, [parse_gate("latency_p50 > +10%")]))
     assert info.only_base == ("Binary 7 B at 10 Hz",)
-    assert [gate.where for gate in info.gates if gate.result.outcome.value == "regressed"] == [
-        "Binary 7 B at 10 Hz"
-    ]
+    assert [gate.where for gate in info.gates if gate.result.outcome.value == "regressed"] == ["Binary 7 B at 10 Hz"]

@@ -42,9 +42,7 @@ def test_every_mark_is_within_its_bound_of_the_clock_that_was_set(shifted, truth
 
 def test_the_drift_is_in_the_title(shifted):
     (pair,) = clock_info(Book(shifted)).pairs
-    drift, within = map(
-        float, re.fullmatch(r"alpha → beta: drift \+([\d.]+) ± ([\d.]+) ppm", pair.title).groups()
-    )
+    drift, within = map(float, re.fullmatch(r"alpha → beta: drift \+([\d.]+) ± ([\d.]+) ppm", pair.title).groups())
     assert abs(drift - DRIFT_PPM) <= within < DRIFT_PPM
     assert isinstance(clock_figure(clock_info(Book(shifted))), Figure)
 

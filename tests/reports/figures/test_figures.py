@@ -119,9 +119,7 @@ def test_vendor_comparison_puts_groups_of_one_cell_above_one_another(campaign):
 
 def test_a_panel_without_a_loss_is_left_out_of_what_was_received():
     lossy = Measured([MS, "lost_return"], data_type="string", payload_bytes=100)
-    assert [panel.title for panel in RECEIVED.info(Book(make_analysis(Measured([MS]), lossy))).panels] == [
-        "String"
-    ]
+    assert [panel.title for panel in RECEIVED.info(Book(make_analysis(Measured([MS]), lossy))).panels] == ["String"]
     assert RECEIVED.info(Book(make_analysis(Measured([MS])))).panels == ()
 
 
@@ -156,9 +154,7 @@ def test_domain_difference_pairs_no_unlike_groups():
 
 def test_every_bridge_is_compared_with_the_same_domain():
     both = make_analysis(
-        Measured([MS]),
-        Measured([MS], **BRIDGED),
-        Measured([MS], bridge="zenoh-bridge-dds", domain_mode="different"),
+        Measured([MS]), Measured([MS], **BRIDGED), Measured([MS], bridge="zenoh-bridge-dds", domain_mode="different")
     )
     # Sorted by bridge: builtin 0, none 1, zenoh-bridge-dds 2.
     assert domain_difference_info(Book(both)).pairs == ((1, 0), (1, 2))
@@ -244,9 +240,7 @@ def test_a_few_groups_are_one_chart_in_place_of_figures_with_a_dot_each(campaign
 def test_clock_shows_offsets_since_the_first():
     info = clock_info(Book(make_analysis(Measured([MS, MS]))))
     assert info.pairs == (
-        ClockPair(
-            "pi-one → pi-two: drift +20 ± 1 ppm", 500, (0.0, 10.0), (0, 200_000), (50_000, 50_000), (0, 0)
-        ),
+        ClockPair("pi-one → pi-two: drift +20 ± 1 ppm", 500, (0.0, 10.0), (0, 200_000), (50_000, 50_000), (0, 0)),
     )
 
 
@@ -354,11 +348,7 @@ def test_nothing_empty_is_drawn():
     empty, lost = (Book(EVERY_ANALYSIS[name]()) for name in ("empty folder", "nothing came back"))
     assert all(isinstance(maker.draw(empty), LeftOut) for maker in FIGURES)
     made = [maker.draw(lost) for maker in FIGURES]
-    assert [figure.name for figure in made if isinstance(figure, Figure)] == [
-        "received",
-        "timeline",
-        "host_load",
-    ]
+    assert [figure.name for figure in made if isinstance(figure, Figure)] == ["received", "timeline", "host_load"]
 
 
 def test_a_figure_left_out_says_why():

@@ -71,23 +71,17 @@ def test_a_filter_acts_on_every_figure_and_table_and_on_the_address(reader, page
     tab = reader.open(pages("small campaign"))
     reader.draw_all()
     names = tab.evaluate("blocks.map(b => b.name)")
-    before = {
-        name: tab.evaluate("n => blocks.find(b => b.name === n).drawn.rows.length", name) for name in names
-    }
+    before = {name: tab.evaluate("n => blocks.find(b => b.name === n).drawn.rows.length", name) for name in names}
     marks_before = reader.marks("vendor_comparison")
     assert marks_before == 32
     tab.locator("[data-filter=vendor] summary").click()
     tab.get_by_label("Zenoh", exact=True).check()
     reader.draw_all()
-    after = {
-        name: tab.evaluate("n => blocks.find(b => b.name === n).drawn.rows.length", name) for name in names
-    }
+    after = {name: tab.evaluate("n => blocks.find(b => b.name === n).drawn.rows.length", name) for name in names}
     assert all(0 < after[name] < before[name] for name in names)
     assert reader.marks("vendor_comparison") == 16
     assert tab.locator(".count").inner_text() == "16 of 32 results"
-    tab.locator("#groups-table tbody tr").nth(16).wait_for(
-        state="detached"
-    )  # the figures in sight come first
+    tab.locator("#groups-table tbody tr").nth(16).wait_for(state="detached")  # the figures in sight come first
     assert tab.locator("#groups-table tbody tr").count() == 16
     assert tab.evaluate("location.hash") == "#vendor=Zenoh"
     tab.locator("#reset").click()
@@ -121,9 +115,7 @@ def test_a_link_within_the_page_keeps_the_view_and_opens_its_finding(reader, pag
 
 
 @pytest.mark.parametrize("viewport", [(1280, 800), (390, 844)])
-def test_the_first_screen_says_what_was_measured_what_came_out_and_what_is_doubtful(
-    read_with, pages, viewport
-):
+def test_the_first_screen_says_what_was_measured_what_came_out_and_what_is_doubtful(read_with, pages, viewport):
     width, height = viewport
     one = read_with(viewport={"width": width, "height": height})
     tab = one.open(pages("small campaign"))
@@ -139,11 +131,7 @@ def test_a_recommendation_stands_first_and_does_not_stick_out_on_a_phone(read_wi
     analysis = EVERY_ANALYSIS["small campaign"]()
     rows = [(ns, 5000 + place * 100) for place, ns in enumerate((MS, 40 * MS))]
     frame = pl.concat(
-        in_runs(
-            [ns + n * 37 % 101 for n in range(300)],
-            run_id=run_id,
-            setting=f"a_long_setting={run_id},tuned=true",
-        )
+        in_runs([ns + n * 37 % 101 for n in range(300)], run_id=run_id, setting=f"a_long_setting={run_id},tuned=true")
         for ns, run_id in rows
     )
     recommendation = recommend_settings(frame, Job("binary", 33_000, 10.0, 50 * MS, 0.9))
@@ -184,9 +172,7 @@ def lossy_report():
     """A base of 40 messages, all back; through a bridge 30 of 40 sent came back and 10 more never left."""
     ramp = [MS + 10_000 * number for number in range(40)]
     bridged = [*ramp[:30], *["lost_return"] * 10]
-    others = (
-        Measured(ramp[:1], rate_hz=float(rate)) for rate in range(11, 23)
-    )  # too many for the chart of dots
+    others = (Measured(ramp[:1], rate_hz=float(rate)) for rate in range(11, 23))  # too many for the chart of dots
     analysis = make_analysis(
         Measured(ramp), Measured(bridged, bridge="builtin", domain_mode="different", unsent=10), *others
     )
@@ -288,11 +274,7 @@ def test_figures_download(reader, pages):
     tab = reader.open(pages("small campaign"))
     reader.draw_all()  # a figure that is drawn when it is scrolled to would move the button away from the pointer
     saved = {}
-    names = {
-        "latency_by_size": "by-size-latency-p50",
-        "heatmap": "heatmap",
-        "timeline": "timeline",
-    }
+    names = {"latency_by_size": "by-size-latency-p50", "heatmap": "heatmap", "timeline": "timeline"}
     for figure, name in names.items():
         tab.locator(f"#figure-{figure} .fold").evaluate("fold => { fold.open = true; }")
         for kind in ("csv", "svg", "png"):
@@ -325,9 +307,7 @@ def test_page_and_python_write_numbers_alike(reader, pages):
     ):
         assert tab.evaluate(f"values => values.map({name})", values) == [function(value) for value in values]
     ratios = [0, 1, 0.5, 0.99999, 0.00001, 0.9967, 0.123456]
-    assert tab.evaluate("values => values.map(formatRatio)", ratios) == [
-        format_ratio(value) for value in ratios
-    ]
+    assert tab.evaluate("values => values.map(formatRatio)", ratios) == [format_ratio(value) for value in ratios]
     assert tab.evaluate("[formatNs(null), formatRatio(null), formatCount(null)]") == ["-", "-", "-"]
 
 
@@ -377,9 +357,7 @@ ONE_ROW_OF_A_KIND = """for (const body of document.querySelectorAll("tbody")) {
 def test_axe_finds_nothing_against_wcag_aa(read_with, pages, name, scheme, width):
     """Contrasts of rows that look alike are left to the slow test, which takes each of them."""
     tab = opened_for_axe(read_with, pages(name), scheme, width)
-    assert (
-        violations(tab, OUTSIDE_PLOTS, f"{AXE_RULES}, rules: {{'color-contrast': {{enabled: false}}}}") == []
-    )
+    assert violations(tab, OUTSIDE_PLOTS, f"{AXE_RULES}, rules: {{'color-contrast': {{enabled: false}}}}") == []
     tab.evaluate(ONE_ROW_OF_A_KIND)
     assert violations(tab, OUTSIDE_PLOTS, "['color-contrast']") == []
 
@@ -427,9 +405,7 @@ def violations(tab, where, rules=AXE_RULES):
 
 @pytest.mark.parametrize("name", ["lossy machine", "study"])
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1360), ("dark", 420)])
-def test_axe_finds_nothing_in_the_first_screen_of_a_campaign_with_losses(
-    read_with, pages, name, scheme, width
-):
+def test_axe_finds_nothing_in_the_first_screen_of_a_campaign_with_losses(read_with, pages, name, scheme, width):
     one = read_with(color_scheme=scheme, viewport={"width": width, "height": 900})
     tab = one.open(pages(name))
     tab.evaluate("for (const details of document.querySelectorAll('.first details')) details.open = true")
@@ -469,9 +445,7 @@ def test_pictures_have_the_widths_of_print_on_white_in_any_theme(read_with, page
     for width, mm in (("column", 84), ("page", 174)):
         tab.locator("#save-width").select_option(width)
         for panel in (0, 2):
-            figure = tab.locator(
-                "#figure-vendor_comparison, [data-figure]:has([data-panel]:not([hidden]))"
-            ).first
+            figure = tab.locator("#figure-vendor_comparison, [data-figure]:has([data-panel]:not([hidden]))").first
             figure.locator("[data-panel]").select_option(index=panel)
             with tab.expect_download() as download:
                 figure.locator("[data-save=svg]").click()

@@ -78,18 +78,14 @@ def test_a_mark_a_tile_a_row_a_finding_and_the_headline_open_their_group(reader,
         assert tab.locator("#group-figures .row").count() == len(tab.locator("#group-figures h3").all()), (
             "one row a figure"
         )
-        assert tab.locator("#group-runs tbody tr").count() == 1, (
-            "the fixture has the rows of one run of each group"
-        )
+        assert tab.locator("#group-runs tbody tr").count() == 1, "the fixture has the rows of one run of each group"
         tab.keyboard.press("Escape")
         tab.locator("dialog#group").wait_for(state="hidden")
         return said
 
     headline = opened(tab.locator(".headline a").click)
     assert headline.startswith(tab.evaluate(f"cellOf({worst}).label"))
-    links = [
-        int(link.get_attribute("data-group")) for link in tab.locator(".findings a[data-group]").all()[:3]
-    ]
+    links = [int(link.get_attribute("data-group")) for link in tab.locator(".findings a[data-group]").all()[:3]]
     ratio = tab.evaluate("groups => groups.map(g => DATA.values.plain.received_ratio[g])", links)
     assert ratio == sorted(ratio), "worst first"
     row = tab.locator("#groups-table tbody tr").nth(4)

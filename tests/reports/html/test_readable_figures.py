@@ -55,15 +55,10 @@ def test_the_page_spreads_groups_as_python_does(reader, pages):
     tab = reader.open(pages("study"))
 
     def shown(name):
-        return [
-            (title, [(o, tuple(x), tuple(g)) for o, x, g in lines])
-            for title, lines in tab.evaluate(PANELS, name)
-        ]
+        return [(title, [(o, tuple(x), tuple(g)) for o, x, g in lines]) for title, lines in tab.evaluate(PANELS, name)]
 
     def told(info):
-        return [
-            (panel.title, [(line.line, line.x, line.groups) for line in panel.lines]) for panel in info.panels
-        ]
+        return [(panel.title, [(line.line, line.x, line.groups) for line in panel.lines]) for panel in info.panels]
 
     assert shown("latency_by_rate") == told(LATENCY_BY_RATE.info(book))
     assert shown("latency_by_size") == told(LATENCY_BY_SIZE.info(book))
@@ -111,16 +106,11 @@ def test_losses_are_seen_on_marks_bars_and_curves(reader, pages):
         "blocks.find(b => b.name === 'domain_difference').drawn.data.flatMap(t => t.text.filter(text => / % received$/.test(text)).length)"
     )
     assert sum(bars) == lossy
-    rows = tab.evaluate(
-        "blocks.find(b => b.name === 'domain_difference').drawn.rows.filter(row => row[5] === 'lost')"
-    )
+    rows = tab.evaluate("blocks.find(b => b.name === 'domain_difference').drawn.rows.filter(row => row[5] === 'lost')")
     assert len(rows) >= 4
     assert all(row[3].startswith("Fast DDS, through zenoh-bridge") and row[6] == "lost" for row in rows)
     assert "hollow" in tab.locator("#figure-latency_by_rate .note").text_content()
-    assert (
-        tab.evaluate("blocks.find(b => b.name === 'ecdf').drawn.columns.map(c => c.label)")[4]
-        == "Share of planned"
-    )
+    assert tab.evaluate("blocks.find(b => b.name === 'ecdf').drawn.columns.map(c => c.label)")[4] == "Share of planned"
 
 
 def test_a_legend_switches_a_line_off_and_shows_one_alone(reader, pages):
@@ -135,9 +125,7 @@ def test_a_legend_switches_a_line_off_and_shows_one_alone(reader, pages):
     assert tab.evaluate(faded) == 6 * 6, "six panels, and of seven lines one stays"
     button.click()
     assert line not in tab.evaluate(traces)
-    assert (
-        tab.locator(f"#figure-latency_by_size [data-line='{line}']").get_attribute("aria-pressed") == "false"
-    )
+    assert tab.locator(f"#figure-latency_by_size [data-line='{line}']").get_attribute("aria-pressed") == "false"
     tab.locator(f"#figure-latency_by_rate [data-line='{line}']").click()
     assert line in tab.evaluate(traces)
 
@@ -180,9 +168,7 @@ def test_a_few_groups_are_one_chart(reader, pages):
     reader.draw_all()
     assert names[0] == "dots"
     assert not {"latency_by_rate", "received", "domain_difference", "bridge_cost"} & set(names)
-    assert tab.locator("#figure-dots .point").count() == 6 + 6, (
-        "a dot and a bar of the share received for each group"
-    )
+    assert tab.locator("#figure-dots .point").count() == 6 + 6, "a dot and a bar of the share received for each group"
     assert " of the same domain" in tab.locator("#figure-dots").text_content()
 
 

@@ -21,9 +21,7 @@ STORED = sorted((ROOT / "docs" / "results").glob("*/report.html.gz"))
 
 
 def stored_report(*arguments):
-    return subprocess.run(
-        [sys.executable, SCRIPT, *map(str, arguments)], capture_output=True, text=True, check=False
-    )
+    return subprocess.run([sys.executable, SCRIPT, *map(str, arguments)], capture_output=True, text=True, check=False)
 
 
 def test_a_page_comes_back_as_it_was(tmp_path):

@@ -40,8 +40,7 @@ def test_either_byte_order_is_read_and_padding_ignored():
 
 
 @pytest.mark.parametrize(
-    "data",
-    [b"", b"\x00\x01\x00\x00\x01", encode_string("")[:-1], b"\x00\x07" + encode_string("a")[2:], bytes(9)],
+    "data", [b"", b"\x00\x01\x00\x00\x01", encode_string("")[:-1], b"\x00\x07" + encode_string("a")[2:], bytes(9)]
 )
 def test_what_is_no_string_is_an_error(data):
     with pytest.raises(ValueError, match="no serialized std_msgs/msg/String"):

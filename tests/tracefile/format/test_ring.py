@@ -65,9 +65,7 @@ def test_a_ring_as_we_write_it_has_the_documented_bytes(tmp_path):
 
 
 def test_events_come_by_ticket_and_by_stage(tmp_path):
-    path = ring_file(
-        tmp_path / "r", slot(0, 3, sequence=10), slot(1, 4, sequence=10), slot(2, 3, sequence=11)
-    )
+    path = ring_file(tmp_path / "r", slot(0, 3, sequence=10), slot(1, 4, sequence=10), slot(2, 3, sequence=11))
     contents = read_ring(path, 0)
     assert contents is not None
     assert contents.session == ping_session(state="open")

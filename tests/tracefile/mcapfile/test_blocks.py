@@ -31,10 +31,7 @@ def made(monkeypatch):
 
 
 def trace_of(path, first_ns):
-    messages = [
-        Message(n, t1=first_ns + n * 1_000_000, t2=first_ns + n * 1_000_000 + 300_000)
-        for n in range(MESSAGES)
-    ]
+    messages = [Message(n, t1=first_ns + n * 1_000_000, t2=first_ns + n * 1_000_000 + 300_000) for n in range(MESSAGES)]
     return write_trace(path, ping_session(), [run()], ping_events(messages))
 
 

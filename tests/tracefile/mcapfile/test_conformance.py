@@ -87,10 +87,7 @@ def in_summary(path: Path) -> list[Listed]:
     with RecordFile(path) as file:
         summary = read_summary(file)
     return [
-        (
-            KINDS[opcode].__name__,
-            as_listed(vars(parse_record(KINDS[opcode], summary.data[start : start + length]))),
-        )
+        (KINDS[opcode].__name__, as_listed(vars(parse_record(KINDS[opcode], summary.data[start : start + length]))))
         for opcode, start, length in summary.records
     ]
 

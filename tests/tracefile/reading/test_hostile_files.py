@@ -155,8 +155,7 @@ def rows(count):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [("_UNSUSPECTED_ROWS", -(10**9)), ("_UNSUSPECTED_STEPS", -(10**9)), ("_MOST_TOPICS", 0)],
+    ("name", "value"), [("_UNSUSPECTED_ROWS", -(10**9)), ("_UNSUSPECTED_STEPS", -(10**9)), ("_MOST_TOPICS", 0)]
 )
 def test_work_on_a_database_is_bounded(database, monkeypatch, name, value):
     path = database(TOPICS, MESSAGES, f"INSERT INTO topics VALUES {EVENT_TOPIC}", rows(1000))
@@ -186,9 +185,7 @@ def test_what_a_database_computes_is_not_read(database, computed):
         read_trace(path)
 
 
-@pytest.mark.skipif(
-    sys.version_info < (3, 11), reason="Python 3.10 cannot bound the length of SQLite's values"
-)
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 cannot bound the length of SQLite's values")
 def test_a_name_of_many_megabytes_is_not_held(database):
     path = database(TOPICS, MESSAGES, f"INSERT INTO topics VALUES {EVENT_TOPIC}", rows(10))
     with closing(sqlite3.connect(path / "bag_0.db3")) as connection, connection:

@@ -61,9 +61,7 @@ def test_a_timeline_comes_back_column_by_column(tmp_path):
     # ping's clock   0 send (T0) . 5 T1 ............................ 250 T2
     # relay's clock                       7100 T3 .. 7130 T4
     # message 1: T0 1000, T1 1004, and nothing after.
-    ping, relay = write_pair(
-        tmp_path, [Message(0, t0=0, t1=5, t3=7100, t4=7130, t2=250), Message(1, t0=1000, t1=1004)]
-    )
+    ping, relay = write_pair(tmp_path, [Message(0, t0=0, t1=5, t3=7100, t4=7130, t2=250), Message(1, t0=1000, t1=1004)])
     events = read_trace(ping).events
     assert events[Stage.T1].run_id.tolist() == [RUN_ID, RUN_ID]
     assert events[Stage.T1].sequence.tolist() == [0, 1]
@@ -112,9 +110,7 @@ def test_every_way_of_storing_gives_the_same_events(tmp_path, options, small_byt
     monkeypatch.setattr(mcap_source, "_SMALL_FILE_BYTES", small_bytes)
     messages = [Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500 + n) for n in range(600)]
     events = ping_events(messages)
-    path = write_trace(
-        tmp_path / "trace.mcap", ping_session(), [run()], events, host=[{"cpu": 0.5}], **options
-    )
+    path = write_trace(tmp_path / "trace.mcap", ping_session(), [run()], events, host=[{"cpu": 0.5}], **options)
     trace = read_trace(path)
     assert all_rows(trace) == padded(events)
     assert trace.sessions == (ping_session(),)
@@ -135,14 +131,10 @@ U64, U32 = st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1)
 STAMP = st.integers(-MOST_STAMP_NS, MOST_STAMP_NS)  # the others: tests/analyzer/test_values_are_no_sizes.py
 any_event = st.tuples(U64, U64, STAMP, STAMP, STAMP, STAMP, U32, U32)
 any_text = st.just((HOST_TOPIC, string_cdr('{"cpu": 1}'), STRING))
-any_foreign = st.tuples(
-    st.sampled_from(["/camera", "/tf"]), st.binary(max_size=200), st.just(("x/msg/X", ""))
-)
+any_foreign = st.tuples(st.sampled_from(["/camera", "/tf"]), st.binary(max_size=200), st.just(("x/msg/X", "")))
 any_message = st.one_of(
     st.tuples(
-        st.sampled_from([stage.topic for stage in Stage]),
-        any_event.map(lambda e: pack_event(*e)),
-        st.just(EVENT),
+        st.sampled_from([stage.topic for stage in Stage]), any_event.map(lambda e: pack_event(*e)), st.just(EVENT)
     ),
     any_text,
     any_foreign,
@@ -162,9 +154,7 @@ any_message = st.one_of(
         }
     ),
 )
-def test_writing_then_reading_is_identity_for_any_mix_of_messages(
-    tmp_path_factory, messages, repeat, options
-):
+def test_writing_then_reading_is_identity_for_any_mix_of_messages(tmp_path_factory, messages, repeat, options):
     session = RawMessage("/dds_trace/session", string_cdr(ping_session().to_json()), kind=STRING)
     held = [RawMessage(topic, data, kind=kind) for topic, data, kind in messages] * repeat
     path = write_messages(tmp_path_factory.mktemp("any") / "t.mcap", [session, *held], **options)
@@ -257,11 +247,7 @@ def test_a_trace_without_events_is_one_empty_piece(tmp_path):
 
 class TestDescriptions:
     def test_the_latest_description_of_each_wins_in_order_of_first_appearance(self, tmp_path):
-        sessions = [
-            ping_session(state="open"),
-            relay_session(),
-            ping_session(state="closed", dropped_events=3),
-        ]
+        sessions = [ping_session(state="open"), relay_session(), ping_session(state="closed", dropped_events=3)]
         runs = [run(run_id=7, state="started"), run(run_id=5), run(run_id=7, state="finished", published=4)]
         trace = read_trace(write_trace(tmp_path / "t.mcap", sessions, runs))
         assert trace.sessions == (sessions[2], sessions[1])
@@ -344,9 +330,7 @@ class TestMessagesThatAreNoEvents:
 
     def test_another_schema_on_an_event_topic_is_named(self, tmp_path):
         kind = ("other_msgs/msg/TraceEvent", "uint64 x\n")
-        trace = read_trace(
-            write_messages(tmp_path / "t.mcap", [RawMessage(Stage.T3.topic, self.GOOD, kind=kind)] * 4)
-        )
+        trace = read_trace(write_messages(tmp_path / "t.mcap", [RawMessage(Stage.T3.topic, self.GOOD, kind=kind)] * 4))
         assert (trace.event_count, trace.unreadable_messages) == (0, 4)
         assert trace.notes == (
             (
@@ -421,7 +405,5 @@ def test_many_channels_in_one_chunk_are_told_apart(tmp_path):
 
 
 def test_one_event_helper_matches_the_format(tmp_path):
-    path = write_trace(
-        tmp_path / "t.mcap", relay_session(), events={Stage.T4: [event(4, 44, relay_id=9, source_ns=5)]}
-    )
+    path = write_trace(tmp_path / "t.mcap", relay_session(), events={Stage.T4: [event(4, 44, relay_id=9, source_ns=5)]})
     assert rows(read_trace(path).events[Stage.T4]) == [(RUN_ID, 4, 44, 0, 5, 0, 33_000, 9)]

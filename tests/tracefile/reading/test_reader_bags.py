@@ -13,17 +13,7 @@ import zstandard
 from event_cdr import pack_event
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from trace_files import (
-    EVENT,
-    STRING,
-    WALL_ANCHOR_NS,
-    Message,
-    ping_events,
-    ping_session,
-    run,
-    string_cdr,
-    write_trace,
-)
+from trace_files import EVENT, STRING, WALL_ANCHOR_NS, Message, ping_events, ping_session, run, string_cdr, write_trace
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.format.events import EVENT_DTYPE, HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC, Stage
@@ -50,11 +40,7 @@ def all_rows(trace):
 
 def write_bag(folder, events=EVENTS, plugin=StoragePlugin.SQLITE3, mode=CompressionMode.NONE, version=9):
     """A bag as a converter makes it of our trace: the same topics, messages in order of their log time."""
-    texts = [
-        (SESSION_TOPIC, ping_session().to_json()),
-        (RUN_TOPIC, run().to_json()),
-        (HOST_TOPIC, '{"cpu": 1}'),
-    ]
+    texts = [(SESSION_TOPIC, ping_session().to_json()), (RUN_TOPIC, run().to_json()), (HOST_TOPIC, '{"cpu": 1}')]
     messages = [(topic, WALL_ANCHOR_NS, string_cdr(text), STRING) for topic, text in texts]
     for stage, held in events.items():
         messages += [(stage.topic, WALL_ANCHOR_NS + fields[2], pack_event(*fields), EVENT) for fields in held]
@@ -79,9 +65,7 @@ def type_hash(name, definition):
 
 @pytest.mark.parametrize(("plugin", "mode"), STORAGES)
 def test_every_storage_gives_the_same_trace(tmp_path, plugin, mode):
-    original = read_trace(
-        write_trace(tmp_path / "t.mcap", ping_session(), [run()], EVENTS, host=[{"cpu": 1}])
-    )
+    original = read_trace(write_trace(tmp_path / "t.mcap", ping_session(), [run()], EVENTS, host=[{"cpu": 1}]))
     trace = read_trace(write_bag(tmp_path / "bag", plugin=plugin, mode=mode))
     assert all_rows(trace) == all_rows(original)
     assert (trace.sessions, trace.runs) == (original.sessions, original.runs)
@@ -191,10 +175,7 @@ class TestDatabases:
     @pytest.mark.parametrize(
         ("statement", "note"),
         [
-            (
-                "UPDATE topics SET serialization_format = 'json' WHERE name = '/dds_trace/t1'",
-                "encoded as 'json'",
-            ),
+            ("UPDATE topics SET serialization_format = 'json' WHERE name = '/dds_trace/t1'", "encoded as 'json'"),
             ("UPDATE topics SET type = 'x/msg/X' WHERE name = '/dds_trace/t1'", "their type is 'x/msg/X'"),
         ],
     )

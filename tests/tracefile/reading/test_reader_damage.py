@@ -34,9 +34,7 @@ MESSAGES = [Message(n, t0=n * 1000, t1=n * 1000 + 7, t2=n * 1000 + 500) for n in
 EVENTS = ping_events(MESSAGES)
 SHAPES = [
     {"compression": compression, "chunked": chunked, "indexed": indexed}
-    for compression, chunked, indexed in itertools.product(
-        ["zstd", "lz4", "none"], [True, False], [True, False]
-    )
+    for compression, chunked, indexed in itertools.product(["zstd", "lz4", "none"], [True, False], [True, False])
     if chunked or compression == "none"
 ]
 shapes = pytest.mark.parametrize("options", SHAPES, ids=lambda options: "-".join(map(str, options.values())))
@@ -91,11 +89,7 @@ class TestTruncated:
     @shapes
     def test_anywhere_all_that_was_complete_before_is_used(self, tmp_path, options):
         whole = small_trace(tmp_path, **options).read_bytes()
-        carriers = [
-            end
-            for opcode, end in record_ends(tmp_path / "t.mcap")
-            if opcode in {Opcode.CHUNK, Opcode.MESSAGE}
-        ]
+        carriers = [end for opcode, end in record_ends(tmp_path / "t.mcap") if opcode in {Opcode.CHUNK, Opcode.MESSAGE}]
         cut = tmp_path / "cut.mcap"
         before = -1
         # Every record's end, and between those steps that meet each part of a record.
@@ -111,9 +105,7 @@ class TestTruncated:
             assert trace.event_count >= before
             if size in carriers:  # a chunk or a message more than before, and all that is in it
                 complete = carriers.index(size) + 1
-                assert (
-                    trace.event_count >= complete - 4
-                )  # session, run, host sample, and none for this record
+                assert trace.event_count >= complete - 4  # session, run, host sample, and none for this record
             before = trace.event_count
         assert before == sum(map(len, EVENTS.values()))
 
@@ -226,9 +218,7 @@ class TestDamaged:
         # Without CRCs: a chunk whose content is one byte short must not borrow that byte from the chunk behind it.
         path = small_trace(tmp_path, compression="none", crcs=False)
         ends = record_ends(path)
-        start = next(
-            start for (_, start), (opcode, _) in itertools.pairwise(ends[4:]) if opcode == Opcode.CHUNK
-        )
+        start = next(start for (_, start), (opcode, _) in itertools.pairwise(ends[4:]) if opcode == Opcode.CHUNK)
         data = bytearray(path.read_bytes())
         size_at = start + 9 + 16
         (size,) = struct.unpack_from("<Q", data, size_at)
@@ -244,9 +234,7 @@ class TestDamaged:
         path = tmp_path / "t2.mcap"
         at = whole.index(b"/dds_trace/t1")
         path.write_bytes(whole[:at] + b"/dds_trace/t3" + whole[at + 13 :])
-        with pytest.raises(
-            TraceFormatError, match=r"t2\.mcap at byte \d+: channel \d is '/dds_trace/t1' and here"
-        ):
+        with pytest.raises(TraceFormatError, match=r"t2\.mcap at byte \d+: channel \d is '/dds_trace/t1' and here"):
             read_trace(path)
 
     def test_messages_of_an_undeclared_channel_are_noted(self, tmp_path):
@@ -329,8 +317,7 @@ class TestClaims:
         torn = data[:chunk] + filler
         start = len(torn)
         summary = b"".join(
-            index.pack(Opcode.CHUNK_INDEX, body, 0, 0, chunk + number, 9, 0, 0, 0, 0, 0)
-            for number in range(20_000)
+            index.pack(Opcode.CHUNK_INDEX, body, 0, 0, chunk + number, 9, 0, 0, 0, 0, 0) for number in range(20_000)
         )
         footer_record = struct.pack("<BQQQI", Opcode.FOOTER, 20, start, 0, 0)
         path.write_bytes(torn + summary + footer_record + MAGIC)
@@ -338,15 +325,9 @@ class TestClaims:
             read_trace(path)
 
     def test_only_the_first_notes_are_kept(self, tmp_path):
-        path = write_trace(
-            tmp_path / "t.mcap", ping_session(), events=ping_events(MESSAGES * 10), chunk_bytes=100
-        )
+        path = write_trace(tmp_path / "t.mcap", ping_session(), events=ping_events(MESSAGES * 10), chunk_bytes=100)
         data = bytearray(path.read_bytes())
-        starts = [
-            start
-            for (_, start), (opcode, _) in itertools.pairwise(record_ends(path))
-            if opcode == Opcode.CHUNK
-        ]
+        starts = [start for (_, start), (opcode, _) in itertools.pairwise(record_ends(path)) if opcode == Opcode.CHUNK]
         for start in starts[5:]:
             data[start + 9 + 24] ^= 1  # the CRC
         path.write_bytes(data)
@@ -356,9 +337,7 @@ class TestClaims:
 
     def test_a_session_nested_without_end(self, tmp_path):
         text = ping_session().to_json()[:-1] + ', "x": ' + "[" * 100_000 + "]" * 100_000 + "}"
-        path = write_messages(
-            tmp_path / "t.mcap", [RawMessage("/dds_trace/session", string_cdr(text), kind=STRING)]
-        )
+        path = write_messages(tmp_path / "t.mcap", [RawMessage("/dds_trace/session", string_cdr(text), kind=STRING)])
         with pytest.raises(TraceFormatError, match="nested deeper"):
             read_trace(path)
 

@@ -34,9 +34,7 @@ def killed(tmp_path):
     sinks = []
 
     def make(in_file, in_ring, name="t.mcap"):
-        sink = TraceSink(
-            TraceDestination(tmp_path / "live" / name, chunk_seconds=3600), ping_session(state="open")
-        )
+        sink = TraceSink(TraceDestination(tmp_path / "live" / name, chunk_seconds=3600), ping_session(state="open"))
         sinks.append(sink)
         record(sink, in_file)
         sink.write_json("/dds_trace/note", {"now": "everything before goes to the file"})

@@ -13,14 +13,7 @@ from dds_trace.tracefile.reading.storage import find_traces
 
 
 def test_files_and_bags_are_found_below_and_sorted(tmp_path):
-    for name in (
-        "b.mcap",
-        "a/z.mcap",
-        "bag/bag_0.mcap",
-        "bag/metadata.yaml",
-        "a/old/old_0.db3",
-        "a/old/metadata.yaml",
-    ):
+    for name in ("b.mcap", "a/z.mcap", "bag/bag_0.mcap", "bag/metadata.yaml", "a/old/old_0.db3", "a/old/metadata.yaml"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
     (tmp_path / "notes.txt").write_text("")

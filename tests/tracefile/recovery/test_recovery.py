@@ -73,12 +73,7 @@ def test_trace_and_ring_become_a_closed_trace(tmp_path):
     file_bytes, ring_bytes = trace.read_bytes(), ring_path(trace).read_bytes()
     report = recover(trace)
     assert (report.path, report.recovered) == (trace, trace)
-    assert (report.file_events, report.ring_events, report.missing_events, report.dropped_events) == (
-        150,
-        30,
-        0,
-        0,
-    )
+    assert (report.file_events, report.ring_events, report.missing_events, report.dropped_events) == (150, 30, 0, 0)
     assert sorted(p.name for p in trace.parent.iterdir()) == ["a.mcap", "a.mcap.killed", "a.mcap.killed.ring"]
     kept, kept_ring = report.originals
     assert kept.read_bytes() == file_bytes

@@ -57,9 +57,7 @@ def test_without_an_event_nothing_was_unsaved(tmp_path):
 
 
 @pytest.mark.parametrize("fsync", [True, False])
-def test_the_longest_time_that_an_event_was_not_on_the_disk_is_in_the_closed_session(
-    tmp_path, monkeypatch, fsync
-):
+def test_the_longest_time_that_an_event_was_not_on_the_disk_is_in_the_closed_session(tmp_path, monkeypatch, fsync):
     flush_s, stamps_ns, flushed_ns = 0.05, [], []
 
     def slow_flush(_descriptor):
@@ -148,9 +146,7 @@ def test_nothing_said_is_for_owner_and_group(tmp_path, with_umask):
 
 @pytest.mark.parametrize(("original", "recovered"), [(0o600, 0o600), (0o640, 0o640), (0o666, 0o640)])
 @pytest.mark.parametrize("left", ["both", "ring"])
-def test_a_recovered_trace_has_the_rights_of_what_it_is_made_of(
-    tmp_path, with_umask, original, recovered, left
-):
+def test_a_recovered_trace_has_the_rights_of_what_it_is_made_of(tmp_path, with_umask, original, recovered, left):
     with_umask(0)
     path = tmp_path / "a.mcap"
     sink = TraceSink(TraceDestination(path, chunk_seconds=3600.0), ping_session(state="open"))
@@ -173,9 +169,7 @@ def test_a_file_is_only_made_where_nothing_is(tmp_path):
 
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(missing_for_a_disk() is not None, reason=str(missing_for_a_disk()))
-@pytest.mark.parametrize(
-    ("options", "words"), [(["--fsync"], "check the disk"), ([], "the file system is read-only")]
-)
+@pytest.mark.parametrize(("options", "words"), [(["--fsync"], "check the disk"), ([], "the file system is read-only")])
 def test_the_ring_keeps_what_a_dead_disk_refuses(tmp_path, options, words):
     command = ["unshare", "-m", sys.executable, dying_disk.__file__, str(tmp_path), *options]
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)

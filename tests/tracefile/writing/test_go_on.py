@@ -75,11 +75,7 @@ def test_every_event_is_in_one_file_while_others_stamp(tmp_path):
     assert all(each.events > 0 for each in closed[:-1])
     for number, path in enumerate(paths, start=1):
         (session,) = read_trace(path).sessions
-        assert (session.session_id, session.state, session.extra["part"]) == (
-            RELAY_SESSION_ID,
-            "closed",
-            number,
-        )
+        assert (session.session_id, session.state, session.extra["part"]) == (RELAY_SESSION_ID, "closed", number)
         assert session.extra.get("followed", False) is (number < FILES)
         assert ("clock" in session.extra) is (number == FILES)
         assert session.extra["asked"] == {"tuned": False}

@@ -119,10 +119,7 @@ def test_a_trace_is_what_the_format_says(tmp_path):
     statistics = summary.statistics
     assert (statistics.message_count, statistics.schema_count, statistics.channel_count) == (8, 2, 5)
     assert statistics.chunk_count == len(summary.chunk_indexes)
-    assert (statistics.message_start_time, statistics.message_end_time) == (
-        WALL_ANCHOR_NS,
-        WALL_ANCHOR_NS + 6000,
-    )
+    assert (statistics.message_start_time, statistics.message_end_time) == (WALL_ANCHOR_NS, WALL_ANCHOR_NS + 6000)
     assert all(index.compression == "zstd" and index.message_index_offsets for index in summary.chunk_indexes)
 
     assert events(path) == [
@@ -174,9 +171,7 @@ def test_index_and_summary_lead_to_every_message(tmp_path_factory, written):
     sink.close()
     with path.open("rb") as stream:
         by_index = list(make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False))
-    assert sorted(bytes(message.data) for _, _, message in by_index) == sorted(
-        m.data for _, m in messages(path)
-    )
+    assert sorted(bytes(message.data) for _, _, message in by_index) == sorted(m.data for _, m in messages(path))
     with Reader(folder) as bag:
         assert bag.message_count == len(written) + 2
         assert sum(1 for _ in bag.messages()) == len(written) + 2
@@ -230,9 +225,7 @@ def test_a_quarter_of_the_ring_wakes_the_draining_thread(tmp_path):
 
 
 @pytest.mark.parametrize(("waiting", "is_shorter"), [(15, False), (16, True)])
-def test_a_quarter_of_the_ring_is_moved_with_short_turns_of_the_interpreter(
-    tmp_path, monkeypatch, waiting, is_shorter
-):
+def test_a_quarter_of_the_ring_is_moved_with_short_turns_of_the_interpreter(tmp_path, monkeypatch, waiting, is_shorter):
     sink = open_sink(tmp_path / "a.mcap", ring_slots=64)
     turns, move = [], TraceFiles.move_chunk
 

@@ -59,8 +59,7 @@ def test_a_folder_that_may_not_be_written(tmp_path, monkeypatch, number):
         tmp_path.chmod(0o500)
     else:  # root may write everywhere
         monkeypatch.setattr(
-            "dds_trace.tracefile.writing.writer.os.open",
-            lambda *_: (_ for _ in ()).throw(OSError(number, "no")),
+            "dds_trace.tracefile.writing.writer.os.open", lambda *_: (_ for _ in ()).throw(OSError(number, "no"))
         )
     with pytest.raises(OutputError, match="choose another --out"):
         open_sink(tmp_path / "a.mcap")

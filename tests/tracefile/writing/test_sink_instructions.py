@@ -126,9 +126,7 @@ def another_file(sink):
     assert sink.go_on_in(destination) is not None
 
 
-@pytest.mark.parametrize(
-    "meanwhile", [another_event, another_expected, an_event_that_is_dropped, another_file]
-)
+@pytest.mark.parametrize("meanwhile", [another_event, another_expected, an_event_that_is_dropped, another_file])
 def test_what_takes_the_place_of_an_expected_pair_stays_whole(tmp_path, meanwhile):
     sink = open_pairs(tmp_path)
     expected = sink.expect(PAIR, 1, 0, 9, 2)
@@ -193,9 +191,7 @@ def apart(monkeypatch):
 
 
 @pytest.mark.parametrize(("before", "expected"), [(0, [4]), (1, [3])])
-def test_a_pair_is_one_step_up_to_the_quarter_that_wakes_the_draining_thread(
-    tmp_path, apart, before, expected
-):
+def test_a_pair_is_one_step_up_to_the_quarter_that_wakes_the_draining_thread(tmp_path, apart, before, expected):
     sink = open_pairs(tmp_path, 16)
     with sink._write_lock:  # the draining thread stands still
         for sequence in range(before):

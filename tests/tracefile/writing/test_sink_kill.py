@@ -64,12 +64,9 @@ def events_by_public_reader(path: Path) -> dict[Stage, np.ndarray]:
                 latest = record.log_time
                 found[topic].append(record.data)
     counts = summary.statistics.channel_message_counts
-    assert {topics[channel]: count for channel, count in counts.items()} == {
-        t: len(f) for t, f in found.items()
-    }
+    assert {topics[channel]: count for channel, count in counts.items()} == {t: len(f) for t, f in found.items()}
     return {
-        stage: np.frombuffer(b"".join(data[4:] for data in found.get(stage.topic, ())), EVENT_DTYPE)
-        for stage in Stage
+        stage: np.frombuffer(b"".join(data[4:] for data in found.get(stage.topic, ())), EVENT_DTYPE) for stage in Stage
     }
 
 

@@ -28,9 +28,7 @@ def stand_in(monkeypatch):
 
     def play(part, halves=Halves.NEVER, **settings):
         monkeypatch.setattr(stand_in_bridge, "BRIDGE", StandInBridge(part=part, halves=halves, **settings))
-        return open_bridge(
-            "stand-in", BridgeOptions(), **({"up_timeout_s": 0.5} if part == "never_up" else {})
-        )
+        return open_bridge("stand-in", BridgeOptions(), **({"up_timeout_s": 0.5} if part == "never_up" else {}))
 
     return play
 

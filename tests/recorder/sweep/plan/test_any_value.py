@@ -71,9 +71,7 @@ def read_or_refuse(path):
         plan = read_plan(path)
     except OptionError as error:
         return str(error)
-    assert math.isfinite(
-        plan_seconds(dataclasses.replace(plan, run=dataclasses.replace(plan.run, repeats=1))).seconds
-    )
+    assert math.isfinite(plan_seconds(dataclasses.replace(plan, run=dataclasses.replace(plan.run, repeats=1))).seconds)
     if len(plan.cells) * plan.run.repeats <= MOST_SCHEDULED:
         for group in schedule(plan):
             for text in relay_arguments(plan, group.need):
@@ -100,9 +98,7 @@ def check_plan(folder, text):
     return refusal
 
 
-@pytest.mark.parametrize(
-    ("table", "key"), [(table, key) for table, keys in PLAN_LIMITS.items() for key in keys]
-)
+@pytest.mark.parametrize(("table", "key"), [(table, key) for table, keys in PLAN_LIMITS.items() for key in keys])
 @example(value="~nobody-of-that-name")  # a home that is not there
 @settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(value=toml_values())
@@ -123,10 +119,7 @@ def test_any_bytes_are_no_plan_in_one_line(tmp_path, data):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (
-            "[axes]\nrate = nan\n",
-            "rate is nan; a rate in messages a second must be between 1e-06 and 1000000",
-        ),
+        ("[axes]\nrate = nan\n", "rate is nan; a rate in messages a second must be between 1e-06 and 1000000"),
         ("[axes]\nrate = inf\n", "rate is inf; "),
         (
             "[axes]\nsize = '2GB'\n",
@@ -140,10 +133,7 @@ def test_any_bytes_are_no_plan_in_one_line(tmp_path, data):
         ("[axes]\ndata = 'topic:'\n", "--data topic: '': write a ROS topic's name"),
         ("[axes]\ndata = 'video'\n", "there is no data type 'video'"),
         ("[run]\nseconds = inf\n", "seconds is inf; a length in seconds must be between 0 and 31622400"),
-        (
-            "[run]\nsettle_seconds = -1\n",
-            "settle_seconds is -1; a wait in seconds must be between 0 and 31622400",
-        ),
+        ("[run]\nsettle_seconds = -1\n", "settle_seconds is -1; a wait in seconds must be between 0 and 31622400"),
         ("[run]\ncutoff_seconds = nan\n", "cutoff_seconds is nan; "),
         (
             "[run]\nmessages = 1000000000000\n",
@@ -156,10 +146,7 @@ def test_any_bytes_are_no_plan_in_one_line(tmp_path, data):
         ("[run]\ndomain = 232\n", "domain is 232; a DDS domain id must be between 0 and 231"),
         ("[search]\nresolution = 1\n", "resolution is 1; a factor must be above 1 and at most 1000"),
         ("[link]\ndelay_ms = nan\n", "delay_ms is nan; a time in milliseconds must be between 0 and 3600000"),
-        (
-            "[devices.relay]\nbridge_port = 99999\n",
-            "bridge_port is 99999; a port must be between 1 and 65535",
-        ),
+        ("[devices.relay]\nbridge_port = 99999\n", "bridge_port is 99999; a port must be between 1 and 65535"),
         ("name = '../x'\n", "name is '../x'; write a name: not empty, no slash"),
         ("x = " + "[" * 100_000, "a value is nested deeper than any plan needs"),
     ],

@@ -136,9 +136,5 @@ def test_no_axis_is_told_by_a_label_alone():
             *ping_arguments(Plan("plan", (cell,)), cell, 5.0, None),
             *relay_arguments(Plan("plan", (cell,)), cell.relay),
         ]
-        unlike = [
-            word
-            for word in given
-            if (word not in plain and "=" not in word) or word.startswith("environment=")
-        ]
+        unlike = [word for word in given if (word not in plain and "=" not in word) or word.startswith("environment=")]
         assert unlike, name

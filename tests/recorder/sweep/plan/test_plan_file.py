@@ -124,17 +124,11 @@ def test_installed_middlewares_are_asked_for_when_the_plan_does():
         (RUN + "[[exclude]]\nbrigde = 'x'\n", r"there is no 'brigde'; did you mean 'bridge'\?"),
         (RUN + "[link]\npreset = 'wifi54'\n", r"preset is 'wifi54'; did you mean 'wifi-54'\?"),
         (RUN + "[link]\ndelay = 1\n", r"did you mean 'delay_ms'\?"),
-        (
-            RUN + "[link]\nloss_percent = 101\n",
-            "loss_percent is 101; a share in percent must be between 0 and 100$",
-        ),
+        (RUN + "[link]\nloss_percent = 101\n", "loss_percent is 101; a share in percent must be between 0 and 100$"),
         (RUN + "[link]\noutage_ms = 10\n", "an outage has both"),
         (RUN + "[axes]\nsize = 'big'\n", r"\[axes\]: size 'big'"),
         (RUN + "[axes]\nrate = '10'\n", r"rate is '10', not a number"),
-        (
-            RUN + "[axes]\nrate = 0\n",
-            "rate is 0; a rate in messages a second must be between 1e-06 and 1000000$",
-        ),
+        (RUN + "[axes]\nrate = 0\n", "rate is 0; a rate in messages a second must be between 1e-06 and 1000000$"),
         (RUN + "[axes]\ntuned = 1\n", "tuned is 1, not true or false"),
         (RUN + "[axes]\nreliability = 'relaible'\n", r"did you mean 'reliable'\?"),
         (RUN + "[axes]\ntransport = 'upd'\n", r"did you mean 'udp'\?"),
@@ -142,19 +136,13 @@ def test_installed_middlewares_are_asked_for_when_the_plan_does():
         ("[run]\nmessages = 1\norder = 'shufled'\n", r"did you mean 'shuffled'\?"),
         ("[run]\nmessages = 1\nseconds = 1\n", "either messages or seconds"),
         ("[run]\nmessages = 0\n[axes]\nrate = 1\n", "either messages or seconds"),
-        (
-            "[run]\nmessages = 1\nrepeats = 0\n",
-            "repeats is 0; the number of repeats must be between 1 and 10000$",
-        ),
+        ("[run]\nmessages = 1\nrepeats = 0\n", "repeats is 0; the number of repeats must be between 1 and 10000$"),
         ("[run]\nmessages = 1\ndiscovery = 'here'\n", "choose one of localhost, subnet"),
         ("[run]\nmessages = 1\ndomain = 5\n[axes]\nbridge = 'builtin'\n", "a bridge joins two"),
         (RUN + "[devices.realy]\nssh = 'x'\n", r"did you mean 'relay'\?"),
         (RUN + "[devices.ping]\nssh = 'x'\n", "the ping always runs on this machine"),
         (RUN + "[devices.relay]\nssh = 'x'\n[network]\nnamespaces = true\n", "both devices on this machine"),
-        (
-            RUN + "[search]\nmin_rate = 100\nmax_rate = 10\n",
-            r"min_rate \(100\) must be below max_rate \(10\)$",
-        ),
+        (RUN + "[search]\nmin_rate = 100\nmax_rate = 10\n", r"min_rate \(100\) must be below max_rate \(10\)$"),
         (RUN + "[axes]\nrate = [1, 1]\n", "is there twice"),
         (RUN + "[axes]\nrate = []\n", "the plan has nothing to record"),
         ("[run\n", "plan.toml: "),
@@ -227,10 +215,7 @@ def test_own_cost_is_measured_in_the_first_passes_alone():
         assert plan.digest == parse(RUN).digest
         for number, measures in enumerate(measured, 1):
             cell = replace(plan.cells[0], repeat=number)
-            for arguments in (
-                ping_arguments(plan, cell, 1.0, None),
-                relay_arguments(plan, cell.relay, number),
-            ):
+            for arguments in (ping_arguments(plan, cell, 1.0, None), relay_arguments(plan, cell.relay, number)):
                 assert ("--no-own-cost" not in arguments) is measures
 
 
@@ -246,9 +231,7 @@ def test_examples_of_the_documentation_are_plans():
 def test_bridges_and_backends_of_a_plan_are_those_of_the_tables(monkeypatch):
     with pytest.raises(OptionError, match=r"\[axes\]: bridge is 'bultin'; did you mean 'builtin'\?"):
         parse(RUN + '[axes]\nbridge = "bultin"\n')
-    with pytest.raises(
-        OptionError, match=r"\[axes\]: relay_backend is 'dds'; choose one of ros2, cyclonedds"
-    ):
+    with pytest.raises(OptionError, match=r"\[axes\]: relay_backend is 'dds'; choose one of ros2, cyclonedds"):
         parse(RUN + '[axes]\nrelay_backend = "dds"\n')
     monkeypatch.setitem(BRIDGE_MODULES, "added-later", "no_module_is_loaded_for_this")
     plan = parse(RUN + '[axes]\nbridge = ["none", "added-later"]\n')

@@ -35,10 +35,7 @@ def names(groups):
 
 def test_listed_order_goes_through_each_relay_once_a_repeat():
     groups = schedule(plan())
-    assert [(group.need.reliability, len(group.cells)) for group in groups] == [
-        ("reliable", 6),
-        ("best_effort", 6),
-    ] * 2
+    assert [(group.need.reliability, len(group.cells)) for group in groups] == [("reliable", 6), ("best_effort", 6)] * 2
     assert [cell.rate for cell in groups[0].cells] == [1, 10, 100] * 2
     assert {cell.repeat for cell in groups[2].cells} == {2}
 
@@ -111,9 +108,7 @@ def test_bridge_of_halves_has_a_relay_of_its_own_where_that_is_on_another_device
 
 
 def test_half_beside_the_relay_waits_and_the_pings_half_goes_there():
-    distant = parse_plan(
-        PLAN.format(order="").replace("builtin", "zenoh-bridge-dds") + DISTANT, "p", "p.toml"
-    )
+    distant = parse_plan(PLAN.format(order="").replace("builtin", "zenoh-bridge-dds") + DISTANT, "p", "p.toml")
     same, crossing = schedule(distant)[:2]
     assert " ".join(half_arguments(distant, crossing)) == (
         "zenoh-bridge-dds --half relay --listen 0.0.0.0:7447 --from 5 --to 10 --discovery subnet "
@@ -157,9 +152,7 @@ def test_remaining_time_in_words():
 
 
 def test_estimate_learns_what_a_run_costs_beside_its_schedule():
-    plan = parse_plan(
-        "[run]\nmessages = 90\nwarmup = 10\nsettle_seconds = 1\n[axes]\nrate = [10, 100]\n", "p", "p"
-    )
+    plan = parse_plan("[run]\nmessages = 90\nwarmup = 10\nsettle_seconds = 1\n[axes]\nrate = [10, 100]\n", "p", "p")
     estimate = Estimate(plan)
     slow, fast = plan.cells
     assert estimate.cell_seconds(slow) == 10 + 2.5 + 1

@@ -68,12 +68,9 @@ def test_linked_lock_is_refused(desk, sweep_folder, target):
 
 
 @pytest.mark.parametrize(
-    ("cell", "segment"),
-    [("../../home/thesis", "1-17-1.mcap"), (FIRST, "../../../home/thesis"), (FIRST, "*")],
+    ("cell", "segment"), [("../../home/thesis", "1-17-1.mcap"), (FIRST, "../../../home/thesis"), (FIRST, "*")]
 )
-def test_state_that_names_files_outside_is_refused_and_removes_nothing(
-    desk, sweep_folder, target, cell, segment
-):
+def test_state_that_names_files_outside_is_refused_and_removes_nothing(desk, sweep_folder, target, cell, segment):
     desk.sweep()
     state = json.loads((sweep_folder / "state.json").read_text())
     held = state["cells"].pop(FIRST)

@@ -192,11 +192,9 @@ def test_search_of_the_highest_rate_goes_on_where_it_was_interrupted(desk):
         assert (found.answer, found.cell.rate, found.held_repeats) == (RateAnswer.AT_LEAST, 900.0, (1, 1))
         assert folder == desk.folder / "runs" / "plan-max-rate"
     # 300 and 520 on the way, then the highest; nothing again the second time but the relay
-    assert desk.started == {
-        "ros2_same_binary_300Hz": 1,
-        "ros2_same_binary_520Hz": 1,
-        "ros2_same_binary_900Hz": 1,
-    } | {"relay": 1}
+    assert desk.started == {"ros2_same_binary_300Hz": 1, "ros2_same_binary_520Hz": 1, "ros2_same_binary_900Hz": 1} | {
+        "relay": 1
+    }
 
 
 def test_second_sweep_in_the_same_folder_is_refused(desk, monkeypatch):

@@ -93,12 +93,8 @@ def test_relay_is_started_and_stopped_over_ssh_and_its_trace_fetched(remote, tmp
     assert list((tmp_path / "parts").iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("there", "here"), [("0600", 0o600), ("0640", 0o640), ("0666", 0o640), ("0000", 0o600)]
-)
-def test_fetched_trace_has_the_rights_that_it_has_on_its_device_and_none_for_others(
-    remote, tmp_path, there, here
-):
+@pytest.mark.parametrize(("there", "here"), [("0600", 0o600), ("0640", 0o640), ("0666", 0o640), ("0000", 0o600)])
+def test_fetched_trace_has_the_rights_that_it_has_on_its_device_and_none_for_others(remote, tmp_path, there, here):
     device = remote(RECORD.replace("exit 0' TERM", f'chmod {there} "$out"; exit 0\' TERM'))
     device.prepare()
     relay = device.start([], "1-1.mcap")
@@ -247,9 +243,7 @@ def test_other_version_on_the_other_device_is_refused(remote, method):
 
 
 def test_device_that_does_not_answer_is_named(remote):
-    with pytest.raises(
-        BackendUnavailableError, match=r"nobody@127\.0\.0\.1: .*try it by hand: ssh -- nobody@"
-    ):
+    with pytest.raises(BackendUnavailableError, match=r"nobody@127\.0\.0\.1: .*try it by hand: ssh -- nobody@"):
         remote(destination="nobody@127.0.0.1").prepare()
 
 

@@ -267,7 +267,10 @@ class TraceWriter:
 
     def _check_unchanged(self) -> None:
         """Raise an `OutputError` if another program deleted, replaced or truncated the file."""
-        number = self._change()
+        try:
+            number = self._change()
+        except OSError as err:
+            raise output_error(self.path, err) from err
         if number:
             cause = OSError(number, "changed")
             raise output_error(self.path, cause) from cause

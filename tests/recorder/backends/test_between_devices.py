@@ -61,7 +61,7 @@ def test_dds_looks_on_the_network(meet, ping, relay):
 @pytest.mark.parametrize(("backend", "reliability"), [("zenoh", "reliable"), ("socket", "best_effort")])
 def test_zenoh_and_sockets_connect_to_the_address_given(meet, backend, reliability):
     same = ("--reliability", reliability, *(("--transport", "udp") if reliability == "best_effort" else ()))
-    meet((backend, "--peer", RELAY, *same), (backend, *same))
+    meet((backend, "--peer", RELAY, *same), (backend, "--discovery", "subnet", *same))
 
 
 def test_zenoh_looks_on_the_network_if_both_say_so(meet):

@@ -44,7 +44,7 @@ def test_linear_drift_over_two_alternating_passes_is_the_same_for_both_sides_of_
 
 
 def test_sides_of_different_length_are_refused():
-    with pytest.raises(OptionError, match="the base has 1 cell and the new side 2"):
+    with pytest.raises(OptionError, match="the base has 1 result and the new side 2"):
         interleave(plan(), plan(PLAN))
 
 

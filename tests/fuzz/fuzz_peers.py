@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import socket
 import struct
+import weakref
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,7 @@ class Target:
         del folder
         self._shapes = (self._tcp, self._udp, self._relay, self._ping)
         self._links = UdpLinks(Greeting("me"), ("127.0.0.1", 0), (), {"a": (lambda _: None,)}, Strangers())
+        weakref.finalize(self, self._links.close)  # an open socket would warn in whichever test runs then
         self._links._peers[KNOWN] = _UdpPeer()
         self._clock = FakeClock()
         self._node = FakeNode()

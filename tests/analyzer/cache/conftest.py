@@ -1,4 +1,4 @@
-"""What several tests of loading need."""
+"""Which traces are read, for tests of the cache."""
 
 import pytest
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from .plan.plan import Plan
 
 BASE, NEW = "base", "new"
-"""Names of the two sides and of their folders."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,24 +114,20 @@ def run_against(
 
 
 class _SideProgress(SweepProgress):
-    """Names the side in each step."""
+    """Names the side in each step; a cell of the other side takes as much time."""
 
     def __init__(self, progress: SweepProgress, side: str) -> None:
         self._progress = progress
         self._side = side
 
     def relay(self, name: str) -> None:
-        """Hand on the relay."""
         self._progress.relay(f"{self._side} {name}")
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Hand on the cell; the other side needs as much time."""
         self._progress.cell(f"{self._side} {name}", Remaining(2 * remaining.seconds))
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        """Hand on the end of the cell."""
         self._progress.ended(f"{self._side} {name}", outcome, complete=complete)
 
     def note(self, text: str) -> None:
-        """Hand on the line."""
         self._progress.note(f"{self._side}: {text}")

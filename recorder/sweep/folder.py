@@ -25,7 +25,6 @@ POLL_S = 0.2
 PARTS = ".parts"
 
 TRACE_ENDINGS = ("", RING_SUFFIX)
-"""After a segment's name: its trace and ring."""
 
 LOG_ENDINGS = (".log", ".half.log")
 """After a segment's name: the logs of the relay and of its half of a bridge."""
@@ -116,7 +115,7 @@ def log_path(folder: Path, segment: str) -> Path:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replace a file so that a reader, or a reboot, sees one text or the other."""
+    """Replace a file in one step, safe against a reboot."""
     try:
         with replacing(path, fsync=True) as draft, create_file(draft) as file:
             file.write(text.encode())

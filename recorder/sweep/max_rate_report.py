@@ -31,7 +31,7 @@ _COLOURS = {
     RateAnswer.BELOW: "#d55e00",
     RateAnswer.FAILED: "#999999",
 }
-"""Colour of a bar by its answer, from Okabe and Ito's palette for the colour-blind."""
+"""By answer, from Okabe and Ito's palette for the colour-blind."""
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:
@@ -68,7 +68,7 @@ def max_rate_rows(answers: list[MaxRate]) -> list[tuple[str, ...]]:
 
 
 def _inert(row: tuple[str, ...]) -> list[str]:
-    """Return cells that a spreadsheet does not compute: an apostrophe precedes a formula."""
+    """Return cells that a spreadsheet does not compute as formulas."""
     cells = (printable(cell, MAX_FINDING_CHARACTERS) for cell in row)
     return [f"'{cell}" if cell.startswith(("=", "+", "-", "@", "::")) else cell for cell in cells]
 

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     """Function that raises an `OptionError` where `dds-record` would refuse its arguments."""
 
 _TOO_OLD = "No such option: --check"
-"""What an older `dds-record` of another environment prints."""
+"""Error of a `dds-record` of an older version."""
 
 
 def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dict[str, str]:
-    """Return each cell, of all repeats, whose options are refused, with the reason; nothing of the plan is run."""
+    """Return the cells, of all repeats, whose options are refused, with the reason; nothing is run."""
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
     for group in group_by_relay(plan, plan.cells):
@@ -74,10 +74,10 @@ def rehearse_plan(
     note: Callable[[str], None],
     command: Sequence[str] | None = None,
 ) -> dict[str, str]:
-    """Return each cell that cannot be recorded here, of all repeats, with the reason; `folder` is not made.
+    """Return the cells, of all repeats, that cannot be recorded here, with the reason; `folder` is not made.
 
-    All arguments are checked. Of cells that differ only in size and rate, one ping starts and ends before its first message,
-    and so does each relay on its device, with namespaces, bridges and middleware; network and disk space stay untested.
+    Of cells that differ only in size and rate, one ping starts and ends before its first message, and so does each relay
+    on its device, with namespaces, bridges and middleware; network and disk space stay untested.
     """
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
@@ -145,7 +145,7 @@ class _Rehearsal:
         return _refusal(self._check_arguments, arguments, self._scratch)
 
     def _unless_old(self, environment: str, reason: str | None) -> str | None:
-        """Return the reason, or None with a note if the environment has no `--check`."""
+        """Return the reason; if the environment has no `--check`, print a note and return None."""
         if reason is None or not environment or _TOO_OLD not in reason:
             return reason
         if environment not in self._too_old:

@@ -1,4 +1,4 @@
-"""The search for the highest rate that a setup sustains: bisection between two rates, repeated at the knee.
+"""The search for the highest rate that a setup sustains: bisection, repeated at the knee.
 
 A run sustains its rate if it kept the schedule, lost no more than allowed, and met the deadline at a percentile of the
 response time (planned send to reply, so that a late sender counts).
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from .run.runner import Runner
 
 SUSTAINED_SHARE = 0.95
-"""Share of the requested rate that the sender has to reach."""
+"""Share of the requested rate that the sender must reach."""
 
 LOST_BY_CHANCE = 0.05
-"""Probability below which losses are not chance: one of 225 messages says nothing about a limit of 0.1 %."""
+"""Losses below this probability are not chance: one of 225 messages says nothing about a limit of 0.1 %."""
 
 MESSAGES_FOR_PERCENTILE = 1.0
 """Messages beyond a percentile: p99 takes 100 messages."""
@@ -37,16 +37,14 @@ KNEE_STEPS = 16
 """Most steps by which repeats may move the rate after the bisection."""
 
 _ROUNDED = 1.01
-"""Factor by which rates of three digits may exceed the resolution."""
+"""Rates of three digits may exceed the resolution by this factor."""
 
 
 class RateAnswer(Enum):
     """Meaning of a rate."""
 
     FOUND = "found"
-    AT_LEAST = (
-        "at least"  # the highest rate of the plan is sustained, or repeats still raised the rate when the steps ran out
-    )
+    AT_LEAST = "at least"  # the plan's highest rate is sustained, or the steps ran out while the rate still rose
     BELOW = "below"  # not even the lowest rate of the plan is
     FAILED = "failed"  # a trial could not be run
 
@@ -73,7 +71,7 @@ class TrialFailedError(Exception):
 
 
 class Knee(NamedTuple):
-    """The highest sustained rate, and the lowest that is not (`failing_hz`) with the reason."""
+    """The highest sustained rate, the lowest that is not, and the reason."""
 
     answer: RateAnswer
     rate_hz: float
@@ -89,7 +87,7 @@ class Bisection:
     trial: Callable[[float, int], str]
 
     def run(self) -> Knee:
-        """Return the highest rate that is sustained, within the resolution."""
+        """Search within the resolution."""
         low, high = self.search.min_rate, self.search.max_rate
         is_low_sustained, why = False, ""
         while high / low > self.search.resolution:
@@ -100,7 +98,7 @@ class Bisection:
                 high, why = middle, reason
             else:
                 low, is_low_sustained = middle, True
-        # The two given rates cost the most: tried only if the search ended at one of them.
+        # The two given rates cost the most: they are tried only if the search ends at one.
         if not is_low_sustained and (reason := self._majority(low)):
             return Knee(RateAnswer.BELOW, low, low, reason)
         if not why and not (why := self._majority(high)):
@@ -108,7 +106,7 @@ class Bisection:
         return self._settle(low, high, why)
 
     def _settle(self, low: float, high: float, reason: str) -> Knee:
-        """Repeat the trials at the knee; a majority moves it, upwards by strides that double, and the range is halved again."""
+        """Repeat the trials at the knee; a majority moves it, upwards by doubling strides, then by bisection."""
         stride, is_open = self.search.resolution, False
         for _ in range(KNEE_STEPS):
             if why := self._majority(low):
@@ -130,7 +128,7 @@ class Bisection:
         return Knee(RateAnswer.AT_LEAST, low, None, "") if is_open else Knee(RateAnswer.FOUND, low, high, reason)
 
     def _confirmed(self, rate_hz: float) -> str:
-        """Return why a rate was not sustained if the majority says so: the rates above a failure are not tried again."""
+        """Return why a majority did not sustain the rate; failures count for all rates above theirs."""
         return self.trial(rate_hz, 1) and self._majority(rate_hz)
 
     def _majority(self, rate_hz: float) -> str:
@@ -152,7 +150,7 @@ def round_rate(rate_hz: float) -> float:
 
 
 def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str:
-    """Return why a run did not sustain its rate, or an empty text."""
+    """Return why a run did not sustain its rate; empty if it did."""
     achieved_hz = result.achieved_rate_hz or 0.0
     percentile = f"p{search.percentile:g}"
     response_ms = result.response_ms[percentile] if result.response_ms else math.inf
@@ -170,7 +168,7 @@ def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str
 
 
 def _loses_more(result: CellResult, percent: float) -> bool:
-    """Return whether more was lost than allowed, and than single losses of the allowed share explain (Poisson, 5 %)."""
+    """Return whether more was lost than allowed and than chance explains (Poisson, 5 %)."""
     lost = round(result.loss_percent * result.published / 100)
     allowed = percent * result.published / 100
     fewer = (
@@ -193,7 +191,7 @@ def search_plan(plan: Plan) -> Plan:
 
 
 def messages_needed(search: Search) -> int:
-    """Return the fewest messages for the search's percentile."""
+    """Return the fewest messages for the percentile."""
     return math.ceil(MESSAGES_FOR_PERCENTILE / (1 - search.percentile / 100) - 1e-9)
 
 

@@ -1,4 +1,4 @@
-"""`run_sweep` and `run_search`: from a plan to the traces of its cells below a folder."""
+"""From a plan to the traces of its cells below a folder."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     """Function from the folder of a sweep and its runs to the half width of each cell's interval."""
 
 INCOMPLETE_EXIT_CODE = 10
-"""Exit code of `dds-sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""
+"""For cells without complete recording; the `TraceError` tree has 1 to 9."""
 
 TOO_WIDE_EXIT_CODE = 11
-"""Exit code of `dds-sweep --until` if everything is recorded but some cells are too wide after the last pass."""
+"""For `--until`: all is recorded, but some cells are too wide after the last pass."""
 
 DEFAULT_MAX_PASSES = 40
-"""Runs whose statistic spreads by 10 % (standard deviation) need about 33 repeats to be known to +-5 % at any stop."""
+"""Runs whose statistic spreads by 10 % (standard deviation) need about 33 repeats for +-5 %."""
 
 _TARGET = re.compile(r"\s*(\w+)\s*:\s*([0-9.]+)\s*%\s*")
 
@@ -79,8 +79,8 @@ class SweepOutcome:
 
     Attributes:
         cells: number of cells, repeats included.
-        missing: name of each cell without a complete recording -> the reason.
-        too_wide: name of each cell with too wide an interval -> half width in percent.
+        missing: cell without complete recording -> reason.
+        too_wide: cell with too wide an interval -> half width in percent.
     """
 
     folder: Path
@@ -92,7 +92,7 @@ class SweepOutcome:
 def run_sweep(
     plan: Plan, out: Path, progress: SweepProgress, *, command: Sequence[str] | None = None, until: Until | None = None
 ) -> SweepOutcome:
-    """Record every cell of the plan that is not complete, in a folder below `out`.
+    """Record every incomplete cell of the plan, in a folder below `out`.
 
     Args:
         plan: the plan to record.

@@ -1,1 +1,1 @@
-"""Plans: which cells there are, in which order, over which link, and how long they take."""
+"""Plans: cells, their order, the link and the duration."""

@@ -67,7 +67,7 @@ class PlanAxis(Key):
 
     @property
     def choices(self) -> list[str]:
-        """The allowed values; empty for any."""
+        """Allowed values; empty for any."""
         return choices_of(self.row) if self.row else []
 
 
@@ -100,13 +100,11 @@ AXES: Mapping[str, PlanAxis] = {
         default="",
     ),
 }
-"""The axes of a plan: options of `dds-record`, and what else two sides may differ in."""
+"""Options of `dds-record`, and what else two sides may differ in."""
 
 DEFAULTS: dict[str, Any] = {name: axis.default for name, axis in AXES.items()}
-"""Value of each axis where a plan is silent."""
 
 RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.for_relay)
-"""Axes that a relay is started with."""
 
 _ALWAYS_NAMED = {"backend", "rmw", "relay_backend", "relay_rmw", "bridge", "data", "size", "rate"}
 OTHER_AXES = tuple(name for name in AXES if name not in _ALWAYS_NAMED)
@@ -116,7 +114,7 @@ _Class = TypeVar("_Class")
 
 
 def _with_all_axes(cell: type[_Class]) -> type[_Class]:
-    """Make every axis a field; the class has those that are read by name."""
+    """Make every axis a field."""
     for name, default in DEFAULTS.items():
         cell.__annotations__.setdefault(name, "object")
         setattr(cell, name, default)
@@ -126,7 +124,7 @@ def _with_all_axes(cell: type[_Class]) -> type[_Class]:
 @dataclass(frozen=True, slots=True)
 @_with_all_axes
 class Cell:
-    """The parameters of one run: the axes, and the number of the pass."""
+    """The axes of one run, and the number of the pass."""
 
     backend: str = "ros2"
     rmw: str | None = None
@@ -178,13 +176,13 @@ class Cell:
 
     @property
     def changed_axes(self) -> list[str]:
-        """The values that are in the name because they are not the default."""
+        """Values in the name, because they are not the default."""
         values = [(name, getattr(self, name)) for name in OTHER_AXES]
         return [_other_name(name, value) for name, value in values if value != DEFAULTS[name]]
 
     @property
     def name(self) -> str:
-        """Name of the cell and of its files: `ros2-fastrtps_same_binary-33KB_10Hz`; a new axis keeps the names of recorded cells."""
+        """Name of the cell and its files, `ros2-fastrtps_same_binary-33KB_10Hz`; a new axis keeps older names."""
         relay = (
             ["to-" + _middleware_name(self.relay.backend, self.relay.rmw)]
             if self.relay_backend is not None or self.relay_rmw is not None

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from .schedule import CellGroup
 
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
-"""Label with the number of the pass, for comparisons pass by pass."""
+"""For comparisons pass by pass."""
 
 AGAINST_LABEL = "against"
-"""Label with the cell of the other plan, for comparisons cell by cell."""
+"""Label with the cell of the other plan."""
 
 
 def relay_arguments(plan: Plan, need: Cell, number: int = 1) -> list[str]:
@@ -74,7 +74,7 @@ def _common_arguments(plan: Plan, device: DeviceSettings, number: int) -> list[s
 
 
 def _axis_arguments(parameters: Cell, names: Iterable[str]) -> list[str]:
-    """Return options for the values that are not the default, which a plan shares with `dds-record`."""
+    """Return the options for values that are not the default."""
     return [
         argument
         for name in names

@@ -99,7 +99,7 @@ ForwarderReport: TypeAlias = "dict[str, dict[str, float | None]]"
 
 
 class LinkReport(TypedDict):
-    """The report of the link in the trace: its values, what emulates them, and its work since the last report."""
+    """Values of the link, what emulates it, and its traffic since the last report."""
 
     monotonic_ns: int
     link: dict[str, str | float] | None

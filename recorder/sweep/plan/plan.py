@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
-"""Percentiles in the result of a cell, and of the deadline of a search."""
+"""Percentiles in the result of a cell."""
 
 
 class Order(Enum):
@@ -39,7 +39,7 @@ class Order(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """The table `[run]`, for all cells; without `messages` and `seconds` a run has `DEFAULT_MESSAGES`."""
+    """The table `[run]`; without `messages` and `seconds` a run has `DEFAULT_MESSAGES`."""
 
     messages: int = plan_key(
         0,
@@ -146,13 +146,13 @@ class DeviceSettings:
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """A rule that excludes the cells whose every named axis has one of its values."""
+    """A rule that excludes cells whose named axes all have one of its values."""
 
     values: Mapping[str, tuple[object, ...]]
     reason: str = ""
 
     def covers(self, cell: Cell) -> bool:
-        """Return whether the rule leaves out this cell."""
+        """Return whether the cell is excluded."""
         return all(getattr(cell, axis) in values for axis, values in self.values.items())
 
 
@@ -231,7 +231,7 @@ class Plan:
 
     @property
     def has_two_devices(self) -> bool:
-        """Whether the relay is on another device."""
+        """Whether the relay is elsewhere."""
         return self.by_hand or self.relay.ssh is not None
 
     def needs_address(self, cell: Cell) -> bool:
@@ -244,7 +244,7 @@ class Plan:
 
     @property
     def digest(self) -> str:
-        """Digest of all settings that change how a cell is recorded, but not which cells there are."""
+        """Digest of the settings that change how a cell is recorded, without the list of cells."""
         settings = {
             "run": {
                 name: value
@@ -261,7 +261,7 @@ class Plan:
 
 
 def depth_warnings(plan: Plan) -> list[str]:
-    """Return warnings about cells whose history is too short for their rate."""
+    """Return each warning with its cells."""
     warned: dict[str, list[str]] = {}
     for cell in plan.cells:
         if (warning := depth_warning(cell)) is not None:

@@ -1,4 +1,4 @@
-"""Reads a plan's TOML file; errors name the place of a wrong key or value and the remedy."""
+"""Reads a plan's TOML file; errors name the key and the remedy."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by
 
 
 def check_runs(where: str, cells: int, passes: int) -> None:
-    """Raise an `OptionError` for more than `MAX_RUNS` runs."""
+    """Refuse more than `MAX_RUNS` runs."""
     if cells * passes > MAX_RUNS:
         times = f" in {passes:,} repeats" if passes > 1 else ""
         raise OptionError(
@@ -136,14 +136,14 @@ def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
 
 
 def _folder_name(root: TomlTable, stem: str) -> str:
-    """Return the folder's name, by default the name of the file; it cannot leave `--out`."""
+    """Return the folder's name, which cannot leave `--out`."""
     name = root.take("name", str, stem)
     limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
     return name
 
 
 def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:
-    """Yield a cell for every combination of the values; the last axis changes fastest."""
+    """Yield a cell for every combination; the last axis changes fastest."""
     if axes.get("backend") == [INSTALLED]:
         others = {axis: values for axis, values in axes.items() if axis not in ("backend", "rmw")}
         for backend, rmw in installed():
@@ -166,7 +166,7 @@ def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell],
 
 
 def _check_names(cells: list[Cell], where: str, passes: int) -> None:
-    """Raise an `OptionError` for two cells of one name, or a name that is too long."""
+    """Refuse two cells of one name, and names that are too long."""
     seen: set[str] = set()
     for cell in cells:
         if cell.name in seen:
@@ -186,7 +186,7 @@ def _check_names(cells: list[Cell], where: str, passes: int) -> None:
 
 
 def _check(plan: Plan, where: str) -> None:
-    """Raise an `OptionError` for a fault of several keys."""
+    """Refuse faults of several keys."""
     run, search, rates = plan.run, plan.search, {cell.rate for cell in plan.cells}
     faults = (
         (

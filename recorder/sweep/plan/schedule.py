@@ -1,4 +1,4 @@
-"""The schedule of a plan: the order of its cells, grouped by their relay, and its duration."""
+"""The order of a plan's cells, grouped by their relay, and its duration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RUN_OVERHEAD_S = 1.5
 """Start, discovery, drain and close of a ping, measured on two slow cores."""
 
 OWN_COST_S = 1.0
-"""Measurement of a session's own cost, in the passes that do it (`own_cost_passes`)."""
+"""Measurement of a session's own cost (`own_cost_passes`)."""
 
 BRIDGE_OVERHEAD_S = 2.0
 """Start and discovery of a bridge."""
@@ -38,18 +38,18 @@ class CellGroup:
 
 
 def schedule(plan: Plan) -> list[CellGroup]:
-    """Return all cells of all passes in groups of one relay, in an order that only depends on the plan."""
+    """Return all cells of all passes, grouped by relay, in an order that only depends on the plan."""
     groups = [group for number in range(1, plan.run.repeats + 1) for group in schedule_pass(plan, plan.cells, number)]
     return number_groups(groups)
 
 
 def number_groups(groups: Iterable[CellGroup], first: int = 1) -> list[CellGroup]:
-    """Return the groups with numbers that count from `first`."""
+    """Count the groups from `first`."""
     return [replace(group, number=number) for number, group in enumerate(groups, first)]
 
 
 def schedule_pass(plan: Plan, cells: Iterable[Cell], number: int) -> list[CellGroup]:
-    """Return these cells of pass `number` (1, 2 ...) in groups of one relay."""
+    """Return these cells of pass `number` (1, 2 ...), grouped by relay."""
     groups = group_by_relay(plan, [replace(cell, repeat=number) for cell in cells])
     return _ORDERS[plan.run.order](groups, plan.run.seed, number)
 
@@ -81,7 +81,7 @@ _ORDERS: dict[Order, Callable[[list[CellGroup], int, int], list[CellGroup]]] = {
 
 
 def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
-    """Return the cells in groups of one relay, in the order of their first appearance."""
+    """Group cells by relay, in the order of their first appearance."""
     served: dict[tuple[Cell, str | None], list[Cell]] = {}
     for cell in cells:
         half = cell.bridge if plan.runs_halves(cell) else None
@@ -108,7 +108,7 @@ class Remaining:
 
 @dataclass(slots=True)
 class Estimate:
-    """The duration of runs: their schedules, and the overhead of a run as measured so far."""
+    """Expected duration of runs: their schedules, and the overhead as measured so far."""
 
     plan: Plan
     _measured_s: list[float] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""The tables of a plan and their keys, and the JSON schema with which editors complete them.
+"""The tables and keys of a plan, and their JSON schema for editors.
 
 The schema accepts more than the parser: NaN, huge integers, missing data, faults of several keys.
 """
@@ -107,12 +107,12 @@ TABLES: Mapping[str, Table] = {
     ),
     "search": Table("What `--max-rate` looks for.", _keys_of(Search)),
 }
-"""Dotted name -> table; the root has no name."""
+"""By dotted name; the root has no name."""
 
 PLAN_LIMITS: Mapping[str, Mapping[str, Limit]] = {
     name: {word: key.limit for word, key in table.keys.items()} for name, table in TABLES.items()
 }
-"""Table of a plan -> its keys -> the validator of each."""
+"""Table -> key -> validator."""
 
 
 def axis_choices(name: str) -> list[str]:
@@ -123,10 +123,9 @@ def axis_choices(name: str) -> list[str]:
 Schema: TypeAlias = "dict[str, object]"
 
 SCHEMA_FILE_NAME = "plan.schema.json"
-"""Name of the schema in the folder of a plan."""
 
 POINTER = f"#:schema ./{SCHEMA_FILE_NAME}"
-"""First line of a plan, with which Taplo and Tombi find the schema."""
+"""First line of a plan; Taplo and Tombi find the schema by it."""
 
 _JSON_TYPES = {str: "string", int: "integer", float: "number", bool: "boolean"}
 _LINK = re.compile(r"\[([^]]+)\]\([^)]+\)")
@@ -161,7 +160,6 @@ def _table(name: str) -> Schema:
     schema: Schema = {"description": plain(table.meaning)}
     if not table.is_repeated:
         return schema | _object(name, table)
-    # A table or an array of tables.
     one = _object(name, table)
     return schema | {**one, "type": ["object", "array"], "items": {"$ref": f"#/properties/{name}", "type": "object"}}
 
@@ -213,7 +211,7 @@ _SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"size": _size, "data": _
 
 
 def _words(limit: limits.Words) -> Schema:
-    """Return length and pattern of a text, in the syntax of every engine."""
+    """Return length and pattern of a text; all engines share this syntax."""
     pattern = r"[^\x00]*"
     if limit is not limits.TEXT:
         pattern = f"(?:{limit.pattern.pattern})".replace(r"\Z", "$")
@@ -228,7 +226,6 @@ _BOUNDS: Mapping[type[Limit], Callable[..., Schema]] = {
     limits.OneOf: lambda limit: {"enum": list(limit.choices)},
     limits.Flag: lambda _: {},
 }
-"""Kind of limit -> its bounds in the schema."""
 
 _ABOVE_ZERO = {"exclusiveMinimum": 0}
 _RULES: Mapping[str, Schema] = {
@@ -240,7 +237,7 @@ _RULES: Mapping[str, Schema] = {
         ]
     }
 }
-"""Table -> rules of several keys: a run has a length in messages or in time."""
+"""Rules of several keys: a run has a length in messages or in time."""
 
 
 def plain(text: str) -> str:

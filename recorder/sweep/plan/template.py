@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 WIDTH = 100
-"""Columns of a comment."""
 
 DATA_EXAMPLE = "binary 33KB @ 20, imu @ 100"
 HERE, NOTHING = "here", "nothing"
@@ -34,7 +33,7 @@ COMPARISONS: Mapping[str, tuple[str, object]] = {
     "tuning": ("tuned", [False, True]),
     "serialization": ("serialization", ["raw", "typed"]),
 }
-"""What can be compared -> the axis and its values."""
+"""Word -> axis and values."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,7 @@ _KIND_NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class TomlTable:
-    """One table of a TOML file, with its dotted key and the limits of all tables."""
+    """One table, with its dotted key and the limits of all tables."""
 
     values: Mapping[str, object]
     path: str
@@ -59,7 +59,7 @@ class TomlTable:
 
     @property
     def where(self) -> str:
-        """File and table, as errors begin."""
+        """File and table, for errors."""
         return f"{self.path}: [{self.key}]" if self.key else self.path
 
     def table(self, key: str) -> TomlTable:
@@ -98,7 +98,7 @@ class TomlTable:
         return value
 
     def allow(self, *keys: str) -> None:
-        """Raise an `OptionError` for a key that is not among `keys`."""
+        """Raise an `OptionError` for any other key."""
         for key in self.values:
             if key not in keys:
                 raise OptionError(f"{self.where}: there is no {limits.shown(key)}; {limits.nearest(key, keys)}")
@@ -106,7 +106,7 @@ class TomlTable:
     def fill(self, defaults: _Record, *others: str) -> _Record:
         """Return a dataclass with the table's values, and with `defaults` where a key is missing.
 
-        Values have the type of their default; None is for a text, a tuple for one or several texts. `others` are allowed, too.
+        A value has the type of its default; None means a text, a tuple one or several texts. `others` are allowed, too.
         """
         names = [field.name for field in fields(defaults)]
         self.allow(*names, *others)

@@ -1,1 +1,1 @@
-"""A running sweep: its runner, state, results and progress."""
+"""A running sweep: runner, state, results and progress."""

@@ -19,7 +19,7 @@ class SweepProgress:
     """Receiver of the steps of a sweep; ignores them."""
 
     def begin(self, cells: int, done: int) -> None:
-        """Start with the number of cells, 0 if it is open, and of complete ones."""
+        """Start with the number of cells (0: not fixed), and of complete ones."""
 
     def relay(self, name: str) -> None:
         """Show that a relay starts."""

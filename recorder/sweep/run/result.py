@@ -1,4 +1,4 @@
-"""The result of one cell, for progress, state file and search; publish the analyzer's figures."""
+"""One cell's result for progress, state file and search; publish the analyzer's figures instead."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class CellResult:
 
 
 def read_result(path: Path) -> CellResult:
-    """Return the result of a trace with exactly one run, finished."""
+    """Read a trace with exactly one run, finished."""
     trace = read_trace(path)
     if len(trace.runs) != 1:
         raise TraceFormatError(path, f"has {counted(len(trace.runs), 'run')} where a cell has one")

@@ -1,8 +1,8 @@
-"""The runner of a sweep: records cell after cell and leaves one closed trace per device and cell.
+"""The runner of a sweep: records cell after cell, one closed trace per device and cell.
 
 The relay of a group of cells writes one trace, a *segment*, into `.parts/`. Each ping writes there too; a complete
-trace moves to its final name. When the relay stops, its segment is split into the cells' relay files, also after an
-interrupted sweep.
+trace moves to its final name. When the relay stops, or a sweep is resumed, the segment is split into the cells' relay
+files.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ START_ALLOWANCE_S = 40.0
 POLL_S = 0.2
 
 ENDED_CODES = (0, RelayLostError.exit_code)
-"""Exit codes of a ping whose trace counts: while the relay runs, its silence is the loss that the cell measures."""
+"""Exit codes of a ping whose trace counts: while the relay runs, silence is the loss that the cell measures."""
 
 HOPELESS_EXIT_CODES = {OptionError.exit_code, BackendUnavailableError.exit_code}
-"""Exit codes of `dds-record` after which another attempt would end the same way."""
+"""Exit codes of `dds-record` that another attempt would repeat."""
 
 
 class CellFailedError(Exception):
-    """Failure of an attempt; `hopeless` if another one would fail alike."""
+    """Failure of an attempt; `hopeless` if another one would fail the same way."""
 
     def __init__(self, reason: str, *, hopeless: bool = False) -> None:
         super().__init__(reason)
@@ -60,7 +60,7 @@ class CellFailedError(Exception):
 
 
 class GroupRelay:
-    """The relay of a group of cells with its half of a bridge (if any); after an end by itself a new segment follows."""
+    """The relay of a group of cells with its half of a bridge; after it ends by itself a new segment follows."""
 
     def __init__(
         self, device: RelayDevice, arguments: Sequence[str], half: Sequence[str] | None, new_segments: Iterator[str]
@@ -120,7 +120,7 @@ class Runner:
         self._estimate = Estimate(plan)
 
     def run(self, groups: list[CellGroup]) -> None:
-        """Run every cell that is not complete."""
+        """Run every incomplete cell."""
         cells = [cell for group in groups for cell in group.cells]
         self.resume()
         done = sum(self.state[cell.name].done for cell in cells)
@@ -144,7 +144,7 @@ class Runner:
         self._station.device.clear(self.state.segments)
 
     def reasons(self, cells: Iterable[Cell]) -> dict[str, str]:
-        """Return the name of each incomplete cell, and the reason."""
+        """Return incomplete cells by name, with the reason."""
         return {
             cell.name: self.state[cell.name].reason or "the relay's trace is still on its device"
             for cell in cells
@@ -173,7 +173,7 @@ class Runner:
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
-        """Yield the relay of a group; its cells' relay traces follow."""
+        """Yield the relay of a group; split its trace at the end."""
         relay = GroupRelay(
             self._station.within(group.need.environment).device,
             relay_arguments(self.plan, group.need, group.cells[0].repeat),
@@ -188,7 +188,7 @@ class Runner:
                 self._collect(segment)
 
     def record(self, cell: Cell, relay: GroupRelay) -> CellState:
-        """Record one cell, as often as the plan allows, and return its new state."""
+        """Record one cell, as often as the plan allows."""
         for _ in range(self.plan.run.attempts):
             before = self.state[cell.name]
             running = replace(before, status=Status.RUNNING, attempts=before.attempts + 1, reason="")
@@ -309,11 +309,11 @@ class Runner:
             return {}
 
     def ping_path(self, name: str) -> Path:
-        """Return the path of a cell's ping trace."""
+        """Return the ping's trace."""
         return self.folder / f"{name}.ping.mcap"
 
     def relay_path(self, name: str) -> Path:
-        """Return the path of a cell's relay trace."""
+        """Return the relay's trace."""
         return self.folder / f"{name}.relay.mcap"
 
     def _segment_names(self, group: CellGroup) -> Iterator[str]:

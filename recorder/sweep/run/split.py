@@ -1,6 +1,6 @@
 """Split a relay's trace of many runs into one trace for each cell.
 
-Each part keeps the relay's session (`session_id` and clock anchor): a reader sees one recording over several files.
+The parts keep `session_id` and clock anchor: a reader sees one recording over several files.
 """
 
 from __future__ import annotations

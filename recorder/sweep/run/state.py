@@ -35,12 +35,12 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """One cell's entry in the state file, which has `{}` for None.
+    """One cell's entry in the state file.
 
     Attributes:
         reason: reason of the last failure.
         run_id: the run that counts, 16 hex digits.
-        segment: name of the relay's own trace that still contains this cell's part.
+        segment: the relay's own trace that still contains this cell's part.
         result: numbers of the ping's trace.
         link: report of the emulated link for the run.
     """
@@ -55,7 +55,7 @@ class CellState:
 
     @property
     def done(self) -> bool:
-        """Whether the cell needs no further run."""
+        """Whether no further run is due."""
         return self.status in (Status.COMPLETE, Status.RECORDED)
 
 
@@ -89,7 +89,7 @@ class SweepState:
         self._save()
 
     def in_segment(self, segment: str) -> dict[str, CellState]:
-        """Return the cells of this segment, by name."""
+        """Return this segment's cells."""
         return {name: cell for name, cell in self._cells.items() if cell.segment == segment}
 
     @property
@@ -149,7 +149,7 @@ class SweepState:
 
 
 def _check_names(name: str, cell: CellState) -> None:
-    """Raise a ValueError for a foreign name: names become paths, and the file may be somebody else's."""
+    """Refuse foreign names: they become paths, and the file may be somebody else's."""
     if not re.fullmatch(r"[\w+-][\w.+-]*", name):
         raise ValueError(f"{name!r} is not the name of a cell")
     if cell.segment and not is_segment_name(cell.segment):

@@ -1,4 +1,4 @@
-"""The devices for a relay: this machine, and one that a person operates; `ssh.py` has the third."""
+"""The relay's device: this machine, or one that a person operates; `ssh.py` has the third."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class StartedProgram(Protocol):
-    """A relay, or a half of a bridge, on its device."""
+    """A relay, or half of a bridge, on its device."""
 
     @property
     def failure(self) -> str | None:
@@ -49,7 +49,7 @@ class RelayDevice:
         """Check the device, and make a folder for traces there."""
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Start a relay that writes the trace `segment`."""
+        """Start a relay that writes this trace."""
         raise NotImplementedError
 
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
@@ -61,7 +61,7 @@ class RelayDevice:
         return None
 
     def discard(self, segment: str) -> None:
-        """Remove the trace `segment` after it is split."""
+        """Remove a trace that is split."""
 
     def clear(self, keep: Collection[str]) -> None:
         """Remove traces of an interrupted sweep, except these segments."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..plan.link import EndCounters, Link
 
 INTERFACE = "link0"
-"""Name of the link's device in either namespace."""
+"""The link's device in either namespace."""
 
 SYSTEM_PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where Debian has `ip` and `tc`
 
@@ -34,12 +34,12 @@ _TBF_BURST_S = 0.0002
 
 
 def ip(*arguments: str) -> str:
-    """Run the system's `ip` and return its output."""
+    """Run `ip` and return its output."""
     return _system("ip", *arguments)
 
 
 def tc(*arguments: str) -> str:
-    """Run the system's `tc` and return its output."""
+    """Run `tc` and return its output."""
     return _system("tc", *arguments)
 
 
@@ -79,7 +79,7 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
         )  # fmt: skip
         parent = ["parent", "1:1"]
     if kernel_does_all and not link.needs_only_rate:
-        # netem's limit counts the packets in flight; its default of 1000 would drop at 12 MB/s and 1 s.
+        # netem's limit counts packets in flight; its default of 1000 drops at 12 MB/s and 1 s.
         disciplines.append(
             [*parent, "handle", "10:", "netem", "delay", f"{link.delay_ms:g}ms", f"{link.jitter_ms:g}ms",
              "distribution", "normal", "loss", f"{link.loss_percent:g}%", "limit", "50000"],
@@ -104,7 +104,7 @@ def open_tap(name: str, namespace: str) -> int:
 def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
     """Start `tap_forwarder.py`."""
     program = Path(__file__).with_name("tap_forwarder.py")
-    # -I -S: only the standard library, which starts fastest.
+    # -I -S starts fastest: only the standard library.
     return subprocess.Popen(
         [sys.executable, "-I", "-S", str(program), *map(str, taps), json.dumps(link.to_dict())],
         stdin=subprocess.PIPE,

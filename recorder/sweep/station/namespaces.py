@@ -40,7 +40,7 @@ class Side:
 
     @property
     def prefix(self) -> list[str]:
-        """Words before a command that make it run in this namespace, with shared memory of its own.
+        """Words before a command that run it in this namespace, with its own shared memory.
 
         With one `/dev/shm` for both sides some middleware (Zenoh) would bypass the link.
         """

@@ -1,4 +1,4 @@
-"""A `dds-record` process of a sweep, which ends with the sweep even when that is killed."""
+"""A `dds-record` process of a sweep, which ends even when the sweep is killed."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 DEFAULTS_VARIABLE = "DDS_TRACE_CONFIG"
-"""Empty for the programs of a sweep: a plan says all that is measured, so no file of defaults adds to it."""
+"""Empty for the programs of a sweep: no file of defaults adds to a plan."""
 
 STOP_PATIENCE_S = 60.0
 """Time for a recorder to wait for late replies, close its trace and stop its bridge."""
 
 REHEARSAL_PATIENCE_S = 60.0
-"""Time for a recorder to start and end again; a bridge takes up to 20 s to start."""
+"""A bridge takes up to 20 s to start."""
 
 REHEARSAL_STOP_S = 10.0
 LAST_WORDS_BYTES = 4096
 MOST_LOG_BYTES = 64 << 20
-"""Largest log of a program on another device."""
+"""For programs on another device."""
 
 _REASON = re.compile(r"dds-\w+: ")
 
 
 def local_program(name: str) -> list[str]:
-    """Return the path of the command `name` of this installation."""
+    """Return the path of a command of this installation."""
     installed = Path(sys.executable).with_name(name)
     return [str(installed if installed.exists() else shutil.which(name) or name)]
 
 
 def environment_program(folder: Path, name: str) -> tuple[str, ...]:
-    """Return the words that run the command `name` of another Python environment.
+    """Return the words that run a command of another Python environment.
 
-    They remove the variables of ROS 2 from wheels, with which the other ROS 2 would load ours.
+    They remove our ROS 2 variables, with which the other ROS 2 would load ours.
     """
     program = folder / "bin" / name
     if not program.exists():
@@ -61,7 +61,7 @@ def environment_program(folder: Path, name: str) -> tuple[str, ...]:
 
 
 class Program:
-    """One running program with a log file; on another device it `stops_by_input`, when its standard input closes."""
+    """One running program with a log; `stops_by_input` on another device: it ends when its standard input closes."""
 
     def __init__(
         self, command: Sequence[str], log: Path, *, stops_by_input: bool = False, lock: int | None = None
@@ -105,7 +105,7 @@ class Program:
         return None
 
     def stop(self, patience_s: float = STOP_PATIENCE_S) -> int:
-        """End the program, by force after `patience_s`, and return its exit code."""
+        """End the program, by force after `patience_s`; return its exit code."""
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()

@@ -1,4 +1,4 @@
-"""Another machine as the relay's device, through the system's `ssh`."""
+"""Another machine as the relay's device, through `ssh`."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
 
 SSH_TIMEOUT_S = 60.0
 MOST_TRACE_BYTES = 1 << 30
-"""Largest trace that is fetched: a hundred million events."""
+"""Largest fetched trace: a hundred million events."""
 
 MOST_ANSWER_BYTES = 1 << 16
 _COPY_BYTES = 1 << 18
 _POLL_S = 0.2
 _WAIT_FOR_END = "for i in $(seq 100); do kill -0 $(cat {pid}) 2>/dev/null || break; sleep 0.2; done; rm -f {pid}"
-"""Shell commands that wait up to 20 s for the process whose id is in the file {pid} to end, and remove the file."""
+"""Waits up to 20 s for the process of the file {pid} to end, and removes the file."""
 
 
 class SshDevice(RelayDevice):
     """Another machine, through the system's `ssh` and with its keys.
 
-    The shell there ends the relay when its standard input closes, also because this machine is gone. Traces wait in
+    The shell there ends the relay when its standard input closes, also if this machine is gone. Traces wait in
     `~/.cache/dds-trace/SWEEP/` there. The device is not trusted: its names and numbers of bytes are checked.
     """
 
@@ -54,7 +54,7 @@ class SshDevice(RelayDevice):
         self._host = settings.ssh
         self._ssh = [
             *("ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-o", "ServerAliveInterval=5"),
-            *(*settings.ssh_options, "--", settings.ssh),  # whatever it begins with, it is a host
+            *(*settings.ssh_options, "--", settings.ssh),  # a host, whatever it begins with
         ]
         path = f"PATH={quoted_path(settings.path)}:$PATH" if settings.path else ":"
         # The setup prints to stderr, so that its output is not taken for an answer.
@@ -205,13 +205,13 @@ def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int
 
 
 def quoted_path(path: str) -> str:
-    """Return a path for a shell, which expands `~/` at its start and nothing else."""
+    """Quote a path for a shell that expands only `~/` at its start."""
     home, rest = ("~/", path[2:]) if path.startswith("~/") else ("", path)
     return home + (shlex.quote(rest) if rest else "")
 
 
 def folder_there(plan: str, folder: Path) -> str:
-    """Return a sweep's folder on the device, with a hash of this machine and folder: plans may share a name."""
+    """Return a sweep's folder there, with a hash of this machine and folder: plans may share a name."""
     id_file = Path("/etc/machine-id")
     machine = id_file.read_text() if id_file.is_file() else platform.node()
     mark = hashlib.sha256(f"{machine}\0{folder.resolve()}".encode(errors="surrogateescape")).hexdigest()[:8]

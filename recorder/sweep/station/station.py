@@ -1,4 +1,4 @@
-"""The station of a sweep: both roles on this machine, in two namespaces, or the relay on another device."""
+"""The station of a sweep: both roles on this machine, or the relay on another device."""
 
 from __future__ import annotations
 

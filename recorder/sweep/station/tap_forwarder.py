@@ -1,7 +1,7 @@
 """The forwarder of an emulated link, for kernels without netem: carries frames between two TAP devices.
 
-It applies delay, jitter, loss and outages; the kernel's token bucket applies the rate, which slows the sender down as a
-network card does. As a process of its own it is not delayed by the sweep:
+It applies delay, jitter, loss and outages; the kernel's token bucket applies the rate, which slows the sender as a
+network card does. As its own process it is not delayed by the sweep:
 
     tap_forwarder.py FD FD JSON
 
@@ -23,10 +23,10 @@ from collections import Counter, deque
 
 FRAME_BYTES = 65536
 MOST_FRAMES = 50_000
-"""Most frames on the wire at once; a delay of 0.5 s at 1 Gbit/s has 42,000."""
+"""Most frames on the wire at once: 0.5 s at 1 Gbit/s has 42,000."""
 
 IP_FRAMES = (b"\x08\x00", b"\x86\xdd")
-"""Ethertypes of frames that may be lost: a lost ARP request would cost a second and measure nothing."""
+"""Ethertypes that may be lost: a lost ARP request would cost a second and measure nothing."""
 
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 WIRE_PRIORITY = 10

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RelayView:
-    """The relays' endpoints that a ping sees: subscriptions on its topic, publishers on the topic of the replies.
+    """The relays' endpoints that a ping sees: subscriptions on its topic, publishers of replies.
 
-    `incompatible` has a line for each pair whose quality of service never matches, `unassignable` for each side whose type
-    has another definition.
+    `incompatible` has a line for each pair whose quality of service never matches, `unassignable` for each side whose
+    type has another definition.
     """
 
     subscriptions: tuple[Endpoint, ...]
@@ -55,7 +55,7 @@ def look_for_relays(node: Node, data_type: DataType) -> RelayView:
 def find_loss(node: Node, data_type: DataType, silence: Silence, *, ended: bool) -> RelayLostError | None:
     """Return the error of a relay that no longer answers, None while it may come back.
 
-    Until the run has ended, a visible relay is not lost: an outage of some seconds is to be measured.
+    During the run, a visible relay is not lost: an outage of some seconds is to be measured.
     """
     if not silence.is_lasting or (not ended and look_for_relays(node, data_type).publishers):
         return None

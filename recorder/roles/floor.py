@@ -31,12 +31,12 @@ BRIEF_FLOOR_MESSAGES = 50
 FLOOR_PATIENCE_S = 10.0
 BRIEF_FLOOR_PATIENCE_S = 2.0
 COLDEST_GAP_S = 0.01
-"""Longest time between two messages: after 10 ms caches are as cold as after 100 ms (a relay took 51 and 52 us)."""
+"""Longest time between two messages: after 10 ms caches are as cold as after 100 ms."""
 
 
 @dataclass(frozen=True, slots=True)
 class FloorCost:
-    """The time from publish to callback within one process; caches are colder at a lower rate."""
+    """The time from publish to callback within one process."""
 
     median_ns: float
     p99_ns: float
@@ -49,7 +49,7 @@ def measured_cost() -> dict[str, Json]:
     try:
         cost = measure_recorder_cost(seconds=BRIEF_S)
     except TraceError:
-        return {}  # a missing temporary folder must not prevent a recording
+        return {}  # must not prevent a recording
     return {"recorder_cost": _rounded(cost)}
 
 
@@ -69,9 +69,9 @@ def measure_floor(
     patience_s: float = FLOOR_PATIENCE_S,
     rate_hz: float | None = None,
 ) -> FloorCost:
-    """Send small messages from a node of this process to itself, at the rate of a run, and time them.
+    """Send small messages within this process, at the rate of a run, and time them.
 
-    Where nodes do not receive their own messages (sockets), to another node.
+    Where nodes do not receive their own messages (sockets), a second node receives them.
 
     Raises:
         NoEchoError: the messages do not arrive within `patience_s`.

@@ -39,9 +39,9 @@ PROBE_PERIODS_NS = tuple(SECOND_NS // part for part in (10, 5, 5, 2, 2, 1))
 SETTLE_NS = SECOND_NS // 5
 """Silence after the last echo of a probe before the run may start."""
 DRAIN_NS = 2 * SECOND_NS
-"""Silence after which missing replies count as lost, unless twice the longest round trip is longer."""
+"""Silence after which missing replies count as lost, or twice the longest round trip."""
 LONGEST_DRAIN_NS = 60 * SECOND_NS
-"""Longest wait for missing replies, unless the sending took longer; no reply moves it."""
+"""Longest wait for missing replies, unless the sending took longer."""
 LONGEST_SETTLE_NS = 5 * SECOND_NS
 """Longest wait for echoes to cease once enough relays have echoed."""
 POLL_NS = SECOND_NS // 50
@@ -57,7 +57,7 @@ UNMET = "reply of a relay that did not answer a probe"
 
 
 class Record(Protocol):
-    """`TraceSink.record`, which keeps an event."""
+    """`TraceSink.record`."""
 
     def __call__(
         self,
@@ -153,7 +153,7 @@ class Ping(Generic[SentT, ReceivedT]):
         replies.note(sequence, relay_id, receive_ns)
 
     def meet(self, relay_id: int) -> None:
-        """Accept the replies of a relay that has sent a probe back, also those that came before the echo."""
+        """Accept the replies of a relay that has echoed a probe, also earlier ones."""
         if relay_id in self._met or len(self._met) >= MAX_RELAYS:
             return
         self._met.add(relay_id)
@@ -175,7 +175,7 @@ class Ping(Generic[SentT, ReceivedT]):
         self._publisher.publish(message)
 
     def _probe_others(self, now_ns: int) -> None:
-        """Within a run, send a probe to relays whose replies wait, at most one each `MEETING_NS`."""
+        """Within a run, probe relays whose replies wait, at most one each `MEETING_NS`."""
         if now_ns - self._probed_ns >= MEETING_NS:
             self._probed_ns = now_ns
             self._probe()
@@ -201,7 +201,7 @@ class Ping(Generic[SentT, ReceivedT]):
 
     @property
     def probes(self) -> Traffic:
-        """The probes that `wait_for_echo` has sent; none counts as received."""
+        """The sent probes; none counts as received."""
         return Traffic(len(self._nonces), 0, self.plan.payload.messages[0].payload_bytes)
 
     @property
@@ -221,7 +221,7 @@ class Ping(Generic[SentT, ReceivedT]):
 
     @property
     def echoing_relays(self) -> int:
-        """Number of relays that have sent a probe back."""
+        """Relays that have echoed a probe."""
         return len(self._met)
 
     def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
@@ -294,7 +294,7 @@ class Ping(Generic[SentT, ReceivedT]):
             yield message, taken.payload_bytes, arrival_ns
 
     def _drain(self, hopeless: threading.Event, sending_ns: int) -> None:
-        """Wait for missing replies of a sending that began at `sending_ns`."""
+        """Wait for missing replies."""
         replies = self._replies
         began_ns = self._now()
         deadline_ns = began_ns + max(LONGEST_DRAIN_NS, began_ns - sending_ns)
@@ -330,4 +330,4 @@ class Ping(Generic[SentT, ReceivedT]):
 
 
 def _discard(*_event: int) -> None:
-    """Drop an event: before the run there is no trace."""
+    """Before the run there is no trace."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """The messages of a run and their schedule; no statistic counts the first ones, `warmup`."""
+    """The messages of a run and their schedule; no statistic counts the first `warmup` ones."""
 
     payload: Payload
     rate_hz: float
@@ -39,7 +39,7 @@ class RunPlan:
 
     @property
     def total(self) -> int:
-        """Messages of the schedule, warm-up included."""
+        """Planned messages, warm-up included."""
         return self.warmup + self.messages
 
     def scheduled_ns(self, start_ns: int, sequence: int) -> int:
@@ -88,7 +88,7 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
 
 
 def count_messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
-    """Return the requested number of messages, or what fits the duration."""
+    """Return the messages that are requested, or fit the duration."""
     if messages is not None:
         return messages
     if duration_s is None:

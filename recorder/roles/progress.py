@@ -12,11 +12,11 @@ import numpy as np
 from dds_trace.base.units import SECOND_NS
 
 PERCENTILE_SAMPLES = 10_000
-"""Most messages, evenly picked, for a percentile on the screen: 0.1 ms of computing."""
+"""Most messages, evenly picked, for a percentile on the screen."""
 SILENCE_NS = 3 * SECOND_NS
 """Shortest silence that can mean a lost relay."""
 CHANCE = 1e-6
-"""Probability of a silence, by the losses before it, below which the relay is lost."""
+"""Below this probability by the losses before it, a silence means that the relay is lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +51,10 @@ class RelayProgress:
 
 
 class Watch(Protocol):
-    """An observer of a recording, called twice a second."""
+    """Called twice a second during a recording."""
 
     def note(self, text: str) -> None:
-        """Take a line that the user should read now."""
+        """Take a line for the user."""
 
     def progress(self, progress: PingProgress | RelayProgress) -> None:
         """Take the role's progress."""
@@ -90,7 +90,7 @@ class Replies:
 
     Attributes:
         publish_ns: T1 of each message by its sequence number; 0 before it is sent.
-        payload_bytes: application bytes of each message, likewise.
+        payload_bytes: application bytes of each message.
         received: messages with at least one reply.
         highest: highest sequence number with a reply, -1 before the first.
         last_ns: time of the latest reply, duplicates left out.
@@ -136,7 +136,7 @@ class Replies:
             self.highest = max(self.highest, sequence)
 
     def are_complete(self, published: int) -> bool:
-        """Return whether every answering relay has answered all messages."""
+        """Return whether each answering relay has answered all."""
         counts = list(self._counts.values())
         return published == 0 or (bool(counts) and min(counts) >= published)
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..backends.node import Node
 
 NEWS_S = 0.02
-"""Time between two looks for something to report, before a relay's first probe."""
+"""Polling period of a relay before its first probe."""
 
 
 class ReadBack:
@@ -54,7 +54,7 @@ class ReadBack:
         self._reported: set[tuple[Setting, str]] = set()
 
     def read_begin(self) -> None:
-        """Read once before the first message, on any thread."""
+        """Read before the first message, on any thread."""
         if self._applied is None:
             applied = read_applied()
             self._own = differences(self.requested, applied)
@@ -77,7 +77,7 @@ class ReadBack:
     def wait(self, stop: threading.Event, seconds: float) -> bool:
         """Wait for `stop`, but only until there is something to `report`; return whether `stop` is set.
 
-        A relay reads at its first probe, 0.2 s before the first message: until then this looks often.
+        A relay reads at its first probe, 0.2 s before the first message: until then it polls.
         """
         left_s = seconds
         while self._applied is None and left_s > 0:
@@ -96,7 +96,7 @@ class ReadBack:
         ]
 
     def report(self, trace: Path | None = None) -> None:
-        """Note each setting that was not applied, once; at the end of a recording, with the path of its trace.
+        """Note each setting that was not applied, once; at the end, with the path of the trace.
 
         Raises:
             NotAppliedError: there is one, and the recording is strict.

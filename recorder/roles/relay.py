@@ -38,7 +38,7 @@ RECENT_RUNS = 1000
 class Relay:
     """The relay of `data_types` on a node, whose thread does all the work.
 
-    `relay_id` is in every reply and not 0; `on_probe` is called after the reply to each readiness probe.
+    `relay_id`, not 0, is in every reply; `on_probe` is called after the reply to each readiness probe.
     """
 
     def __init__(
@@ -95,8 +95,8 @@ class Relay:
         begin_at = 0 if form.sizing_bytes_of is None else cast("RawStampPlace", form.stamp).begin_at
         forecast: _Forecast | None = None
 
-        # T3 and T4 are recorded before the reply leaves, so a killed relay has both of every reply; the time between them
-        # is subtracted from the latency. After the reply the next message of the run is prepared.
+        # T3 and T4 are recorded before the reply leaves, so a killed relay has both of every reply; the time between
+        # them is subtracted from the latency. The next message of the run is prepared after the reply.
         def receive(message: Any, source_ns: int = 0, received_ns: int = 0, /) -> None:
             nonlocal forecast
             relay_in_ns = now()
@@ -137,7 +137,6 @@ class Relay:
         return receive
 
     def _forecaster(self, form: Form[SentT, ReceivedT]) -> Callable[[Any, int, int, int], _Forecast | None]:
-        """Return a function that prepares the next message of a run."""
         sizing_bytes_of = form.sizing_bytes_of
         if sizing_bytes_of is None:
             return lambda *_: None
@@ -157,7 +156,7 @@ class Relay:
         return forecast_of
 
     def _note_run(self, run_id: int) -> None:
-        """Count a new run, and forget the one with the oldest last message."""
+        """Count a new run; forget the run with the oldest last message."""
         self._last_run = run_id
         if not self._recent_runs.pop(run_id, False):
             self._runs += 1

@@ -1,4 +1,4 @@
-"""The description of a recording: the `Session` of a role on a node."""
+"""The description of a recording: its `Session`."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def describe_session(
     relay_id: int | None = None,
     extra: JsonObject | None = None,
 ) -> Session:
-    """Describe the session of a role on an open node, its middleware and this device.
+    """Describe the session of a role, its middleware and this device.
 
     By default the device has its host name, and `default_connectivity`; a ping has no `relay_id`.
     """
     middleware = node.middleware
-    # Of all backends: ROS middleware reads its vendor's files, and a bridge may run on another vendor.
+    # Of all backends: ROS middleware reads its vendor's files, and a bridge may have another vendor.
     environment = join_environments(backend.environment for backend in load_backends())
     host = host_fingerprint(middleware.versions, environment)
     vendor_label = middleware.vendor_label or load_backend(middleware.backend).label
@@ -64,7 +64,7 @@ def describe_session(
 
 
 def strangers_field(strangers: Strangers) -> JsonObject:
-    """Return the session's field `strangers`, kind -> number, if anybody sent what was not accepted."""
+    """Return the session's field `strangers`, kind -> number, if there were any."""
     counts = strangers.counts
     return {"strangers": dict(sorted(counts.items()))} if counts else {}
 

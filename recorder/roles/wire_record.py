@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def open_wire(
     *, enabled: bool, discovery: Discovery, domain_ids: Iterable[int], note: Callable[[str], None]
 ) -> Iterator[WireRecord]:
-    """Open the capture of a role, before its node: the first announcement of a participant counts."""
+    """Open the capture before the node: a participant's first announcement counts."""
     if not enabled:
         yield WireRecord(None, note)
         return
@@ -43,7 +43,7 @@ def open_wire(
 
 
 class WireRecord:
-    """Writes the counts of a role's capture into the trace, while there is one."""
+    """Writes the counts of a role's capture into the trace."""
 
     def __init__(self, capture: WireCapture | None, note: Callable[[str], None]) -> None:
         self._capture = capture
@@ -52,7 +52,7 @@ class WireRecord:
 
     @property
     def processes(self) -> Mapping[str, int]:
-        """The capturing process, for the samples of the host's load."""
+        """The capturing process, for samples of the host's load."""
         return {} if self._capture is None else {"wire": self._capture.pid}
 
     def begin(self, run_id: int | None = None) -> None:
@@ -65,7 +65,7 @@ class WireRecord:
             self._give_up(err)
 
     def write_run(self, run: Run, sink: TraceSink) -> Run:
-        """Write the counts into a finished run, then its records; return the run."""
+        """Write the counts into a finished run; write its records."""
         result = self._take()
         if result is None:
             return run

@@ -1,1 +1,1 @@
-"""A recording that lasts for weeks: rotated files, free space on the disk, reports to systemd and to `dds-record status`."""
+"""A recording of weeks: rotation, disk space, reports to systemd and `dds-record status`."""

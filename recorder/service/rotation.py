@@ -1,4 +1,4 @@
-"""The files of a rotating recording, and the free space on their disk."""
+"""Files of a rotating recording, and free disk space."""
 
 from __future__ import annotations
 
@@ -28,14 +28,12 @@ MOST_MORE_BYTES = 100_000_000
 """Largest reserve above `--keep-free` that must be free before writing resumes."""
 
 _SHOWN_BYTES = 100_000
-"""Sizes in messages are whole multiples."""
 
 _NUMBERED = re.compile(rf"(?P<stem>.+)\.(?P<number>\d{{{DIGITS},}})\.mcap(?P<ring>{re.escape(RING_SUFFIX)})?")
-"""Name of a file, or of its ring."""
 
 
 class RotatedFiles:
-    """The files `NAME.00001.mcap` ... of a recording; numbers follow the highest existing one, so none is overwritten."""
+    """The files `NAME.00001.mcap` ... of a recording; numbers follow the highest existing one."""
 
     def __init__(self, destination: TraceDestination, session_id: int) -> None:
         self._destination = destination
@@ -43,7 +41,7 @@ class RotatedFiles:
         self._stem = destination.path.name.removesuffix(".mcap")
 
     def next(self) -> TraceDestination:
-        """Return the destination of the next file."""
+        """Return the next file."""
         folder = self._destination.path.parent
         number = max((int(match["number"]) for match in self._matches()), default=0) + 1
         return replace(self._destination, path=folder / f"{self._stem}.{number:0{DIGITS}d}.mcap", force=False)
@@ -90,7 +88,7 @@ def _is_of_session(path: Path, session_id: int) -> bool:
 def find_shortage(trace: Path, keep_free: KeepFree, *, was_short: bool = False) -> OutputError | None:
     """Return the error of a disk with too little free space, None if it has enough.
 
-    A disk that was short needs a fifth more, at most `MOST_MORE_BYTES`, so that recording does not stop and resume every
+    A disk that was short needs a fifth more, at most `MOST_MORE_BYTES`, so that recording does not alternate every
     second.
     """
     try:

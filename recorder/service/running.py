@@ -1,4 +1,4 @@
-"""The recordings that run on this machine: an entry (a file) for each in a runtime folder, locked by its process.
+"""The recordings on this machine: for each a file in a runtime folder, locked by its process.
 
 An entry without a lock was left by a killed process, and names the file whose events wait in the ring.
 """
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 SUFFIX = ".recording"
 ENTRY_BYTES = 8192
-"""Length of an entry, so that it can be overwritten in one step."""
+"""An entry has this length, so that one write replaces it."""
 _MOST_ENTRY_BYTES = 1 << 16
 _TRIES = 3
 
@@ -70,12 +70,12 @@ class State(Enum):
     RUNNING = "running"
     KILLED = "killed"
     UNSEEN = "unseen"
-    """Its entry is locked, but its process is in another container."""
+    """Locked, but its process is in another container."""
 
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One recording; `waiting` is the trace of a killed one with events in its ring."""
+    """One recording; `waiting` is a killed one's trace with events in its ring."""
 
     entry: Entry
     state: State
@@ -83,7 +83,7 @@ class Listed:
 
 
 def runtime_folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Return the folder of the service, else of the user, else a temporary one."""
+    """Return the service's folder, else the user's, else a temporary one."""
     service = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
     if service:
         return Path(service)
@@ -102,7 +102,7 @@ def runtime_folders(environment: Mapping[str, str] = os.environ) -> list[Path]:
 
 
 class RunningRecording:
-    """The entry of this process until `close`, where one can be made."""
+    """The entry of this process, if it can be made."""
 
     def __init__(self, session: Session, path: Path, folder: Path | None = None) -> None:
         folder = runtime_folder() if folder is None else folder
@@ -169,7 +169,7 @@ class RunningRecording:
 
 
 def list_recordings(folders: Iterable[Path] | None = None) -> list[Listed]:
-    """Return the recordings of this machine, running ones first."""
+    """Return this machine's recordings, running ones first."""
     recordings: list[Listed] = []
     for folder in runtime_folders() if folders is None else folders:
         with suppress(OSError):
@@ -179,7 +179,7 @@ def list_recordings(folders: Iterable[Path] | None = None) -> list[Listed]:
 
 def _read_entry(path: Path) -> Listed | None:
     with suppress(OSError), open_regular(path, follow_links=False) as file:
-        for _ in range(_TRIES):  # a reading may fall into the middle of a writing
+        for _ in range(_TRIES):  # a write may be under way
             entry = _parse(os.pread(file.fileno(), _MOST_ENTRY_BYTES, 0))
             if entry is not None:
                 break
@@ -217,7 +217,6 @@ def _is_locked(descriptor: int) -> bool:
 
 
 def _start_of(pid: int) -> int | None:
-    """Return a process's start time in clock ticks since boot."""
     try:
         return int(Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[19])
     except (OSError, ValueError, IndexError):
@@ -225,7 +224,6 @@ def _start_of(pid: int) -> int | None:
 
 
 def _is_own(folder: Path) -> bool:
-    """Return whether only this user may write to a folder."""
     status = folder.lstat()
     return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
 

@@ -1,4 +1,4 @@
-"""`Upkeep`: the trace of a recording, its rotation and disk, and reports to systemd and `dds-record status`."""
+"""A recording's trace, rotation, disk, and reports to systemd and `dds-record status`."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ STATUS_PERIOD_S = 5.0
 """Time between two statuses: each wakes the manager."""
 
 RETRY_S = 60.0
-"""Time until a new file is tried again after one could not be made."""
+"""Time until a new file is tried again."""
 
 
 class ServiceManager:
     """The protocol of sd_notify(3); without a manager at NOTIFY_SOCKET every method does nothing.
 
-    The library sdnotify blocks while the manager is stuck, and drops a status that is not Latin-1. Removed variables keep
-    child processes from notifying.
+    The library sdnotify blocks while the manager is stuck, and drops statuses that are not Latin-1. Variables are
+    removed, so that child processes do not notify.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class ServiceManager:
             self._socket.setblocking(False)  # a stuck manager must not block the recording
 
     def notify(self, status: str) -> None:
-        """Feed the watchdog; report readiness once, and now and then the status."""
+        """Feed the watchdog; report readiness once, and the status sometimes."""
         if self._socket is None:
             return
         assignments = ["WATCHDOG=1"] if self._is_watched else []
@@ -86,7 +86,7 @@ class ServiceManager:
 
 
 class Upkeep:
-    """A context manager: opens the sink of a recording, looks after it, and closes it on exit.
+    """A context manager: opens a recording's sink, and closes it on exit.
 
     Attributes:
         sink: the sink; with `--rotate` its session's field `part` counts the files from 1.

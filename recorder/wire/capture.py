@@ -1,4 +1,4 @@
-"""Options of a capture, and `WireCapture`: the capturing process, as a role uses it."""
+"""A capture's options, and the capturing process as a role uses it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _SYSTEM = Path("/sys/class/net")
 def run_interfaces(discovery: Discovery, system: Path = _SYSTEM) -> tuple[str, ...]:
     """Return the interfaces of this network namespace that a run with this range of discovery uses.
 
-    A port of a bridge or of a bond is left out: its packets also pass the bridge or bond, and would count twice.
+    Ports of a bridge or bond are left out: their packets would count twice.
     """
     if discovery is Discovery.LOCALHOST:
         return (LOOPBACK,)
@@ -101,7 +101,7 @@ class WireResult:
 class WireCapture:
     """A capture from its construction to `close`.
 
-    Start it before the middleware: it looks for the first announcement of a participant.
+    Start it before the middleware, for the first announcement of a participant.
 
     Raises:
         OptionError: no CAP_NET_RAW, a system without packet sockets, or an interface that cannot be captured.
@@ -124,13 +124,13 @@ class WireCapture:
 
     @property
     def pid(self) -> int:
-        """Id of the capturing process, to sample its CPU share."""
+        """The capturing process, to sample its CPU share."""
         return self._process.pid
 
     def begin(self, run_id: int | None = None) -> None:
         """Restart counting; returns when all earlier packets are counted, after a quarter of a second.
 
-        Messages of `run_id` get rows; of all runs if it is None, as a relay does not know it beforehand.
+        Messages of `run_id` get rows; with None, as a relay does not know it beforehand, those with any.
         """
         self._ask({"ask": "begin", "run_id": "" if run_id is None else f"{run_id:016x}"})
         self._answer()
@@ -138,7 +138,7 @@ class WireCapture:
     def take(self) -> WireResult:
         """Return what was counted since `begin`, after a quarter of a second in which late packets still count.
 
-        Call it once for each `begin`: rows and drops are handed over. Rows need 61 bytes of memory each until then.
+        Call it once for each `begin`: rows and drops are handed over. A waiting row needs 61 bytes of memory.
         """
         self._ask({"ask": "take"})
         answer = self._answer()

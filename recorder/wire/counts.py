@@ -1,4 +1,4 @@
-"""Counts of one run on the wire: the counters while it lasts, the kernel's own, and all of them as written to the trace."""
+"""Counts of one run on the wire: while it lasts, the kernel's own, and as written to the trace."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class ClassTally:
-    """Counters of one class in one direction, as in `ClassCount`."""
+    """Of one class in one direction, as in `ClassCount`."""
 
     packets: int = 0
     bytes: int = 0
@@ -64,11 +64,11 @@ class RunTally:
 
     @property
     def heartbeat_gap_p50_ns(self) -> float | None:
-        """Median of the gaps, None without any."""
+        """Median, None without any gap."""
         return median(self.heartbeat_gaps_ns) if self.heartbeat_gaps_ns else None
 
     def count_frame(self, frame: Frame, kind: WireClass, direction: Direction) -> None:
-        """Count a frame, with all its bytes, for one class."""
+        """Count a frame with all its bytes for one class."""
         tally = self.classes[kind, direction]
         tally.packets += 1
         tally.bytes += frame.wire_bytes
@@ -97,7 +97,8 @@ class ClassCount:
         bytes: with all headers from Ethernet's on. Headers of a packet count for its class, its other submessages for
             their own, so the classes' bytes sum to the packets' bytes.
         submessages: RTPS submessages; 0 for TCP and other UDP.
-        fragments: samples (DATA) and fragments of samples in them; a DATA_FRAG with one repeated fragment counts as repeated.
+        fragments: samples (DATA) and fragments of samples in them; a DATA_FRAG with one repeated fragment counts as
+            repeated.
     """
 
     name: str
@@ -110,7 +111,7 @@ class ClassCount:
 
 
 _IP_FIELDS = {
-    # field -> the kernel's name in /proc/net/snmp
+    # field -> name in /proc/net/snmp
     "reassembly_requested": "ReasmReqds",
     "reassembly_ok": "ReasmOKs",
     "reassembly_failed": "ReasmFails",
@@ -125,7 +126,7 @@ _IP_FIELDS = {
 
 @dataclass(frozen=True, slots=True)
 class IpCounts:
-    """Kernel counters (`_IP_FIELDS`) of a run, or since boot; of all programs in the network namespace."""
+    """Kernel counters of a run, or since boot; of all programs in the network namespace."""
 
     reassembly_requested: int = 0
     reassembly_ok: int = 0
@@ -143,14 +144,14 @@ class IpCounts:
 
 
 def read_ip_counts(root: Path = Path("/proc")) -> IpCounts:
-    """Return the counters since boot of this process's network namespace; one that this kernel lacks is 0."""
+    """Return this network namespace's counters since boot; 0 for one that this kernel lacks."""
     totals = counters.read_kernel_counters(root)
     return IpCounts(**{name: totals.get(kernel_name, 0) for name, kernel_name in _IP_FIELDS.items()})
 
 
 @dataclass(frozen=True, slots=True)
 class InterfaceCount:
-    """Counters of interface `name` over the run, of all traffic (`/proc/net/dev`); bytes as its driver counts them."""
+    """Counters of interface `name` over the run, of all traffic (`/proc/net/dev`), as its driver counts."""
 
     name: str
     sent_bytes: int = 0
@@ -166,7 +167,7 @@ class InterfaceCount:
 
 
 def read_interfaces(names: Sequence[str], root: Path = Path("/proc")) -> tuple[InterfaceCount, ...]:
-    """Return the counters since boot of the named interfaces, in the order of the names."""
+    """Return the named interfaces' counters since boot."""
     totals = counters.read_interfaces(root)
     return tuple(
         InterfaceCount(
@@ -252,12 +253,12 @@ class WireCounts:
 
     @property
     def again_bytes_share(self) -> float | None:
-        """Share of all bytes that is repeated data; None without traffic."""
+        """Repeated data's share of all bytes; None without traffic."""
         return self._bytes_of(_AGAIN_NAMES) / self.total_bytes if self.total_bytes else None
 
     @property
     def match_ns(self) -> int | None:
-        """Time from the first announcement of a participant to the first message that came back; None if either is missing."""
+        """Time from a participant's first announcement to the first message that came back, if both exist."""
         if self.first_spdp_ns is None or self.first_reply_ns is None:
             return None
         return self.first_reply_ns - self.first_spdp_ns

@@ -1,4 +1,4 @@
-"""Messages on the wire: which copies are repeats, one row per message and direction, and counts by repeats."""
+"""Messages on the wire: repeats, a row per message and direction, and counts by repeats."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ MULTICAST = 0
 """Destination of multicast: what all received need not be sent to one, so another copy is a repeat."""
 
 REMEMBERED_NS = 30_000_000_000
-"""Time after its last copy for which a sample is remembered."""
+"""A sample is remembered for this time after its last copy."""
 REMEMBERED_COPIES = 400_000
-"""Copies (samples, or fragments of them, per destination) remembered at once, about 100 bytes each."""
+"""Copies (samples, or fragments of them, per destination) remembered at once; each about 100 bytes."""
 
 
 Stream = TypeVar("Stream")
@@ -72,7 +72,7 @@ class SentSample:
     waited_heartbeats: int = 0
 
     def add(self, copy: Copy, heartbeats: int = 0) -> bool:
-        """Add a copy; return whether any of it was sent to this destination before. `heartbeats` are its writer's so far."""
+        """Add a copy; return whether any of it was sent to this destination before, after so many `heartbeats`."""
         self.last_ns = copy.time_ns
         again = False
         for fragment in range(copy.fragment, copy.fragment + copy.fragments):
@@ -88,7 +88,7 @@ class SentSample:
         return again
 
     def _before(self, fragment: int, destination: int) -> int | None:
-        """Return when these octets of the sample first went to the destination, None if they never did.
+        """Return when these octets first went to the destination, None if never.
 
         Cyclone DDS sends a sample of up to 14 KB whole, and repeats it in fragments.
         """
@@ -105,7 +105,7 @@ class SentSample:
 
 @dataclass(slots=True)
 class _StreamSamples:
-    """Samples of one stream; `forgotten` is the highest number dropped, `heartbeats` how many its writer has sent."""
+    """`forgotten` is the highest number dropped, `heartbeats` how many the writer has sent."""
 
     samples: dict[int, SentSample] = field(default_factory=dict)
     forgotten: int = -1
@@ -123,7 +123,7 @@ class SendLedger(Generic[Stream]):
         self._streams: dict[Stream, _StreamSamples] = {}
 
     def note(self, stream: Stream, copy: Copy, stamp: Stamp | None = None) -> bool:
-        """Add a copy of a sample of `stream`, and return whether it is a repeat."""
+        """Add a copy of a sample; return whether it is a repeat."""
         recent = self._streams.setdefault(stream, _StreamSamples())
         sample = recent.samples.get(copy.sequence)
         if sample is None:
@@ -140,21 +140,21 @@ class SendLedger(Generic[Stream]):
         return again
 
     def note_heartbeat(self, stream: Stream) -> None:
-        """Count a heartbeat of the stream's writer."""
+        """Count a heartbeat."""
         self._streams.setdefault(stream, _StreamSamples()).heartbeats += 1
 
     def forget(self, now_ns: int) -> Iterator[tuple[Stream, SentSample]]:
-        """Forget samples that are old, or the oldest of too many; yield each with its stream."""
+        """Forget samples that are old, or the oldest of too many; yield them."""
         horizon_ns = now_ns - self._remembered_ns
         for key, stream in self._streams.items():
-            # In the order of their first copies, so the first that is young ends the search.
+            # In the order of their first copies: the first young one ends the search.
             for sequence, sample in list(stream.samples.items()):
                 if sample.last_ns >= horizon_ns and self._copies <= self._remembered_copies:
                     break
                 yield key, self._drop(stream, sequence)
 
     def take(self, run_id: int | None) -> Iterator[tuple[Stream, SentSample]]:
-        """Forget the samples whose stamp names this run, or any if None; yield each with its stream."""
+        """Forget the samples whose stamp names this run, or any if None; yield them."""
         for key, stream in self._streams.items():
             for sequence, sample in list(stream.samples.items()):
                 if sample.stamp is not None and run_id in (None, sample.stamp.run_id):
@@ -168,13 +168,13 @@ class SendLedger(Generic[Stream]):
 
 
 STAMP_OFFSETS = (16, 8)
-"""Offsets of our stamp in a serialized sample: after a `std_msgs/Header`'s time, and at the start of a `String`."""
+"""Our stamp in a serialized sample: after a `std_msgs/Header`'s time, or at the start of a `String`."""
 
 
 def stamp_at(memory: memoryview, payload_at: int, seen_end: int) -> Stamp | None:
     """Return the stamp of the serialized sample that begins at `payload_at`, None if it is not a message of ours.
 
-    Only four bytes of other messages are compared, and none is stored.
+    Of other messages four bytes are compared and none is stored.
     """
     for offset in STAMP_OFFSETS:
         begin = payload_at + offset
@@ -203,7 +203,7 @@ def message_row(sample: SentSample, direction: Direction) -> tuple[int, ...] | N
 
 
 def pack_rows(rows: Sequence[tuple[int, ...]]) -> MessageRows:
-    """Return rows, given as tuples, as an array."""
+    """Return tuples as an array."""
     return np.array(rows, MESSAGE_ROW)
 
 

@@ -1,4 +1,4 @@
-"""The capturing process: `python -m dds_trace.recorder.wire.process OPTIONS`, which never delays the one that stamps messages.
+"""The capturing process: `python -m dds_trace.recorder.wire.process OPTIONS`, which never delays a role.
 
 It answers each line of JSON on standard input by one on standard output, and ends when standard input closes:
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 NICENESS = 5
 """The capture yields to the roles, as does SCHED_BATCH; much nicer, it would starve for longer than the ring lasts."""
 TCP_EVERY_NS = 1_000_000_000
-"""Time between two readings of connections, so that one that closes before the run's end has been read."""
+"""Connections are read this often, also because one may close before the run's end."""
 _CLOCK_READINGS = 5
 
 
@@ -83,11 +83,11 @@ class Capture:
         self._read_tcp()
 
     def begin(self, run_id: str) -> None:
-        """Restart counting for a run, or for all runs if the id is empty."""
+        """Restart counting for a run, or for all with an empty id."""
         self._catch_up()
         self._statistics()
         self._tally.begin()
-        self._tcp.clear()  # connections that ended before
+        self._tcp.clear()  # of earlier connections
         self._read_tcp()
         self._before = self._now(run_id)
 
@@ -169,7 +169,6 @@ class Capture:
             write_answer({**counts.to_dict(), "row_bytes": rows.nbytes}, rows.tobytes())
 
     def _drain(self) -> None:
-        """Count the packets that the kernel has delivered."""
         for ring in self._rings:
             batch = ring.read()
             if len(batch):
@@ -179,7 +178,7 @@ class Capture:
             ring.release()
 
     def _catch_up(self) -> None:
-        """Handle all packets up to now; a block that is not full comes with its time-out, two of them at most."""
+        """Handle all packets up to now; a block that is not full comes after its time-out, two of them at most."""
         until_ns = time.monotonic_ns() + (2 * self._options.block_timeout_ms + 50) * 1_000_000
         while (left_ns := until_ns - time.monotonic_ns()) > 0:
             time.sleep(min(left_ns, self._options.block_timeout_ms * 1_000_000) / 1e9)
@@ -220,7 +219,7 @@ def wall_to_monotonic_ns() -> int:
 
 
 def write_answer(answer: dict[str, Any], rows: bytes = b"") -> None:
-    """Write one answer to standard output."""
+    """Write one answer."""
     sys.stdout.buffer.write(json.dumps(answer).encode() + b"\n" + rows)
     sys.stdout.buffer.flush()
 

@@ -1,4 +1,4 @@
-"""Frames of one interface out of a ring that the kernel fills (AF_PACKET, TPACKET_V3, packet_mmap.rst)."""
+"""Frames of one interface from a ring that the kernel fills (AF_PACKET, TPACKET_V3, packet_mmap.rst)."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _TPACKET_V3, _TP_STATUS_USER = 2, 1
 _SIOCGIFHWADDR = 0x8927
 _ARPHRD_ETHER, _ARPHRD_LOOPBACK = 1, 772
 _FRAME_BYTES = 2048
-"""Required for the ring's geometry; version 3 packs frames of any size."""
+"""Required, but version 3 packs frames of any size."""
 
-# Words of 4 bytes within struct tpacket_block_desc and struct tpacket3_hdr.
+# Words of struct tpacket_block_desc and struct tpacket3_hdr.
 _BLOCK_STATUS, _BLOCK_PACKETS, _BLOCK_FIRST = 2, 3, 4
 _NEXT, _SECONDS, _NANOSECONDS, _CAPTURED, _WIRE, _MAC_AND_NET = 0, 1, 2, 3, 4, 6
 _PACKET_TYPE_BYTE = 48 + 10
@@ -116,7 +116,6 @@ class PacketRing:
         return self._batch(np.array(headers, np.int64))
 
     def _batch(self, header: Numbers) -> FrameBatch:
-        """Return the columns of the frames whose headers begin at these words."""
         words = self._memory.view(np.uint32)
         mac_bytes = (words[header + _MAC_AND_NET] & 0xFFFF).astype(np.int64)
         return FrameBatch(
@@ -129,14 +128,14 @@ class PacketRing:
         )
 
     def release(self) -> None:
-        """Give the blocks of the last `read` back."""
+        """Give back the blocks of the last `read`."""
         for _ in range(self._unreleased):
             self._words[self._next * (self._block_bytes // 4) + _BLOCK_STATUS] = 0
             self._next = (self._next + 1) % self._blocks
         self._unreleased = 0
 
     def statistics(self) -> RingStatistics:
-        """Return the kernel's counters since the last call, which this resets."""
+        """Return the kernel's counters, which this resets."""
         return RingStatistics(*struct.unpack("3I", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 12)))
 
     def close(self) -> None:
@@ -157,8 +156,7 @@ class PacketRing:
 
 
 def _hardware_type(interface: str) -> int:
-    """Return the interface's ARPHRD number."""
-    # Not from /sys/class/net: within `nsenter --net` it still shows the interfaces of the previous namespace.
+    # Not from /sys/class/net: after `nsenter --net` it still shows the previous namespace's interfaces.
     request = struct.pack("16s16x", interface.encode())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         try:

@@ -32,7 +32,7 @@ _FIRST_GROUP = 224 << 24
 _TCP_SEQUENCE = struct.Struct(">I")
 _FORGET_EVERY_NS = 1_000_000_000
 _ROWS_TO_PACK = 4096
-"""Rows that wait as Python numbers, which need five times the memory of an array's."""
+"""Rows that wait as Python numbers, five times as large as in an array."""
 
 
 class Sender(NamedTuple):
@@ -45,7 +45,7 @@ class Sender(NamedTuple):
 
 
 class Stream(NamedTuple):
-    """A writer, which numbers its samples: by participant prefix and entity id, on one interface."""
+    """A writer on one interface, by participant prefix and entity id."""
 
     direction: Direction
     interface: str
@@ -92,16 +92,16 @@ class WireTally:
 
     @property
     def late_repeats(self) -> int:
-        """Repeats of samples too old to be remembered, since `begin`; they are in no row."""
+        """Repeats, since `begin`, of samples too old to be remembered; they are in no row."""
         return self._ledger.late_repeats - self._late_before
 
     @property
     def unfollowed_datagrams(self) -> int:
-        """Datagrams in which a fragment was missing or out of order where a header is, since `begin`."""
+        """Datagrams, since `begin`, in which a fragment was missing or out of order where a header is."""
         return self._fragments.lost_trails - self._lost_before
 
     def take_rows(self, run_id: int | None = None) -> MessageRows:
-        """Return the messages of a run, or of all runs without readiness probes; they are forgotten here."""
+        """Hand over the messages of a run, or of all runs without readiness probes."""
         self._make_rows(self._ledger.take(run_id))
         rows = message_rows([*self._packed, pack_rows(self._rows)])
         self._rows.clear()
@@ -110,7 +110,7 @@ class WireTally:
         return selected
 
     def add(self, batch: FrameBatch, interface: str, *, is_loopback: bool, wall_to_monotonic_ns: int) -> None:
-        """Count the frames of a batch of one interface, in the order of their capture."""
+        """Count one interface's frames, in the order of their capture."""
         memory = batch.memory.data
         for frame in read_frames(batch, wall_to_monotonic_ns):
             if frame.packet_type != _PACKET_OTHERHOST:
@@ -215,8 +215,8 @@ class WireTally:
     def _is_ours(self, frame: Frame, memory: memoryview, packet: int, prefix: bytes) -> bool:
         """Return whether a packet is of our domains, and remember its sender if so.
 
-        Cyclone DDS has its unicast ports from the ephemeral range, and an announcement to the domain's port may be lost; then a
-        packet to a participant of ours (INFO_DST comes first) identifies its sender.
+        Cyclone DDS has its unicast ports from the ephemeral range, and an announcement to the domain's port may be
+        lost; then a packet to a participant of ours (INFO_DST comes first) identifies its sender.
         """
         if not self._domain_ports or prefix in self._participants:
             return True
@@ -237,7 +237,7 @@ class WireTally:
     def _note(
         self, submessages: Sequence[Submessage], sender: Sender, time_ns: int, memory: memoryview, seen_end: int
     ) -> Counter[WireClass]:
-        """Note the submessages of a packet; return their bytes by class, without those that have no class of their own."""
+        """Note the submessages of a packet; return their bytes by class, without those that have none of their own."""
         bytes_of: Counter[WireClass] = Counter()
         for submessage in submessages:
             kind = class_of(submessage.kind, submessage.writer)
@@ -260,7 +260,7 @@ class WireTally:
     def _note_data(
         self, submessage: Submessage, sender: Sender, time_ns: int, memory: memoryview, seen_end: int
     ) -> bool:
-        """Note a sample or a fragment of one, and return whether it was sent before."""
+        """Note (a fragment of) a sample; return whether it was sent before."""
         stamp: Stamp | None = None
         if submessage.payload_at is not None:
             stamp = stamp_at(memory, submessage.payload_at, seen_end)
@@ -280,7 +280,7 @@ class WireTally:
         return self._ledger.note(stream, copy, stamp)
 
     def _note_heartbeat(self, sender: Sender, writer: int, time_ns: int, *, without_data: bool) -> None:
-        """Count a heartbeat of its writer, and the time since the previous one if it came without data."""
+        """Count a heartbeat, and the time since the previous one if it came without data."""
         self._ledger.note_heartbeat(Stream(sender.direction, sender.interface, sender.prefix, writer))
         if not without_data:
             return

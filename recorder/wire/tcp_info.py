@@ -1,4 +1,4 @@
-"""TCP connections by the kernel's `TCP_INFO`, of any process in this network namespace."""
+"""TCP connections of any process in this network namespace, by `TCP_INFO`."""
 
 from __future__ import annotations
 
@@ -72,14 +72,14 @@ class TcpConnection:
     congestion_window: int = 0
 
     def since(self, before: TcpConnection | None) -> TcpConnection:
-        """Return the same connection with its counters since `before`."""
+        """Return its counters since `before`."""
         if before is None:
             return self
         return replace(self, **{name: getattr(self, name) - getattr(before, name) for name in _COUNTERS})
 
 
 def parse_tcp_info(info: bytes, local_port: int, remote_port: int) -> TcpConnection:
-    """Return the connection of a `struct tcp_info`, as sock_diag or `getsockopt(TCP_INFO)` gives it."""
+    """Parse a `struct tcp_info`, as sock_diag or `getsockopt(TCP_INFO)` gives it."""
     values = tcp_info_fields(info, _INFO_FIELDS)
     if values["rtt_min_us"] == _NOT_MEASURED:
         values["rtt_min_us"] = 0
@@ -87,16 +87,16 @@ def parse_tcp_info(info: bytes, local_port: int, remote_port: int) -> TcpConnect
 
 
 def read_connections(ports: Sequence[PortRange]) -> dict[int, TcpConnection]:
-    """Return the connections of this network namespace with a port in one of the ranges, by the kernel's socket cookie."""
+    """Return, by the kernel's socket cookie, this network namespace's connections with a port in a range."""
     sockets: list[DiagSocket] = []
     for family in (socket.AF_INET, socket.AF_INET6):
-        with suppress(DiagError):  # the kernel does not have this family
+        with suppress(DiagError):  # a kernel without this family
             sockets += dump_sockets(family, socket.IPPROTO_TCP, _CONNECTED_STATES)
     return _with_ports(sockets, ports)
 
 
 class ClosedConnections:
-    """Listener for connections that end in this network namespace, each with its last `TCP_INFO`.
+    """Listener for connections that end in this network namespace, with their last `TCP_INFO`.
 
     A connection that is read once a second has sent more when it ends.
 
@@ -114,13 +114,13 @@ class ClosedConnections:
         self._link.bind((0, _TCP_DESTROYED_GROUP))
 
     def fileno(self) -> int:
-        """Return the descriptor that is readable when a connection has ended."""
+        """Return the descriptor that is readable after an end."""
         return self._link.fileno()
 
     def read(self) -> dict[int, TcpConnection]:
         """Return the connections that ended since the last call, by cookie."""
         ended: dict[int, TcpConnection] = {}
-        # BlockingIOError: no more. ENOBUFS: so many ended at once that some are not reported; their last reading counts.
+        # BlockingIOError: no more. ENOBUFS: so many ended at once that some are missing; their last reading counts.
         with suppress(OSError):
             while True:
                 messages = netlink_messages(self._link.recv(RECEIVE_BYTES))
@@ -133,7 +133,7 @@ class ClosedConnections:
 
 
 def _with_ports(sockets: Iterable[DiagSocket], ports: Sequence[PortRange]) -> dict[int, TcpConnection]:
-    """Return the connections that have a port in one of the ranges, by cookie."""
+    """Return the connections with a port in a range, by cookie."""
     return {
         opened.cookie: parse_tcp_info(opened.attributes.get(INFO, b""), opened.local[1], opened.remote[1])
         for opened in sockets

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class WireClass(str, Enum):
-    """Purposes of bytes on the wire, in the order in which a packet with several purposes counts for one.
+    """Purposes of bytes on the wire; a packet with several counts for the first of them.
 
     `rtps_other` is packets without a purpose of their own and vendors' own submessages, such as the network statistics
     (0x80, 60 bytes) that Fast DDS appends to each packet.
@@ -42,10 +42,10 @@ class WireClass(str, Enum):
 RANK = {kind: number for number, kind in enumerate(WireClass)}
 DISCOVERY = frozenset((WireClass.SPDP, WireClass.SEDP, WireClass.LIVELINESS))
 AGAIN = {WireClass.DATA: WireClass.DATA_AGAIN, WireClass.DATA_FRAG: WireClass.DATA_FRAG_AGAIN}
-"""Class of a first sending -> class of a repeated one."""
+"""First sending -> repeated one."""
 
 _BUILTIN_KIND = 0xC0
-"""Bits of an entity id's last octet that mark the entities of discovery (DDSI-RTPS 2.5, table 9.1)."""
+"""Bits of an entity id's last octet that mark discovery (DDSI-RTPS 2.5, table 9.1)."""
 _BUILTIN_WRITERS = {
     0x000100C2: WireClass.SPDP,
     0xFF0101C2: WireClass.SPDP,  # DDS Security's
@@ -67,7 +67,7 @@ _KINDS = {
 
 
 def class_of(kind: int, writer: int) -> WireClass | None:
-    """Return the class of a submessage that is sent for the first time; None for one that carries nothing by itself.
+    """Return the class of a submessage's first sending; None for one that carries nothing by itself.
 
     Acknowledgements of discovery, by the entity id of the writer, count as discovery.
     """
@@ -90,9 +90,9 @@ class TcpFlows:
         self._next: dict[Hashable, int] = {}
 
     def note(self, flow: Hashable, sequence: int, payload_bytes: int, flags: int) -> tuple[WireClass, int]:
-        """Note a segment; return its class, and how many bytes of its payload were sent before."""
+        """Return a segment's class, and how many bytes of its payload were sent before."""
         if flags & (_SYN | _RST):
-            self._next.pop(flow, None)  # the ports of an earlier connection, used again
+            self._next.pop(flow, None)  # its ports are used again
             return WireClass.TCP_CONTROL, 0
         if payload_bytes == 0:
             return WireClass.TCP_CONTROL, 0

@@ -1,4 +1,4 @@
-"""IP fragments: the datagram of a later fragment, and the RTPS headers that begin in it."""
+"""IP fragments: the datagram of a later fragment, and RTPS headers in it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Hashable
 
 REMEMBERED_DATAGRAMS = 4096
-"""Unfinished datagrams remembered at once; the oldest are dropped first."""
+"""Unfinished datagrams remembered at once."""
 
 Owner = TypeVar("Owner")
 
@@ -29,7 +29,7 @@ class Piece(NamedTuple):
 
 @dataclass(slots=True)
 class _Datagram(Generic[Owner]):
-    """A datagram whose fragments are still coming; `next_at` is -1 if its next header is lost, `carried` the part of it seen."""
+    """`next_at` is -1 if its next header is lost, `carried` the part of it seen."""
 
     owner: Owner
     length: int
@@ -84,7 +84,7 @@ class FragmentTable(Generic[Owner]):
 
     @staticmethod
     def _walk_seam(datagram: _Datagram[Owner], piece: Piece) -> list[Submessage]:
-        """Read the submessages whose header begins in the previous fragment and ends in this one."""
+        """Read the submessages whose header spans two fragments."""
         head = bytes(piece.memory[piece.begin : min(piece.end, piece.begin + LONGEST_FIELDS_BYTES)])
         seam = datagram.carried + head
         walk = walk_submessages(memoryview(seam), 0, len(seam), datagram.length - datagram.next_at)

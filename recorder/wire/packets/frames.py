@@ -1,4 +1,4 @@
-"""Ethernet, IPv4, UDP and TCP headers of a batch of frames, read for all frames at once."""
+"""Ethernet, IPv4, UDP and TCP headers of all frames of a batch at once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Numbers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class FrameBatch:
-    """Frames in the ring's memory, in the order of their capture; one row each, valid until the ring's `release`.
+    """Frames in the ring's memory, one row each, in the order of their capture; valid until the ring's `release`.
 
     Attributes:
         wire_bytes: the frame's length, with its Ethernet header.
@@ -130,7 +130,7 @@ class Frame(NamedTuple):
 
 
 def read_frames(batch: FrameBatch, wall_to_monotonic_ns: int) -> Iterator[Frame]:
-    """Return the frames of a batch one by one, as plain numbers, with CLOCK_MONOTONIC times."""
+    """Return the frames of a batch as plain numbers, with CLOCK_MONOTONIC times."""
     headers = read_headers(batch)
     columns = [getattr(headers, f.name) for f in fields(Headers)]
     columns += [batch.wire_bytes, batch.wall_ns + wall_to_monotonic_ns, batch.packet_type]

@@ -1,7 +1,7 @@
-"""The classic BPF program that the kernel runs over each frame (SO_ATTACH_FILTER): which ones a capture gets, and how much.
+"""The classic BPF program that the kernel runs over each frame (SO_ATTACH_FILTER): what a capture gets.
 
-It captures an RTPS packet up to the header of its last submessage, following their lengths, and only the headers of other
-UDP and of TCP; later IP fragments, where further headers may begin, are captured whole.
+It captures an RTPS packet up to its last submessage's header, following their lengths, and only headers of other UDP
+and of TCP; later IP fragments, where further headers may begin, are captured whole.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 SO_ATTACH_FILTER = 26  # <asm-generic/socket.h>
 WHOLE_FRAME = 0x40000
 SHORT_BYTES = 192
-"""Captured at least: all headers up to a first DATA and its stamp."""
+"""Captured at least: all headers up to a first DATA's stamp."""
 LAST_HEADER_BYTES = 104
 """Captured from the last submessage's header on: DATA_FRAG's 36 bytes, and 62 of the payload for our stamp."""
 TCP_HEADERS_BYTES = 14 + 60 + 60
 FOLLOWED_SUBMESSAGES = 32
-"""Submessages of one packet whose lengths the program follows; a packet with more is captured whole."""
+"""Submessages whose lengths the program follows; a packet with more is captured whole."""
 
 _ETHERNET, _IPV4_BYTES, _UDP_BYTES, _RTPS_BYTES = 14, 20, 8, 20
 _RTPS_MAGIC = int.from_bytes(b"RTPS", "big")
@@ -59,7 +59,6 @@ _OPERATIONS = {
     "ret": 0x06,
     "ret_a": 0x16,
 }
-# Scratch words of the program.
 _LENGTH, _HEADER, _NEXT, _KIND, _HIGH_BYTE = range(5)
 
 
@@ -71,7 +70,7 @@ class PortRange(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """One instruction, or a jump target (`operation` empty); a jump without a label goes to the next instruction."""
+    """One instruction, or a jump target (`operation` empty); without a label a jump goes to the next instruction."""
 
     operation: str
     operand: int = 0
@@ -81,7 +80,7 @@ class _Step(NamedTuple):
 
 
 def attach_filter(target: socket.socket, program: bytes) -> None:
-    """Attach a classic BPF program to a socket."""
+    """Attach a classic BPF program."""
     buffer = ctypes.create_string_buffer(program, len(program))
     count = len(program) // 8
     # struct sock_fprog: the native alignment puts the pointer where the kernel looks for it.
@@ -89,12 +88,12 @@ def attach_filter(target: socket.socket, program: bytes) -> None:
 
 
 def wire_program(udp_ports: Sequence[PortRange], tcp_ports: Sequence[PortRange]) -> bytes:
-    """Return the program that captures RTPS on any port, other UDP and TCP on the given ones, and UDP's later IP fragments.
+    """Return the program that captures RTPS on any port, UDP and TCP on the given ones, and UDP's later IP fragments.
 
     RTPS is recognized by its first four bytes: Cyclone DDS takes unicast ports from the ephemeral range.
     """
     steps = [
-        # First: the kernel's checker takes it for unset after any `ret` of a path that did not set it.
+        # First: the kernel's checker takes it for unset after any `ret` of a path without it.
         _Step("ld_len"),
         _Step("st", _LENGTH),
         *_branch("ldh", 12, "jeq", 0x0800, "ipv4"),
@@ -115,7 +114,7 @@ def wire_program(udp_ports: Sequence[PortRange], tcp_ports: Sequence[PortRange])
         _label("udp"),
         *_branch("ldh", 20, "jset", 0x1FFF, "later_fragment"),
         _Step("ldx_ip_header", _ETHERNET),
-        # A load beyond the end of a frame would reject it; other UDP may be shorter than RTPS's header.
+        # A load beyond a frame's end would reject it; other UDP may be shorter than RTPS's header.
         _Step("ld_len"),
         _Step("sub", _ETHERNET + _UDP_BYTES + _RTPS_BYTES),
         _Step("jge_x", 0, "", "not_rtps"),
@@ -157,7 +156,7 @@ def _branch(load: str, position: int, test: str, value: int, target: str) -> lis
 
 
 def _ports_match(ports: Sequence[PortRange], target: str) -> list[_Step]:
-    """Jump to `target` if source or destination port is in a range; X contains the IP header's length."""
+    """Jump to `target` if either port is in a range; X contains the IP header's length."""
     steps = []
     for side in (0, 2):
         steps.append(_Step("ldh_x", _ETHERNET + side))

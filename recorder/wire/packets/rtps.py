@@ -1,4 +1,4 @@
-"""Submessages of one RTPS packet, from their headers only (DDSI-RTPS 2.5, section 9.4)."""
+"""Submessages of an RTPS packet, from their headers (DDSI-RTPS 2.5, section 9.4)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INFO_SRC, INFO_REPLY_IP4, INFO_DST, INFO_REPLY = 0x0C, 0x0D, 0x0E, 0x0F
 NACK_FRAG, HEARTBEAT_FRAG, DATA, DATA_FRAG = 0x12, 0x13, 0x15, 0x16
 SECURE_KINDS = frozenset(range(0x30, 0x35))
 CONTEXT_KINDS = frozenset((PAD, INFO_TS, INFO_SRC, INFO_REPLY_IP4, INFO_DST, INFO_REPLY))
-"""Kinds that describe the submessages after them and carry nothing by themselves."""
+"""Kinds that describe later submessages and carry nothing by themselves."""
 
 _LITTLE_ENDIAN, _INLINE_QOS = 0x01, 0x02
 _SUBMESSAGE_BYTES = 4
@@ -58,8 +58,6 @@ class Walk(NamedTuple):
 
 
 class _Order(NamedTuple):
-    """Readers of numbers in one byte order."""
-
     length: struct.Struct
     sequence: struct.Struct
     fragment: struct.Struct
@@ -88,14 +86,13 @@ def _read_data(memory: memoryview, at: int, flags: int, length: int, order: _Ord
 def _read_data_frag(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
     high, low = order.sequence.unpack_from(memory, at + 16)
     first, count, size, sample_bytes = order.fragment.unpack_from(memory, at + 24)
-    count = min(count, -(-length // max(size, 1)))  # no more than there is room for, whatever the header says
+    count = min(count, -(-length // max(size, 1)))  # no more than there is room for
     (writer,) = _ENTITY.unpack_from(memory, at + 12)
     payload_at = _payload_at(memory, at, flags, length, order) if first == 1 else None
     return Submessage(DATA_FRAG, length, writer, (high << 32) + low, first, count, sample_bytes, payload_at=payload_at)
 
 
 def _read_numbered(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> Submessage:
-    """Read HEARTBEAT, HEARTBEAT_FRAG and GAP."""
     del flags
     (writer,) = _ENTITY.unpack_from(memory, at + 8)
     high, low = order.sequence.unpack_from(memory, at + 12)
@@ -113,7 +110,7 @@ def _read_nack_frag(memory: memoryview, at: int, flags: int, length: int, order:
 
 
 _READERS: dict[int, tuple[_Read, int]] = {
-    # kind -> how it is read, and how many bytes that takes, header included
+    # kind -> reader, and bytes that it needs, header included
     DATA: (_read_data, 24),
     DATA_FRAG: (_read_data_frag, 36),
     HEARTBEAT: (_read_numbered, 28),
@@ -127,7 +124,7 @@ LONGEST_FIELDS_BYTES = max(needed for _, needed in _READERS.values())
 
 
 def walk_submessages(memory: memoryview, at: int, seen_end: int, end: int) -> Walk:
-    """Read the submessages from index `at` on, up to `seen_end`; `end` is the end of the packet, which may be later."""
+    """Read the submessages from `at` to `seen_end`; the packet's `end` may be later."""
     submessages: list[Submessage] = []
     memory = memory[:seen_end]  # the next bytes of a ring belong to another packet
     while at + _SUBMESSAGE_BYTES <= seen_end:
@@ -149,7 +146,7 @@ def walk_submessages(memory: memoryview, at: int, seen_end: int, end: int) -> Wa
 
 
 def _payload_at(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> int | None:
-    """Return the index of the serialized payload of a DATA or DATA_FRAG, after any inline QoS."""
+    """Return where the serialized payload of a DATA or DATA_FRAG begins, after any inline QoS."""
     position = at + 8 + order.length.unpack_from(memory, at + 6)[0]
     if flags & _INLINE_QOS:
         for _ in range(_MOST_PARAMETERS):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class ClassTally:
-    """Of one class in one direction, as in `ClassCount`."""
+    """Counters of one class in one direction, as in `ClassCount`."""
 
     packets: int = 0
     bytes: int = 0

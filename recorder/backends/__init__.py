@@ -1,4 +1,4 @@
-"""The middlewares that carry messages: one file for each API, loaded when it is used."""
+"""The middlewares: one file for each API, loaded at use."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ BACKEND_MODULES = {
     "connext": "dds_trace.recorder.backends.connext",
     "socket": "dds_trace.recorder.backends.socket",
 }
-"""Name of each backend -> the module with its `BACKEND`."""
+"""Name -> module with its `BACKEND`."""
 
 
 def load_backend(name: str) -> Backend:
-    """Return the backend called `name`, without importing its middleware; raise an `OptionError` if there is none."""
+    """Return a backend without importing its middleware; raise an `OptionError` if there is none."""
     if name not in BACKEND_MODULES:
         raise OptionError(f"there is no backend {name!r}; choose one of {', '.join(BACKEND_MODULES)}")
     backend: Backend = import_module(BACKEND_MODULES[name]).BACKEND
@@ -35,7 +35,7 @@ def load_backends() -> tuple[Backend, ...]:
 
 
 def open_node(name: str, options: NodeOptions) -> Node:
-    """Open a node on the backend called `name`; see `Backend.open_node`."""
+    """See `Backend.open_node`."""
     return load_backend(name).open_node(options)
 
 

@@ -1,4 +1,4 @@
-"""The record of a middleware: `Backend`, one in each file of `recorder/backends/`."""
+"""`Backend`: the record of a middleware, one in each file of `recorder/backends/`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Meeting(Enum):
     DISCOVERY = "discovery"
     """They discover each other."""
     DISCOVERY_OR_PEERS = "discovery or peers"
-    """They discover each other, or use the addresses given."""
+    """They discover each other, or use given addresses."""
     PEERS = "peers"
     """The ping connects to the relay's address, the relay listens."""
 
@@ -35,17 +35,18 @@ DDS_MEETING = (
     "both have the same --domain and --discovery and a --backend that speaks DDS ({dds_backends}), and the network lets "
     "multicast through"
 )
-"""Start of `meeting_needs` of a backend that speaks DDS."""
+"""Start of `meeting_needs` of backends that speak DDS."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Backend:
-    """One API that carries messages; each module in `BACKEND_MODULES` has one, named `BACKEND`.
+    """One API that carries messages: `BACKEND` of each module in `BACKEND_MODULES`.
 
     Attributes:
         label: name for people.
         make_node: opens a node, not started; an `ImportError` means that the package is missing or broken.
-        find_installed: returns the ROS middlewares of this machine, `[None]` for a backend without, empty if it cannot run.
+        find_installed: returns the ROS middlewares of this machine, `[None]` for a backend without, empty if it cannot
+            run.
         install: how to install the middleware, for the end of a message.
         meeting_needs: what ping and relay need to meet, with `{port}` of the relay and `{dds_backends}` that speak DDS.
         speaks_dds: whether its nodes meet nodes of other backends that speak DDS.
@@ -95,7 +96,7 @@ class Backend:
         return self.make_pair(options)
 
     def check(self, options: NodeOptions) -> None:
-        """Raise an `OptionError` for an option that would have no effect."""
+        """Refuse options that would have no effect."""
         check_domain_id(options.domain_id)
         if options.rmw is not None and not self.has_ros:
             raise OptionError(f"--rmw {options.rmw}: the backend {self.name} has no ROS middleware; leave it out")
@@ -114,7 +115,7 @@ class Backend:
             self.check_settings(options)
 
     def port_of(self, domain_id: int) -> int:
-        """Return the port of the relay of `domain_id`."""
+        """Return the relay's port in a domain."""
         assert self.relay_port is not None
         return first_port(domain_id) + self.relay_port
 
@@ -141,12 +142,11 @@ class Backend:
 
 
 def has_package(name: str) -> bool:
-    """Return whether a Python package is installed, without importing it."""
+    """Return whether a package is installed, without importing it."""
     return find_spec(name) is not None
 
 
 def _parse_address(text: str, default_port: int) -> tuple[str, int]:
-    """Parse `HOST` or `HOST:PORT`."""
     host, colon, number = text.rpartition(":")
     if limits.HOST.fault(text) is not None:
         raise OptionError(f"--peer {limits.shown(text)}: write HOST or HOST:PORT")

@@ -135,7 +135,7 @@ class ConnextNode(ThreadedNode):
         return receive_round
 
     def look_at(self, topic: str) -> TopicView:
-        qos = self.options.qos  # Connext does not report a participant's own endpoints
+        qos = self.options.qos  # Connext does not report own endpoints
         own = Qos(qos.reliability, qos.durability, "", 0, qos.extra)
         publishers = self._endpoints(self._participant.publication_reader, topic)
         subscriptions = self._endpoints(self._participant.subscription_reader, topic)
@@ -172,8 +172,6 @@ class ConnextNode(ThreadedNode):
 
 @dataclass(frozen=True, slots=True)
 class _ConnextPublisher:
-    """A publisher of serialized messages."""
-
     writer: Any
     sample: Any
 
@@ -197,7 +195,7 @@ def _connext() -> Any:
 
 
 def _take_all(reader: Any, receive: Receive[RawMessage]) -> None:
-    """Deliver the messages of a reader, one by one: a time stamp must not wait for the next copy."""
+    """Deliver messages one by one: a time stamp must not wait for the next copy."""
     while True:
         with reader.select().max_samples(1).take_loaned() as samples:
             if not len(samples):
@@ -241,7 +239,7 @@ def _fill(policies: Any, qos: Qos) -> Any:
     try:
         for policy in ("reliability", "durability", "history"):
             value = values[getattr(qos, policy)]
-            # Connext has some values as functions that make one.
+            # Some of Connext's values are functions that make one.
             setattr(policies, policy, value() if callable(value) else value)
     except KeyError as err:
         raise OptionError(f"RTI Connext has no quality of service {err}") from err
@@ -257,7 +255,6 @@ def _fill(policies: Any, qos: Qos) -> Any:
 
 
 def _qos(endpoint: Any) -> Qos:
-    """Return the policies that a discovered endpoint reports; others are empty."""
     durations_ns = {"deadline": _nanoseconds(endpoint.deadline.period)}
     if hasattr(endpoint, "lifespan"):  # only a writer reports it
         durations_ns["lifespan"] = _nanoseconds(endpoint.lifespan.duration)

@@ -1,4 +1,4 @@
-"""Settings of Cyclone DDS, for our own `cyclonedds` backend and for zenoh's bridges, which contain it."""
+"""Settings of Cyclone DDS, for our `cyclonedds` backend and zenoh's bridges, which contain it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NAMES_LOOPBACK = re.compile(
     r"|<NetworkInterfaceAddress>\s*(?:lo|127\.[\d.]+)\s*<"  # before Cyclone DDS 0.10
 )
 
-# By default Cyclone DDS sends fragments of 1344 bytes into small buffers: a large message of another vendor then loses
+# By default Cyclone DDS sends fragments of 1344 bytes into small buffers: another vendor's large message then loses
 # fragments faster than they are sent again.
 CYCLONE_TUNED = (
     "<CycloneDDS><Domain><General><MaxMessageSize>65500B</MaxMessageSize><FragmentSize>60000B</FragmentSize></General>"
@@ -48,7 +48,7 @@ def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.e
 
 
 def cyclone_settings(discovery: Discovery, *, tuned: bool, environment: Mapping[str, str] = os.environ) -> str:
-    """Return a value of CYCLONEDDS_URI: the user's settings, then ours, which win; empty if there are none."""
+    """Return a value of CYCLONEDDS_URI: the user's settings, then ours, which win."""
     parts = [
         environment.get("CYCLONEDDS_URI", ""),
         CYCLONE_LOCALHOST if discovery is Discovery.LOCALHOST else "",

@@ -1,9 +1,10 @@
 """`cyclonedds`: native Cyclone DDS through its Python package, with the topics and types of ROS 2.
 
-Messages pass in serialized form: the package's own serializer takes 32 ms for a megabyte. Only this file imports cyclonedds.
+Messages pass in serialized form: the package's serializer takes 32 ms for a megabyte. Only this file imports
+cyclonedds.
 """
 
-# ruff: noqa: PLC0415 - loaded when a node is opened, so that other backends run without it
+# ruff: noqa: PLC0415 - loaded with a node: other backends run without it
 
 from __future__ import annotations
 
@@ -35,9 +36,9 @@ if TYPE_CHECKING:
 FOREVER_NS = (1 << 63) - 1
 MAX_ENDPOINTS = 10_000
 MAX_TRIGGERS = 256
-"""Most readers that one wait reports; others trigger the next one."""
+"""Most readers that one wait reports."""
 TYPE_CONSISTENCY = 24
-"""DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of Cyclone DDS's `dds_public_qosdefs.h`."""
+"""DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of `dds_public_qosdefs.h`."""
 
 
 class CycloneNode(ThreadedNode):
@@ -64,7 +65,7 @@ class CycloneNode(ThreadedNode):
         self._waitset = WaitSet(self._participant)
         self._builtin = _BuiltinReaders(self._participant)
         self._readers: dict[int, tuple[Any, Receive[RawMessage]]] = {}
-        # Address by which the waitset reports a condition -> its reader and callback.
+        # Address by which the waitset reports a condition -> reader and callback.
         self._triggers: dict[int | None, tuple[int, Receive[RawMessage]]] = {}
         self._writers: list[_CyclonePublisher] = []
         self._middleware = Middleware(
@@ -117,12 +118,12 @@ class CycloneNode(ThreadedNode):
             _delete(reader)
 
     def _make_round(self) -> Callable[[], None]:
-        # Not a listener: it runs on the thread that receives acknowledgements, and a relay's write that waits for one
-        # would wait for itself.
+        # Not a listener: on the thread that receives acknowledgements, a relay's write that waits for one would wait
+        # for itself.
         from cyclonedds.core import DDSException
 
-        # Not WaitSet.wait: its Python layers take 8 % of a round trip at 100 Hz, and it does not report which reader has
-        # a message.
+        # Not WaitSet.wait: its Python layers take 8 % of a round trip at 100 Hz, and it does not report which reader
+        # has a message.
         waitset, patience_ns = self._waitset, round(ROUND_S * SECOND_NS)
         addresses = (c_void_p * MAX_TRIGGERS)()
         library, own = waitset._dll_handle, waitset._ref  # noqa: SLF001
@@ -180,8 +181,6 @@ class CycloneNode(ThreadedNode):
 
 
 class _CyclonePublisher:
-    """A publisher of serialized messages."""
-
     def __init__(self, topic: str, writer: Any) -> None:
         self.topic = topic
         self.writer = writer
@@ -189,7 +188,7 @@ class _CyclonePublisher:
         self._write = partial(_c_layer().ddspy_write, writer._ref)  # noqa: SLF001
 
     def publish(self, message: RawMessage, /) -> None:
-        if len(message) % 4:  # Cyclone DDS takes whole words; the message to copy is rarely large
+        if len(message) % 4:  # Cyclone DDS takes whole words
             message = message.ljust(-(-len(message) // 4) * 4, b"\0")
         status = self._write(message)
         if status < 0:
@@ -207,7 +206,7 @@ class _CyclonePublisher:
 
 
 class _BuiltinReaders:
-    """The readers of DDS's own topics: participants and endpoints discovered so far."""
+    """The participants and endpoints discovered so far, by DDS's own topics."""
 
     def __init__(self, participant: Any) -> None:
         from cyclonedds import builtin
@@ -226,7 +225,7 @@ class _BuiltinReaders:
         return [sample for sample in samples if sample.sample_info.valid_data]
 
     def participants(self) -> dict[Any, str]:
-        """Return key -> name (or an empty text) of each participant."""
+        """Key -> name, maybe empty."""
         from cyclonedds.qos import Policy
 
         return {
@@ -235,7 +234,7 @@ class _BuiltinReaders:
         }
 
     def endpoints(self, kind: str, topic: str) -> list[Endpoint]:
-        """Return the writers (`publications`) or readers (`subscriptions`) of a topic of DDS."""
+        """Return the `publications` or `subscriptions` of a topic of DDS."""
         names = self.participants()
         return [
             Endpoint(names.get(endpoint.participant_key, ""), ros_name(endpoint.type_name), _qos(endpoint.qos))
@@ -245,7 +244,7 @@ class _BuiltinReaders:
 
 
 def _configured_domain(domain_id: int, settings: str) -> Any:
-    """Open the domain with our settings; None if another node of this process has done so."""
+    """Open the domain with our settings; None if another node has done so."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 
@@ -262,7 +261,6 @@ def _c_layer() -> Any:
 
 
 def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
-    """Return a function that takes a reader's next message, if any: its bytes and sample information."""
     from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
 
     ddspy_take = _c_layer().ddspy_take
@@ -282,7 +280,7 @@ def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
 
 @cache
 def _message_type(type_name: str) -> Any:
-    """Return the type for Cyclone DDS, which checks each serialized message against it."""
+    """Return the type against which Cyclone DDS checks each serialized message."""
     from cyclonedds.idl import make_idl_struct
 
     check_type("cyclonedds", type_name)
@@ -326,7 +324,6 @@ def _cyclone_qos(qos: Qos) -> Any:
 
 
 def _qos(policies: Any) -> Qos:
-    """Return the policies that a discovered endpoint reports; others are empty."""
     from cyclonedds.qos import Policy
 
     reliability, durability = (

@@ -1,4 +1,4 @@
-"""ROS message types and names in DDS, for backends and bridges that speak DDS without ROS."""
+"""ROS message types and names in DDS, for what speaks DDS without ROS."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ DDS_TYPES: dict[str, dict[str, str]] = {
         "is_dense": "bool",
     },
 }
-"""Type -> member -> type; `[]` is a sequence, `[9]` an array. A type follows its parts, packages are together, as in XML."""
+"""Type -> member -> type; `[]` is a sequence, `[9]` an array. A type follows its parts, as in XML."""
 
 
 def split_type(text: str) -> tuple[str, int | None]:
@@ -56,7 +56,7 @@ def split_type(text: str) -> tuple[str, int | None]:
 
 
 def check_type(backend: str, type_name: str) -> None:
-    """Raise an `OptionError` for a type that is not in `DDS_TYPES`."""
+    """Refuse a type that is not in `DDS_TYPES`."""
     if type_name not in DDS_TYPES:
         names = ", ".join(name for name in DDS_TYPES if name.startswith(("sensor_msgs", "std_msgs")))
         raise OptionError(f"the backend {backend} does not know the type {type_name}; it knows {names}")
@@ -75,5 +75,5 @@ def ros_name(dds_type: str) -> str:
 
 
 def dds_topic(topic: str) -> str:
-    """Return the name in DDS of the ROS topic `topic`."""
+    """Return the name in DDS."""
     return f"rt/{topic}"

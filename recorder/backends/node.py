@@ -1,4 +1,4 @@
-"""A participant as the roles use it: `Node`, its publishers and subscriptions."""
+"""`Node`, a participant as the roles use it, its publishers and subscriptions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 ROUND_S = 0.1
-"""Longest round of a node's thread, and so the longest wait of `close`."""
+"""Longest round of a node's thread, and longest wait of `close`."""
 LAST_ACKNOWLEDGEMENT_S = 0.5
 """Longest wait of a closing publisher: a participant that leaves at once takes its last messages with it."""
 
@@ -37,7 +37,7 @@ MessageT_contra = TypeVar("MessageT_contra", contravariant=True)
 
 @dataclass(frozen=True, slots=True)
 class NodeOptions:
-    """What a backend needs to know to open a node.
+    """How to open a node.
 
     Attributes:
         name: name of the node in the graph.
@@ -117,8 +117,8 @@ class Middleware:
     Attributes:
         vendor: `fastdds`, `cyclonedds`, `connext`, `zenoh`, `socket`, or what the backend reports.
         rmw: identifier of the running ROS middleware, None outside ROS.
-        versions: name of a library -> its version.
-        vendor_label: name of the vendor for people, empty for the backend's label.
+        versions: of each library by its name.
+        vendor_label: name for people, empty for the backend's label.
     """
 
     backend: str
@@ -144,7 +144,7 @@ class TopicView:
 
     Attributes:
         incompatible: one line for each pair that can never match.
-        unassignable: one line for each endpoint whose message type has the same name as ours but another definition.
+        unassignable: one line for each endpoint whose message type has our name but another definition.
     """
 
     topic: str
@@ -168,23 +168,23 @@ class Publisher(Protocol[MessageT_contra]):
     """The sending end of a topic."""
 
     def publish(self, message: MessageT_contra, /) -> None:
-        """Hand `message` to the middleware, from one thread at a time; the buffer may change afterwards."""
+        """Hand over a message, from one thread at a time; the buffer may change afterwards."""
 
     def close(self) -> None:
-        """Take the publisher off the topic."""
+        """Leave the topic."""
 
 
 class Subscription(Protocol):
     """The receiving end of a topic."""
 
     def close(self) -> None:
-        """Take the subscription off the topic, at the end of the thread's current round."""
+        """Leave the topic at the end of the thread's current round."""
 
 
 class Strangers:
     """Counts of what peers sent and this process did not accept, by kind.
 
-    A message that is accepted never comes here: only the other path pays for the lock.
+    Accepted messages never pay for its lock.
     """
 
     def __init__(self) -> None:
@@ -219,7 +219,7 @@ class Node(ABC):
     """
 
     _middleware: Middleware
-    """Set by each backend as soon as the middleware runs."""
+    """Set as soon as the middleware runs."""
 
     def __init__(self, options: NodeOptions) -> None:
         self.options = options
@@ -288,7 +288,7 @@ class Node(ABC):
 
 
 class ThreadedNode(Node):
-    """A node with one thread of ours that calls the subscriptions."""
+    """A node with one thread of ours for its subscriptions."""
 
     def __init__(self, options: NodeOptions) -> None:
         super().__init__(options)
@@ -329,15 +329,15 @@ class NodeSubscription:
 
 @runtime_checkable
 class ObjectNode(Protocol):
-    """What a node can do whose client library has message objects (ROS 2)."""
+    """A node whose client library has message objects (ROS 2)."""
 
     def create_object_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RosMessage]:
-        """Create a publisher of message objects."""
+        """See `Node.create_publisher`."""
 
     def create_object_subscription(
         self, topic: str, type_name: str, receive: Receive[RosMessage], *, qos: Qos | None = None
     ) -> Subscription:
-        """Create a subscription of message objects."""
+        """See `Node.create_subscription`."""
 
     def message_from_cdr(self, type_name: str, data: RawMessage) -> RosMessage:
         """Deserialize a message."""
@@ -347,7 +347,7 @@ class ObjectNode(Protocol):
 
 
 def message_objects_of(node: Node) -> ObjectNode:
-    """Return `node` as one that has message objects; raise an `OptionError` if it has none."""
+    """Return `node` as one with message objects; raise an `OptionError` if it has none."""
     if not isinstance(node, ObjectNode):
         raise OptionError(
             f"--serialization typed: the backend {node.middleware.backend} only carries serialized messages"

@@ -1,4 +1,4 @@
-"""Quality of service: durations, endpoints that can never match, and a depth that is too small."""
+"""Quality of service: durations, endpoints that can never match, and too small a depth."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ RANKS: Mapping[str, Sequence[str]] = {
     "reliability": (Reliability.BEST_EFFORT, Reliability.RELIABLE),
     "durability": (Durability.VOLATILE, Durability.TRANSIENT_LOCAL, "transient", "persistent"),
 }
-"""Policy -> its values from weak to strong; the offered one must not be weaker (DDS 1.4, 2.2.3)."""
+"""Values from weak to strong; the offered one must not be weaker (DDS 1.4, 2.2.3)."""
 
 DURATION_POLICIES = ("deadline", "lifespan")
-"""Policies that are durations; `Qos.extra` has them as `deadline_ns` and `lifespan_ns`."""
+"""`Qos.extra` has them as `deadline_ns` and `lifespan_ns`."""
 
 STALL_S = 0.1
 """How long a side of a busy machine may stall: the default `max_blocking_time` (DDS 1.4, 2.2.3.14)."""
@@ -42,13 +42,13 @@ def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
 
 
 def requested_durations(qos: Qos) -> dict[str, int]:
-    """Return the finite durations of `qos`: policy of `DURATION_POLICIES` -> ns."""
+    """Return the finite durations of `qos`, ns."""
     durations_ns = {policy: qos.extra.get(f"{policy}_ns") for policy in DURATION_POLICIES}
     return {policy: duration for policy, duration in durations_ns.items() if isinstance(duration, int)}
 
 
 def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
-    """Return `Qos.extra` from reported durations in ns, without infinite ones, which ROS 2 reports as 0."""
+    """Return `Qos.extra` from durations in ns, without infinite ones, which ROS 2 reports as 0."""
     return {
         f"{policy}_ns": duration_ns for policy, duration_ns in durations_ns.items() if 0 < duration_ns < INFINITE_NS
     }
@@ -61,7 +61,7 @@ def refuse_durations(backend: str, qos: Qos) -> None:
 
 
 def mismatches(offered: Qos, requested: Qos) -> list[str]:
-    """Return a text for each policy in which `offered` falls short of `requested`; an unknown value never does."""
+    """Return a text for each policy in which `offered` falls short; an unknown value never does."""
     shortfalls = []
     for policy, ranks in RANKS.items():
         offers, requests = getattr(offered, policy), getattr(requested, policy)

@@ -1,1 +1,1 @@
-"""The bridges between two DDS domains: one file for each, the record of one in `base`, its running programs in `process`."""
+"""Bridges between two DDS domains: one file for each, their record in `base`, running programs in `process`."""

@@ -1,4 +1,4 @@
-"""A bridge between two DDS domains: the table of bridges, the record of one (`Bridge`), and its options."""
+"""The table of bridges, the record of one (`Bridge`), and its options."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BRIDGE_MODULES = {
     "routing-service": "dds_trace.recorder.bridges.routing_service",
     "domain_bridge": "dds_trace.recorder.bridges.domain_bridge",
 }
-"""Name of each bridge -> the module with its `BRIDGE`, imported at first use."""
+"""Name -> module with its `BRIDGE`, imported at first use."""
 
 LOCAL_LINK = "127.0.0.1:7447"
 """Default address at which two halves on this machine meet."""
@@ -44,7 +44,7 @@ class Half(Enum):
 
 
 class Halves(Enum):
-    """Whether a bridge runs as one process for each domain, joined by a link."""
+    """Whether a bridge has one process for each domain, joined by a link."""
 
     NEVER = "never"
     OPTIONAL = "optional"  # one process for both domains, or a half on each device
@@ -53,7 +53,7 @@ class Halves(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BridgedTopic:
-    """A topic (ROS name, message type) that crosses from the ping's domain to the relay's; its twin crosses back."""
+    """A topic (ROS name, message type) that crosses to the relay's domain; its twin crosses back."""
 
     name: str
     type_name: str
@@ -80,7 +80,7 @@ BRIDGED_TOPICS = tuple(BridgedTopic(data.topic, data.type_name) for data in data
 
 @dataclass(frozen=True, slots=True)
 class BridgeSide:
-    """One domain that a bridge joins: it takes topics from it and puts others into it, so no message circles."""
+    """One domain: a bridge takes topics from it and puts others into it, so no message circles."""
 
     domain_id: int
     takes: tuple[str, ...]
@@ -133,11 +133,11 @@ class BridgeOptions:
 
     @property
     def topic_names(self) -> list[str]:
-        """Names of all topics that cross, each followed by its twin."""
+        """All topics that cross, each followed by its twin."""
         return [name for topic in self.topics for name in (topic.name, topic.reply_name)]
 
     def sides(self) -> tuple[BridgeSide, ...]:
-        """Return the domains that this process joins."""
+        """Return this process's domains."""
         there = tuple(topic.name for topic in self.topics)
         back = tuple(topic.reply_name for topic in self.topics)
         sides = {
@@ -147,12 +147,12 @@ class BridgeOptions:
         return tuple(sides.values()) if self.half is Half.BOTH else (sides[self.half],)
 
     def type_of(self, name: str) -> str:
-        """Return the message type of a topic or twin."""
+        """Return the type of a topic or twin."""
         return next(topic.type_name for topic in self.topics if name in (topic.name, topic.reply_name))
 
 
 def split_address(address: str) -> tuple[str, int]:
-    """Return host and port of `HOST:PORT` (`[::1]:7447` for IPv6); raise an `OptionError` for another form."""
+    """Split `HOST:PORT` (`[::1]:7447` for IPv6); raise an `OptionError` for another form."""
     host, _, port = address.rpartition(":")
     if limits.ADDRESS.fault(address) is not None or limits.PORT.fault(int(port)) is not None:
         raise OptionError(f"{limits.shown(address)} is not an address; write {limits.ADDRESS.what}")
@@ -161,7 +161,7 @@ def split_address(address: str) -> tuple[str, int]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bridge:
-    """One bridging program; each module in `BRIDGE_MODULES` has one, named `BRIDGE`.
+    """One bridging program: `BRIDGE` of each module in `BRIDGE_MODULES`.
 
     Attributes:
         name: name in `--bridge` and in a run.
@@ -191,7 +191,7 @@ class Bridge:
 
 
 def load_bridge(name: str) -> Bridge:
-    """Return the bridge called `name`; raise an `OptionError` if there is none."""
+    """Return a bridge; raise an `OptionError` if there is none."""
     if name not in BRIDGE_MODULES:
         raise OptionError(f"there is no bridge {name!r}; choose one of {', '.join(BRIDGE_MODULES)}")
     bridge: Bridge = import_module(BRIDGE_MODULES[name]).BRIDGE
@@ -199,7 +199,7 @@ def load_bridge(name: str) -> Bridge:
 
 
 def split_halves(bridge: Bridge, options: BridgeOptions, link: str = LOCAL_LINK) -> tuple[BridgeOptions, ...]:
-    """Return the options of each process to start here: two if both halves run on this machine and meet at `link`.
+    """Return the options of each process here: two if both halves run on this machine and meet at `link`.
 
     Raises:
         OptionError: the bridge has no halves, or the half could never meet the other.

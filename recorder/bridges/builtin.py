@@ -28,7 +28,7 @@ BRIDGE = Bridge(
 
 
 def main(configuration: Path) -> None:
-    """Serve the two domains of the file `configuration`."""
+    """Serve the domains of a configuration."""
     options = options_from_json(configuration)
     sides = options.sides()
     with ExitStack() as stack:

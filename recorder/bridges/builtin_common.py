@@ -1,4 +1,4 @@
-"""The parts that our own two bridge programs share."""
+"""What our own two bridges share."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 INSTALL_ROS2 = "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]', or source /opt/ros/DISTRO/setup.bash"
 UP_LINE = "bridging"
-"""First word of the line that says the bridge is up."""
+"""First word of the log line when the bridge is up."""
 
 CHECK_PERIOD_S = 0.5
 
 
 def options_to_json(options: BridgeOptions) -> str:
-    """Return the part of `options` that our own bridge programs read, as indented JSON."""
+    """Return what our own bridges read of `options`."""
     values = {
         "ping_domain_id": options.ping_domain_id,
         "relay_domain_id": options.relay_domain_id,
@@ -49,7 +49,7 @@ def options_to_json(options: BridgeOptions) -> str:
 
 
 def options_from_json(path: Path) -> BridgeOptions:
-    """Return the options that `options_to_json` wrote to `path`; raise a `TraceFormatError` for other content."""
+    """Read what `options_to_json` wrote; raise a `TraceFormatError` for other content."""
     try:
         values = json.loads(path.read_text())
         qos = values["qos"]
@@ -73,7 +73,7 @@ def options_from_json(path: Path) -> BridgeOptions:
 
 
 def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
-    """Open a ROS 2 node in the domain of `side`, without starting it."""
+    """Open a ROS 2 node in a domain, not started."""
     return open_node(
         "ros2",
         NodeOptions(
@@ -88,7 +88,7 @@ def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
 
 
 class Forwarder:
-    """The routes of a bridge; each has its own count, as they may run on different threads."""
+    """The routes of a bridge; each has its own count, as threads may differ."""
 
     def __init__(self) -> None:
         self._counts: list[list[int]] = []
@@ -112,7 +112,7 @@ class Forwarder:
 
 
 def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
-    """Start the nodes, print `UP_LINE`, and forward until SIGINT or SIGTERM; raise the error of a node."""
+    """Print `UP_LINE` and forward until SIGINT or SIGTERM; raise the error of a node."""
     stop = stop_at_signals()
     for node in nodes:
         node.start()
@@ -129,7 +129,7 @@ def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
 
 
 def run(main: Callable[[Path], None]) -> None:
-    """Call `main` with the configuration file of the command line; print a `TraceError` as one line."""
+    """Call `main` with the file of the command line; print a `TraceError` as one line."""
     try:
         main(Path(sys.argv[1]))
     except TraceError as error:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..backends.node import RawMessage, Receive
 
 KEY_PREFIX = "dds_trace/bridge"
-"""A topic crosses the link as the zenoh key `dds_trace/bridge/TOPIC`."""
+"""A topic's zenoh key is `dds_trace/bridge/TOPIC`."""
 
 
 BRIDGE = Bridge(
@@ -43,7 +43,7 @@ BRIDGE = Bridge(
 
 
 def main(configuration: Path) -> None:
-    """Serve the half of the file `configuration`."""
+    """Serve the half of a configuration."""
     zenoh: Any = importlib.import_module("zenoh")
     zenoh.init_log_from_env_or("error")
     options = options_from_json(configuration)
@@ -56,7 +56,7 @@ def main(configuration: Path) -> None:
         for name in side.takes:
             key = session.declare_publisher(
                 f"{KEY_PREFIX}/{name}",
-                # A full queue blocks as a reliable DDS writer does, or drops as a best-effort one does.
+                # When full, block as a reliable DDS writer does, or drop as a best-effort one does.
                 congestion_control=congestion.BLOCK if is_reliable else congestion.DROP,
                 reliability=reliability.RELIABLE if is_reliable else reliability.BEST_EFFORT,
                 express=True,  # not batched with the next message

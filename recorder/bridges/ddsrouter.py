@@ -1,4 +1,4 @@
-"""`ddsrouter`: eProsima's DDS Router, successor of its Integration Service for DDS; one program, or a half on each device."""
+"""`ddsrouter`: eProsima's DDS Router, successor of its Integration Service; one program, or a half on each device."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 PROGRAM = "ddsrouter"
 CONFIGURATION_VERSION = "v5.0"
-"""Configuration format of DDS Router 3; version 2, which read v4.0, has reached its end of life."""
+"""Format of DDS Router 3; version 2, which read v4.0, has reached its end of life."""
 
 
 def _configuration(options: BridgeOptions) -> str:

@@ -1,4 +1,4 @@
-"""The bridge that a ping's options request: started around its recording, for the topics of its data."""
+"""The bridge that a ping's options request, for the topics of its data."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def open_requested_bridge(
     options: RecordOptions, ping: PingOptions, data_type: DataType, stack: ExitStack
 ) -> RunningBridge | None:
-    """Open the bridge that the ping's options name, until `stack` ends; errors as for `open_bridge`."""
+    """Open the requested bridge until `stack` ends; errors as for `open_bridge`."""
     bridge_options = check_requested_bridge(options, ping, data_type)
     if bridge_options is None:
         return None
@@ -29,7 +29,7 @@ def open_requested_bridge(
 
 
 def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type: DataType) -> BridgeOptions | None:
-    """Return the options of the bridge that the ping's options name, None if there is none to start.
+    """Return the requested bridge's options, None if there is none to start.
 
     Raises:
         OptionError: there is no such bridge, or it does not support the options or the backend.
@@ -37,7 +37,7 @@ def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type:
     if ping.bridge == "none":
         return None
     bridge = load_bridge(ping.bridge)
-    # Also of one that runs already: the trace keeps its name.
+    # Also if it already runs: the trace keeps its name.
     if bridge.needs_ros_nodes and not load_backend(options.backend).has_ros:
         raise OptionError(
             f"--bridge {ping.bridge}: it finds nodes by ros_discovery_info, which nodes of the backend {options.backend} do "

@@ -30,7 +30,7 @@ POOL_BUFFER_BYTES = 4096
 """Largest unbounded sample from the pool; RTI wants larger ones on the heap."""
 
 RTI_NAMES = {"uint8": "byte", "bool": "boolean"}
-"""Plain type of ROS -> its name in RTI's XML, where they differ."""
+"""ROS types that RTI's XML names differently."""
 
 
 def _configuration(options: BridgeOptions) -> str:
@@ -123,7 +123,7 @@ def _writer_qos(qos: Qos) -> Element:
         "datawriter_qos",
         *_common_qos(qos),
         *_duration(qos, "lifespan", "duration"),
-        # Only the asynchronous publisher fragments samples that are larger than a datagram.
+        # Only the asynchronous publisher fragments samples larger than a datagram.
         element("publish_mode", element("kind", "ASYNCHRONOUS_PUBLISH_MODE_QOS")),
         _properties({pool: str(POOL_BUFFER_BYTES)}),
     )
@@ -152,7 +152,7 @@ def _properties(values: Mapping[str, str]) -> Element:
 
 
 def _types(type_names: list[str]) -> tuple[Element, ...]:
-    """Return a `types` element with the known of `type_names`; the program learns other types by discovery."""
+    """Return `types` with the known of `type_names`; the program discovers others."""
     needed: set[str] = set()
     for name in type_names:
         _collect(name, needed)

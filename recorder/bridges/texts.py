@@ -1,4 +1,4 @@
-"""Texts of configuration files: YAML and XML."""
+"""YAML and XML of configuration files."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from xml.etree.ElementTree import Element, indent, tostring
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-# Texts that YAML 1.1 and 1.2 both read as strings without quotes.
+# YAML 1.1 and 1.2 both read these as strings without quotes.
 _PLAIN = re.compile(r"(?!(?:true|false|yes|no|on|off|null|y|n)$)[A-Za-z_/][\w./:-]*", re.IGNORECASE)
 
 
 def yaml_text(value: Mapping[str, object]) -> str:
-    """Return `value` (mappings, lists, strings, numbers, booleans) as a YAML document in block style."""
+    """Return mappings, lists, strings, numbers and booleans as a YAML document in block style."""
     return "\n".join(_yaml_lines(value)) + "\n"
 
 
@@ -45,7 +45,7 @@ def _yaml_scalar(value: object) -> str:
 
 
 def element(tag: str, /, *content: Element | str, **attributes: str) -> Element:
-    """Return an XML element that contains other elements, or text."""
+    """Return an XML element with elements, or text."""
     parent = Element(tag, attributes)
     for part in content:
         if isinstance(part, str):
@@ -56,6 +56,6 @@ def element(tag: str, /, *content: Element | str, **attributes: str) -> Element:
 
 
 def xml_text(root: Element) -> str:
-    """Return `root` as an indented XML document."""
+    """Return an indented document."""
     indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, encoding="unicode")}\n'

@@ -1,6 +1,6 @@
-"""`zenoh-bridge-dds`: Eclipse zenoh's bridge for DDS, the paper's choice for Cyclone DDS; one half for each domain.
+"""`zenoh-bridge-dds`: Eclipse zenoh's bridge for DDS, the paper's choice for Cyclone DDS; a half for each domain.
 
-It comes as a program, and as a plugin of zenoh's router (`zenohd`).
+It is a program, or a plugin of zenoh's router (`zenohd`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def _configuration(options: BridgeOptions) -> str:
     dds = {
         "domain": side.domain_id,
         "localhost_only": options.discovery is Discovery.LOCALHOST,
-        # The pattern may match anywhere in the name, and `rt/` is ROS 2's prefix of topics.
+        # The pattern may match anywhere; `rt/` is ROS 2's prefix of topics.
         "allow": f"^rt/({'|'.join(names)})$",
         "reliable_routes_blocking": True,
     }

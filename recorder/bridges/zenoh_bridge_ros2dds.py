@@ -1,6 +1,6 @@
-"""`zenoh-bridge-ros2dds`: Eclipse zenoh's bridge for ROS 2, successor of `zenoh-bridge-dds`; one half for each domain.
+"""`zenoh-bridge-ros2dds`: Eclipse zenoh's bridge for ROS 2, successor of `zenoh-bridge-dds`; a half for each domain.
 
-It knows the direction of ROS topics. It comes as a program, and as a plugin of zenoh's router (`zenohd`).
+It knows the direction of ROS topics. It is a program, or a plugin of zenoh's router (`zenohd`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def _configuration(options: BridgeOptions) -> str:
         "nodename": f"dds_trace_bridge_{side.domain_id}",
         "domain": side.domain_id,
         "ros_localhost_only": options.discovery is Discovery.LOCALHOST,
-        # Interfaces of a kind that is not named here do not cross.
+        # Interfaces of other kinds do not cross.
         "allow": {"publishers": [f"/{name}" for name in side.takes], "subscribers": [f"/{name}" for name in side.puts]},
         "reliable_routes_blocking": True,
     }

@@ -1,4 +1,4 @@
-"""The parts that zenoh's bridges share: the link between two zenoh programs, and zenoh's router with a plugin."""
+"""What zenoh's bridges share: the link between two programs, and zenoh's router with a plugin."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
 
 
 def plugin_configuration(plugin: str, settings: Mapping[str, object], options: BridgeOptions) -> str:
-    """Return the configuration of a bridge as JSON, which is JSON5."""
+    """Return a bridge's configuration as JSON, which is JSON5."""
     return json.dumps({"plugins": {plugin: settings}, **zenoh_link(options, mode="router")}, indent=2) + "\n"
 
 
 def zenoh_environment(options: BridgeOptions, *, names_loopback: bool) -> Mapping[str, str]:
-    """Return the settings of the Cyclone DDS in a zenoh bridge, and of its log.
+    """Return settings of the Cyclone DDS in a zenoh bridge, and of its log.
 
     A bridge that itself names the loopback interface must not get its name again: Cyclone DDS would not start.
     """

@@ -130,7 +130,7 @@ class WireCapture:
     def begin(self, run_id: int | None = None) -> None:
         """Restart counting; returns when all earlier packets are counted, after a quarter of a second.
 
-        Messages of `run_id` get rows; with None, as a relay does not know it, those of all runs.
+        Messages of `run_id` get rows; with None, as a relay does not know it, messages of all runs do.
         """
         self._ask({"ask": "begin", "run_id": "" if run_id is None else f"{run_id:016x}"})
         self._answer()

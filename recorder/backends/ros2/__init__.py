@@ -26,7 +26,7 @@ _ROS_VARIABLES = ("RMW_IMPLEMENTATION", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_R
 
 
 def _make_node(options: NodeOptions) -> Node:
-    """Open a node with a context of its own, so that several domains fit in one process."""
+    """Open a node with its own context, so that several domains fit in one process."""
     if options.rmw is not None:
         os.environ["RMW_IMPLEMENTATION"] = options.rmw
     check_installed()

@@ -1,8 +1,9 @@
-"""A Fast DDS profile of our own for ROS 2's LOCALHOST range, where FASTDDS_BUILTIN_TRANSPORTS changes nothing.
+"""A Fast DDS profile for ROS 2's LOCALHOST range, where FASTDDS_BUILTIN_TRANSPORTS changes nothing.
 
-In that range rmw_fastrtps adds shared memory and UDP to the default profile (rmw_fastrtps_shared_cpp/src/participant.cpp),
-so nothing removes shared memory. Instead we set the range SYSTEM_DEFAULT and load a profile that does what the LOCALHOST
-range does: sockets on 127.0.0.1 only, no multicast beyond it, unicast search for participants.
+In that range rmw_fastrtps adds shared memory and UDP to the default profile
+(rmw_fastrtps_shared_cpp/src/participant.cpp), so nothing removes shared memory. Instead we set the range SYSTEM_DEFAULT
+and load a profile that does what the LOCALHOST range does: sockets on 127.0.0.1 only, no multicast beyond it, unicast
+search for participants.
 
 Fast DDS loads one profile file in each process, with its first participant. So all nodes of a process have the same
 transports, and the options are refused if the user has a profile.
@@ -29,10 +30,10 @@ if TYPE_CHECKING:
     from ..node import NodeOptions
 
 RANGE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
-"""Leaves discovery to the profile; ROS_STATIC_PEERS is ignored, too."""
+"""Leaves discovery to the profile; ROS_STATIC_PEERS is ignored."""
 
 MAX_PEERS = 32
-"""Participants of one domain on this machine that are looked for, as in rmw_fastrtps's LOCALHOST range."""
+"""Participants of one domain that are looked for on this machine, as in rmw_fastrtps's LOCALHOST range."""
 
 _UDP, _SHM, _TCP = "dds_trace_udp", "dds_trace_shm", "dds_trace_tcp"
 
@@ -40,7 +41,7 @@ _WHITELIST = "        <interfaceWhiteList><address>127.0.0.1</address></interfac
 
 _DESCRIPTORS = {
     _SHM: "        <type>SHM</type>\n",
-    # As Fast DDS sets up TCP for LARGE_DATA: a free port, no checksum of its own, no delay.
+    # As Fast DDS sets up TCP for LARGE_DATA.
     _TCP: (
         "        <type>TCPv4</type>\n"
         + _WHITELIST
@@ -109,11 +110,11 @@ _LAYOUTS = {
     Transport.SHM: ((_SHM,), ""),
     Transport.LARGE_DATA: ((_SHM, _TCP, _UDP), _LARGE_DATA_DISCOVERY),
 }
-"""Transport -> transports of the profile, and its discovery (empty: through shared memory)."""
+"""Transports of the profile, and its discovery (empty: through shared memory)."""
 
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
-    """Return a profile that keeps UDP, SHM or LARGE_DATA on this machine; other transports are an `OptionError`."""
+    """Return a profile that keeps UDP, SHM or LARGE_DATA on this machine; others are an `OptionError`."""
     if transport not in _LAYOUTS:
         raise OptionError(f"--transport {transport.value}: ROS 2's own LOCALHOST range does that")
     if buffer_bytes is not None and transport is not Transport.UDP:
@@ -139,7 +140,7 @@ def _descriptor(name: str, buffers: str) -> str:
 
 
 def requested_profile(transport: Transport, *, tuned: bool) -> str | None:
-    """Return the profile for `--transport` and `--tuned` under localhost discovery, None if there is nothing to set."""
+    """Return the profile for `--transport` and `--tuned` under localhost discovery, if needed."""
     if transport is Transport.DEFAULT and not tuned:
         return None
     # Tuning enlarges the buffers of UDP sockets.
@@ -149,7 +150,7 @@ def requested_profile(transport: Transport, *, tuned: bool) -> str | None:
 
 
 def profile_environment(path: Path, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Return the variables that make Fast DDS load the profile at `path`; a profile of the user's is an `OptionError`."""
+    """Return the variables that load the profile at `path`; a profile of the user's is an `OptionError`."""
     for name in PROFILE_VARIABLES:
         if environment.get(name):
             raise OptionError(
@@ -163,7 +164,7 @@ def profile_environment(path: Path, environment: Mapping[str, str] = os.environ)
 
 @contextmanager
 def written_profile(text: str) -> Iterator[Path]:
-    """Yield the path of a temporary file."""
+    """Yield a temporary file."""
     with tempfile.NamedTemporaryFile("w", prefix="dds-trace-fastdds-", suffix=".xml") as file:
         file.write(text)
         file.flush()
@@ -172,7 +173,7 @@ def written_profile(text: str) -> Iterator[Path]:
 
 @contextmanager
 def loaded_profile(text: str) -> Iterator[Path]:
-    """Make the first participant of this process load the profile; no child process inherits it."""
+    """Have this process's first participant load the profile; no child process inherits it."""
     with written_profile(text) as path:
         variables = profile_environment(path)
         previous = {name: os.environ.get(name) for name in variables}
@@ -193,7 +194,7 @@ _loaded: list[str | None] = []
 
 @contextmanager
 def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]]:
-    """Make the node of the block use the transport and the tuning of its options; yield settings for the session."""
+    """Give the node of the block its transport and tuning; yield settings for the session."""
     if ros_middleware(rmw).vendor != "fastdds" or options.discovery is not Discovery.LOCALHOST:
         set_transport(options, rmw)
         yield {}

@@ -1,4 +1,4 @@
-"""The ROS 2 of this machine, without importing it."""
+"""This machine's ROS 2, without importing it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 WRONG_RMW_TIMEOUT_S = 30.0
 RMW_INDEX = Path("share/ament_index/resource_index/rmw_typesupport")
-"""Folder in which every RMW package of a ROS 2 installation has a file with its name."""
+"""Has a file for every RMW package of an installation."""
 
 INSTALL = (
     "pip install 'dds-trace[ros2]' (wheels, x86_64), or install ROS 2 from apt and run "
@@ -40,7 +40,7 @@ NO_TUNING = (
 
 
 def find_rmws() -> Sequence[str | None]:
-    """Return the ROS middlewares of this machine: `[None]` for wheels, which have one, and nothing without rclpy."""
+    """Return the ROS middlewares of this machine: `[None]` for wheels, nothing without rclpy."""
     if not has_package("rclpy"):
         return []
     names = {file.name for prefix in _prefixes() for file in Path(prefix, RMW_INDEX).glob("rmw_*")}
@@ -48,13 +48,13 @@ def find_rmws() -> Sequence[str | None]:
 
 
 def check_installed() -> None:
-    """Raise a `BackendUnavailableError` without rclpy, or with a ROS middleware that it does not run on."""
+    """Raise a `BackendUnavailableError` without rclpy, or for a ROS middleware on which it does not run."""
     if not has_package("rclpy"):
         raise BackendUnavailableError(f"ROS 2's Python client rclpy is not installed; {INSTALL}")
     rmw = os.environ.get("RMW_IMPLEMENTATION")
     if not rmw or "rclpy" in sys.modules:
         return
-    # With a middleware that it was not built for, rclpy ends the process that imports it.
+    # With a middleware that it was not built for, rclpy ends its process.
     script = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=WRONG_RMW_TIMEOUT_S, check=False
@@ -69,10 +69,10 @@ def check_installed() -> None:
 
 
 def set_discovery_range(discovery: Discovery) -> None:
-    """Set the environment variables of how far nodes look for others."""
+    """Set the variables of how far nodes look for others."""
     is_local = discovery is Discovery.LOCALHOST
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST" if is_local else "SUBNET"
-    # Iron and later warn of the older variable; Humble only knows that one.
+    # Iron and later warn of the older variable; Humble knows only that.
     if find_spec("rclpy.event_handler") is None:
         os.environ["ROS_LOCALHOST_ONLY"] = "1" if is_local else "0"
     else:
@@ -80,7 +80,7 @@ def set_discovery_range(discovery: Discovery) -> None:
 
 
 def set_transport(options: NodeOptions, rmw: str) -> None:
-    """Set the environment variable of Fast DDS's transports beyond this machine; errors as for `check_vendor`."""
+    """Set the variable of Fast DDS's transports beyond this machine; errors as for `check_vendor`."""
     requested = (options.transport.value, options.tuned)
     builtin = VENDORS["fastdds"].builtin_transports
     if requested not in builtin:
@@ -91,13 +91,13 @@ def set_transport(options: NodeOptions, rmw: str) -> None:
 
 
 def check_settings(options: NodeOptions) -> None:
-    """Check the settings for the requested ROS middleware, if any."""
+    """Check the requested ROS middleware's settings."""
     if options.rmw is not None:
         check_vendor(options, options.rmw)
 
 
 def check_vendor(options: NodeOptions, rmw: str) -> None:
-    """Raise an `OptionError` for a setting that the vendor of a ROS middleware does not have."""
+    """Refuse a setting that the vendor of a ROS middleware does not have."""
     middleware = ros_middleware(rmw)
     if middleware.vendor != "fastdds":
         if options.transport is not Transport.DEFAULT:
@@ -114,7 +114,7 @@ def check_vendor(options: NodeOptions, rmw: str) -> None:
 
 
 def package_version(package: str) -> str | None:
-    """Return the version of a ROS package from its wheel, `package.xml`, CMake file or dpkg."""
+    """Return a ROS package's version from its wheel, `package.xml`, CMake file or dpkg."""
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(f"ros-{package.replace('_', '-')}")
     for prefix in _prefixes():
@@ -147,7 +147,7 @@ def _debian_version(package: str) -> str | None:
 
 
 def find_program(package: str, program: str) -> Path | None:
-    """Return `lib/PACKAGE/PROGRAM` of the sourced ROS 2 installations, None if no installation has it."""
+    """Return `lib/PACKAGE/PROGRAM` of a sourced ROS 2, None if none has it."""
     paths = (Path(prefix, "lib", package, program) for prefix in _prefixes())
     return next((path for path in paths if path.is_file() and os.access(path, os.X_OK)), None)
 

@@ -1,6 +1,6 @@
 """A node of rclpy; only this file imports it."""
 
-# ruff: noqa: PLC0415 - rclpy's import may end the process; `check_installed` tries it in another one first
+# ruff: noqa: PLC0415 - rclpy's import may end the process; `check_installed` tries it in another
 
 from __future__ import annotations
 
@@ -103,7 +103,6 @@ class Ros2Node(ThreadedNode):
         return opened
 
     def destroy_subscription(self, subscription: _Ros2Subscription) -> None:
-        """Take a subscription off its topic."""
         self._subscriptions = tuple(other for other in self._subscriptions if other is not subscription)
         self._node.destroy_subscription(subscription.subscription)
 
@@ -168,8 +167,6 @@ class Ros2Node(ThreadedNode):
 
 
 class _ObjectPublisher:
-    """A publisher of message objects."""
-
     def __init__(self, node: Any, publisher: Any) -> None:
         self._node = node
         self._publisher = publisher
@@ -187,14 +184,12 @@ class _ObjectPublisher:
 
 
 class _RawPublisher(_ObjectPublisher):
-    """A publisher of serialized messages."""
-
     def __init__(self, node: Any, publisher: Any) -> None:
         super().__init__(node, publisher)
         self._handle = publisher.handle
 
     def publish(self, message: RawMessage, /) -> None:
-        # Publisher.publish only takes `bytes`, a copy between T1 and the middleware; the binding below it also takes a
+        # Publisher.publish takes only `bytes`, a copy between T1 and the middleware; the binding below it also takes a
         # bytearray, since pybind11 2.10.
         try:
             with self._handle:
@@ -226,7 +221,7 @@ class _Ros2Subscription:
 
 
 def _rclpy() -> Any:
-    """Import the client library and return it; only after `check_installed`."""
+    """Import the client library, only after `check_installed`."""
     import rclpy
     import rclpy.duration
     import rclpy.exceptions
@@ -240,12 +235,12 @@ def _rclpy() -> Any:
 
 
 def running_rmw() -> str:
-    """Return the identifier of the running ROS middleware."""
+    """Return the ROS middleware's identifier."""
     return str(_rclpy().utilities.get_rmw_implementation_identifier())
 
 
 class _python_signal_handlers:  # noqa: N801 - used as a function
-    """Context manager that restores Python's handlers of SIGINT and SIGTERM, which the EventsExecutor replaces."""
+    """Restores Python's handlers of SIGINT and SIGTERM, which the EventsExecutor replaces."""
 
     _signals = (signal.SIGINT, signal.SIGTERM)
 
@@ -339,7 +334,7 @@ def _endpoint(info: Any) -> Endpoint:
 
 
 def _other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Iterator[str]:
-    """Yield a line for each endpoint whose type has another definition than ours: Fast DDS would misread its messages."""
+    """Yield a line for each endpoint of another definition than ours: Fast DDS would misread its messages."""
     hashes = [(info, str(getattr(info, "topic_type_hash", ""))) for info in infos]
     hashes = [(info, text) for info, text in hashes if text.startswith("RIHS")]  # other vendors have none
     own = {info.topic_type: text for info, text in hashes if info.node_name == own_name}

@@ -1,6 +1,6 @@
 """The router of rmw_zenoh, without which its nodes do not find each other.
 
-A node under localhost discovery starts a router if none runs; on a network the user has to start the routers.
+Under localhost discovery a node starts a router if none runs; on a network the user does.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PATIENCE_S = 10.0
-"""Longest wait until a router listens."""
 _ENDPOINT = re.compile(r"connect/endpoints\s*=\s*\[\s*\"tcp/(?P<host>\[[^\]]+\]|[^:\"]+):(?P<port>\d{1,5})")
 
 
 @dataclass(slots=True)
 class Router:
-    """The router of a node: settings for the session, and its process if we started it."""
+    """Settings for the session, and the router's process if we started it."""
 
     settings: Mapping[str, str] = field(default_factory=dict)
     process: subprocess.Popen[bytes] | None = None
@@ -52,7 +51,7 @@ class Router:
 
 
 def open_router(rmw: str, discovery: Discovery, patience_s: float = PATIENCE_S) -> Router:
-    """Return the router that nodes of `rmw` need; raise a `BackendUnavailableError` if there is none."""
+    """Return the router for nodes of `rmw`; raise a `BackendUnavailableError` if there is none."""
     middleware = ros_middleware(rmw)
     if not middleware.router:
         return Router()
@@ -90,7 +89,6 @@ def _listens(host: str, port: int) -> bool:
 
 
 def _comes_up(host: str, port: int, patience_s: float, process: subprocess.Popen[bytes] | None = None) -> bool:
-    """Wait until a router listens or its process ends; return whether it listens."""
     end_s = time.monotonic() + patience_s
     while not _listens(host, port):
         if time.monotonic() > end_s or (process is not None and process.poll() is not None):

@@ -1,7 +1,7 @@
 """`socket`: plain TCP or UDP without a middleware (docs/reference/middlewares.md).
 
-The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without Nagle's
-delay, `udp` is UDP with fragments of 60 KB and no retransmission.
+The relay listens at a port that follows from the domain, the ping connects. `--transport default` is TCP without
+Nagle's delay, `udp` is UDP with fragments of 60 KB and no retransmission.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The greeting that opens each connection of a node on sockets, the bounds of what peers send, and how a socket is bound.
+"""The greeting on each connection of a node on sockets, the bounds of what peers send, and how a socket is bound.
 
-A frame is a topic's name and a serialized message. The empty name is a greeting, JSON with the node's name, subscriptions
-and publishers; a peer only gets the topics that it subscribes to. Over UDP it also has the cookie that the other side
-gave to this address, as anybody can write a source address.
+A frame is a topic's name and a serialized message. The empty name is a greeting, JSON with the node's name,
+subscriptions and publishers; a peer gets only the topics that it subscribes to. Over UDP it also has the cookie that
+the other side gave to this address, as anybody can write a source address.
 """
 
 from __future__ import annotations
@@ -30,19 +30,18 @@ MAX_TOPICS = 256
 MAX_MESSAGE_BYTES = 1 << 30
 """Largest message."""
 MEMORY_BYTES = min(2 * MAX_MESSAGE_BYTES, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2)
-"""Memory for the messages that all peers together are sending."""
+"""Memory for messages under way from all peers together."""
 
 MALFORMED, CROWD, SLOW = "frame that is none", "connection too many", "subscriber that did not read"
 HALF_OPEN, TOO_LARGE = "connection without a greeting", "frame too large for the memory"
 
 Address: TypeAlias = tuple[str, int]
-"""Host and port."""
 Receivers: TypeAlias = "Mapping[str, tuple[Receive[RawMessage], ...]]"
 """Topic -> callbacks; looked up for each frame."""
 
 
 class PeerError(Exception):
-    """A peer whose bytes end its connection; the text is the kind to count."""
+    """A fault that ends a peer's connection; the text is the kind to count."""
 
 
 @dataclass
@@ -79,10 +78,10 @@ def _is_name(text: object) -> bool:
 
 
 def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:
-    """Open a socket of `kind` at `address`; raise an `OptionError` if the port is taken."""
+    """Open a socket at `address`; raise an `OptionError` if the port is taken."""
     bound = socket.socket(socket.AF_INET, kind)
     try:
-        if kind is socket.SOCK_STREAM:  # connections that have just ended do not block the port
+        if kind is socket.SOCK_STREAM:  # ended connections do not block the port
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind(address)
     except OSError as err:

@@ -36,7 +36,7 @@ PROTOCOLS = {Transport.DEFAULT: "tcp", Transport.UDP: "udp"}
 
 
 class SocketNode(ThreadedNode):
-    """The connections of one role; `port` is a relay's (0: any free port), `peers` are the relays of a ping."""
+    """One role's connections; `port` is a relay's (0: any free port), `peers` are the relays of a ping."""
 
     def __init__(self, options: NodeOptions, port: int, peers: Sequence[Address]) -> None:
         super().__init__(options)
@@ -71,7 +71,6 @@ class SocketNode(ThreadedNode):
 
     @property
     def port(self) -> int:
-        """Port at which the node listens; 0 if it does not."""
         return self._links.port
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
@@ -122,8 +121,6 @@ class SocketNode(ThreadedNode):
 
 @dataclass(frozen=True, slots=True)
 class _SocketPublisher:
-    """A publisher of serialized messages."""
-
     publish: Callable[[RawMessage], None]
     close: Callable[[], None]
 
@@ -151,7 +148,7 @@ def _resolve(address: tuple[str, int]) -> tuple[str, int]:
 
 
 def set_congestion_control(connection: socket.socket, name: str | None) -> str:
-    """Set the congestion control of a TCP socket, unless `name` is None; return what the kernel reports."""
+    """Set the congestion control of a TCP socket, if given; return what the kernel reports."""
     if name is not None:
         try:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, name.encode())

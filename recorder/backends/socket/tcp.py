@@ -41,11 +41,11 @@ if TYPE_CHECKING:
     from .greeting import Address, Receivers
 
 HALF_OPEN_S = 5.0
-"""Longest time from a connection to its greeting."""
+"""Time for a connection to greet."""
 READER_PATIENCE_S = 0.25
-"""Longest wait for a subscriber that has sent no message, which only reads along."""
+"""Longest wait for a subscriber that only reads along."""
 SENDER_PATIENCE_S = 1.0
-"""Longest wait for one that sends messages, in which it takes at least `LEAST_READ_BYTES`."""
+"""Longest wait for one that sends messages, in which it must take `LEAST_READ_BYTES`."""
 LEAST_READ_BYTES = 16_384
 PIECE_BYTES = 1 << 20
 """Memory grows by as much as has arrived and this: a header may claim anything."""
@@ -55,7 +55,7 @@ _HEADER = struct.Struct("<IH")  # bytes of the message, bytes of the topic's nam
 
 
 class TcpLinks:
-    """Connections to peers, and from peers on one listening socket; `prepare` sets the options of each socket."""
+    """Connections to peers, and from peers; `prepare` sets the options of each socket."""
 
     def __init__(
         self,
@@ -85,7 +85,6 @@ class TcpLinks:
 
     @property
     def port(self) -> int:
-        """Port at which peers reach the node; 0 if they do not."""
         return 0 if self._listener is None else int(self._listener.getsockname()[1])
 
     def greetings(self) -> list[Greeting]:
@@ -165,7 +164,7 @@ class TcpLinks:
 
         def connected() -> None:
             self._selector.unregister(connection)
-            # While nobody listens, a connection to a local port can connect to itself (simultaneous open).
+            # While nobody listens, a connection to a local port can connect to itself.
             if connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or connection.getsockname() == address:
                 connection.close()
                 self._retry_s[address] = time.monotonic() + RETRY_S
@@ -204,11 +203,11 @@ class TcpLinks:
             self._retry_s[address] = time.monotonic() + RETRY_S
 
     def _has_memory(self, peer: _TcpPeer, size: int) -> bool:
-        """Return whether a frame of `size` bytes fits in addition to those that other peers are sending."""
+        """Return whether a frame fits in addition to those under way from other peers."""
         return size + sum(other.frame_bytes for other in self._connected if other is not peer) <= MEMORY_BYTES
 
     def interrupt(self) -> None:
-        """End the connections, so that a blocked `send` returns, and no callback runs any more."""
+        """End the connections: a blocked `send` returns, and no callback runs any more."""
         with self._changing:
             self._closing = True
             peers = self._connected
@@ -231,7 +230,7 @@ def _head(topic: bytes, message_bytes: int) -> bytes:
 def _deliver(
     frames: list[tuple[bytes, str, bytearray]], receivers: Receivers, delivering: FastLock
 ) -> tuple[bytes, str, int]:
-    """Call the callbacks for each frame; return head, topic and length of the last one."""
+    """Call the callbacks; return head, topic and length of the last frame."""
     head, topic, frame_bytes = b"", "", 0
     for head, topic, message in frames:
         frame_bytes = len(head) + len(message)
@@ -242,7 +241,7 @@ def _deliver(
 
 
 class _TcpPeer:
-    """One connection: any thread writes whole frames, a thread of its own reads them.
+    """One connection: any thread writes whole frames, its own thread reads them.
 
     A peer that the user chose (`is_chosen`) is waited for without end.
     """
@@ -268,7 +267,7 @@ class _TcpPeer:
             self._be_patient(READER_PATIENCE_S)
 
     def _be_patient(self, wait_s: float) -> None:
-        """Set how long one call of the kernel waits for the peer to read."""
+        """Set how long the kernel waits for the peer to read."""
         self._connection.setsockopt(
             socket.SOL_SOCKET, socket.SO_SNDTIMEO, _TIME.pack(int(wait_s), round(wait_s % 1 * 1e6))
         )
@@ -278,7 +277,7 @@ class _TcpPeer:
         self.send(_head(b"", len(text)), text)
 
     def send(self, head: bytes, message: RawMessage) -> None:
-        """Send a whole frame; on a broken connection it is lost, and the reader sees the end."""
+        """Send a frame; on a broken connection it is lost, and the reader sees the end."""
         try:
             self._take()
         except IndexError:
@@ -298,7 +297,7 @@ class _TcpPeer:
                 self._writing.wake()
 
     def _send_rest(self, rest: memoryview) -> None:
-        """Send the rest of a frame; raise a `BlockingIOError` once the peer reads too little."""
+        """Send the rest; raise a `BlockingIOError` once the peer reads too little."""
         while rest:
             began_s = time.monotonic()
             sent = self._connection.send(rest)
@@ -368,7 +367,7 @@ class _TcpPeer:
         return frames
 
     def _read_frame(self, data: memoryview) -> tuple[bytes, str, bytearray, memoryview] | None:
-        """Complete the frame that starts in `data`; return head, topic, message and the rest of `data`."""
+        """Complete the first frame; return head, topic, message and the rest of `data`."""
         parts: list[bytearray] = []
         sizes = [_HEADER.size]
         while sizes:

@@ -1,7 +1,7 @@
 """Frames in UDP datagrams, cut into fragments, without retransmission.
 
-Anybody can write a source address. An unknown address that greets gets a cookie, in a datagram no larger than the greeting;
-only a greeting with that cookie makes it a peer, to which messages go.
+Anybody can write a source address. An unknown address that greets gets a cookie, in a datagram no larger than the
+greeting; only a greeting with that cookie makes it a peer, to which messages go.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from .greeting import Address, Receivers
 
 FRAGMENT_BYTES = 60_000
-"""Bytes of a message in one UDP datagram (65,507 bytes with its header); Fast DDS cuts at about the same size."""
+"""A UDP datagram has at most 65,507 bytes; Fast DDS cuts at about the same size."""
 MAX_UNFINISHED = 8
-"""Most messages of one sender that wait for fragments; then the oldest is lost."""
+"""Most messages of one sender that wait for fragments."""
 MAX_FRAGMENTS = -(-MAX_MESSAGE_BYTES // FRAGMENT_BYTES)
 DATAGRAMS_A_ROUND = 256
 GREETING_S = 1.0
@@ -55,7 +55,7 @@ UNKNOWN = "datagram of an address that did not return its cookie"
 
 @dataclass
 class _UdpPeer:
-    """A peer that has greeted: the time of its last greeting, and its messages that lack fragments."""
+    """A peer's last greeting, and its messages that lack fragments."""
 
     greeting: Greeting = field(default_factory=Greeting)
     heard_s: float = 0.0
@@ -63,7 +63,7 @@ class _UdpPeer:
 
 
 class UdpLinks:
-    """Datagrams to all peers that greet; a message with a lost fragment is lost. As `TcpLinks`."""
+    """As `TcpLinks`; a message with a lost fragment is lost."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class UdpLinks:
             receive(message)
 
     def _parse(self, datagram: memoryview, address: Address) -> tuple[str, bytearray]:
-        """Return topic and message that a datagram completes, an empty topic if none; raise a ValueError with the kind of a fault."""
+        """Return topic (empty: none) and message that a datagram completes; a ValueError names the kind of a fault."""
         if len(datagram) < _HEADER.size:
             raise ValueError(MALFORMED)
         number, index, count, name_bytes = _HEADER.unpack_from(datagram)
@@ -193,7 +193,6 @@ class UdpLinks:
         return "", bytearray()
 
     def _forget(self, peer: _UdpPeer, messages: int) -> None:
-        """Drop the oldest unfinished messages of a peer."""
         for number in list(peer.unfinished)[:messages]:
             self._unfinished_bytes -= sum(map(len, peer.unfinished.pop(number).values()))
 
@@ -223,11 +222,11 @@ class UdpLinks:
         peer.greeting, peer.heard_s = greeting, time.monotonic()
 
     def _cookie_of(self, address: Address) -> str:
-        """Return the cookie of an address, which only who receives there can know."""
+        """Return an address's cookie, which only the receiver there can know."""
         return hmac.new(self._secret, repr(address).encode(), "sha256").hexdigest()[:_COOKIE_DIGITS]
 
     def interrupt(self) -> None:
-        """Do nothing: sending a datagram never blocks."""
+        """Do nothing: sending never blocks."""
 
     def close(self) -> None:
         self._socket.close()

@@ -25,11 +25,11 @@ from functools import partial
 from pathlib import Path
 
 LOG_LIMIT_BYTES = 128 * 1024
-"""Largest size of each of the two files of the log."""
+"""Limit of each of the log's two files."""
 
 READ_BYTES = 64 * 1024
 LAST_READS = 64
-"""Most reads of the output after the program's end: a child may go on writing for ever."""
+"""Most reads after the program's end: a child may go on writing for ever."""
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 """Signals to the program, with the patience between them."""
@@ -124,7 +124,7 @@ class Drain:
             self._selector.register(source, selectors.EVENT_READ)
 
     def until(self, deadline: float | None, program: subprocess.Popen[bytes]) -> None:
-        """Read output until the program ends, or the deadline passes, or a stop is requested if there is none."""
+        """Read until the program ends, or the deadline passes, or, without one, a stop is requested."""
         while program.poll() is None and not (deadline is None and self.stopping):
             left_s = None if deadline is None else deadline - time.monotonic()
             if left_s is not None and left_s <= 0:
@@ -136,7 +136,7 @@ class Drain:
                     return
 
     def _take(self, timeout_s: float | None) -> bool:
-        """Handle input, signals and output that wait; return whether there was output."""
+        """Handle what waits; return whether there was output."""
         ready = {key.fd for key, _ in self._selector.select(timeout_s)}
         if sys.stdin.fileno() in ready:
             word = os.read(sys.stdin.fileno(), 64)
@@ -156,7 +156,7 @@ class Drain:
 
 
 def die_with(guard_pid: int) -> None:
-    """Have the kernel kill this process, the future program, when the guard dies."""
+    """Have the kernel kill this process, the future program, with the guard."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != guard_pid:
         os.kill(os.getpid(), signal.SIGKILL)

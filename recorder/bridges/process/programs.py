@@ -1,4 +1,4 @@
-"""Programs of other projects: where they are installed, their version and their environment."""
+"""Where other projects' programs are installed, their version and environment."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
 def program_on_path(name: str, folder: Path | None = None) -> Path | None:
-    """Return the path of a program in `folder`, by default on the PATH."""
+    """Find a program in `folder`, by default on the PATH."""
     path = shutil.which(name, path=None if folder is None else str(folder))
     return Path(path) if path else None
 
 
 def reported_version(program: Path, *arguments: str) -> str:
-    """Return the first printed line that contains a version, else an empty text."""
+    """Return the first line with a version, else an empty text."""
     try:
         done = subprocess.run(
             [str(program), *arguments],
@@ -48,7 +48,7 @@ def reported_version(program: Path, *arguments: str) -> str:
 
 
 def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
-    """Return the discovery range for a program that contains ROS 2: the variables of Jazzy and of Humble."""
+    """Return the discovery range for a program with ROS 2: the variables of Jazzy and of Humble."""
     localhost = options.discovery is Discovery.LOCALHOST
     return {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST" if localhost else "SUBNET",
@@ -57,7 +57,7 @@ def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
 
 
 def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:
-    """Return the environment of a program; a `foreign` one does not get the library path of the ROS 2 wheels."""
+    """Return a program's environment; a `foreign` one does not get the library path of the ROS 2 wheels."""
     variables = {**os.environ, **extra}
     if foreign and variables.pop(_WHEELS_GUARD, ""):
         paths = variables.pop("LD_LIBRARY_PATH", "").split(os.pathsep)

@@ -1,4 +1,4 @@
-"""The settings that a bridge's program uses, read from outside and compared with the requested ones."""
+"""The settings that a bridge's program uses, read from outside, and the requested ones."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ProgramReadBack:
         self._applied: Applied | None = None
 
     def read(self) -> None:
-        """Read what the program uses, if it still runs."""
+        """Read while the program runs."""
         if self._applied is None:
             self._pid = self._pid_with_sockets()
         applied = read_applied(self._applied, self._pid)

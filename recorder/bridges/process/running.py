@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..base import Bridge, BridgeOptions
 
 UP_TIMEOUT_S = 20.0
-"""Longest time until a program is up; ROS 2 on a small board needs seconds to start."""
+"""ROS 2 on a small board needs seconds to start."""
 
 
 class BridgeState(Enum):
@@ -45,8 +45,6 @@ class BridgeState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _RunningHalf:
-    """One program of a bridge."""
-
     options: BridgeOptions
     version: str
     configuration: str
@@ -64,7 +62,7 @@ class _RunningHalf:
 
 
 class RunningBridge:
-    """A bridge whose programs run; its caller calls `mark_ready` after the first echo."""
+    """A bridge whose programs run; `mark_ready` follows the first echo."""
 
     def __init__(self, bridge: Bridge, options: BridgeOptions, halves: tuple[_RunningHalf, ...]) -> None:
         self.name = bridge.name
@@ -88,7 +86,7 @@ class RunningBridge:
 
     @property
     def failure(self) -> str | None:
-        """How a program ended by itself, in one line; None while all run."""
+        """How a program ended by itself; None while all run."""
         failed = self._failed_half()
         if failed is None or failed.program.report is None:
             return None
@@ -120,7 +118,7 @@ class RunningBridge:
         return tuple(setting for half in self._halves for setting in half.read_back.not_applied)
 
     def describe(self) -> dict[str, Json]:
-        """Return the JSON object `bridge` of a trace's session."""
+        """Return the object `bridge` of a session."""
         return {
             "bridge": self.name,
             "state": self.state.value,
@@ -144,7 +142,7 @@ class RunningBridge:
         }
 
     def sample(self) -> dict[str, Json]:
-        """Return the present load of each program as a JSON object for the trace."""
+        """Return each program's present load, for the trace."""
         return {
             "monotonic_ns": time.monotonic_ns(),
             "bridge": self.name,
@@ -152,12 +150,12 @@ class RunningBridge:
         }
 
     def log_tail(self, half: Half | None = None) -> str:
-        """Return the last lines of a log: of `half`, else of a failed program, else of the first."""
+        """Return the end of a log: of `half`, else of a failed program, else of the first."""
         default = self._failed_half() or self._halves[0]
         return next((part for part in self._halves if part.half is half), default).program.log_tail()
 
     def wait_until_up(self, timeout_s: float) -> None:
-        """Wait until all programs are up; raise a `BridgeError` if one ends or is late."""
+        """Wait for all programs; raise a `BridgeError` if one ends or is late."""
         deadline = time.monotonic() + timeout_s
         for half in self._halves:
             while not half.program.is_up:
@@ -183,7 +181,7 @@ class RunningBridge:
 
 @contextmanager
 def open_bridge(name: str, options: BridgeOptions, *, up_timeout_s: float = UP_TIMEOUT_S) -> Iterator[RunningBridge]:
-    """Run the bridge called `name` while the block runs; no message has crossed yet when the block starts.
+    """Run a bridge during the block; no message has crossed yet when the block starts.
 
     Raises:
         OptionError: there is no such bridge, or it does not support the options.
@@ -211,7 +209,7 @@ def open_bridge(name: str, options: BridgeOptions, *, up_timeout_s: float = UP_T
 
 
 def find_program(bridge: Bridge) -> Path:
-    """Return the path of the bridge's program; raise a `BackendUnavailableError` if it is not on this machine."""
+    """Return the program's path; raise a `BackendUnavailableError` if it is not on this machine."""
     program = bridge.find()
     if program is None:
         raise BackendUnavailableError(f"the bridge {bridge.name} is not installed; {bridge.install}")

@@ -1,4 +1,4 @@
-"""A bridge's program as a supervised child process: started, watched, sampled, ended, never orphaned.
+"""A bridge's program as a supervised child process, never orphaned.
 
 This process starts `guard.py`, which starts the program and ends it when the pipe to this process closes.
 """
@@ -28,10 +28,10 @@ LAST_LINES = 40
 """Most lines of the log in messages and traces."""
 
 LAST_LINES_BYTES = 8 * 1024
-"""Most bytes of those lines together."""
+"""Most bytes of those lines."""
 
 OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-"""Signals that others send: the log of a program does not explain an end by one of them."""
+"""The log does not explain an end by one of these, which others send."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class GuardReport:
 
 @dataclass(frozen=True, slots=True)
 class ProgramLoad:
-    """The present load of a program and its children: CPU since the previous sample (of one core), resident memory."""
+    """CPU of a program and its children since the previous sample (of one core), and resident memory."""
 
     cpu_percent: float
     memory_bytes: int
@@ -57,7 +57,7 @@ class ProgramLoad:
 
 
 class SupervisedProgram:
-    """One program from its start to its end, with its log in `folder`; a failed start is a `BridgeError`."""
+    """One program with its log in `folder`; a failed start is a `BridgeError`."""
 
     def __init__(
         self, command: Sequence[str], folder: Path, environment: Mapping[str, str], up_pattern: str | None
@@ -70,7 +70,7 @@ class SupervisedProgram:
         self._stopping = False
         self._processes: dict[int, psutil.Process] = {}
         guard = Path(__file__).with_name("guard.py")
-        # -I -S: the guard only needs the standard library, and must start whatever is installed.
+        # -I -S: the guard needs only the standard library, and must start whatever is installed.
         self._guard = subprocess.Popen(
             [
                 sys.executable,
@@ -105,7 +105,7 @@ class SupervisedProgram:
         return self._up_pattern is None or (self._folder / "up").exists()
 
     def log_tail(self) -> str:
-        """Return the last lines of the program's log, also after it has ended."""
+        """Return the log's last lines, also after the end."""
         if self._last_log is not None:
             return self._last_log
         content = b""
@@ -116,11 +116,11 @@ class SupervisedProgram:
         return "\n".join(text.splitlines()[-LAST_LINES:])
 
     def last_line(self) -> str:
-        """Return the last line of the log."""
+        """Return the log's last line."""
         return next((line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it logged nothing")
 
     def load(self) -> ProgramLoad:
-        """Return the present load of the program and its children."""
+        """Return the present load."""
         loads = []
         for pid in self._pids():
             with contextlib.suppress(psutil.Error):  # it has ended
@@ -173,7 +173,7 @@ def killing_signal(exit_code: int) -> signal.Signals | None:
 
 
 def describe_end(exit_code: int, last_line: str) -> str:
-    """Return how a program ended: `killed by signal 9 (SIGKILL)`, or the last line of its log."""
+    """Return how a program ended: `killed by signal 9 (SIGKILL)`, or its log's last line."""
     number = killing_signal(exit_code)
     if number is None:
         return last_line

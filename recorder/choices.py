@@ -1,4 +1,4 @@
-"""Enums of the values of options; light, since `--help` loads them."""
+"""Values of options; light, since `--help` loads them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ExecutorKind(Enum):
 
 
 class Transport(Enum):
-    """Transports of Fast DDS and zenoh, and protocol of sockets; other backends only have `DEFAULT`."""
+    """Transports of Fast DDS and zenoh, protocols of sockets; other backends have only `DEFAULT`."""
 
     DEFAULT = "default"
     UDP = "udp"

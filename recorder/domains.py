@@ -1,4 +1,4 @@
-"""Ports of a DDS domain on this machine, and the participants that use them.
+"""Ports of a DDS domain, and the participants on this machine that use them.
 
 Discovery of a participant: 7400 + 250 * domain + 10 + 2 * participant (DDSI-RTPS 2.5, section 9.6.2.3).
 """
@@ -16,7 +16,7 @@ _PROC = Path("/proc")
 
 
 def check_domain_id(domain_id: int) -> None:
-    """Raise an `OptionError` for a number that is not a DDS domain id."""
+    """Refuse a number that is not a DDS domain id."""
     limits.check(limits.DOMAIN_ID, domain_id, "--domain")
 
 
@@ -65,7 +65,7 @@ def participants_in(domain_id: int, ports: set[int]) -> list[int]:
 
 
 def bound_udp_ports(proc: Path = _PROC) -> set[int]:
-    """Return the local ports of all UDP sockets in this network namespace."""
+    """Return the local UDP ports of this network namespace."""
     ports: set[int] = set()
     for name in ("net/udp", "net/udp6"):
         try:
@@ -77,7 +77,7 @@ def bound_udp_ports(proc: Path = _PROC) -> set[int]:
 
 
 def first_ephemeral_port(proc: Path = _PROC) -> int | None:
-    """Return the lowest ephemeral port, None if the kernel does not report it."""
+    """Return the lowest ephemeral port, if the kernel reports it."""
     try:
         return int((proc / "sys/net/ipv4/ip_local_port_range").read_text().split()[0])
     except (OSError, ValueError, IndexError):

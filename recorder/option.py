@@ -1,4 +1,4 @@
-"""A row of the table of options: the metadata of a field."""
+"""A row of the table of options, as metadata of a field."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _T = TypeVar("_T")
 
 
 class Panel(str, Enum):
-    """Sections of the help, in their order."""
+    """Sections of the help, in order."""
 
     OUTPUT = "Role and output"
     MESSAGE = "Message (ping)"
@@ -37,7 +37,7 @@ class Panel(str, Enum):
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """An option as a key of `[axes]`; what is empty is taken from the option.
+    """An option as a key of `[axes]`; what is empty is the option's.
 
     Attributes:
         for_relay: whether the relay is started with it too.
@@ -84,7 +84,7 @@ class Option:
         return isinstance(self.field_default, tuple | dict)
 
     def read(self, given: Any) -> object:
-        """Return the field's value of a value of the command line or of `dds-trace.toml`."""
+        """Return the field's value from the command line's or `dds-trace.toml`'s."""
         if self.field_default is True:  # --no-own-cost
             return False
         if self.parse is not None:
@@ -93,10 +93,10 @@ class Option:
 
 
 _ROLES = {**dict.fromkeys((Panel.MESSAGE, Panel.SCHEDULE, Panel.BRIDGE), Role.PING), Panel.RELAY: Role.RELAY}
-"""Panel whose options only one role takes -> that role."""
+"""Panels whose options only one role takes."""
 
 OUTSIDE_OF_KEY = {"in_key": False}
-"""Metadata of a field that is no option and no setting."""
+"""For a field that is no option and no setting."""
 
 
 def option(

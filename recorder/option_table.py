@@ -1,4 +1,4 @@
-"""The table of the options of `dds-record`, with their choices and help texts."""
+"""The table of `dds-record`'s options, with choices and help."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CommandOptions:
-    """The options of `dds-record` that are not a field of the other records as they are."""
+    """Options of `dds-record` that are not a field of the other records."""
 
     role: Role | None = option(
         None, "--role ROLE", Panel.OUTPUT, "ping sends messages, relay sends them back.", kind=Role
@@ -114,7 +114,7 @@ class CommandOptions:
 
     @property
     def qos(self) -> Qos:
-        """The quality of service of both roles."""
+        """The QoS of both roles."""
         durations = {"deadline_ns": self.deadline, "lifespan_ns": self.lifespan}
         return Qos(
             self.reliability.value,
@@ -130,11 +130,11 @@ OPTIONS: Mapping[str, Option] = {
     for record in (CommandOptions, PingOptions, RecordOptions, NodeOptions)
     for name, row in options_of(record).items()
 }
-"""Field of a record -> its row; no two records share a name."""
+"""Rows by field; no two records share a name."""
 
 
 _TABLES = {"--backend": BACKEND_MODULES, "--bridge": BRIDGE_MODULES}
-"""Option -> table of its values, read at each call."""
+"""Tables of values, read at each call."""
 
 
 def choices_of(row: Option) -> list[str]:
@@ -145,7 +145,7 @@ def choices_of(row: Option) -> list[str]:
 
 
 def help_of(row: Option) -> str:
-    """Return the help of an option, with choices and default."""
+    """Return an option's help, with choices and default."""
     text, default = row.help, row.default
     if text.endswith(":"):
         *others, last = (name for name in choices_of(row) if name != "none")

@@ -16,11 +16,10 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.writing.destination import TraceDestination
 
 AGE_UNITS_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
-"""Unit of a file's age -> its seconds."""
 
 
 def parse_percentage(name: str, text: str) -> float:
-    """Return the share, 0 to 1, of a text like `1%` or `0.5 %`."""
+    """Return the share, 0 to 1, of `1%` or `0.5 %`."""
     try:
         share = float(text.strip().removesuffix("%")) / 100
     except ValueError:
@@ -31,7 +30,7 @@ def parse_percentage(name: str, text: str) -> float:
 
 
 def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]:
-    """Return keys and values of `KEY=VALUE` texts; `example` is for the error."""
+    """Return keys and values of `KEY=VALUE` texts; errors show `example`."""
     pairs = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -43,7 +42,7 @@ def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """When a relay starts a new file, and how many it keeps, the current one included."""
+    """When a relay starts a new file, and how many it keeps, with the current one."""
 
     file_bytes: int | None = None
     age_s: float | None = None
@@ -51,7 +50,7 @@ class Rotation:
 
     @classmethod
     def parse(cls, text: str) -> Rotation:
-        """Return the value of `--rotate`: a size, an age, or both with a comma between."""
+        """Return the value of `--rotate`: a size, an age, or both with a comma."""
         file_bytes: int | None = None
         age_s: float | None = None
         for part in text.split(","):
@@ -67,7 +66,7 @@ class Rotation:
         return cls(file_bytes, age_s)
 
     def check(self, destination: TraceDestination) -> None:
-        """Raise an `OptionError` for limits that no file can keep, and a destination that cannot be several files."""
+        """Refuse limits that no file can keep, and a destination that cannot be several files."""
         limits.check(limits.FILE_BYTES, self.file_bytes, "--rotate")
         limits.check(limits.FILE_AGE_S, self.age_s, "--rotate")
         limits.check(limits.RETAINED_FILES, self.keep, "--keep")
@@ -81,7 +80,7 @@ class Rotation:
 
 @dataclass(frozen=True, slots=True)
 class KeepFree:
-    """The free space to leave on the disk: a share of it (0 to 1) or `most_bytes`, whichever is less."""
+    """The disk space to leave free: a share (0 to 1) or `most_bytes`, whichever is less."""
 
     share: float = 0.05
     most_bytes: int | None = 1_000_000_000

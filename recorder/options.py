@@ -33,7 +33,6 @@ DEFAULT_MESSAGES = 1000
 DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10
 DEFAULT_WAIT_S = 20.0
-"""Default of `--wait`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +144,7 @@ class PingOptions:
     )
 
     def check(self) -> None:
-        """Raise an `OptionError` for a value that makes no sense."""
+        """Refuse values that make no sense."""
         check_fields(self)
         check_data(self.data)
         for name, pairs in (("--label", self.labels), ("--setting", self.settings)):
@@ -280,7 +279,7 @@ class RecordOptions:
 
 
 def check_fields(record: object) -> None:
-    """Raise an `OptionError` for an option of a record that is beyond its limit."""
+    """Refuse options that are beyond their limit."""
     assert is_dataclass(record)
     for column in fields(record):
         row: Option | None = column.metadata.get("option")
@@ -291,7 +290,7 @@ def check_fields(record: object) -> None:
 
 
 def side_settings(options: RecordOptions, connectivity: str) -> dict[str, Json]:
-    """Return the settings of a session, without the usual discovery of its link."""
+    """Return a session's settings, without the usual discovery of its link."""
     settings = dict(changed_settings(options))
     usual = Discovery.LOCALHOST if connectivity == "loopback" else Discovery.SUBNET
     settings.pop("discovery", None)
@@ -301,7 +300,7 @@ def side_settings(options: RecordOptions, connectivity: str) -> dict[str, Json]:
 
 
 def run_settings(options: PingOptions) -> dict[str, Json]:
-    """Return the settings of a run, for its description."""
+    """Return the settings in a run's description."""
     settings = dict(changed_settings(options))
     if options.bridge_listen is not None:
         settings["bridge_listen"] = True  # not the address, which is private
@@ -309,7 +308,7 @@ def run_settings(options: PingOptions) -> dict[str, Json]:
 
 
 def changed_settings(record: object) -> Iterator[tuple[str, Json]]:
-    """Yield name and value of each setting that is not its default."""
+    """Yield each setting that is not its default."""
     assert is_dataclass(record)
     for column in fields(record):
         value = getattr(record, column.name)

@@ -55,15 +55,15 @@ if TYPE_CHECKING:
     from .roles.wire_record import WireRecord
 
 LOOK_S = 0.5
-"""Time between two checks of a running role."""
+"""Period of checks of a running role."""
 WIRE_LOOKS = 4
-"""Checks without a message after which a relay writes the counts of its capture."""
+"""After as many checks without a message a relay writes the counts of its capture."""
 QUIET_LOOKS = 10
-"""Checks without a message after which a relay collects garbage."""
+"""After as many checks without a message a relay collects garbage."""
 HOPELESS_S = 2.6
-"""Wait for an echo after which QoS that can never match ends it; not in step with Fast DDS's 3 s retry."""
+"""Wait for an echo where QoS can never match; not in step with Fast DDS's 3 s retry."""
 ALL_RELAYS_S = 3.0
-"""Longest wait for further discovered relays after the first one has answered."""
+"""Longest wait for further relays after the first one has answered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,14 +199,14 @@ class _Recording:
                 self.watch.note(warning)
 
     def _measure_costs(self, rate_hz: float | None = None) -> None:
-        """Measure the costs of recording, at the rate of a run, before there is a node to disturb."""
+        """Measure at a run's rate, before there is a node to disturb."""
         if self.rehearses or not self.options.own_cost:
             return
         floor = measured_floor(self.options.backend, self.options.node, rate_hz)
         self.costs = {**measured_cost(), **floor}
 
     def _open_wire(self, ping_options: PingOptions | None = None) -> AbstractContextManager[WireRecord]:
-        """Open the capture of the wire, if enabled; with a bridge messages go through two domains."""
+        """Open the capture, if enabled; with a bridge messages go through two domains."""
         node = self.options.node
         other = None if ping_options is None else ping_options.relay_domain_id
         return open_wire(
@@ -246,7 +246,7 @@ class _Recording:
         )
 
     def _clock_at_end(self) -> JsonObject:
-        """Return the session's field `clock`: the kernel's correction of the clock at start and end."""
+        """Return the session's `clock`: the kernel's correction at start and end."""
         return {"clock": {"begin": self.correction, "end": read_adjtimex()}}
 
     def _note_disk(self, sink: TraceSink) -> None:
@@ -360,7 +360,7 @@ class _Recording:
 
 
 def _sampled(sink: TraceSink, wire: WireRecord, bridge: RunningBridge | None = None) -> HostSampler:
-    """Return a context that writes the load of this host and of our processes once a second."""
+    """Return a context that writes the load of host and own processes once a second."""
     processes = {**wire.processes, **({} if bridge is None else bridge.processes)}
     return HostSampler(partial(sink.write_json, HOST_TOPIC), processes)
 
@@ -368,7 +368,7 @@ def _sampled(sink: TraceSink, wire: WireRecord, bridge: RunningBridge | None = N
 def _find_failure(
     ping: AnyPing, node: Node, bridge: RunningBridge | None, *, ended: bool
 ) -> BridgeError | RelayLostError | None:
-    """Return why nobody answers a ping any more: its bridge has ended, or the relay is lost."""
+    """Return why nobody answers a ping any more, if so."""
     if bridge is not None:
         try:
             bridge.check()

@@ -1,4 +1,4 @@
-"""JSON of frozen dataclasses, with tolerance for fields of other versions."""
+"""JSON of frozen dataclasses, tolerant of fields of other versions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Record = TypeVar("Record")
 
 
 def to_json(record: DataclassInstance) -> dict[str, Json]:
-    """Return the JSON object of a dataclass: objects for dataclasses and mappings, arrays for tuples."""
+    """Return objects for dataclasses and mappings, arrays for tuples."""
     return {field.name: _json(getattr(record, field.name)) for field in fields(record)}
 
 
@@ -42,7 +42,7 @@ def from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:
 
 
 def _value(hint: Any, data: Any) -> Any:
-    """Return `data` in the type `hint`: a dataclass, a (named) tuple or mapping, an optional one, or a plain value."""
+    """Return `data` as a dataclass, a (named) tuple or mapping, an optional one, or a plain value."""
     if data is None:
         return None
     origin, arguments = get_origin(hint), get_args(hint)

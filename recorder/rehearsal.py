@@ -1,4 +1,4 @@
-"""Checks before a recording: of its options only, or by a start that ends before the first message."""
+"""Checks before a recording: of its options, or by a start that ends before the first message."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def rehearse(options: RecordOptions, watch: Watch) -> None:
-    """Start a recording and end it before its first message; with the errors of `record`.
+    """Start a recording and end it before its first message; errors as for `record`.
 
     The other side, the network and the disk are not tested.
     """
@@ -37,7 +37,7 @@ def rehearse(options: RecordOptions, watch: Watch) -> None:
 
 
 def check_options(options: RecordOptions) -> None:
-    """Check the options of a recording, and that its data exists, without opening a node.
+    """Check the options, and that the data exists, without opening a node.
 
     Raises:
         OptionError: an option makes no sense, or not with the others.
@@ -56,7 +56,7 @@ def check_options(options: RecordOptions) -> None:
 
 
 def _check_data(ping: PingOptions) -> None:
-    """Check that the data exists and has the requested size; a live topic cannot be checked."""
+    """Check existence and size of the data; a live topic cannot be checked."""
     if is_live(ping.data):
         check_rate(ping, is_live=True)
         return

@@ -1,9 +1,9 @@
-"""`Applied`: what a process really uses, read from the kernel at the start and the end of a run."""
+"""`Applied`: what a process really uses at the start and the end of a run."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping  # noqa: TC003 - `from_json` looks the types of the fields up
+from collections.abc import Mapping  # noqa: TC003 - `from_json` looks types up
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -39,7 +39,7 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """What one side of a run really uses: before its first message, after its last (None until then), and the payload's path."""
+    """What one side of a run really uses, before its first message and after its last, and the payload's path."""
 
     begin: Snapshot
     end: Snapshot | None = None
@@ -47,11 +47,11 @@ class Applied:
 
     @property
     def latest(self) -> Snapshot:
-        """The snapshot at the end if there is one, else the one at the start."""
+        """The snapshot at the end, else at the start."""
         return self.begin if self.end is None else self.end
 
     def to_json(self) -> JsonObject:
-        """Return the JSON object of the session's field `applied`."""
+        """Return the session's field `applied`."""
         return to_json(self)
 
     def socket_drops(self) -> int | None:
@@ -66,7 +66,7 @@ class Applied:
 
 
 def read_snapshot(pid: int | None = None) -> Snapshot:
-    """Return what a process of the same namespaces uses now, by default the calling one."""
+    """Return what a process of the same namespaces uses now, by default this one."""
     start_ns = time.monotonic_ns()
     snapshot = Snapshot(
         monotonic_ns=start_ns,

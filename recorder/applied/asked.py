@@ -1,9 +1,9 @@
-"""`Asked`: the settings that a run requests, in a form that a read-back can contradict."""
+"""`Asked`: the settings that a run requests, as a read-back can contradict them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping  # noqa: TC003 - `from_json` looks the types of the fields up
+from collections.abc import Mapping  # noqa: TC003 - `from_json` looks types up
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject
 
 PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables
-"""Where Fast DDS 2 and Fast DDS 3 look for the user's profile file."""
+"""Where Fast DDS 2 and 3 look for the user's profile."""
 
 _BUILTIN_TRANSPORTS = {"UDPv4": "udp", "UDPv6": "udp", "SHM": "shm", "LARGE_DATA": "large-data"}
 _SOCKETS_SIZE = re.compile(r"\bsockets_size=(\d+)([A-Za-z]*)")
@@ -56,7 +56,7 @@ class Asked:
     congestion_control: str = ""
 
     def to_json(self) -> JsonObject:
-        """Return the JSON object of the session's field `asked`."""
+        """Return the session's field `asked`."""
         return to_json(self)
 
 
@@ -96,19 +96,19 @@ def asked_settings(
 
 
 def interface_named(cyclonedds_uri: str) -> str:
-    """Return the one interface that a value of CYCLONEDDS_URI names, empty if it names none or several."""
+    """Return the one interface that CYCLONEDDS_URI names, empty if it names none or several."""
     names = {name for text in configuration_texts(cyclonedds_uri) for name in _INTERFACE.findall(text)}
     return names.pop() if len(names) == 1 else ""
 
 
 def configuration_texts(cyclonedds_uri: str) -> list[str]:
-    """Return the XML of each part of a value of CYCLONEDDS_URI, inline or of a file; empty for a missing file."""
+    """Return the XML of each part of CYCLONEDDS_URI, inline or of a file; empty for a missing file."""
     parts = re.split(r",(?=\s*(?:<|file:|/))", cyclonedds_uri)
     return [part if part.lstrip().startswith("<") else _file_text(part) for part in parts]
 
 
 def _asked_by_environment(requested: Asked, environment: Mapping[str, str]) -> Asked:
-    """Return `requested` with the transports of the user's profile file, or of FASTDDS_BUILTIN_TRANSPORTS without one."""
+    """Take the transports from the user's profile file, or from FASTDDS_BUILTIN_TRANSPORTS without one."""
     path = next((environment[name] for name in PROFILE_VARIABLES if environment.get(name)), "")
     if path:
         request = read_profile_request(_file_text(path))
@@ -133,7 +133,6 @@ def _asked_by_environment(requested: Asked, environment: Mapping[str, str]) -> A
 
 
 def _interface_at(name: str) -> str:
-    """Return the interface with this address or name; empty if there is none."""
     for interface, addresses in psutil.net_if_addrs().items():
         if name == interface or name in [address.address for address in addresses]:
             return str(interface)
@@ -152,11 +151,12 @@ _KINDS = {"UDPv4": "udp", "UDPv6": "udp", "TCPv4": "tcp", "TCPv6": "tcp", "SHM":
 
 @dataclass(frozen=True, slots=True)
 class ProfileRequest:
-    """What the default participant of a Fast DDS profile file requests.
+    """What the default participant of a Fast DDS profile requests.
 
     Attributes:
         receive_buffer_bytes, send_buffer_bytes: of its UDP transports, the smallest; 0 if one leaves it out.
-        replaces_builtin: `useBuiltinTransports` is false; otherwise its transports are in addition to the built-in ones.
+        replaces_builtin: `useBuiltinTransports` is false; otherwise its transports are in addition to the built-in
+            ones.
     """
 
     protocols: tuple[str, ...] = ()
@@ -167,14 +167,14 @@ class ProfileRequest:
 
     @property
     def transport(self) -> str:
-        """The transport in the words of `--transport`, `default` if the profile names several or none."""
+        """The profile's `--transport`, `default` for several or none."""
         return self.protocols[0] if len(self.protocols) == 1 and self.protocols[0] != "tcp" else "default"
 
 
 def read_profile_request(text: str) -> ProfileRequest:
-    """Return what the default participant of a profile file requests; nothing if it has none or is not XML."""
+    """Return what the default participant requests; nothing if there is none or the text is not XML."""
     try:
-        root = ET.fromstring(text)  # noqa: S314 - the user's own file, which Fast DDS reads as well
+        root = ET.fromstring(text)  # noqa: S314 - the user's own file
     except ET.ParseError:
         return ProfileRequest()
     participants = [node for node in _named(root, "participant") if node.get("is_default_profile") == "true"]
@@ -203,7 +203,7 @@ def _named(parent: ET.Element, name: str) -> Iterator[ET.Element]:
 
 
 def _whitelist(descriptor: ET.Element) -> Iterator[str]:
-    """Yield the addresses and names of interfaces in either of Fast DDS's two lists."""
+    """Yield the interfaces in either of Fast DDS's two lists."""
     for name in ("interfaceWhiteList", "allowlist"):
         for group in _named(descriptor, name):
             for node in group:

@@ -1,7 +1,7 @@
 """Which path carried the payload: shared memory or an interface, by counters against payload x messages.
 
-Counters of an interface include other programs' traffic: too small a count refutes a path, a large one proves nothing. If
-both paths could explain the counts, the path is `unknown`. Only the bytes of the process's own open TCP connections prove.
+Counters of an interface include other programs' traffic: too small a count refutes a path, a large one proves nothing.
+If both paths could explain the counts, the path is `unknown`. Only the bytes of own open TCP connections prove.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ MIN_PAYLOAD_BYTES = 2_000_000
 SURELY, POSSIBLY = 0.9, 0.5
 """Share of the payload from which on a count explains it, and below which it cannot."""
 MIN_MESSAGES = 10
-"""Fewer messages may have been in flight at one of the snapshots."""
+"""With fewer, too many may have been in flight at a snapshot."""
 MOST_OVERHEAD = 4.0
-"""Counted bytes above this multiple of the payload are mostly others' (loopback counts each message twice)."""
+"""More than this multiple of the payload is mostly others' (loopback counts each message twice)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """Messages that one side sent (handed to the middleware, warm-up included) and received between its two snapshots."""
+    """Messages that one side sent (warm-up included) and received between its two snapshots."""
 
     sent: int
     received: int
@@ -37,22 +37,22 @@ class Traffic:
 
     @property
     def sent_bytes(self) -> int:
-        """Bytes of payload sent."""
+        """Payload sent."""
         return self.sent * self.payload_bytes
 
     @property
     def received_bytes(self) -> int:
-        """Bytes of payload received."""
+        """Payload received."""
         return self.received * self.payload_bytes
 
 
 def with_path(applied: Applied, traffic: Traffic) -> Applied:
-    """Return `applied` with the path that carried the payload; `unknown` before its end."""
+    """Return `applied` with the path of the payload; `unknown` before its end."""
     return replace(applied, path=payload_path(applied, traffic))
 
 
 def payload_path(applied: Applied, traffic: Traffic) -> str:
-    """Return `shm`, the name of an interface, or `unknown` for the payload between the two snapshots."""
+    """Return `shm`, an interface, or `unknown` for the payload between the two snapshots."""
     if applied.end is None or traffic.sent_bytes + traffic.received_bytes < MIN_PAYLOAD_BYTES:
         return UNKNOWN
     explaining = [name for name, delta in interface_deltas(applied).items() if _explains(delta, traffic)]
@@ -63,15 +63,15 @@ def payload_path(applied: Applied, traffic: Traffic) -> str:
     interfaces = applied.begin.interfaces
     if memory and interfaces and all(is_excluded(applied, name, traffic) for name in interfaces):
         return SHARED_MEMORY
-    # Memory of another or an unknown process could explain the payload as well as the interface does. On one machine own
-    # memory could too: its reader may be gone, and other programs count on loopback.
+    # Memory of another or an unknown process could explain the payload as well. On one machine own memory could too:
+    # its reader may be gone, and other programs count on loopback.
     if any(file.is_own is not True for file in memory) or (memory and explaining == [LOOPBACK]):
         return UNKNOWN
     return explaining[0] if len(explaining) == 1 else UNKNOWN
 
 
 def interface_deltas(applied: Applied) -> dict[str, InterfaceCounters]:
-    """Return interface -> what it counted between the two snapshots; empty before the end."""
+    """Return what each interface counted between the two snapshots; empty before the end."""
     if applied.end is None:
         return {}
     return {
@@ -104,7 +104,7 @@ def _explains(delta: InterfaceCounters, traffic: Traffic) -> bool:
 
 
 def _tcp_delta(applied: Applied) -> InterfaceCounters | None:
-    """Return the bytes of the process's own TCP connections between the snapshots, None if there are none or unknown."""
+    """Return the bytes of the process's own TCP connections between the snapshots, if known."""
     if applied.end is None or applied.end.sockets is None or applied.begin.sockets is None:
         return None
     before = {read.inode: read.tcp for read in applied.begin.sockets if read.tcp is not None}
@@ -118,7 +118,7 @@ def _tcp_delta(applied: Applied) -> InterfaceCounters | None:
 
 
 def _tcp_interface(end: Snapshot, explaining: list[str]) -> str:
-    """Return the interface of the TCP connections: loopback by their addresses, else the one that counted enough."""
+    """Return the TCP connections' interface: loopback by their addresses, else the one that counted enough."""
     connected = [read for read in end.sockets or () if read.tcp is not None and read.remote_port]
     if all(read.is_local for read in connected):
         return LOOPBACK

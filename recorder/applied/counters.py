@@ -1,6 +1,6 @@
 """Counters of the kernel at one instant: bytes and packets by interface, lost fragments, multicast groups, limits.
 
-They belong to a network namespace, not to a process: other programs' traffic is counted as well.
+They belong to a network namespace: other programs' traffic is counted as well.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _KERNEL_JOINS = ("224.0.0.1", "ff01::1", "ff02::1")
-"""Groups that the kernel itself joins on every interface."""
+"""Groups that the kernel joins on every interface."""
 
 _FRAGMENT_COUNTERS = ("ReasmTimeout", "ReasmReqds", "ReasmOKs", "ReasmFails", "FragOKs", "FragFails", "FragCreates")
 _UDP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors", "InCsumErrors", "MemErrors")
@@ -50,14 +50,14 @@ class InterfaceCounters:
 
 @dataclass(frozen=True, slots=True)
 class MulticastGroup:
-    """A multicast group that some socket of this network namespace joined at an interface."""
+    """A multicast group that some socket of this network namespace joined."""
 
     interface: str
     address: str
 
 
 def read_interfaces(root: Path = Path("/proc")) -> dict[str, InterfaceCounters]:
-    """Return interface -> its totals, from `/proc/net/dev`."""
+    """Return interface -> totals, from `/proc/net/dev`."""
     counters = {}
     for line in _lines(root / "self/net/dev")[2:]:
         name, _, rest = line.partition(":")
@@ -68,7 +68,7 @@ def read_interfaces(root: Path = Path("/proc")) -> dict[str, InterfaceCounters]:
 
 
 def read_kernel_counters(root: Path = Path("/proc")) -> dict[str, int]:
-    """Return the totals of lost fragments and datagrams by name (`ReasmFails`, `RcvbufErrors`), from `/proc/net/snmp`.
+    """Return lost fragments and datagrams (`ReasmFails`, `RcvbufErrors`), from `/proc/net/snmp`.
 
     UDP's names also occur in lines of other protocols, so each is taken from its own line.
     """
@@ -92,7 +92,7 @@ def read_limits(root: Path = Path("/proc")) -> dict[str, int]:
 
 
 def read_groups(root: Path = Path("/proc")) -> tuple[MulticastGroup, ...]:
-    """Return the multicast groups of this network namespace by interface, from `/proc/net/igmp` and `igmp6`."""
+    """Return this network namespace's multicast groups by interface, from `/proc/net/igmp` and `igmp6`."""
     groups = {*_ipv4_groups(root / "self/net/igmp"), *_ipv6_groups(root / "self/net/igmp6")}
     joined = [group for group in groups if group.address not in _KERNEL_JOINS]
     return tuple(sorted(joined, key=lambda group: (group.interface, group.address)))

@@ -1,6 +1,6 @@
 """Sockets as the kernel reports them over netlink (sock_diag(7)).
 
-Linux answers without any privilege for the caller's network namespace. The layouts are in <linux/inet_diag.h>,
+Linux answers without privileges for the caller's network namespace. The layouts are in <linux/inet_diag.h>,
 <linux/sock_diag.h> and struct tcp_info of <linux/tcp.h>, to which fields are only ever appended.
 """
 
@@ -21,10 +21,10 @@ _NLM_F_REQUEST, _NLM_F_DUMP = 0x1, 0x300
 _NLMSG_ERROR, _NLMSG_DONE = 2, 3
 _ALL_STATES = 0xFFFFFFFF
 _TIMEOUT_S = 2.0
-"""Limit for a kernel that does not answer; an answer takes less than a millisecond."""
+"""For a kernel that does not answer; an answer takes less than a millisecond."""
 
 INFO, CONGESTION, MEMORY = 2, 4, 7
-"""Attributes INET_DIAG_INFO, INET_DIAG_CONG and INET_DIAG_SKMEMINFO."""
+"""INET_DIAG_INFO, INET_DIAG_CONG and INET_DIAG_SKMEMINFO."""
 
 _HEADER = struct.Struct("=IHHII")  # struct nlmsghdr: length, type, flags, sequence, port
 _REQUEST = struct.Struct("=BBBxI48x")  # struct inet_diag_req_v2 with an empty socket id
@@ -34,7 +34,7 @@ _COOKIE = slice(44, 52)
 _INODE = struct.Struct("=I")
 _INODE_OFFSET = 68
 _MESSAGE_BYTES = 72  # struct inet_diag_msg
-_ERROR_BYTES = 4  # of the number at the start of an error's and an end's body
+_ERROR_BYTES = 4  # of the number at the start of the body
 _ATTRIBUTE = struct.Struct("=HH")  # struct nlattr: length, type
 _ADDRESS_BYTES = {socket.AF_INET: 4, socket.AF_INET6: 16}
 _INFO_BYTES = 256
@@ -82,11 +82,10 @@ def dump_sockets(family: int, protocol: int, states: int = _ALL_STATES) -> list[
 
 
 def _bodies(link: socket.socket) -> Iterator[bytes]:
-    """Yield the body of each message of one dump."""
     while True:
         for kind, body in netlink_messages(link.recv(RECEIVE_BYTES)):
             if kind in (_NLMSG_DONE, _NLMSG_ERROR):
-                # The end carries an error too: ENOENT of a protocol that has no module here.
+                # ENOENT at the end: the protocol has no module here.
                 number = struct.unpack_from("=i", body)[0] if len(body) >= _ERROR_BYTES else 0
                 if number < 0:
                     raise DiagError(-number, "the kernel refuses a dump over sock_diag")
@@ -103,7 +102,7 @@ def netlink_messages(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def parse_socket(body: bytes) -> DiagSocket:
-    """Return the socket of one `inet_diag_msg`."""
+    """Return the socket of an `inet_diag_msg`."""
     family, state = socket.AddressFamily(body[0]), body[1]
     local_port, remote_port, local, remote = _ADDRESSES.unpack_from(body, _ADDRESSES_OFFSET)
     size = _ADDRESS_BYTES[family]
@@ -118,7 +117,7 @@ def parse_socket(body: bytes) -> DiagSocket:
 
 
 def tcp_info_fields(info: bytes, layout: Mapping[str, tuple[str, int]]) -> dict[str, Any]:
-    """Return fields of a struct tcp_info, by their format and offset; those that an older kernel lacks are 0."""
+    """Return fields of a struct tcp_info, by format and offset; 0 for those that an older kernel lacks."""
     padded = info.ljust(_INFO_BYTES, b"\0")
     return {name: struct.unpack_from(form, padded, offset)[0] for name, (form, offset) in layout.items()}
 
@@ -134,5 +133,4 @@ def _attributes(body: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _aligned(length: int) -> int:
-    """Return the length with netlink's padding to 4 bytes."""
     return (length + 3) & ~3

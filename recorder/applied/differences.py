@@ -1,4 +1,4 @@
-"""Differences between what a run requested and what its process really uses, in words.
+"""Differences between what a run requested and what its process really uses.
 
 A rule reports a difference only if the read-back has no other explanation: it bars a run from answers, so a false one
 would be worse than a missed one.
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from .sockets import Socket
 
 KERNELS_PORT = 32_768
-"""First of the ports that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""
+"""First port that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""
 GRANTED_PER_REQUESTED = 2
-"""Linux grants twice the socket buffer that a program sets, for its own bookkeeping (socket(7))."""
+"""Linux grants twice the socket buffer that a program sets (socket(7))."""
 
 
 class Setting(Enum):
@@ -47,7 +47,7 @@ class Setting(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One setting that was requested and not applied; `words` says both in a sentence without a full stop."""
+    """A setting that was not applied; `words` is a sentence without a full stop."""
 
     setting: Setting
     asked: str
@@ -55,7 +55,7 @@ class Difference:
     words: str
 
     def to_json(self) -> JsonObject:
-        """Return the JSON object of one entry of the session's field `not_applied`."""
+        """Return an entry of the session's field `not_applied`."""
         return {"setting": self.setting.value, "asked": self.asked, "applied": self.applied, "words": self.words}
 
 
@@ -66,7 +66,7 @@ def differences(requested: Asked, applied: Applied, traffic: Traffic | None = No
 
 
 def _transport(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
-    """Compare the sockets and the shared memory of the process with what the requested transport needs."""
+    """Compare sockets and shared memory with what the requested transport needs."""
     facts = vendor_facts(requested.vendor).transports.get(requested.transport)
     if facts is None:
         return None
@@ -102,13 +102,13 @@ def _contradiction(facts: TransportFacts, requested: Asked, applied: Applied, tr
 
 
 def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the smallest receive buffer of the domain's UDP sockets with the requested one."""
+    """Compare the smallest receive buffer of the domain's UDP sockets."""
     sockets = _udp_sockets(applied)
     ports = domain_port_range(requested.domain_id)
     kernels_port = applied.latest.limits.get("net.ipv4.ip_local_port_range.min", KERNELS_PORT)
     in_domain = [read for read in sockets if read.local_port in ports and read.local_port < kernels_port]
-    # A socket that only sends is not enlarged, and has a port that the kernel chose. If no port identifies the receiving
-    # ones, the largest buffer counts.
+    # A socket that only sends is not enlarged, and has a port that the kernel chose. If no port identifies the
+    # receiving ones, the largest buffer counts.
     buffers = [read.receive_buffer_bytes for read in in_domain] or [
         max((read.receive_buffer_bytes for read in sockets), default=0)
     ]
@@ -118,7 +118,7 @@ def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None
 
 
 def _send_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the largest send buffer of the UDP sockets with the requested one."""
+    """Compare the largest send buffer."""
     buffers = [read.send_buffer_bytes for read in _udp_sockets(applied)]
     return _buffer("send", "net.core.wmem_max", requested.send_buffer_bytes, max(buffers, default=None), applied)
 
@@ -156,7 +156,7 @@ def _interface(requested: Asked, applied: Applied, traffic: Traffic | None) -> D
 
 
 def _shared_memory(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
-    """Compare the mapped shared memory, and the path of the payload, with shared memory requested on or off."""
+    """Compare the mapped shared memory, and the payload's path, with shared memory requested on or off."""
     if requested.shared_memory is None or applied.latest.memory is None:
         return None
     memory = _memory_of(requested, applied)
@@ -189,9 +189,10 @@ def _memory_namespace(requested: Asked, applied: Applied, traffic: Traffic | Non
             elsewhere[0],
             f"{elsewhere[0]} is mapped, but it is not the file of that name in this process's /dev/shm",
         )
-    # Fast DDS sends to a receiver of this host through the receiver's port in /dev/shm, and creates a missing port. Nobody
-    # serves that one: the receiver serves the file of that name in its own mount namespace. Ports from 7000 on belong to all
-    # domains of a machine, so only the domain's own ports count. A segment whose owner has died may be the receiver's.
+    # Fast DDS sends to a receiver of this host through the receiver's port in /dev/shm, and creates a missing port.
+    # Nobody serves that one: the receiver serves the file of that name in its own mount namespace. Ports from 7000 on
+    # belong to all domains of a machine, so only the domain's own count. A segment whose owner has died may be the
+    # receiver's.
     in_vain = traffic is not None and traffic.sent > 0 and traffic.received == 0
     ports = domain_port_range(requested.domain_id)
     unserved = [file.name for file in memory if file.is_unserved_port and file.port_number in ports]
@@ -207,7 +208,6 @@ def _memory_namespace(requested: Asked, applied: Applied, traffic: Traffic | Non
 
 
 def _congestion_control(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the congestion control of the domain's TCP connections with the requested one."""
     ports = domain_port_range(requested.domain_id)
     used = {
         read.tcp.congestion_control

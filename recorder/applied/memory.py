@@ -1,4 +1,4 @@
-"""What one process maps: shared memory of a middleware, and middleware libraries with their versions."""
+"""What one process maps: a middleware's shared memory, and its libraries with versions."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ SHM = Path("/dev/shm")  # noqa: S108 - POSIX shared memory of Linux, shm_overvie
 _MAPPING = re.compile(r"^(\w+)-(\w+) \S+ \w+ (\w+):(\w+) (\d+) +(?:/dev/shm/|/(?=SYSV))(.+)$", re.MULTILINE)
 _DELETED = " (deleted)"
 _ATTEMPTS = 3
-"""Readings until a mapped file that is not here is believed: it may be removed between maps and folder."""
+"""Readings before a mapped file counts as missing: it may be removed between maps and folder."""
 _PORT_NUMBER = re.compile(r"\d+$")
 _LOCK = "_el"
-"""Suffix of the file that Fast DDS locks while a segment, or the port of one receiver, is in use."""
+"""Fast DDS locks this file while a segment, or the port of one receiver, is in use."""
 _LOCK_TESTS = {_LOCK: fcntl.LOCK_SH, "_sl": fcntl.LOCK_EX}
-"""Suffix of a lock file -> lock that fails while it is locked: `_el` exclusively, `_sl` (a multicast port) by each receiver."""
+"""Lock that fails while the file is locked: `_el` exclusively, `_sl` (a multicast port) by each receiver."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +58,12 @@ class SharedMemory:
 
     @property
     def is_in_use(self) -> bool:
-        """Whether it can carry messages: it is not left from a participant that has ended."""
+        """Whether it can carry messages: its participant has not ended."""
         return not self.is_deleted
 
     @property
     def is_foreign_segment(self) -> bool:
-        """Whether it is the segment of another process, from which this one has received."""
+        """Whether it is another process's segment, from which this one has received."""
         return self.is_in_use and self.role == SEGMENT and self.is_own is False
 
     @property
@@ -73,7 +73,7 @@ class SharedMemory:
 
     @property
     def port_number(self) -> int | None:
-        """RTPS port of a receiver's queue, from its name; None for a segment."""
+        """RTPS port of a receiver's queue; None for a segment."""
         number = _PORT_NUMBER.search(self.name) if self.role == PORT else None
         return int(number[0]) if number else None
 
@@ -87,7 +87,7 @@ class _Mapped:
 
 
 def read_memory(pid: int | None = None, folder: Path = SHM) -> tuple[SharedMemory, ...] | None:
-    """Return the middlewares' shared memory that a process maps, by name; None if the process may not be inspected."""
+    """Return the middlewares' shared memory of a process, by name; None if it may not be inspected."""
     process = Path("/proc") / str(os.getpid() if pid is None else pid)
     memory: tuple[SharedMemory, ...] = ()
     for _ in range(_ATTEMPTS):
@@ -107,7 +107,7 @@ def read_memory(pid: int | None = None, folder: Path = SHM) -> tuple[SharedMemor
 
 
 def parse_maps(text: str) -> dict[str, _Mapped]:
-    """Return the shared memory in the text of `/proc/PID/maps`: name -> its mappings as one."""
+    """Return the shared memory in `/proc/PID/maps`: name -> its mappings as one."""
     mapped: dict[str, _Mapped] = {}
     for begin, end, major, minor, inode, path in _MAPPING.findall(text):
         name = path.removesuffix(_DELETED)
@@ -160,7 +160,7 @@ class _Lock(Enum):
 
 
 def _lock_state(path: Path, lock: int) -> _Lock:
-    """Return the state of a lock file by trying to get a lock, as Fast DDS itself does.
+    """Try to get a lock, as Fast DDS itself does.
 
     A free lock is ours for some microseconds; a Fast DDS that is just starting then chooses the next port.
     """
@@ -188,7 +188,7 @@ _VERSION = re.compile(r"\.so\.(\d+(?:\.\d+)+)$")
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """One loaded library of a middleware; `version` is from its file name or its Python distribution, else empty."""
+    """`version` is from the file name or the Python distribution, else empty."""
 
     name: str
     vendor: str
@@ -196,7 +196,7 @@ class Library:
 
 
 def read_libraries(pid: int | None = None) -> tuple[Library, ...]:
-    """Return the middleware libraries that a process has loaded, by name; the calling process by default."""
+    """Return the middleware libraries that a process has loaded, by name; by default this one's."""
     try:
         text = Path(f"/proc/{os.getpid() if pid is None else pid}/maps").read_text(errors="replace")
     except OSError:
@@ -205,7 +205,7 @@ def read_libraries(pid: int | None = None) -> tuple[Library, ...]:
 
 
 def parse_libraries(text: str) -> tuple[Library, ...]:
-    """Return the middleware libraries in the text of `/proc/PID/maps`, by name."""
+    """Return the middleware libraries in `/proc/PID/maps`, by name."""
     paths = sorted({Path(path) for path in _LOADED.findall(text)})
     return tuple(
         Library(path.name, facts.vendor, _version(path, distribution))
@@ -217,7 +217,7 @@ def parse_libraries(text: str) -> tuple[Library, ...]:
 
 
 def _version(path: Path, distribution: str) -> str:
-    """Return the fullest version of a library: three numbers in its file name, else its distribution's, else two."""
+    """Return three numbers of the file name, else the distribution's version, else two numbers."""
     match = _VERSION.search(path.name)
     in_name = match[1] if match else ""
     if in_name.count(".") >= 2 or not distribution:

@@ -1,4 +1,4 @@
-"""Sockets of one process as the kernel reports them: addresses, granted buffers, drops, and the state of TCP."""
+"""Sockets of one process: addresses, granted buffers, drops, and the state of TCP."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LISTEN = 10
 _FAMILIES = {"ipv4": socket.AF_INET, "ipv6": socket.AF_INET6}
 _PROTOCOLS = {"udp": socket.IPPROTO_UDP, "tcp": socket.IPPROTO_TCP}
 
-# enum sk_meminfo_vars of <linux/sock_diag.h>: 32-bit numbers in this order.
+# enum sk_meminfo_vars of <linux/sock_diag.h>, 32-bit numbers.
 _RECEIVE_BUFFER, _SEND_BUFFER, _DROPS = 1, 3, 8
 
 _TCP_FIELDS = {
@@ -33,7 +33,7 @@ _TCP_FIELDS = {
 
 @dataclass(frozen=True, slots=True)
 class TcpState:
-    """State of one TCP connection: the kernel's smoothed round-trip time, and totals since the connection was made."""
+    """State of a TCP connection: the kernel's smoothed round-trip time, and totals since it was made."""
 
     congestion_control: str = ""
     rtt_us: int = 0
@@ -71,7 +71,7 @@ class Socket:
 
     @property
     def is_local(self) -> bool:
-        """Whether the other end of the connection is a loopback address."""
+        """Whether the other end is a loopback address."""
         return self.remote_port > 0 and ip_address(self.remote_address).is_loopback
 
 

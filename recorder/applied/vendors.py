@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 SEGMENT, PORT = "segment", "port"
-"""Roles of a shared-memory file: a segment contains payloads; a port is the queue of one receiver."""
+"""A segment contains payloads; a port is the queue of one receiver."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,16 +133,16 @@ VENDORS: Mapping[str, VendorFacts] = {
 }
 
 UNKNOWN = VendorFacts("")
-"""Facts of any other middleware: nothing must be seen."""
+"""Of any other middleware nothing must be seen."""
 
 
 def vendor_facts(vendor: str) -> VendorFacts:
-    """Return the facts of a vendor, `UNKNOWN` for one that is not in the table."""
+    """Return a vendor's facts, else `UNKNOWN`."""
     return VENDORS.get(vendor, UNKNOWN)
 
 
 def memory_owner(name: str) -> tuple[str, str] | None:
-    """Return vendor and role of a shared-memory file by its name, None if no middleware of the table made it."""
+    """Return vendor and role of a shared-memory file, None if no middleware of the table made it."""
     for facts in VENDORS.values():
         for role, pattern in facts.memory.items():
             if pattern.fullmatch(name):
@@ -180,7 +180,7 @@ ROS_MIDDLEWARES: Mapping[str, RosMiddleware] = {
         "cyclonedds", "Cyclone DDS", ("cyclonedds", "rmw_cyclonedds_cpp"), stamps_reception=False
     ),
     "rmw_connextdds": RosMiddleware("connext", "RTI Connext", ("rti_connext_dds_cmake_module", "rmw_connextdds")),
-    # README and design.md: multicast is off, sessions connect to a router at tcp/localhost:7447; no deadline or lifespan.
+    # README and design.md: no multicast, sessions connect to a router at tcp/localhost:7447; no deadline or lifespan.
     "rmw_zenoh_cpp": RosMiddleware(
         "zenoh",
         "Zenoh",
@@ -194,6 +194,6 @@ ROS_MIDDLEWARES: Mapping[str, RosMiddleware] = {
 
 
 def ros_middleware(rmw: str) -> RosMiddleware:
-    """Return the facts of an RMW; an unknown one has its own name as vendor."""
+    """Return an RMW's facts; an unknown one has its own name as vendor."""
     name = rmw.removeprefix("rmw_").removesuffix("_cpp")
     return ROS_MIDDLEWARES.get(rmw, RosMiddleware(name, name, (rmw,)))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject
 
 STOP_CHECK_NS = 50_000_000
-"""Longest part of a wait after which `stop` is checked."""
+"""`stop` is checked at least so often."""
 
 _ANCHOR_READINGS, _PAIR_READINGS = 20, 5
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
@@ -30,12 +30,12 @@ class ClockAnchor:
 
     @property
     def offset_ns(self) -> int:
-        """Difference from a monotonic time to the wall clock, ns."""
+        """From a monotonic time to the wall clock."""
         return self.wall_ns - self.monotonic_ns
 
 
 class Clock(Protocol):
-    """A clock and the waits on it; tests have their own."""
+    """Tests have their own."""
 
     def monotonic_ns(self) -> int:
         """Read CLOCK_MONOTONIC, in ns."""

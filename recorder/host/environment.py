@@ -1,4 +1,4 @@
-"""The configuration of a middleware outside the command line: environment variables, and files by name and hash."""
+"""A middleware's configuration outside the command line: environment variables, and files by name and hash."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 _INLINE_STARTS = ("<", "{", "str://")
-"""First characters of a value that is a configuration itself and not the name of a file."""
+"""Such a value is a configuration itself and not the name of a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationVariable:
-    """An environment variable with one entry, or several with a separator."""
+    """One entry, or several with a separator."""
 
     name: str
     separator: str | None = None
@@ -24,7 +24,7 @@ class ConfigurationVariable:
 
 @dataclass(frozen=True, slots=True)
 class MiddlewareEnvironment:
-    """The variables and files by which a middleware can be configured.
+    """By what a middleware can be configured.
 
     Attributes:
         settings: variables whose values a session keeps.
@@ -37,7 +37,7 @@ class MiddlewareEnvironment:
     files: tuple[str, ...] = ()
 
     def read_settings(self, variables: Mapping[str, str]) -> dict[str, str]:
-        """Return the `settings` that are set, with their values."""
+        """Return the `settings` that are set."""
         return {name: variables[name] for name in self.settings if name in variables}
 
     def hash_configuration(self, variables: Mapping[str, str], folder: Path) -> dict[str, list[dict[str, str | None]]]:
@@ -54,7 +54,7 @@ class MiddlewareEnvironment:
 
 
 def join_environments(environments: Iterable[MiddlewareEnvironment]) -> MiddlewareEnvironment:
-    """Return all variables and files in one environment."""
+    """Return all in one."""
     every = list(environments)
     return MiddlewareEnvironment(
         settings=tuple(dict.fromkeys(name for one in every for name in one.settings)),
@@ -64,7 +64,7 @@ def join_environments(environments: Iterable[MiddlewareEnvironment]) -> Middlewa
 
 
 def _entries(value: str, separator: str | None) -> list[str]:
-    # Inline XML or JSON may contain the separator itself.
+    # Inline XML or JSON may contain the separator.
     is_inline = value.lstrip().startswith(_INLINE_STARTS)
     parts = [value] if is_inline or separator is None else value.split(separator)
     return [part.strip() for part in parts if part.strip()]

@@ -63,7 +63,7 @@ def host_fingerprint(
 
 
 def read_text(path: str | Path) -> str | None:
-    """Return a file's stripped text, None if it cannot be read."""
+    """Return a file's stripped text, if readable."""
     try:
         return Path(path).read_text(errors="replace").strip("\0 \n")
     except OSError:
@@ -71,13 +71,13 @@ def read_text(path: str | Path) -> str | None:
 
 
 def read_mhz(path: str) -> float | None:
-    """Return in MHz what a file of cpufreq has in kHz."""
+    """Return in MHz what cpufreq has in kHz."""
     khz = read_text(path)
     return int(khz) / 1000 if khz and khz.isdigit() else None
 
 
 def read_boot_id() -> str | None:
-    """Return the kernel's id of this boot, within which CLOCK_MONOTONIC is one."""
+    """Return the id of this boot, within which CLOCK_MONOTONIC is one."""
     return read_text("/proc/sys/kernel/random/boot_id") or None
 
 

@@ -1,6 +1,7 @@
-"""How this process runs: fixed CPUs and real-time priority, garbage collection, signals that stop it.
+"""How this process runs: CPUs, real-time priority, garbage collection, signals that stop it.
 
-A privilege that the system refuses is an error: numbers recorded under other conditions than requested would look right.
+A privilege that the system refuses is an error: numbers recorded under other conditions than requested would look
+right.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _UNLESS_ORPHAN = 'test "$PPID" = "$0" && exec "$@"'
 
 
 def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | None = None) -> dict[str, Json]:
-    """Give this process its CPUs and its real-time priority (SCHED_FIFO, all memory locked); later threads inherit both.
+    """Give this process its CPUs and real-time priority (SCHED_FIFO, all memory locked); later threads inherit both.
 
     Call it before the middleware starts its threads. Threads that write the trace or sample the host give the priority
     back (`base.threads.run_in_background`). Returns the session's fields of what was requested.
@@ -80,7 +81,7 @@ def _pin_cpus(text: str) -> list[int]:
             f"--cpu-affinity {text}: CPU {missing[0]} is not among those this process may use "
             f"({', '.join(map(str, sorted(allowed)))})"
         )
-    # Loaded libraries may have started threads already, and the call moves one thread.
+    # Loaded libraries may have started threads, and the call moves one.
     for thread in Path("/proc/self/task").iterdir():
         with contextlib.suppress(ProcessLookupError):
             os.sched_setaffinity(int(thread.name), cpus)
@@ -88,7 +89,7 @@ def _pin_cpus(text: str) -> list[int]:
 
 
 def set_realtime(priority: int) -> None:
-    """Run the calling thread, and later its children, under SCHED_FIFO."""
+    """Run the calling thread, and its later children, under SCHED_FIFO."""
     limits.check(limits.REALTIME_PRIORITY, priority, "--realtime")
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -110,7 +111,7 @@ def _lock_memory() -> None:
 def tuned_gc() -> Iterator[None]:
     """Switch garbage collection off within the block, and let received messages wait less for other threads.
 
-    Reference counts free the objects of a message; call `gc.collect` in a quiet moment.
+    Reference counts free a message's objects; call `gc.collect` in a quiet moment.
     """
     was_enabled, interval_s = gc.isenabled(), sys.getswitchinterval()
     gc.collect()
@@ -159,7 +160,7 @@ def stop_at_signals() -> StopEvent:
 
 
 def ending_with_parent() -> list[str]:
-    """Return the words before a command that make the kernel end it by SIGTERM when this process ends.
+    """Return the words before a command that make the kernel end it by SIGTERM with this process.
 
     Empty without `setpriv` (util-linux). Before `setpriv` runs the parent may have ended, so a shell compares it first.
     """

@@ -1,4 +1,4 @@
-"""The cost of recording on this machine: the time that `TraceSink.record` takes from the node it observes."""
+"""The cost of recording on this machine: the time that `TraceSink.record` takes from the node."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     """A function like `TraceSink.record`, called with stage, run id, sequence and monotonic time in ns."""
 
 PACE_NS = 1_000_000
-"""Time between two events: at 1 kHz, caches and the draining thread are in the state of a node."""
+"""Time between two events: at 1 kHz, caches and draining thread are as in a node."""
 
 STALL_EVENTS = 10
 _TIMER_READINGS = 2_000
 _COLD_TIMER_READINGS = 200
-_CHUNK_SECONDS = 0.25  # so that a measurement of a few seconds has several chunks closed under it
+_CHUNK_SECONDS = 0.25  # a measurement of seconds closes several chunks
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> R
     net = np.maximum(times - cold_timer_ns, 0.0)
     return RecorderCost(
         timer_ns=measure_timer_ns(),
-        # numpy's medians would load numpy.ma: 50 ms at the start of each recorder.
+        # numpy's medians load numpy.ma: 50 ms at the start of each recorder.
         record_median_ns=statistics.median(net.tolist()),
         record_p99_ns=statistics.quantiles(net.tolist(), n=100, method="inclusive")[98],
         record_max_ns=float(net.max()),
@@ -83,14 +83,14 @@ def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> R
 
 
 def measure_timer_ns() -> float:
-    """Return the median time in ns of one reading of the monotonic clock."""
+    """Return the median of one reading of the monotonic clock, ns."""
     now = time.monotonic_ns
     readings = np.fromiter((now() for _ in range(_TIMER_READINGS)), np.int64, _TIMER_READINGS)
     return float(statistics.median(np.diff(readings).tolist()))
 
 
 def measure_cold_timer_ns(readings: int) -> float:
-    """Return the median time in ns of one reading of the clock after a sleep."""
+    """Return the median of one reading of the clock after a sleep, ns."""
     return float(statistics.median(time_paced_events(None, readings).tolist()))
 
 

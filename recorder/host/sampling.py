@@ -27,7 +27,7 @@ _DROP_COUNTERS = {
     "Udp:": ("InErrors", "RcvbufErrors", "SndbufErrors"),
     "Ip:": ("ReasmFails", "ReasmTimeout", "FragFails"),
 }
-"""Datagrams that the kernel dropped, the usual cause of loss and of late large messages."""
+"""Dropped datagrams, the usual cause of loss and of late large messages."""
 
 
 @dataclass(slots=True)
@@ -155,7 +155,7 @@ def _network_totals() -> dict[str, dict[str, int]]:
 
 
 def _kernel_totals() -> dict[str, int]:
-    """Read `/proc/net/snmp`, where each protocol has a line of names and a line of values."""
+    """Read `/proc/net/snmp`: for each protocol a line of names and a line of values."""
     lines = [line.split() for line in (read_text("/proc/net/snmp") or "").splitlines()]
     totals: dict[str, int] = {}
     for names, values in zip(lines[::2], lines[1::2], strict=False):

@@ -1,4 +1,4 @@
-"""The data that a ping can send, one file each: made up, or read from files, bags and running topics."""
+"""The data that a ping can send: made up, or read from files, bags and running topics."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from .base import Payload
 
 PAYLOADS: dict[str, DataType | Source] = {payload.name: payload for payload in (BINARY, STRING, IMU, FILE, BAG, TOPIC)}
-"""Values of `--data`: a name, or the text before the colon."""
+"""By `--data`, or its text before the colon."""
 
 
 def data_types() -> dict[str, DataType]:
-    """Return the built-in data types by name; a relay serves all of them."""
+    """Return the built-in data types, which a relay serves."""
     return {name: payload for name, payload in PAYLOADS.items() if isinstance(payload, DataType)}
 
 
 def find_data_type(name: str) -> DataType:
-    """Return the data type `name`; raise an `OptionError` if there is none."""
+    """Return a data type; raise an `OptionError` if there is none."""
     types = data_types()
     if name not in types:
         *usages, last = (payload.usage for payload in PAYLOADS.values() if isinstance(payload, Source))
@@ -71,7 +71,7 @@ def open_payload(
 
 
 def check_data(data: str) -> None:
-    """Raise an `OptionError` for a value of `--data` that names no data."""
+    """Refuse a `--data` that names no data."""
     limits.check(limits.TEXT, data, "--data")
     source, name = _split_source(data)
     if source is None:
@@ -86,14 +86,14 @@ def is_live(data: str) -> bool:
 
 
 def _split_source(data: str) -> tuple[Source | None, str]:
-    """Return the source in `--data`, if any, and the text after the colon."""
+    """Return the source, if any, and the text after the colon."""
     kind, colon, name = data.partition(":")
     source = PAYLOADS.get(kind)
     return (source, name) if colon and isinstance(source, Source) else (None, data)
 
 
 def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
-    """Return the data types that a relay serves: the built-in ones, and one for each further message type."""
+    """Return a relay's data types: the built-in ones, and one for each further message type."""
     own_types = _own_types()
     further = dict.fromkeys(name for name in type_names if name not in own_types)
     return (*data_types().values(), *map(header_data_type, further))

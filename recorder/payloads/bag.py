@@ -63,7 +63,7 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
 
 
 def split_topic(where: str) -> tuple[str, str]:
-    """Return path and topic of `PATH#TOPIC`; raise an `OptionError` if one is missing."""
+    """Split `PATH#TOPIC`; raise an `OptionError` if one is missing."""
     name, hash_sign, topic = where.rpartition("#")
     if not (hash_sign and name and topic) or "\0" in where:
         raise OptionError(f"--data bag:{where}: write bag:PATH#TOPIC, for example bag:drive.mcap#/camera/image")
@@ -72,7 +72,7 @@ def split_topic(where: str) -> tuple[str, str]:
 
 @contextmanager
 def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], bytes]]]:
-    """Open a reader of the bag, with a function that unpacks a message; an error of a damaged bag within the block becomes one line."""
+    """Open a bag, with a function that unpacks a message; a damaged bag's error within the block becomes one line."""
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only bags need it
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
@@ -84,7 +84,7 @@ def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], byte
             "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]'"
         ) from err
     try:
-        # Bags of sqlite3 before ROS 2 Iron have no definitions; the stock types have hardly changed since.
+        # Bags of sqlite3 before ROS 2 Iron have no definitions; the stock types have hardly changed.
         with (
             open_recording(path) as recording,
             bounded_unpacking(path) as unpack,
@@ -95,7 +95,7 @@ def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], byte
         raise
     except FileNotFoundError as err:
         raise OptionError(f"--data bag:{path}: there is no such file or folder") from err
-    except Exception as err:  # rosbags and the codecs below it raise many kinds on a damaged file
+    except Exception as err:  # rosbags and its codecs raise many kinds on a damaged file
         raise OptionError(f"--data bag:{path}: it cannot be read as a bag ({err})") from err
 
 
@@ -112,7 +112,7 @@ def _connections_of(reader: AnyReader, topic: str, path: Path) -> list[Connectio
 
 
 class _Stamper:
-    """A converter of messages of one type to CDR with room for the stamp."""
+    """Converts messages of one type to CDR with room for the stamp."""
 
     def __init__(self, reader: AnyReader, type_name: str, path: Path, own_types: Mapping[str, DataType]) -> None:
         fields = reader.typestore.fielddefs[type_name][1]
@@ -132,7 +132,7 @@ class _Stamper:
 
 
 def _store_of_ros2(ros1: Typestore) -> Typestore:
-    """Return the types of a ROS 1 bag as in ROS 2, whose header has no `seq`."""
+    """Return a ROS 1 bag's types as in ROS 2, whose header has no `seq`."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - only bags need it
 
     types = dict(ros1.fielddefs)

@@ -23,12 +23,11 @@ if TYPE_CHECKING:
 ReceivedT = TypeVar("ReceivedT")
 
 RELAY_SUFFIX = "_relay"
-"""Suffix of a topic's name on the way back."""
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One serialized message with room for the stamp; `payload_bytes` are its application bytes, without the stamp."""
+    """One serialized message with room for the stamp, which `payload_bytes` does not count."""
 
     data: bytearray
     payload_bytes: int
@@ -38,7 +37,7 @@ class Feed(Protocol):
     """A live source of messages; each is sent when it arrives."""
 
     def begin(self) -> None:
-        """Keep the messages that arrive from now on."""
+        """Keep messages from now on."""
 
     def take(self, stop: threading.Event) -> tuple[Message, int] | None:
         """Wait for the next message; return it and its arrival (monotonic ns), or None if `stop` is set."""
@@ -82,7 +81,7 @@ class Form(Generic[SentT, ReceivedT]):
 
 
 def sized_by_length(_message: RawMessage) -> int:
-    """Return 0: the payload follows from the lengths of message and first string."""
+    """Return 0: the lengths of message and first string determine the payload."""
     return 0
 
 
@@ -113,7 +112,7 @@ class DataType:
         return self.topic + RELAY_SUFFIX
 
     def object_form(self) -> Form[RosMessage, RosMessage]:
-        """Return the form of its message objects; raise an `OptionError` if it has none."""
+        """Return the form of message objects; raise an `OptionError` if there is none."""
         if self.objects is None:
             raise OptionError(f"--serialization typed: {self.type_name} is only sent as raw bytes")
         return self.objects
@@ -121,7 +120,7 @@ class DataType:
 
 @dataclass(frozen=True, slots=True)
 class PayloadContext:
-    """What a source needs of the recording: built-in data types by message type, a second node, when to end."""
+    """What a source needs: built-in data types by message type, a second node, when to end."""
 
     own_types: Mapping[str, DataType]
     open_node: Callable[[], Node]
@@ -153,7 +152,7 @@ def check_stop(stop: threading.Event | None) -> None:
 
 
 def check_size(size_bytes: int, path: Path) -> None:
-    """Raise an `OptionError` for data that is too large for memory."""
+    """Refuse data that is too large for memory."""
     if size_bytes > MAX_PAYLOAD_BYTES:
         raise OptionError(
             f"{path} has more than {MAX_PAYLOAD_BYTES >> 30} GiB of data to send, which must fit into memory; give a part of it"

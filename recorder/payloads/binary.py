@@ -28,7 +28,7 @@ _ENCODING_OFFSET = 72
 
 
 def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
-    """Make up one image of `size_bytes` random bytes (33 KB by default)."""
+    """Make up one image (33 KB by default)."""
     size = DEFAULT_BYTES if size_bytes is None else size_bytes
     if not 1 <= size <= MAX_BYTES:
         raise OptionError(f"--size {size}: a binary payload has 1 to {MAX_BYTES} bytes")
@@ -36,7 +36,7 @@ def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None
 
 
 def _noise(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes]:
-    """Yield `random.Random(seed).randbytes(size)` in pieces, as one draw is limited to 256 MiB."""
+    """Yield `random.Random(seed).randbytes(size)` in pieces: one draw is limited to 256 MiB."""
     draw = random.Random(seed)  # noqa: S311 - reproducible noise, no secret
     for begin in range(0, size, _PIECE_BYTES):
         check_stop(stop)
@@ -44,7 +44,7 @@ def _noise(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes
 
 
 def image_message(size: int, pieces: Iterable[bytes]) -> Message:
-    """Return an image of one row with the `size` bytes of `pieces`."""
+    """Return an image of one row of `pieces`."""
     writer = CdrWriter()
     writer.header(stamp_text(0, 0))
     writer.uint32(1)  # height
@@ -57,7 +57,7 @@ def image_message(size: int, pieces: Iterable[bytes]) -> Message:
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Return the length of `data` in a serialized image; 0 if the message is not an image of ours."""
+    """Return the length of `data`; 0 if the message is not an image of ours."""
     try:
         data_offset = sizing_bytes_of(message)
         (data_bytes,) = _UINT32.unpack_from(message, data_offset - 4)

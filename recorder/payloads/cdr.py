@@ -1,4 +1,4 @@
-"""A writer of CDR for payloads, so that a backend without ROS sends the same bytes."""
+"""Writes CDR, so that a backend without ROS sends the same bytes."""
 
 from __future__ import annotations
 
@@ -22,11 +22,9 @@ class CdrWriter:
         self._data += bytes(-(len(self._data) - len(CDR_HEADER)) % size)
 
     def uint8(self, value: int) -> None:
-        """Append one byte."""
         self._data.append(value)
 
     def uint32(self, value: int) -> None:
-        """Append four bytes, aligned to four."""
         self._align(4)
         self._data += struct.pack("<I", value)
 
@@ -41,11 +39,10 @@ class CdrWriter:
         self._data += b"\0"
 
     def octets(self, data: bytes) -> None:
-        """Append a sequence of bytes."""
         self.pieces(len(data), (data,))
 
     def pieces(self, size: int, pieces: Iterable[bytes]) -> None:
-        """Append a sequence of `size` bytes in pieces, so that a large one is in memory once."""
+        """Append a sequence of `size` bytes in pieces: a large one is in memory once."""
         self.uint32(size)
         for piece in pieces:
             self._data += piece
@@ -57,5 +54,4 @@ class CdrWriter:
         self.string(frame_id)
 
     def message(self) -> bytearray:
-        """Return the serialized message."""
         return self._data

@@ -1,4 +1,4 @@
-"""Messages of other programs: a type that starts with a `std_msgs/msg/Header` has our stamp in `header.frame_id`."""
+"""Messages of other programs, of a type that starts with a `std_msgs/msg/Header`: our stamp is in `header.frame_id`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 
 
 def header_data_type(type_name: str) -> DataType:
-    """Return the data type of a message type, with the topic `data_PACKAGE_TYPE`."""
+    """Return a message type's data type, with the topic `data_PACKAGE_TYPE`."""
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
         raise OptionError(f"{type_name!r} is not a message type; write it as sensor_msgs/msg/PointCloud2")
@@ -53,7 +53,7 @@ def _refuse_to_make(
 def recognize_data_type(
     type_name: str, first_field_type: str, where: str, own_types: Mapping[str, DataType]
 ) -> DataType:
-    """Return the data type of messages of another program; without a header it is an `OptionError` at `where`."""
+    """Return the data type of other programs' messages; without a header it is an `OptionError` at `where`."""
     if type_name in own_types:
         return own_types[type_name]
     if first_field_type.replace("/msg/", "/") != "std_msgs/Header":

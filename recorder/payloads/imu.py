@@ -22,7 +22,7 @@ PAYLOAD_BYTES = 8 * sum(FIELDS)
 
 
 def make_payload(size_bytes: int | None, seed: int, _stop: threading.Event | None = None, /) -> Payload:
-    """Make up one message of 296 bytes."""
+    """Make up one message."""
     if size_bytes not in (None, PAYLOAD_BYTES):
         raise OptionError(f"--size {size_bytes}: an IMU message always has {PAYLOAD_BYTES} bytes; leave --size out")
     draw = random.Random(seed)  # noqa: S311 - reproducible noise, no secret

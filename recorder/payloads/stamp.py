@@ -15,9 +15,9 @@ PROBE_RUN_ID = 0
 """Run id of readiness probes, which relays echo and nobody records."""
 
 SentT = TypeVar("SentT")
-"""Messages that are sent: a `bytearray`, or a message object."""
+"""What is sent: a `bytearray`, or a message object."""
 ReceivedT_contra = TypeVar("ReceivedT_contra", contravariant=True)
-"""Messages that are received: a `RawMessage`, or a message object."""
+"""What is received: a `RawMessage`, or a message object."""
 
 _RUN = slice(4, 20)
 _SEQUENCE = slice(21, 37)
@@ -42,12 +42,12 @@ _new_stamp = tuple.__new__  # faster than the constructor of a NamedTuple
 
 
 def stamp_text(run_id: int, sequence: int, relay_id: int = 0) -> bytes:
-    """Return the 46 characters of a stamp."""
+    """Return a stamp's 46 characters."""
     return b"dt1:%016x:%016x:%08x" % (run_id, sequence, relay_id)
 
 
 def parse_stamp(text: bytes | bytearray | str) -> Stamp | None:
-    """Return the numbers in the 46 characters of `text`, None if it is not a stamp."""
+    """Return the numbers in 46 characters, None if they are no stamp."""
     if len(text) != STAMP_BYTES or text[:4] not in (STAMP_PREFIX, "dt1:"):
         return None
     try:
@@ -57,15 +57,15 @@ def parse_stamp(text: bytes | bytearray | str) -> Stamp | None:
 
 
 def _number(digits: bytes | bytearray | str) -> int:
-    """Return the number of hex digits; `int` would also take a sign, blanks and underscores."""
+    """Return the number of hex digits; `int` also takes a sign, blanks and underscores."""
     return _from_bytes(unhexlify(digits), "big")
 
 
 class StampPlace(Protocol[SentT, ReceivedT_contra]):
-    """The place of the stamp in one kind of message, serialized or an object."""
+    """The stamp in one kind of message, serialized or an object."""
 
     def write(self, message: SentT, run_id: int, sequence: int) -> None:
-        """Write the stamp of a new message, with relay 0."""
+        """Write a new message's stamp, with relay 0."""
 
     def write_second(self, message: SentT, wall_ns: int) -> int:
         """Write the second of `wall_ns` (ns since 1970) into `header.stamp`, and return its start in ns.

@@ -29,7 +29,7 @@ _UINT32 = struct.Struct("<I")
 
 
 def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
-    """Make up one string of `size_bytes` characters after the stamp (91 by default; the paper's: 4, 91, 1405, 2675)."""
+    """Make up `size_bytes` characters after the stamp (91 by default; the paper's: 4, 91, 1405, 2675)."""
     size = DEFAULT_BYTES if size_bytes is None else size_bytes
     if not 0 <= size <= MAX_BYTES:
         raise OptionError(f"--size {size}: a string payload has 0 to {MAX_BYTES} bytes")
@@ -56,7 +56,7 @@ def _letters(size: int, seed: int, stop: threading.Event | None) -> Iterator[byt
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Return the number of characters after the stamp in a serialized string."""
+    """Count the characters after the stamp."""
     (length,) = _UINT32.unpack_from(message, 4)
     if not STAMP_BYTES < length <= len(message) - 8:
         raise ValueError("the string is longer than its message")
@@ -64,7 +64,7 @@ def payload_bytes_of(message: RawMessage) -> int:
 
 
 def object_bytes_of(message: RosMessage) -> int:
-    """Return the number of characters after the stamp in a string object."""
+    """Count the characters after the stamp."""
     return len(message.data) - STAMP_BYTES
 
 

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from .base import DataType, PayloadContext
 
 MAX_WAITING = 64
-"""Most messages that wait to be published; further ones are dropped and counted."""
+"""Most messages that wait; further ones are dropped and counted."""
 RATE_MESSAGES = 10
-"""Number of messages from which the topic's rate is computed; fewer are enough after `RATE_S`."""
+"""Messages for the topic's rate; fewer are enough after `RATE_S`."""
 RATE_S = 3.0
 CHECK_PERIOD_S = 0.05
 
@@ -40,7 +40,7 @@ def check_name(name: str) -> None:
 
 @contextmanager
 def open_payload(name: str, context: PayloadContext) -> Iterator[Payload]:
-    """Open the live payload of the topic `name`, on a node of its own: the one that stamps T2 must not be busy."""
+    """Open a topic's live payload on its own node: the one that stamps T2 must not be busy."""
     check_name(name)
     topic, where = name.strip("/"), f"--data topic:{name}"
     own_types, stop = context.own_types, context.stop
@@ -64,7 +64,7 @@ def open_payload(name: str, context: PayloadContext) -> Iterator[Payload]:
 
 
 class LiveFeed:
-    """The messages that arrive on the topic, serialized with room for the stamp; a `Feed`."""
+    """The topic's messages, serialized with room for the stamp."""
 
     def __init__(self, node: ObjectNode, type_name: str, where: str, own_types: Mapping[str, DataType]) -> None:
         self.skipped = 0
@@ -80,11 +80,11 @@ class LiveFeed:
         self._error: OptionError | None = None
 
     def receive(self, message: RosMessage, source_ns: int = 0, _received_ns: int = 0, /) -> None:
-        """Take a message of the topic, on the thread of the source's node."""
+        """Take a message, on the thread of the source's node."""
         arrival_ns = time.monotonic_ns()
         if self._sample is None:
             self._take_sample(message)
-        # After a stall messages arrive together, so the rate is taken from the times of publication.
+        # After a stall messages arrive together, so the times of publication give the rate.
         self._sent_ns.append(source_ns or arrival_ns)
         if not self._has_begun or self._error is not None:
             return
@@ -141,7 +141,7 @@ class LiveFeed:
         self._sample = self._convert(message)
 
     def _convert(self, message: RosMessage) -> Message | None:
-        """Return the message with room for the stamp; None for one that has a stamp already."""
+        """Make room for the stamp; None for a message that has one."""
         assert self._data_type is not None
         stamp = self._data_type.object_stamp
         if stamp.read(message) is not None:

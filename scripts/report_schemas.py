@@ -72,6 +72,7 @@ ADDED = {
     Conclusion: {"points"},
     DataVerdict: {"place", "within_one_run"},
     CaseAnswer: {"leader_p50", "leader_p99", "repeats_p50", "repeats_p99", "interleaved", "drift_ratio"},
+    Finding: {"subject"},
     Contender: {"p50_ns", "p99_ns", "letters_p50", "letters_p99"},
 }
 """Fields that were added to format 1: a report of an earlier version does not have them."""

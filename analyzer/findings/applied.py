@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import counted
 
 from ..model.applied import kernel_counts, kernel_limits, may_be_cut, socket_drops, words_not_applied
-from ..model.finding import Severity
-from .check import Subject, check
+from ..model.finding import Severity, Subject
+from .check import check
 from .evidence import SMALLER_DATAGRAMS, Observation
 
 if TYPE_CHECKING:

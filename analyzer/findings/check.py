@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import TYPE_CHECKING
 
-from ..model.finding import Finding, Severity
+from ..model.finding import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from ..model.finding import Severity, Subject
     from .evidence import Evidence, Observation
 
     Observe = Callable[[Evidence], Iterator[Observation]]
-
-
-class Subject(Enum):
-    """What the `where` of a finding names."""
-
-    ANALYSIS = "the analysis"
-    DEVICE = "a device or a pair of devices"
-    FILE = "a file"
-    RECORDING = "a recording"
-    RELAY = "a relay"
-    RESULT = "a result"
-    RUN = "a run"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +31,8 @@ class Check:
         """Yield a finding for each observation."""
         for seen in self.observe(evidence):
             action = self.action.format(**seen.blanks)
-            yield Finding(self.severity, self.code, seen.where, seen.what, action, seen.groups, effect=seen.effect)
+            seen_there = seen.where, seen.what, action, seen.groups
+            yield Finding(self.severity, self.code, *seen_there, effect=seen.effect, subject=self.subject)
 
 
 def check(code: str, severity: Severity, subject: Subject, action: str) -> Callable[[Observe], Check]:

@@ -9,8 +9,8 @@ import polars as pl
 from dds_trace.base.units import counted, format_ms
 
 from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
-from ..model.finding import Severity
-from .check import Subject, check
+from ..model.finding import Severity, Subject
+from .check import check
 from .evidence import Observation
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import counted, format_ms
 
 from ..model.environment import environment_differences
-from ..model.finding import Severity
+from ..model.finding import Severity, Subject
 from ..model.metrics import METRICS
 from ..pairing.pair import Outcome
 from ..statistics.percentiles import PERCENTILES
-from .check import Subject, check
+from .check import check
 from .evidence import Observation, exchange_name, percent, some
 
 if TYPE_CHECKING:

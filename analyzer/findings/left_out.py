@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import counted
 
 from ..groups.batch import WHOLE_GROUP_EVENTS
-from ..model.finding import Severity
+from ..model.finding import Severity, Subject
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
 from ..statistics.histogram import RELATIVE_ERROR
 from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
-from .check import Subject, check
+from .check import check
 from .evidence import Observation, some
 
 if TYPE_CHECKING:

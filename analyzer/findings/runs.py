@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import counted
 
 from ..clocks.boots import share_boot
-from ..model.finding import Severity
-from .check import Subject, check
+from ..model.finding import Severity, Subject
+from .check import check
 from .evidence import Observation, exchange_name, percent, some
 
 if TYPE_CHECKING:

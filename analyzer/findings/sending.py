@@ -11,8 +11,8 @@ from dds_trace.base.units import counted, format_ms
 
 from ..clocks.boots import machine_of
 from ..groups.sending import LATE_NS
-from ..model.finding import Severity
-from .check import Subject, check
+from ..model.finding import Severity, Subject
+from .check import check
 from .evidence import percent
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from dds_trace.base.units import counted, format_duration
 
 from ..loading.campaign import part_of
 from ..model.environment import FLEETING, flat_fields
-from ..model.finding import Severity
-from .check import Subject, check
+from ..model.finding import Severity, Subject
+from .check import check
 from .evidence import Observation, some
 
 if TYPE_CHECKING:

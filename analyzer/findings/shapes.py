@@ -15,10 +15,10 @@ import polars as pl
 from dds_trace.base.units import counted, format_ms
 
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
-from ..model.finding import Severity
+from ..model.finding import Severity, Subject
 from ..model.parameters import SIZE_LINE_COLUMNS
 from ..statistics.intervals import MIN_RUNS
-from .check import Subject, check
+from .check import check
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import counted
 
 from ..clocks.boots import share_boot
-from ..model.finding import Severity
+from ..model.finding import Severity, Subject
 from ..model.parameters import CASE_COLUMNS
 from ..pairing.flows import find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
-from .check import Subject, check
+from .check import check
 from .evidence import Observation, percent, some
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 
-from ..model.finding import Severity
-from .check import Subject, check
+from ..model.finding import Severity, Subject
+from .check import check
 from .evidence import Observation, some
 
 if TYPE_CHECKING:

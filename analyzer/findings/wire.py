@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.base.units import counted, format_ms
 
 from ..model.applied import may_be_cut
-from ..model.finding import Severity
-from .check import Subject, check
+from ..model.finding import Severity, Subject
+from .check import check
 from .evidence import SMALLER_DATAGRAMS, percent
 
 if TYPE_CHECKING:

@@ -28,6 +28,18 @@ class Severity(Enum):
     INFO = "info"  # worth knowing
 
 
+class Subject(Enum):
+    """What the `where` of a finding names."""
+
+    ANALYSIS = "analysis"
+    DEVICE = "device"  # or a pair of devices
+    FILE = "file"
+    RECORDING = "recording"
+    RELAY = "relay"
+    RESULT = "result"
+    RUN = "run"
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """A doubtful measurement: where, what is doubtful, and what to do about it.
@@ -37,6 +49,7 @@ class Finding:
         groups: rows of `summary` that it is about, or that its recording took part in.
         count: number of findings in it; more than one only for the last of very many.
         effect: share of the messages or of the value that it affects, 0 to 1.
+        subject: what `where` names.
     """
 
     severity: Severity
@@ -47,3 +60,4 @@ class Finding:
     groups: tuple[int, ...] = ()
     count: int = 1
     effect: float = 1.0
+    subject: Subject = Subject.RESULT

@@ -29,7 +29,9 @@ def findings() -> str:
 def _section(code: str, checks: list[Check]) -> Iterator[str]:
     yield f"### {code}\n"
     for check in checks:
+        subject = check.subject.value
+        article = "an" if subject[0] in "aeiou" else "a"
         action = re.sub(r"\{\w+\}", "…", check.action)
-        yield f"- **{check.severity.value.capitalize()}**, about {check.subject.value}: {escaped(check.title)}."
+        yield f"- **{check.severity.value.capitalize()}**, about {article} {subject}: {escaped(check.title)}."
         yield f"  **Do:** {escaped(action)}"
     yield ""

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.model.finding import Subject
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 
@@ -87,7 +88,6 @@ def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[F
     """Gather the findings by kind, the most severe first."""
     rank = {group: index for index, group in enumerate(worst_first(values))}
     labels = group_labels(groups)
-    recordings = tuple({f"{session.role} on {session.device} (" for session in analysis.sessions})
     kinds: dict[tuple[str, str], list[Finding]] = {}
     for finding in analysis.findings:
         kinds.setdefault((finding.severity.value, finding.code), []).append(finding)
@@ -97,7 +97,7 @@ def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[F
             code,
             _title(code),
             sum(finding.count for finding in same),
-            tuple(_one(finding, labels, rank, recordings) for finding in same),
+            tuple(_one(finding, labels, rank) for finding in same),
         )
         for (severity, code), same in kinds.items()
     )
@@ -111,9 +111,8 @@ def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]
     )
 
 
-def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int], recordings: tuple[str, ...]) -> OneFinding:
-    # A finding about a recording keeps its name (`Evidence.session_name`).
-    is_of_recording = finding.where.startswith(recordings)
+def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int]) -> OneFinding:
+    is_of_recording = finding.subject is Subject.RECORDING
     named = () if is_of_recording else tuple(labels[group] for group in finding.groups)
     many = len(named) > _MOST_NAMED
     if len(named) == len(labels) > 1:

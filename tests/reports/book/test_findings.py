@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
-from dds_trace.analyzer.model.finding import Finding, Severity
+from dds_trace.analyzer.model.finding import Finding, Severity, Subject
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.findings import FindingKind, OneFinding, severity_counts
 from dds_trace.reports.book.groups import groups_info
@@ -58,11 +58,9 @@ def test_a_finding_links_to_its_groups_the_worst_first():
 
 
 def test_a_finding_of_a_recording_keeps_its_name_and_links_to_its_groups():
-    analysis = analysis_with()
-    session = analysis.sessions[0]
-    where = f"{session.role} on {session.device} (ping.mcap); and 3 more"
-    found = Finding(Severity.WARNING, "cpu_saturated", where, "It was busy.", "Free it.", (4, 0, 1, 2))
-    (kind,) = Book(replace(analysis, findings=(found,))).findings
+    where = "ping on pi (ping.mcap); and 3 more"
+    found = loss(0, where=where, groups=(4, 0, 1, 2), subject=Subject.RECORDING)
+    (kind,) = Book(analysis_with(found)).findings
     (one,) = kind.listed
     assert (one.where, one.groups) == (where, ())
     assert one.worst_first == (0, 1, 2, 4), "alike, so in the order of the table"

@@ -24,8 +24,6 @@ _SHORTEST_SLEEP_NS = 1_000_000_000
 
 
 class _Step(NamedTuple):
-    """A step between two clocks before a message, and the device that slept, if any."""
-
     ping_device: str
     relay_device: str
     before_ns: int
@@ -156,7 +154,7 @@ def clock_drifts(evidence: Evidence) -> Iterator[Observation]:
 
 
 _FREE_PROCESSORS = 0.5
-"""Free processors, mean of a second, below which a woken thread often gets none."""
+"""Free processors below which a woken thread often gets none."""
 
 _FULL_PERCENT = 95.0
 """Share of one processor at which the recording process, which Python runs on one, is full."""
@@ -165,7 +163,7 @@ _SATURATED_SHARE = 0.1
 """Share of seconds above which saturation shows in percentiles, though in no median."""
 
 _SATURATED_SECONDS = 2
-"""Saturated seconds at least: the first one of a short recording is its start."""
+"""Least saturated seconds: the first one of a recording is its start."""
 
 
 @check(

@@ -30,10 +30,9 @@ if TYPE_CHECKING:
 SMALLER_DATAGRAMS = (
     "send smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh"
 )
-"""Remedy for lost IP fragments."""
 
 _MOST_FILES = 2
-"""Files listed in a recording's name, as a long sweep would fill a screen."""
+"""Files listed in a recording's name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,6 @@ _LOST = {
     Outcome.LOST_RETURN.value: "on the way back",
     Outcome.LOST_UNKNOWN.value: "at an unknown point",
 }
-"""Outcome -> where the message was lost, in words."""
 
 
 def _lost_where(row: Mapping[str, int]) -> str:
@@ -150,7 +149,7 @@ def mixed_labels(evidence: Evidence) -> Iterator[Observation]:
 
 
 _MOST_FIELDS = 5
-"""Fields that a finding about different environments lists; the others are in the descriptions of the sessions."""
+"""Fields that a finding lists; the sessions have all."""
 
 
 @check(
@@ -228,7 +227,6 @@ def outages(evidence: Evidence) -> Iterator[Observation]:
 
 
 _DELIVERIES = {"relay_delivery_ns": "relay", "ping_delivery_ns": "ping"}
-"""Part of `Details.breakdown` that ends in a callback -> role whose callback it is."""
 
 _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
 """Wait of the slowest hundredth, in periods and at least in ns, that no busy processor explains."""

@@ -311,7 +311,6 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _is_whole(evidence: Evidence, session: Session) -> bool:
-    """Return whether nothing says that events of a session are missing."""
     campaign = evidence.campaign
     traces = [campaign.traces[position] for position in campaign.session_traces[session.session_id]]
     return (

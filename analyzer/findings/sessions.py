@@ -38,7 +38,6 @@ def recorder_drops(evidence: Evidence) -> Iterator[Observation]:
 
 
 _BRIDGE_FAILURES = {"died": "ended by itself", "never_ready": "never carried a message"}
-"""State of a bridge -> how it failed."""
 
 
 def _failed_bridge(session: Session) -> Mapping[str, object] | None:
@@ -64,7 +63,7 @@ def failed_bridges(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _last_words(bridge: Mapping[str, object]) -> str:
-    """Return the last line of the log of a bridge and of each of its programs."""
+    """Return the last line of each log."""
     programs = bridge.get("programs")
     logs = [bridge, *(programs if isinstance(programs, list) else ())]
     tails = [str(log.get("log_tail") or "") for log in logs if isinstance(log, dict)]
@@ -116,7 +115,7 @@ def strangers(evidence: Evidence) -> Iterator[Observation]:
 
 
 _ERROR_CHARACTERS = 400
-"""Longest part of an error that a finding repeats; our own have less."""
+"""Longest part of an error that a finding repeats."""
 
 
 def _shortened(error: str) -> str:

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 
 _HALF = 2
-"""A result is reported if one in this many of its runs, or more, show the same."""
 
 
 @check("short_warm_up", Severity.WARNING, Subject.RESULT, "Record with --warmup {messages}, which leaves them out.")
@@ -213,7 +212,6 @@ def _cause(evidence: Evidence, group: int, small_bytes: int, large_bytes: int) -
 
 
 def _may_use_memory(session: Session) -> bool:
-    """Return whether shared memory may have carried the payload."""
     path = payload_path(session)
     return path is None or path == SHARED_MEMORY or (path == UNKNOWN and maps_memory(session))
 

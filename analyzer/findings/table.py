@@ -101,7 +101,7 @@ CHECKS: tuple[Check, ...] = (
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 _MOST_LISTED = 20
-"""Findings of one severity and code that are listed one by one; a campaign of 500 runs may well have 500 of a kind."""
+"""Findings of one severity and code that are listed one by one."""
 
 
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:

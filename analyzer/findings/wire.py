@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 
 _Row = dict[str, Any]
-"""A row of `Details.wire`."""
 
 
 def _rows(evidence: Evidence) -> Iterator[_Row]:

@@ -40,7 +40,6 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _ROW_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")
-"""Columns of the round trips that an answer rests on."""
 
 
 class Clarity(Enum):
@@ -118,13 +117,9 @@ def find_answers(
 ) -> tuple[CaseAnswer, ...]:
     """Answer each kind of message of at most `cases.MOST_COMPARED_ROWS` round trips, sorted by `CASE_COLUMNS`.
 
-    Args:
-        rows: the round trips.
-        confidence: of the intervals, and of the verdicts of all kinds together.
-        passes: run_id -> repeat of the sweep.
-        mapper: measures the kinds, whose rows are in memory one at a time.
-        wall_offsets_ns: run_id -> wall clock minus the clock of its stamps; the order of other runs is trusted.
-        options: what a verdict needs.
+    `confidence` is of the intervals, and of the verdicts of all kinds together; `passes` is run_id -> repeat of the
+    sweep; `mapper` measures the kinds, whose rows are in memory one at a time; `wall_offsets_ns` is run_id -> wall
+    clock minus the clock of its stamps (the order of other runs is trusted).
     """
     if not rows.has_rows:
         return ()
@@ -155,8 +150,6 @@ _STATISTICS = {"p50": Statistic(0.5), "p99": Statistic(0.99)}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setup:
-    """What is kept of a setup's round trips."""
-
     setting: Setting
     runs: SetupRuns
     received: Interval

@@ -73,10 +73,8 @@ if TYPE_CHECKING:
 STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PERCENTILES}}
 
 COMPARED_STATISTICS = tuple(STATISTIC_BY_NAME)
-"""Statistics of a metric that can be compared."""
 
 FAMILY = "Benjamini-Hochberg over groups and statistics"
-"""How p values of the verdicts are adjusted, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,7 +362,6 @@ def _changes(
 
 
 def _adjusted_p_values(p_values: Sequence[float | None]) -> list[float | None]:
-    """Return the p values adjusted by Benjamini and Hochberg over the tests that there are."""
     adjusted = iter(benjamini_hochberg_adjusted([p for p in p_values if p is not None]).tolist())
     return [None if p is None else next(adjusted) for p in p_values]
 

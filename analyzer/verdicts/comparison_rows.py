@@ -17,38 +17,30 @@ DISTRIBUTION_LEVELS = (0.0, 0.01, 0.025, *(n / 20 for n in range(1, 20)), 0.975,
 
 @dataclass(frozen=True, slots=True)
 class ChangeRow:
-    """The columns of `Comparison.rows` after the match columns: one statistic of one metric of one matched group.
+    """Columns of `Comparison.rows` after the match columns: one statistic of one metric of one matched group.
 
-    Null is what the samples do not support; times are infinite where more messages were lost than the statistic leaves room for.
+    Null is what the samples do not support; times are infinite where more messages were lost than the statistic leaves
+    room for. `*_low*` and `*_high*` are the ends of an interval.
 
     Attributes:
         metric: metric that is compared.
         statistic: mean, p50, p90, p95, p99 or p99_9.
         base_messages: messages of the base that have the metric.
-        new_messages: the same of the new side.
+        new_messages: messages of the new side that have it.
         base_ns: the statistic with lost messages infinitely late, ns.
         new_ns: the same of the new side.
         new_low_ns: lower end of the new side's own interval, ns.
-        new_high_ns: upper end, ns.
+        new_high_ns: its upper end, ns.
         difference_ns: new - base, ns.
-        difference_low_ns: lower end of its interval, ns.
-        difference_high_ns: upper end, ns.
         ratio: new / base.
-        ratio_low: lower end of its interval.
-        ratio_high: upper end.
         superiority: probability that a message of the new side takes less than one of the base.
         cliffs_delta: 2 * superiority - 1.
         verdict: better, worse, same or inconclusive, adjusted over the groups.
         base_received_ratio: share of the messages that were received.
-        new_received_ratio: the same of the new side.
         base_survivors_ns: the statistic of the received messages, ns.
-        new_survivors_ns: the same of the new side.
         base_low_ns: lower end of the base's own interval, ns.
-        base_high_ns: upper end, ns.
-        base_runs: runs of the base.
-        new_runs: runs of the new side.
+        base_high_ns: its upper end, ns.
         base_episodes: bursts that the tail rests on.
-        new_episodes: the same of the new side.
         basis: between runs, or within one run.
         pairs: repeats that were compared one by one; 0 without.
         p_value: of no difference; null within one run.
@@ -92,24 +84,16 @@ class ChangeRow:
 
 @dataclass(frozen=True, slots=True)
 class DeliveryRow:
-    """The columns of `Comparison.delivery` after the match columns: messages of one matched group on both sides.
+    """Columns of `Comparison.delivery` after the match columns: messages of one matched group on both sides.
+
+    `*_low` and `*_high` are the ends of an interval, `new_*` of the new side what `base_*` is of the base.
 
     Attributes:
         base_published: messages that were sent.
         base_received_ratio: share of the messages that were received.
-        base_received_ratio_low: lower end of its interval.
-        base_received_ratio_high: upper end.
-        new_published: the same of the new side.
-        new_received_ratio: the same of the new side.
-        new_received_ratio_low: lower end of its interval.
-        new_received_ratio_high: upper end.
         difference: new - base of the received ratio.
-        difference_low: lower end of its interval.
-        difference_high: upper end.
         verdict: better, worse, same or inconclusive, adjusted over the groups.
         basis: between runs, or within one run.
-        base_runs: runs of the base.
-        new_runs: runs of the new side.
         is_dead: whether messages were received on the base and none on the new side.
         environment: same, unknown (no fingerprint), or unlike: with the fields that differ.
         smallest_drop: loss of share that would have been shown with a probability of 80 %.
@@ -141,7 +125,7 @@ class DeliveryRow:
 
 @dataclass(frozen=True, slots=True)
 class DistributionRow:
-    """The columns of `Comparison.distributions` after the match columns: one metric of one matched group.
+    """Columns of `Comparison.distributions` after the match columns: one metric of one matched group.
 
     Each list has the times in ns at the first of `DISTRIBUTION_LEVELS`, infinite for lost messages, as far as the messages suffice.
     """
@@ -169,7 +153,6 @@ _DTYPES: dict[str, type[pl.DataType] | pl.DataType] = {
     "bool": pl.Boolean,
     "tuple[float, ...]": pl.List(pl.Float64),
 }
-"""Annotation of a field of the rows above -> dtype of its column."""
 
 COMPARISON_SCHEMA = {field.name: _DTYPES[str(field.type)] for field in fields(ChangeRow)}
 DELIVERY_SCHEMA = {field.name: _DTYPES[str(field.type)] for field in fields(DeliveryRow)}

@@ -46,8 +46,7 @@ def check_statistic(text: str) -> tuple[str, str]:
 UNTIL_CONFIDENCE = 0.995
 """Confidence of an interval that is looked at after each repeat: of all looks from 3 to 40 runs 5 % see any that lacks the truth.
 
-A repeated confidence interval (C. Jennison and B. Turnbull, Journal of the Royal Statistical Society B 51, 1989), the level by 6000
-simulated series of normal runs.
+A repeated confidence interval (C. Jennison and B. Turnbull, JRSS B 51, 1989), its level by simulation.
 """
 
 

@@ -13,8 +13,7 @@
 `default` means `DEFAULT_GATES`.
 
 A gate fails where the whole confidence interval is beyond the limit, passes where none of it is, and is inconclusive in
-between, where a sample does not support the percentile, and where a requested setting was not applied: such a group did not
-measure what its parameters say.
+between, where a sample does not support the percentile, and where a requested setting was not applied.
 """
 
 from __future__ import annotations
@@ -110,7 +109,7 @@ class Gate:
 
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
-"""Gates of `--fail-if default`: five runs of 1000 messages a side detect such changes (`docs/explanation/coverage.md`)."""
+"""Changes that five runs of 1000 messages a side detect (`docs/explanation/coverage.md`)."""
 
 
 def parse_gates(texts: Iterable[str]) -> list[Gate]:

@@ -32,10 +32,8 @@ ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", A
 """The gate that a missing or dead group fails."""
 
 NOT_APPLIED = "a requested setting was not applied"
-"""End of `GateResult.where` of a group that is barred."""
 
 FAMILY = "Holm over groups"
-"""How p values of gates are adjusted, in words."""
 
 
 @dataclass(frozen=True, slots=True)

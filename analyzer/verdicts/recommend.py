@@ -216,7 +216,6 @@ class _Measurement:
 
     @property
     def is_slow(self) -> bool:
-        """Whether a run sent less than the planned rate."""
         return self.rate_share is not None and self.rate_share < LEAST_RATE
 
     def failure(self, deadline_ns: int) -> str:

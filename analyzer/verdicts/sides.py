@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from .matching import Key
 
 SAME, UNKNOWN = "same", "unknown"
-"""Words for the environments of a group: alike in every field, and without a fingerprint on one of the sides."""
 
 
 class Recorder(NamedTuple):

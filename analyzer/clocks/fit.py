@@ -9,10 +9,10 @@ slower one way looks like a clock that is off by half the difference.
 
 Two assumptions give a slow message the interval of its fast neighbours:
 - clocks part by at most `DRIFT_LIMIT_PPB`. A message out of reach shows a step (clock set, suspend, reboot) and splits the fit;
-- within a window theta is a straight line, and the bound is what the lines that respect every message leave open
-  (L. Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002; S. Moon, P. Skelly,
-  D. Towsley, INFOCOM 1999; Huygens, NSDI 2018; RFC 5905, section 10). A window without such a line, or with a half whose offset is
-  outside its bound, is halved: for a clock that bends by 100 ppm, wrong bounds fall from 24 % of the messages to 3 %.
+- within a window theta is a straight line, and the bound is what the lines that respect every message leave open (L.
+  Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002; S. Moon, P. Skelly,
+  D. Towsley, INFOCOM 1999; Huygens, NSDI 2018; RFC 5905, section 10). A window without such a line, or with a half
+  whose offset is outside its bound (a clock that bends), is halved.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ T = TypeVar("T", int, NDArray[np.int64])
 
 
 _BLOCK_MESSAGES = 1 << 14
-"""Messages processed together."""
 
 
 class ClockKnot(NamedTuple):
@@ -143,9 +142,7 @@ class RelayedMessages:
 class _Points:
     """The messages of one fit in order of time, as bounds on theta.
 
-    Attributes:
-        points: the bounds at the instants halfway between T1 and T2, less the two origins.
-        order: index of each message in the input; None where the input is in order.
+    Their instants are halfway between T1 and T2, less the two origins. `order` is the index of each message in the input; None where the input is in order.
     """
 
     points: OffsetIntervals

@@ -39,7 +39,7 @@ class OffsetIntervals:
     upper: Float64
 
     def part(self, start: int, stop: int) -> OffsetIntervals:
-        """Return the messages from `start` to `stop` (not included)."""
+        """Return the messages from `start` to `stop`, not included."""
         return OffsetIntervals(self.time[start:stop], self.lower[start:stop], self.upper[start:stop])
 
     def take(self, messages: Intp) -> OffsetIntervals:

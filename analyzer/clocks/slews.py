@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 CRYSTAL_PPB = 100_000
-"""Largest drift of a crystal, 100 ppm; a larger one is a slewed clock or a fault."""
+"""Largest drift of a crystal, 100 ppm."""
 
 BEND_PPB = 50_000
 """Difference of two rates of one clock pair that only a slew makes: crystals keep theirs within a few ppm."""
@@ -42,7 +42,7 @@ _NEARLY = 0.95
 """Share of the fastest rate that is the same slew: its start and end are between two knots."""
 
 _MOST_KNOTS = 1000
-"""Evenly chosen knots between which the rate is searched: all pairs are compared."""
+"""Evenly chosen knots whose pairs are all compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +62,11 @@ class Stretch:
         return abs(self.step_ns) < _BARELY * self.step_bound_ns
 
     def is_fast(self, way: int) -> bool:
-        """Return whether the clock surely ran faster (`way` 1) or slower (-1) than crystals do."""
+        """Return whether the clock surely ran faster (`way` 1) or slower (-1) than a crystal."""
         return way * self.drift_ppb - self.drift_bound_ppb > CRYSTAL_PPB
 
     def may_be_fast(self, way: int) -> bool:
-        """Return whether it perhaps did."""
+        """Return whether the clock perhaps did."""
         return way * self.drift_ppb + self.drift_bound_ppb > CRYSTAL_PPB
 
 

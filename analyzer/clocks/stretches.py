@@ -16,7 +16,6 @@ _BLOCKS = (1 << 12, 1 << 17)
 """Messages searched for a step at once: at first, as a slewed clock soon has its next step, and at most."""
 
 _PART = 32
-"""Messages checked together first."""
 
 _MESSAGES_AFTER_STEP = 64
 """Messages after a step that decide which ones are surely before it."""

@@ -1,7 +1,6 @@
 """Windows of time in which the clocks of two devices part along a straight line.
 
-All windows of a batch are processed together: windows of `WINDOW_NS`, then the halves of those that are bent or that no line
-agrees with.
+All windows of a batch are processed together, then their halves where needed.
 """
 
 from __future__ import annotations
@@ -95,9 +94,9 @@ class Windows:
 def fit_windows(points: OffsetIntervals, stretches: Sequence[tuple[int, int]]) -> Windows:
     """Fit the lines of every window of some stretches, and narrow the bounds of `points` by them in place.
 
-    A window is at most `WINDOW_NS` long, and halved until a line agrees with it and its halves do (`_are_bent`). A stretch is the
-    first message and the message after its last; stretches ascend, each of one fit. Only the tightest messages shape the lines; one
-    that no line reaches keeps its bounds.
+    A window is at most `WINDOW_NS` long, and halved until a line agrees with it and its halves do (`_are_bent`).
+    Stretches, first message and message after the last, ascend; each is of one fit. Only the tightest messages shape
+    the lines; one that no line reaches keeps its bounds.
     """
     fitted: list[Windows] = []
     if not stretches:
@@ -172,7 +171,6 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
 
 
 def _ranges(start: Intp, stop: Intp) -> Intp:
-    """Concatenate the numbers from each start to its stop (not included)."""
     lengths = stop - start
     numbers: Intp = np.arange(lengths.sum()) + np.repeat(start - (np.cumsum(lengths) - lengths), lengths)
     return numbers

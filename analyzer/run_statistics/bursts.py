@@ -1,9 +1,9 @@
 """How many independent messages a series of dependent ones is worth, and how many episodes a rare event came in.
 
-The variance of a share in a dependent series is set by its slowest movements, so it is estimated from the projections of the
-series on the first cosines of the run (U. Mueller, Journal of Business & Economic Statistics 32, 2014; E. Lazarus, D. Lewis,
-J. Stock and M. Watson, the same journal 36, 2018). Dependence up to a twelfth of the run counts in full. The mean divided by the
-root of this estimate is Student's t with as many degrees of freedom as cosines.
+The variance of a share in a dependent series is set by its slowest movements, so it is estimated from the projections
+of the series on the first cosines of the run (U. Mueller, Journal of Business & Economic Statistics 32, 2014; E.
+Lazarus, D. Lewis, J. Stock and M. Watson, the same journal 36, 2018). Dependence up to a twelfth of the run counts in
+full.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ EPISODE_GAP_SHARE = 0.05
 LEAST_GAP = 1.5
 """Messages; with 1, a sender's jitter would cut a burst in pieces."""
 
-_MOST_CELLS = 1024  # neighbours are added up in this many cells: the shortest cosine has 170 of them in a period
+_MOST_CELLS = 1024  # of neighbours; the shortest cosine has 170 of them in a period
 
 _MANY = 20
 """Messages a cell from which on a search is quicker."""
@@ -64,7 +64,7 @@ def share_inflation(indices: Indices, messages: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The cells that neighbouring messages of several series are added up in, series after series.
+    """Cells in which neighbouring messages of several series are added up.
 
     Attributes:
         lengths: messages of each series.
@@ -140,7 +140,6 @@ def share_inflations(cells: Cells, subsets: Sequence[tuple[Indices, Indices]]) -
 
 
 def _projections(sums: Float64) -> Float64:
-    """Return the projections of sums in cells, shape (..., cells), on the cosines."""
     return np.asarray(sums @ _cosines(sums.shape[-1]).T)
 
 
@@ -187,10 +186,8 @@ def positions_of(indices: Indices, sent_ns: Int64 | None = None) -> Float64:
 def episode_ends(positions: Float64, gaps: Float64 | float, offsets: Indices | None = None) -> Indices:
     """Return the index of the last event of each episode; one ends if the next event is farther away than the gap.
 
-    Args:
-        positions: of the events, ascending in each series, shape (events,).
-        gaps: one number, or one for each event.
-        offsets: the first event of each of several series and the number of all.
+    Positions, shape (events,), ascend in each series; a gap is one number, or one for each event; `offsets` are the
+    first event of each series and the number of all.
     """
     if not len(positions):
         return np.empty(0, np.intp)

@@ -1,8 +1,8 @@
 """What changed from one side's runs to the other's: difference, ratio, their intervals, a verdict; and what would be detected.
 
-With three runs a side the runs decide: Welch's test of the logarithms of the runs' statistics, or Student's test repeat by repeat
-where a sweep measured both sides in the same repeats, which detects more where the machine drifts. With fewer runs the interval
-is within one run, and there is no verdict.
+With three runs a side the runs decide: Welch's test of the logarithms of the runs' statistics, or Student's test repeat
+by repeat where a sweep measured both sides in the same repeats. With fewer runs the interval is within one run, and
+there is no verdict.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The share of messages later than a deadline, over all runs of the same kind, with a limit that it very likely does not exceed.
 
-A run is one observation, because runs of equal settings differ in level: a run that is slow as a whole may be wholly late.
+A run is one observation: one that is slow as a whole may be wholly late.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class LateShare:
 def late_share(runs: Runs, deadline_ns: float, confidence: float = 0.95) -> LateShare | None:
     """Return the late share of runs of values in ns, infinite for a lost message; None without a message.
 
-    Each limit is wrong with half of the rest of the confidence. The first upper limit is Student's of the runs' late shares. By itself it
-    fails where no run was late yet: with levels that spread by 20 % and a true late share of 2 %, 25 to 70 % of its limits are below
-    1 %. The second one takes the logarithm of a value as the run's level plus a residual, and levels as normal.
+    Each limit is wrong with half of the rest of the confidence. The first upper limit is Student's of the runs' late
+    shares. By itself it is too low where no run was late yet. The second one takes the logarithm of a value as the
+    run's level plus a residual, and levels as normal.
     """
     filled = [run.values for run in runs if len(run)]
     if not filled:

@@ -32,7 +32,6 @@ class WarmUp:
     """The start of a run that MSER-5 leaves out.
 
     Attributes:
-        messages: how many.
         ratio: their level over the others' (geometric means of batch medians).
         p_value: two-sided.
     """

@@ -85,7 +85,7 @@ class Levels:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """The runs of one group; shared arrays have the first run's messages in the order of time, then the second's.
+    """The runs of one group; shared arrays have the messages run after run, each in the order of time.
 
     Sorting is most of the cost of a statistic, so each sorted array is computed once.
     """
@@ -258,10 +258,8 @@ def quantile_at(ordered: Values, position: float) -> float:
 def quantiles_at(ordered: Values, offsets: Indices, positions: Float64) -> Float64:
     """Return the values of several series at 1-based positions between order statistics; infinite if one of the two is.
 
-    Args:
-        ordered: the values of each series, ascending, series after series.
-        offsets: the first value of each series, which is not empty, and the number of all.
-        positions: shape (..., series); one outside the series is moved to its nearest value.
+    Values ascend in each series, which is not empty; `offsets` are the first value of each and the number of all. A
+    position, shape (..., series), outside the series is moved to its nearest value.
     """
     first, count = offsets[:-1], offsets[1:] - offsets[:-1]
     positions = np.minimum(np.maximum(positions, 1.0), count)

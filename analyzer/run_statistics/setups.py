@@ -134,7 +134,7 @@ def _letter(number: int) -> str:
 def overlap_in_time(one: Sequence[int], other: Sequence[int]) -> bool:
     """Return whether runs of two setups were mixed in time, by their starts: else a drift looks like a difference.
 
-    Mixed means that a run of one started before a run of the other in 10 to 90 % of all pairs of runs; at once is half before.
+    Mixed: a run of one started before a run of the other in 10 to 90 % of all pairs of runs; at once is half before.
     """
     if not (len(one) and len(other)):
         return True

@@ -102,8 +102,8 @@ def indices_beyond(
 ) -> list[Indices]:
     """Return for each quantile the indices of the values beyond the threshold of their series.
 
-    An upper tail is searched in the next wider one by indices: selecting by a mask takes five times as long. `values` are series
-    after series, from `offsets`; `thresholds` are of each series one for each quantile.
+    An upper tail is searched in the next wider one, by indices for speed. `values` are series after series, from
+    `offsets`; `thresholds` are of each series one for each quantile.
     """
     indices: dict[float, Indices] = {}
     wider, rest, ends = None, values, offsets
@@ -124,7 +124,6 @@ class Tail:
     """The messages of one run beyond a quantile of its group.
 
     Attributes:
-        messages: how many.
         sizes: int64, messages of each episode.
         inflation: variance of their share over the variance for independent messages.
         squared: sum of the squares of `sizes`.
@@ -159,8 +158,8 @@ class Beyond:
 def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
     """Return the messages beyond each quantile of the group.
 
-    One threshold, so that a quiet run adds no episodes to the tail; values relative to their run's level, so that a slow run is not
-    one episode.
+    One threshold for all, so that a quiet run adds no episodes; values are relative to their run's level, so that a
+    slow run is not one.
     """
     thresholds = thresholds_of(runs.ordered_relative, quantiles)
     groups = np.array([0, len(runs.values)])

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _NORMAL = NormalDist()
 _MOST_TERMS = 500
-_HALVINGS = 200  # a float64 interval cannot be halved more often than about 1100 times; 200 reach 1e-60 of it
+_HALVINGS = 200  # to 1e-60 of an interval
 _POWER_STEPS = 2000
 
 
@@ -126,7 +126,6 @@ def incomplete_beta(x: float, a: float, b: float) -> float:
 
 
 def _beta_fraction(x: float, a: float, b: float) -> float:
-    """Return the continued fraction 1 + d1/(1 + d2/(1 + ...)) of DLMF 8.17.22."""
     tiny = 1e-300
     value = ratio = 1.0
     inverse = 0.0

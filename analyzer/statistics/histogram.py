@@ -51,7 +51,6 @@ def _positive_histogram(ordered_ns: NDArray[np.int64]) -> Histogram:
 
 
 def _centres(buckets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the mean of the integers that fall into each bucket."""
     octave = np.ldexp(1.0, buckets >> MANTISSA_BITS)
     width = octave / (1 << MANTISSA_BITS)
     low = octave + width * (buckets & ((1 << MANTISSA_BITS) - 1))

@@ -172,7 +172,7 @@ class Analysis:
     def plot(
         self, name: str, *, panels: str | None = None, metric: str | None = None, statistic: str = "p50"
     ) -> Figure:
-        """Return a figure of the report as a plotly `Figure`, to look at, change and save.
+        """Return a figure of the report as a plotly `Figure`.
 
         Args:
             name: `latency_by_size`, `latency_by_rate`, `vendor_comparison`, `by_device`, `relay_time`, `received`, `run_spread`,
@@ -189,8 +189,7 @@ class Analysis:
     def show(self, folder: str | os.PathLike[str] | None = None) -> Path:
         """Write the HTML report, open it in this machine's browser and return its path.
 
-        Args:
-            folder: its folder; None for a new temporary one, which is not removed.
+        Without a `folder` it is in a new temporary one, which is not removed.
 
         Raises:
             OutputError: the report cannot be written.
@@ -212,7 +211,7 @@ class Presenter(Protocol):
 
 
 PRESENTER_MODULE = "dds_trace.reports.notebook"
-"""Module that is the `Presenter`, imported at first use."""
+"""The `Presenter`, imported at first use."""
 
 
 def _presenter() -> Presenter:

@@ -49,7 +49,7 @@ RESULT_NAMES = (
     "latency.derived.mcap",
     "latency.derived.foxglove.json",
 )
-"""Files of an analysis in its folder, whose drafts a later analysis removes."""
+"""A later analysis removes drafts of these files."""
 
 
 def default_output(path: Paths) -> Path:
@@ -78,14 +78,14 @@ def analyze(
         a = analyze("runs/")
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 
-    From 300 traces or some 8 M events on, worker processes of this machine do most of it; a script needs no
+    From 300 traces or some 8 M events on, worker processes do most of it; a script needs no
     `if __name__ == "__main__"` for them.
 
     Args:
         path: a folder (with all folders in it), one trace file, or one rosbag2 folder; or a list of such.
         out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. Traces in it are not read.
-        cache: keep the events of every trace in the user's cache (`$XDG_CACHE_HOME/dds-trace`), so that the next analysis
-            reads only new traces.
+        cache: keep the events of every trace in the user's cache (`$XDG_CACHE_HOME/dds-trace`), so that the next
+            analysis reads only new ones.
         cluster: address of a Dask scheduler (`tcp://host:8786`); its workers read the traces, so `path` must be the same for
             them, or in object storage (`s3://...`). Uses no cache.
         sketch: percentiles from histograms, off by at most `histogram.RELATIVE_ERROR`, no rows and no comparison of groups.

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     """Adds all events of a trace and returns the trace without them."""
 
 _FORMAT = 5
-"""Version of an entry; another version is ignored. 2: seals of the events; 3: events in pieces; 4: one file; 5: no impossible
-instants."""
+"""Version of an entry; another version is ignored."""
 
 
 class StoredParts:
@@ -72,7 +71,7 @@ class StoredParts:
 
 
 def store_parts(file: Path, position: int, fill: Fill) -> LoadedTrace:
-    """Write the events of a trace into a file, which replaces `file` once it is complete.
+    """Write the events of a trace into a file, which replaces `file` once complete.
 
     Raises:
         OSError: the file cannot be written.

@@ -1,7 +1,7 @@
 """Events in a file of our own: the columns of each stage, run and relay, written piece by piece.
 
-A column of one value, or that counts up by one (sequence numbers), is described; others are written as they are in memory. That is
-a third of the bytes of the events.
+A column of one value, or that counts up by one (sequence numbers), is described; others are written as they are in
+memory.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class StoredPiece:
     columns: Mapping[str, Column]
 
     def check(self, file_bytes: int) -> None:
-        """Check that a file of `file_bytes` has room for every column, and that every value fits its column.
+        """Check that a file of this size has room for every column, and that every value fits its column.
 
         Raises:
             ValueError, TypeError, LookupError: a column is not as `EventsFile` describes it.
@@ -126,7 +126,6 @@ class EventsFile:
 
 
 def _read_column(stream: BufferedReader, name: str, pieces: Sequence[StoredPiece]) -> NDArray[Any]:
-    """Take no memory for a single value throughout."""
     dtype = EVENT_DTYPE[name]
     count = sum(piece.count for piece in pieces)
     columns = {piece.columns[name] for piece in pieces}

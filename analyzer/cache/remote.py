@@ -91,7 +91,7 @@ def remote_key(path: Path) -> str:
 
 
 def _files_of(files: _Storage, root: str) -> list[str]:
-    """List all in a folder, or the file and those next to it that start with its name (a ring)."""
+    """List a folder, or the file and its ring."""
     if files.isdir(root):
         return sorted(files.find(root))
     names = files.ls(os.fspath(PurePosixPath(root).parent), detail=False)
@@ -113,7 +113,7 @@ def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
         raise MissingEventsError(f"{_url(path)}: no such object or folder") from err
     except TraceError:
         raise
-    except Exception as err:  # no credentials, an unknown scheme: each storage has its own errors
+    except Exception as err:  # each storage has its own errors
         raise TraceFormatError(_url(path), f"cannot be read ({printable(err)})") from err
 
 

@@ -6,10 +6,10 @@
     $XDG_CACHE_HOME/dds-trace/traces/KEY.rows     a seal, then paired rows (`engines/packed_rows.py`)
     $XDG_STATE_HOME/dds-trace/cache-key           32 random bytes: the secret
 
-KEY is the HMAC-SHA-256 of the trace's content, or of everything that a result is computed from. A seal is the HMAC of KEY and the
-sealed bytes; the JSON of a trace contains the HMACs of its events. So an entry of another user or trace, or a damaged one,
-is ignored. The secret is elsewhere because caches are copied (a CI server restores them), and a copy must not bring the key that
-vouches for it.
+KEY is the HMAC-SHA-256 of the trace's content, or of everything that a result is computed from. A seal is the HMAC of
+KEY and the sealed bytes; the JSON of a trace contains the HMACs of its events. So an entry of another user or trace, or
+a damaged one, is ignored. The secret is elsewhere because a copy of a cache (a CI server restores one) must not bring
+the key that vouches for it.
 
 Only regular files with the name of an entry are removed, only from this folder, and never through a link.
 """
@@ -58,7 +58,6 @@ SEAL_BYTES = 64
 
 _OUTDATED = ("json", "events", "table")
 _NAME = re.compile(rf"([0-9a-f]{{64}})\.(trace|details|rows|{'|'.join(_OUTDATED)})(\.[0-9a-f]{{8}}\.part)?")
-"""Names of entries, and of their drafts."""
 
 _TRACE = "trace"
 _KEY_BYTES = 32
@@ -67,7 +66,7 @@ _END_BYTES = 32 << 10  # first read at the end of a trace's entry
 _BLOCK_BYTES = 4 << 20
 _BUFFER_BYTES = 1 << 20  # smaller files are read into a buffer that is reused
 _thread_local = threading.local()
-_DIGEST = "sha256"  # the quickest of hashlib where the processor has instructions for it
+_DIGEST = "sha256"  # the quickest of hashlib on most processors
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +120,7 @@ class TraceCache:
 
     @classmethod
     def open(cls) -> TraceCache | None:
-        """Open or make the cache; None without a home or the right to write, or if the folder is a link or another user's."""
+        """Open or make the cache; None if it cannot be made, or is a link or another user's folder."""
         try:
             parent = _base("XDG_CACHE_HOME", ".cache") / "dds-trace"
             os.close(_own_folder(parent))
@@ -283,7 +282,7 @@ def _read_end(stream: BufferedReader, size: int, count: int) -> bytes:
 
 
 def _buffer_of_thread() -> memoryview:
-    """Reuse memory: for thousands of small files, fresh memory costs more than the digest."""
+    """Reuse memory: for small files, fresh memory costs more than the digest."""
     if not hasattr(_thread_local, "buffer"):
         _thread_local.buffer = memoryview(bytearray(_BUFFER_BYTES))
     buffer: memoryview = _thread_local.buffer
@@ -291,7 +290,6 @@ def _buffer_of_thread() -> memoryview:
 
 
 def _base(variable: str, default: str) -> Path:
-    """Return a base folder of the XDG specification, which ignores a relative path in the variable."""
     named = Path(os.environ.get(variable, ""))
     return named if named.is_absolute() else Path.home() / default
 

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from .store import TraceCache
 
 MOST_EVENTS_IN_MEMORY = 12_000_000
-"""Events in memory, 56 bytes each; further traces wait in files."""
+"""Events in memory, 56 bytes each; other traces wait in files."""
 
 LARGEST_TRACE_IN_MEMORY = 4_000_000
-"""Events of the largest trace in memory; of a larger one, a batch reads only its own."""
+"""Events of the largest trace in memory; of a larger one, a batch reads its own."""
 
 
 class TraceLoader:
@@ -97,7 +97,6 @@ class TraceLoader:
             self._cache.close()
 
     def _cached(self, path: Path, position: int) -> LoadedTrace | None:
-        """Return the trace from the cache, if it is there, and note its key."""
         if self._cache is None:
             return None
         key = self.keys[position] = self._cache.key_of(path)
@@ -107,7 +106,6 @@ class TraceLoader:
         return self._store(path, position, partial(self._add_pieces, path, position))
 
     def _store(self, path: Path, position: int, fill: Fill) -> LoadedTrace:
-        """Put events into the cache, else into a temporary file."""
         if self._cache:
             cached = _write_if_possible(self._cache, self.keys[position], position, fill)
             if cached is not None:
@@ -152,7 +150,7 @@ def _add_loaded(loaded: LoadedTrace, stored: StoredParts) -> Trace:
 
 
 def _write_if_possible(cache: TraceCache, key: str, position: int, fill: Fill) -> LoadedTrace | None:
-    """Return None on failure: a full disk costs the cache, not the analysis."""
+    """Return None on failure: a full disk costs only the cache."""
     with suppress(OSError):
         return write_entry(cache, key, position, fill)
     return None

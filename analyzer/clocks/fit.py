@@ -142,7 +142,8 @@ class RelayedMessages:
 class _Points:
     """The messages of one fit in order of time, as bounds on theta.
 
-    Their instants are halfway between T1 and T2, less the two origins. `order` is the index of each message in the input; None where the input is in order.
+    Their instants are halfway between T1 and T2, less the two origins. `order` is the index of each message in the
+    input; None where the input is in order.
     """
 
     points: OffsetIntervals

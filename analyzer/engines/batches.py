@@ -31,8 +31,8 @@ REUSED_BLOCK_BYTES = 31 << 20
 def keep_freed_memory() -> None:
     """Let this process reuse the memory of small batches where its C library is glibc.
 
-    Freed blocks above a threshold go back to the kernel, which clears every page of the next one: small groups take 1.6 times as
-    long. Glibc raises the threshold to the largest block ever freed (mallopt(3), M_MMAP_THRESHOLD).
+    Freed blocks above a threshold go back to the kernel, which clears every page of the next one. Glibc raises the
+    threshold to the largest block ever freed (mallopt(3), M_MMAP_THRESHOLD).
     """
     np.empty(REUSED_BLOCK_BYTES, np.uint8)
 
@@ -40,8 +40,8 @@ def keep_freed_memory() -> None:
 def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
     """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs.
 
-    Some groups, drawn by their own parameters and events, end their batch before it is full: a new run then changes few other
-    batches, and the cached results of the rest stay valid.
+    Some groups, drawn by their own parameters and events, end their batch early: a new run then changes few batches,
+    and cached results of the rest stay valid.
     """
     exchanges, groups = grouping.exchanges, grouping.group_of_exchange
     events_before = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()
@@ -81,7 +81,6 @@ def _ends_batch(parameters: tuple[object, ...], events: int) -> bool:
 
 
 def _is_drawn(name: str, share: float) -> bool:
-    """Return whether this name is in a pseudo-random share of all names."""
     # Not a CRC: texts that differ in a digit have close CRCs.
     digest = hashlib.blake2b(name.encode(), digest_size=4).digest()
     return int.from_bytes(digest, "big") < int(share * (1 << 32))

@@ -1,7 +1,7 @@
 """A Dask cluster as an `Engine`: one worker reads a trace, one worker processes a batch.
 
-Events stay with the workers that read them, and go to the worker whose batch needs them; the scheduler recomputes what is lost with
-a worker. Workers read traces from a folder that all machines see under the same path, or from object storage.
+Events stay with the workers that read them, and go to the worker whose batch needs them; the scheduler recomputes what
+is lost with a worker. Workers read a folder that all machines see under one path, or object storage.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class ClusterEngine:
 
     def __init__(self, address: str) -> None:
         try:
-            distributed = import_module("distributed")  # an extra: only --cluster needs it
+            distributed = import_module("distributed")
         except ImportError as err:
             raise BackendUnavailableError(
                 "--cluster needs Dask: install the extra with `pip install 'dds-trace[cluster]'`"

@@ -38,10 +38,10 @@ _MOST_THREADS = 2  # each has a batch in memory; another core writes the rows
 _MOST_PROCESSES = 4  # each has a trace or a batch in memory, and 0.2 GB of libraries
 
 FILES_FOR_PROCESSES = 300
-"""Traces from which on worker processes pay: starting one costs half a second of a core."""
+"""Traces from which on worker processes pay, each half a second of a core."""
 
 BYTES_FOR_FILES = 150_000_000
-"""Size of all traces from which on their events wait in files, for worker processes to read."""
+"""Size of all traces from which on their events wait in files."""
 
 COST_FOR_PROCESSES = 8_000_000
 """Events of all batches from which on worker processes pay (`docs/explanation/performance.md`)."""
@@ -90,12 +90,12 @@ class LocalEngine:
     def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
         """Yield rows and results of the batches, processed on all cores; one batch waits in memory for its turn.
 
-        Threads process a large batch, and measure it while the caller writes its rows. Worker processes take small batches,
-        which would wait for Python's lock here, where they pay.
+        Threads process a large batch, and measure it while the caller writes its rows. Where worker processes pay they
+        take small batches, which would wait for Python's lock here.
         """
         if self._workers is None and _cost_of_small(batches) >= COST_FOR_PROCESSES:
             self._workers = self._start_workers()
-        if not any(map(is_large, batches)):  # next to the arrays of a large one there is no room
+        if not any(map(is_large, batches)):  # a large one leaves no room
             keep_freed_memory()
         cache = ResultCache(self._cache, self._loader.keys) if self._cache else None
         count = min(_MOST_THREADS, self._cores)
@@ -162,7 +162,6 @@ class LocalEngine:
                     position += 1
 
     def _start_workers(self) -> Workers | None:
-        """Return None where there can be no process, or only one."""
         # A small campaign does without multiprocessing.
         from .processes import Workers, can_start_workers  # noqa: PLC0415
 

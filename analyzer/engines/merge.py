@@ -1,8 +1,7 @@
 """Merge the results of batches: statistics are exact where a batch has whole groups or brings the values of its part.
 
-A sketch merges log-linear histograms (`statistics/histogram.py`): a percentile is off by half a bucket at most, `RELATIVE_ERROR`.
-The moments merge without that error (Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample
-variances", 1979).
+A sketch merges log-linear histograms (`statistics/histogram.py`): a percentile is off by half a bucket at most,
+`RELATIVE_ERROR`. The moments merge without that error (T. Chan, G. Golub and R. LeVeque, 1979).
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class Merged:
 def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch: bool) -> Merged:
     """Merge the results of batches as they come, in the order of groups.
 
-    A part of a group brings its values, unless it is a `sketch`, which takes percentiles from histograms, also for whole groups.
+    A part of a group brings its values, unless it is a `sketch`, which takes percentiles from histograms.
     """
     frames: list[Frames] = []
     counts: list[pl.DataFrame] = []

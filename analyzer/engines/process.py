@@ -114,14 +114,7 @@ class BatchOutput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """Some runs of a batch.
-
-    Attributes:
-        key: None where it must not be cached.
-        cached: its rows in the cache, if any.
-        run_frames: frames of its runs in the cache, if any.
-        rows: in memory unless rows and frames were in the cache.
-    """
+    """Some runs of a batch; `key` is None where it must not be cached; `rows` are in memory unless all was cached."""
 
     batch: Batch
     key: str | None
@@ -281,7 +274,6 @@ def _measure(
 
 
 def _begin_run_frames(part: _Part, cache: ResultCache | None, pool: Executor) -> Callable[[], Frames]:
-    """Return a function that waits for the frames of the runs."""
     if isinstance(part.rows, PackedRows) or part.run_frames is not None:
         return partial(dict, part.run_frames or {})
     batch, key = part.batch, part.key

@@ -1,7 +1,7 @@
 """Worker processes of this machine: where arrays are short, Python between them keeps threads on one core.
 
-A worker reads traces, puts their events into files (the user's cache, or temporary ones), and processes batches from there. It
-returns rows in files; descriptions, batches and results go through pipes.
+A worker reads traces, puts their events into files (the user's cache, or temporary ones), and processes batches from
+there. It returns rows in files, all else through pipes.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _CHUNKS_PER_WORKER = 8
 class Workers:
     """The workers of one analysis, at least two; the first free one takes the next job.
 
-    This process is one: it has imported everything already (a third of a second) and has little else to do.
+    This process is one: it has imported everything already.
     """
 
     def __init__(self, count: int, *, cache: bool) -> None:
@@ -163,7 +163,7 @@ class Worker:
 
 
 def can_start_workers() -> bool:
-    """Return whether this process may start others: a daemon of `multiprocessing` may not."""
+    """Return whether this process may start others, as no daemon of `multiprocessing` may."""
     return not multiprocessing.current_process().daemon
 
 
@@ -222,7 +222,7 @@ def _without_main() -> Iterator[None]:
 
 @contextmanager
 def _with_one_blas_thread() -> Iterator[None]:
-    """Multiply small matrices on one core: others are busy."""
+    """Multiply small matrices on one core, as the others are busy."""
     name = "OPENBLAS_NUM_THREADS"
     if name in os.environ:  # the user's own
         yield

@@ -144,13 +144,12 @@ def _renumbered(frames: Frames, shift: int) -> Frames:
 def pack_frames(frames: Frames) -> bytes:
     """Return frames as a line of JSON with name and size of each, then each as an Arrow stream.
 
-    A stream: polars writes a small frame eight times as fast as to an Arrow file, and reads it 17 times as fast.
+    A stream, because polars is many times as fast with it as with a small Arrow file.
     """
     files = {}
     for name, frame in frames.items():
         stream = io.BytesIO()
-        # Clone the frame: polars locks it while it waits for Python's lock, which another reader of it may have while it waits
-        # for the frame's.
+        # Cloned, because polars locks a frame while it waits for Python's lock: a deadlock with another reader of it.
         frame.clone().write_ipc_stream(stream, compression="lz4")
         files[name] = stream.getvalue()
     head = json.dumps([(name, len(file)) for name, file in files.items()])

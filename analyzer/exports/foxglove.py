@@ -47,10 +47,10 @@ _RECORD = np.dtype(
         ("lost", "u1"),
     ]
 )
-"""The serialized message: fields in the order of the schema need no padding."""
+"""The serialized message needs no padding."""
 
 PLOTTED_TOPICS = 12
-"""Most lines of a plot in the layout, for legibility; the file has all topics."""
+"""Most lines of a plot in the layout; the file has all topics."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.Data
 def topic_name(row: Mapping[str, ParameterValue]) -> str:
     """Name the channel of a run and relay: `/latency/fastdds/builtin/binary_33000B_10Hz/run_RRRRRRRR/relay_PPPPPPPP`.
 
-    Only letters, digits and underscores between the slashes, so that every tool accepts it as a topic.
+    Only letters, digits and underscores, so that every tool accepts it as a topic.
     """
     message = f"{row['data_type']}_{row['payload_bytes']}B_{row['rate_hz']:g}Hz"
     words = [row["vendor"], row["bridge"], message, f"run_{row['run_id']:016x}", f"relay_{row['relay_id']:08x}"]

@@ -33,7 +33,7 @@ DEADLINE_METRICS = (*METRICS, "outbound", "return")
 
 
 WHOLE_GROUP_EVENTS = 24_000_000
-"""A group with more events is processed in parts of whole runs; one of 20 M takes 2 GB."""
+"""A group with more events is processed in parts of whole runs; this many take 2 GB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +92,8 @@ class AnalysisOptions:
 class Batch:
     """Some groups, to be processed on any machine; their events are fetched by `event_keys`.
 
-    `all_exchanges` of the campaign share the points of a drawing. Not `whole` is a part, with whole runs, of a group larger than
-    memory; frames that need a whole group are then empty.
+    `all_exchanges` of the campaign share the points of a drawing. A batch that is not `whole` has some runs of a group
+    larger than memory; frames that need a whole group are then empty.
     """
 
     exchanges: tuple[Exchange, ...]
@@ -165,5 +165,5 @@ def first_known(rows: pl.DataFrame, name: str, other: str) -> pl.Series:
 
 
 def is_present(values: pl.Series) -> NDArray[np.bool_]:
-    """Return for each value of a column whether it is not null."""
+    """Return which values of a column are not null."""
     return values.is_not_null().to_numpy() if values.null_count() else np.ones(len(values), np.bool_)

@@ -45,16 +45,15 @@ STAGES = (
     "return_transport_ns",
     "ping_delivery_ns",
 )
-"""The parts of a response in the order of time."""
 
 _RELAY_SOURCE, _RELAY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T3]
 _REPLY_SOURCE, _REPLY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T2]
 
 _PART_COLUMNS = ("scheduled_ns", "outbound_ns", "intermediate_ns", "return_ns", "clock_bound_ns")
-"""Columns of the parts; only messages with all of them are shown."""
+"""Only messages with all of these are shown."""
 
 _SIDES = 4
-"""Deliveries and writes of relay and ping: all of them bound an anchor from both sides."""
+"""Deliveries and writes of relay and ping bound an anchor from both sides."""
 
 BREAKDOWN_SCHEMA = frame_schema(
     "group:u32 part:str order:u32 messages:u64 mean_ns:f64 p50_ns:f64 p99_ns:f64 bound_ns:f64"
@@ -114,8 +113,6 @@ def _is_complete(rows: PairedRows) -> Bools:
 
 
 class _Columns:
-    """Columns of rows as int64 arrays with `MISSING` for null; columns in memory are filled once."""
-
     def __init__(self, rows: PairedRows) -> None:
         self._rows = rows
         self._filled: dict[str, Int64] | None = {} if isinstance(rows, RoundTrips) else None
@@ -143,15 +140,12 @@ class _Messages:
 
     @property
     def shown(self) -> int:
-        """Number of messages with all parts."""
         return int(np.count_nonzero(self.is_complete))
 
     def column(self, name: str) -> Int64:
-        """Return a column of all messages."""
         return self.columns[name][self.first : self.first + len(self.is_complete)]
 
     def shown_column(self, name: str) -> Int64:
-        """Return a column of the messages with all parts."""
         return chosen_of(self.is_complete, self.column(name))
 
 
@@ -165,13 +159,11 @@ class _ExchangeRows:
 
     @property
     def relay_wall_ns(self) -> int:
-        """Wall clock minus monotonic clock of the relay, by its anchor."""
         assert self.exchange.relay is not None
         return self.exchange.relay.wall_anchor_ns - self.exchange.relay.monotonic_anchor_ns
 
     @property
     def ping_wall_ns(self) -> int:
-        """Wall clock minus monotonic clock of the ping, by its anchor."""
         return self.exchange.ping.wall_anchor_ns - self.exchange.ping.monotonic_anchor_ns
 
 
@@ -259,8 +251,6 @@ def _deliveries(messages: _Messages, exchanges: Iterable[_ExchangeRows]) -> _Del
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Times:
-    """The time between two stamps of each message, which may be on two clocks."""
-
     values_ns: Int64
     has_value: Bools
 

@@ -37,7 +37,7 @@ Rows = TypeVar("Rows")
 CAMPAIGN_MAKERS: Mapping[str, RunMaker] = {"timeline": timeline_frame}
 
 MAKERS: Mapping[str, RunMaker] = {"run_times": run_frame, "sending": sending_frame}
-"""Name -> function that makes the frame of a batch; an empty frame has its columns."""
+"""An empty frame has its columns, too."""
 
 RUN_DETAIL_MAKERS: Mapping[str, RunMaker] = {
     "freshness": freshness_frame,
@@ -55,7 +55,7 @@ DETAIL_MAKERS: Mapping[str, RunMaker] = {**RUN_DETAIL_MAKERS, **GROUP_DETAIL_MAK
 """Frames that take more time than rows and summary together: made only on request."""
 
 _BY_RUN_ID = ("freshness", "outages")
-"""Frames whose runs are ordered by `run_id` in a group, not by their start."""
+"""Frames that order the runs of a group by `run_id`, not by their start."""
 
 
 def begin_frames(

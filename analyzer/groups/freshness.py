@@ -44,7 +44,7 @@ def age_of_information(generated: Int64, received: Int64) -> AgeOfInformation | 
     if len(received) < 2:
         return None
     peaks = received[1:] - generated[:-1]
-    # In place: each of these arrays of a long run takes 40 MB.
+    # In place, as a long run's arrays are large.
     area, fallen = peaks.astype(np.float64), (received - generated)[:-1].astype(np.float64)
     peak_mean_ns = float(area.mean())
     area *= area
@@ -133,7 +133,7 @@ ONE_WAY = ("outbound_ns", "return_ns")
 """Metrics that are wrong by at most `clock_bound_ns`."""
 
 _NEVER = {"outbound_ns": (Outcome.LOST_OUTBOUND,)}
-"""Metric -> outcomes of messages that surely never arrived; for other metrics all losses."""
+"""Outcomes of messages that surely never arrived; for other metrics all losses."""
 
 FRESHNESS_SCHEMA = frame_schema(
     "group:u32 run_id:u64 relay_id:u32 messages:u64 deadline_ns:i64 judged:u64 missed:u64 "
@@ -205,7 +205,7 @@ def _names(batch: Batch, number: int) -> dict[str, object]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Judged:
-    """The metric of a deadline for each message, its error bound, and whether the message surely never arrived."""
+    """The metric of a deadline for each message, its error bound, and whether it surely never arrived."""
 
     deadline_ns: int
     value_ns: Int64
@@ -214,11 +214,9 @@ class _Judged:
     never: Bools
 
     def late(self) -> Bools:
-        """Return which messages surely came too late."""
         return self.has_value & (self.value_ns - self.bound_ns > self.deadline_ns)
 
     def in_time(self) -> Bools:
-        """Return which messages surely came within the deadline."""
         return self.has_value & (self.value_ns + self.bound_ns <= self.deadline_ns)
 
 

@@ -136,7 +136,7 @@ def sample_columns(interval: Interval) -> dict[str, object]:
 class _Sending:
     """T1 of messages, ascending in each run, and their indices in that order.
 
-    `order` is None if they have it, as all but messages of several relays do.
+    `order` is None if it changes nothing, as without several relays.
     """
 
     times: SendTimes
@@ -144,7 +144,6 @@ class _Sending:
 
     @classmethod
     def of(cls, sent_ns: NDArray[np.int64], run_of_row: NDArray[np.int64]) -> _Sending:
-        """Order messages in each run."""
         offsets = np.concatenate([[0], np.flatnonzero(np.diff(run_of_row)) + 1, [len(run_of_row)]])
         times = SendTimes(sent_ns, offsets)
         if all(bool((run[1:] >= run[:-1]).all()) for run in times.by_run):
@@ -154,7 +153,7 @@ class _Sending:
         return cls(SendTimes(sent_ns[order], offsets), order)
 
     def runs(self, values: NDArray[np.int64]) -> Runs:
-        """Return a value of each message as runs, each in the order of T1."""
+        """Return a value of each message as runs in the order of T1."""
         return Runs.split(values if self.order is None else values[self.order], self.times)
 
 

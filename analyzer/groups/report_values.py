@@ -27,9 +27,6 @@ LEVELS = (
 def curves(distributions: pl.DataFrame) -> dict[tuple[int, str], tuple[int, ...]]:
     """Read the inverse of the cumulated histogram of each group and metric, within the histogram's 0.1 %.
 
-    Args:
-        distributions: frame of `Analysis.distributions`.
-
     Returns:
         (group, metric) -> the times in ns that the first of `LEVELS` do not exceed. Level q needs 1 / (1 - q) messages.
     """
@@ -61,8 +58,7 @@ there are too few messages for a percentile."""
 def planned_percentiles(summary: pl.DataFrame, distributions: pl.DataFrame) -> Planned:
     """Read the percentiles of the groups that lost messages, each lost or unsent one infinitely late.
 
-    The summary has the percentiles of a group that lost nothing. Values are within the histogram's 0.1 %; a mean or maximum of what is
-    infinite in part is None.
+    Values are within the histogram's 0.1 %; a mean or maximum of what is infinite in part is None.
     """
     counts = summary.select("received", "published", "unsent").fill_null(0).rows()
     planned = {i: sent + unsent for i, (received, sent, unsent) in enumerate(counts) if received < sent + unsent}
@@ -105,11 +101,7 @@ class RunSpan(NamedTuple):
 
 
 def bridge_loads(samples: pl.DataFrame, runs: Iterable[RunSpan]) -> Mapping[int, float]:
-    """Average the load of the bridges' processes over the runs of each group.
-
-    Args:
-        samples: frame of `Details.host_samples`.
-        runs: the runs.
+    """Average the load of the bridges' processes in `Details.host_samples` over the runs of each group.
 
     Returns:
         Group -> load in percent of one processor; groups without samples are missing.

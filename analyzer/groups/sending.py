@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 LATE_NS = 5_000_000
-"""T1 - T0 of a late send: a wake-up takes well under 1 ms, or 4 ms where it misses a timer tick at 250 Hz."""
+"""T1 - T0 of a late send: a wake-up that misses a timer tick at 250 Hz takes 4 ms."""
 
 STILL_NS = 1_000_000_000
 """Time without a due message in which a ping stood still: ten times the default `max_blocking_time` of DDS."""
 
 _LAST_SHARE = 10
-"""The median lag of the last tenth of a run is its lag: one late message does not count."""
+"""A run's lag is the median of its last tenth, which one late message does not move."""
 
 _LEAST_MESSAGES = 3
-"""Fewest messages of that tenth, so that their median is not one late message's."""
+"""Fewest messages of that tenth, likewise."""
 
 SENDING_SCHEMA = frame_schema(
     "group:u32 run_id:u64 relay_id:u32 messages:u64 elapsed_ns:i64 behind_ns:i64 late:u64 late_max_ns:i64 "

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 OWN_NS = 28_000
-"""Difference of latency that may be the recorder's own: four events of a message, each up to 7 us with cold caches."""
+"""Difference of latency that may be the recorder's own: four events, each up to 7 us."""
 
 SHAPE_SCHEMA = frame_schema(
     "group:u32 run_id:u64 relay_id:u32 p50_ns:i64 warm_up_messages:u64 warm_up_s:f64 warm_up_ratio:f64 "

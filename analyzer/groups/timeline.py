@@ -95,7 +95,7 @@ _POINTS_OF_EXCHANGE = (200, 4_000)
 """Fewest and most points of an exchange."""
 
 _POINTS_PER_STRETCH = 4
-"""Usual points of a stretch: lowest, highest, the first loss, and one of another kind of loss."""
+"""Lowest, highest, the first loss, and one of another kind of loss."""
 
 _MOST_NS = np.iinfo(np.int64).max
 

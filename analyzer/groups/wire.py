@@ -51,7 +51,6 @@ WIRE_REPEAT_SCHEMA = frame_schema(
 """A row per group and number of repeats of both ways together, warm-up left out: `returned` came back in these times."""
 
 WIRE_FRAMES = {"wire": WIRE_SCHEMA, "wire_classes": WIRE_CLASS_SCHEMA, "wire_repeats": WIRE_REPEAT_SCHEMA}
-"""Name of each frame in `Details` -> its columns."""
 
 DISCOVERY_CLASSES = frozenset({"spdp", "sedp", "liveliness"})
 AGAIN_CLASSES = frozenset({"data_again", "data_frag_again", "tcp_data_again"})
@@ -130,7 +129,7 @@ def wire_frames(traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grou
 
 
 def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[int]]]:
-    """Return the counts of relays' captures with their runs, each once though traces may be copies."""
+    """Return the counts of relays' captures with their runs, each once."""
     counts: dict[tuple[Json, Json], tuple[JsonObject, frozenset[int]]] = {}
     for trace in traces:
         for text in trace.wire:
@@ -142,7 +141,7 @@ def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[i
 
 
 def _records(traces: Iterable[Trace]) -> pl.DataFrame:
-    """Return the records of sent messages, one per run, sequence and relay (0 on the way out)."""
+    """Return the records of sent messages; the relay is 0 on the way out."""
     parts = [rows_of_text(text) for trace in traces for text in trace.wire]
     packed = np.concatenate([np.empty(0, MESSAGE_ROW), *parts])
     sent = packed[packed["direction"] != Direction.RECEIVED]

@@ -32,10 +32,9 @@ if TYPE_CHECKING:
     """Yields each trace at its index among traces, or why a file is none."""
 
 _FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
-"""Files that `dds-sweep` writes; they are not listed as skipped."""
+"""Files of `dds-sweep` are not listed as skipped."""
 
 _NAMED_AT_MOST = 5
-"""Files that an error message names."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +43,7 @@ class Campaign:
 
     Attributes:
         folder: the folder, or the only file.
-        sources: every file in it; before `with_copies` without the copies of events.
+        sources: every file in it.
         session_traces: indices of the traces that name a session.
         run_traces: indices of the traces that describe a run.
         copies: the events of each trace that another trace has, too.
@@ -202,7 +201,6 @@ def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path])
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """Make reports independent of where the folder is."""
     depth = len(folder.parts)
     below = path.parts[depth:] if path.parts[:depth] == folder.parts else ()
     return "/".join(below) or path.name

@@ -1,4 +1,4 @@
-"""The settings that a recording process used, as far as its session has them (`applied`, `not_applied`; docs/trace-format.md)."""
+"""The settings that a recording process used, as far as its session has them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
-"""Values of `payload_path` that are not names of interfaces."""
+"""Not names of interfaces."""
 
 _HEADERS_BYTES = 512
 """Bytes around a payload in its datagrams, at most: IP, UDP, RTPS submessages, our stamped header."""

@@ -33,7 +33,7 @@ _NOT_LASTING = (*FLEETING, "middleware", "configuration")
 """Parts of the fingerprint that change from minute to minute, or follow from the settings."""
 
 _BY_BOOT = "udp_mem"
-"""Part of the names of limits that the kernel computes at boot from free memory."""
+"""The kernel computes these limits at boot from free memory."""
 
 
 def lasting_parts(session: Session) -> dict[str, object]:

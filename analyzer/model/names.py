@@ -53,10 +53,8 @@ def tell_apart(
 
 
 _FIRST = ("vendor", "bridge")
-"""Parameters that readers look for first in a name."""
 
 _PLAIN = frozenset({"vendor", "backend", "reliability", "durability", "connectivity"})
-"""Parameters whose values are named without the parameter."""
 
 
 def name_groups(parameters: pl.DataFrame) -> list[str]:

@@ -1,6 +1,6 @@
 """The key of a group: all parameters of an exchange.
 
-A new parameter is a field of `Parameters` and its value in `parameters_of`; grouping, files, matching and names follow.
+A new one is a field of `Parameters` and its value in `parameters_of`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class KeyPart(Enum):
     """The part of the key that a parameter belongs to."""
 
-    MIDDLEWARE = auto()  # the software of both sides
+    MIDDLEWARE = auto()
     DOMAIN_IDS = auto()  # only same or different matters to a measurement
     DOMAIN_MODE = auto()
     BRIDGE = auto()
@@ -48,7 +48,7 @@ _SETTING_MEANING = "all other settings: key=value,... sorted, defaults left out;
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """The parameters of one run and relay; those that agree in all parameters are one group."""
+    """The parameters of one run and relay; those that agree in all are one group."""
 
     vendor: Annotated[str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "middleware of the ping")]
     backend: Annotated[str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "API that carried the messages of the ping")]
@@ -150,10 +150,8 @@ def names_of(*parts: KeyPart) -> tuple[str, ...]:
 
 
 CELL_COLUMNS = names_of(KeyPart.MESSAGE)
-"""Parameters of the message."""
 
 SERIES_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in CELL_COLUMNS)
-"""All other parameters."""
 
 CONTENDER_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS)
 """Parameters of a setup, which a user can choose for a message."""

@@ -26,7 +26,6 @@ PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 """Label of a run with the number of its pass of the sweep."""
 
 _TWICE_AT_MOST = {"latency": "rtt_ns"}
-"""Metric -> column whose half is an upper bound of it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """The parameter `setting`: all requested options without a column of their own, as one canonical text.
 
-They are in `settings` of sessions and runs (`docs/trace-format.md`); in older traces in `host.middleware` and the run.
+They are in `settings` of sessions and runs; in older traces in `host.middleware` and the run.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 CONDITIONS = frozenset({"link", "flows", "relays", "data"})
-"""Keys of conditions that nobody chooses: groups that differ in these are no alternatives."""
+"""Keys that nobody chooses: groups that differ in these are no alternatives."""
 
 _OLD: Mapping[str, Callable[[str], str | None]] = {
     "transport": lambda text: None if text == "default" else text,
@@ -86,7 +86,7 @@ def _side(session: Session) -> dict[str, str]:
 
 
 def _configuration(host: JsonObject) -> dict[str, str]:
-    """Return the configuration files of the middleware: variable -> names with the start of their hashes."""
+    """Return the middleware's configuration files: variable -> names with the start of their hashes."""
     configuration = host.get("configuration")
     named: dict[str, str] = {}
     for variable, entries in configuration.items() if isinstance(configuration, dict) else ():

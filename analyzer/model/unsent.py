@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 MOST_MESSAGES = 1 << 53
-"""Largest count of messages taken from a description: sums of many stay within an int64."""
+"""Largest count taken from a description: sums of many stay within an int64."""
 
 UNSENT = "unsent"
-"""Outcome of the row of a message that never left; no row of `roundtrips.parquet` has it."""
+"""No row of `roundtrips.parquet` has this outcome."""
 
 MOST_ROWS = 1_000_000
 """Most rows for the unsent messages of one run, which is lost either way."""

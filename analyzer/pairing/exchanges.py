@@ -33,7 +33,7 @@ NO_RELAY = 0
 
 _ANY_RELAYS = 16
 _ROWS_PER_EVENT = 4
-"""Beyond so many relays a run has at most so many rows for each of their events: made-up relays must not make rows without bound."""
+"""Rows of a run for each event of its relays: made-up relays must not make rows without bound."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

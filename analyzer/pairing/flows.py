@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 OVERLAP_NS = 1_000_000_000
-"""Least common time of two runs, unless one goes on in the middle of the other: NTP slews wall clocks.
-"""
+"""Least common time of two runs, as NTP slews wall clocks, unless one goes on in the middle of the other."""
 
 
 @dataclass(frozen=True, slots=True, order=True)

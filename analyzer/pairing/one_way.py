@@ -1,7 +1,7 @@
 """One-way times of each run and relay, and the clock of each pair of devices over the campaign.
 
-A run is fitted on its own, so its one-way times do not depend on what else is analyzed. The campaign's fit of two devices takes the
-knots of all runs as messages, and finds a step between two runs like one within a run.
+A run is fitted on its own, so its one-way times do not depend on what else is analyzed. The campaign's fit of two
+devices takes the knots of all runs as messages.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def fit_exchanges(
         # The bound is a view of the same array.
         times_ns = zip(ONE_WAY_COLUMNS, (outbound, under_way, offsets.bound_ns.copy()), strict=True)
         for name, times in times_ns:
-            if len(times) == rows:  # a single exchange
+            if len(times) == rows:
                 values[name] = times
             else:
                 if name not in values:
@@ -169,8 +169,6 @@ def _is_bounded(fit: ClockFit) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FitInput:
-    """The messages of an exchange that take part in its fit."""
-
     number: int
     at: slice | NDArray[np.intp]
     messages: RelayedMessages

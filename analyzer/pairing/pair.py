@@ -191,7 +191,7 @@ def middleware_stamps(
 
 
 def _earliest(published: Published, events: EventColumns) -> tuple[NDArray[np.int64], NDArray[np.uint16], int]:
-    """Return each message's earliest event, its number of further events, and the number of orphans."""
+    """Return each message's earliest event, its number of others, and the number of orphans."""
     extra = np.zeros(len(published), np.uint16)
     if _are_its_own(published, events):
         return events.monotonic_ns, extra, 0

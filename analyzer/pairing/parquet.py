@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from .roundtrips import PairedRows
 
 _ROWS_PER_PAGE = 1 << 15
-"""Readers decompress whole pages."""
 
 _ARROW_TYPES = {
     pl.UInt16: pa.uint16(),
@@ -92,7 +91,7 @@ def _abandon(writer: pq.ParquetWriter) -> None:
 def tables_of(rows: PairedRows) -> Iterator[pa.Table]:
     """Yield the rows as `roundtrips_writer` takes them, a row group at a time.
 
-    Texts are dictionaries; one that never changes shares one array of indices.
+    A text that never changes shares one array of indices.
     """
     described = rows.described
     texts = {

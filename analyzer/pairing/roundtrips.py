@@ -42,7 +42,6 @@ _DTYPES: Mapping[str, DTypeLike] = {
     "duplicates": np.uint16,
     "reordered": np.bool_,
 }
-"""Column that every exchange fills -> its dtype."""
 
 _PUBLISHED = ("sequence", "scheduled_ns", "publish_ns")
 _PAIRED = ("receive_ns", "relay_in_ns", "relay_out_ns", "outcome", "duplicates", "reordered")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ROUNDTRIP_NAMES = tuple(column.name for column in ROUNDTRIP_COLUMNS)
 
 MOST_ROWS_IN_MEMORY = 1_000_000
-"""Rows that stay in memory, some hundred bytes each."""
+"""Rows of some hundred bytes each."""
 
 
 class RowStore(ABC):
@@ -143,7 +143,6 @@ class RowsInFile(RowStore):
 
 @lru_cache(maxsize=4)
 def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG001 - they distinguish versions of the file
-    """Read the footer once."""
     return pl.scan_parquet(path)
 
 

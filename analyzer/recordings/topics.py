@@ -32,13 +32,10 @@ GAP_PERIODS = 2.0
 """Least length of a gap in median intervals: at least one message is missing."""
 
 _FEWEST_FOR_P99 = 100
-"""Messages below which p99 is null."""
 
 _MOST_NOTES = 10
-"""Notes on one recording in `Source.detail`."""
 
 _NONE = -(2**63)
-"""In place of a time that a message does not have."""
 
 TOPIC_SCHEMA = frame_schema(
     "recording:str topic:str message_type:str encoding:str messages:u64 start_ns:i64 duration_ns:i64 "

@@ -29,12 +29,10 @@ if TYPE_CHECKING:
 MANIFEST = "analysis.json"
 FORMAT = "dds-trace analysis"
 VERSION = 7
-"""Version 2: `setting`, `runs`, `planned`, `unsent` and `environment` in the summary, runs and bursts of the intervals, unsent
-messages of each run. Version 3: both percentiles of each setup and the leaders. Version 4: UTC columns of the round trips.
-Version 5: one row for each run. Version 6: value and metric of each candidate. Version 7: subject of each finding."""
+"""Another version is refused."""
 
 _FILE_NAME = re.compile(r"[a-z_]+-[0-9a-f]{8}\.(json|parquet)")
-"""Names of files in the folder: no path leads out of it."""
+"""No path leads out of the folder."""
 
 _AT_ONCE_BYTES = 1 << 20
 

@@ -33,7 +33,7 @@ _NAMES = {
     "Setting": Mapping[str, str | int | float | None],
     "Source": Source,
 }
-"""Names in annotations of the records that are imported for type checkers only."""
+"""Names that the records import for type checkers only."""
 
 
 @dataclass(frozen=True, slots=True)

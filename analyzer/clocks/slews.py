@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 CRYSTAL_PPB = 100_000
-"""Largest drift of a crystal, 100 ppm."""
+"""Largest drift of a crystal, 100 ppm; a larger one is a slew or a fault."""
 
 BEND_PPB = 50_000
 """Difference of two rates of one clock pair that only a slew makes: crystals keep theirs within a few ppm."""

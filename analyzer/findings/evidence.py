@@ -32,7 +32,7 @@ SMALLER_DATAGRAMS = (
 )
 
 _MOST_FILES = 2
-"""Files listed in a recording's name."""
+"""Files listed in a recording's name, as a long sweep would fill a screen."""
 
 
 @dataclass(frozen=True, slots=True)

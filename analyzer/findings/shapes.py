@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 
 _HALF = 2
+"""A result is reported if one in this many of its runs, or more, show the same."""
 
 
 @check("short_warm_up", Severity.WARNING, Subject.RESULT, "Record with --warmup {messages}, which leaves them out.")

@@ -30,7 +30,7 @@ _LAST_SHARE = 10
 """A run's lag is the median of its last tenth, which one late message does not move."""
 
 _LEAST_MESSAGES = 3
-"""Fewest messages of that tenth, likewise."""
+"""Fewest messages of that tenth, so that one late message does not decide."""
 
 SENDING_SCHEMA = frame_schema(
     "group:u32 run_id:u64 relay_id:u32 messages:u64 elapsed_ns:i64 behind_ns:i64 late:u64 late_max_ns:i64 "

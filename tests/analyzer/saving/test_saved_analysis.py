@@ -187,8 +187,8 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
     ("change", "words"),
     [
         ({"format": "something else"}, "not the manifest of a saved analysis"),
-        ({"version": 7}, "version 7 of a saved analysis; this program reads version 6: read it with"),
-        ({"version": 1}, "version 1 of a saved analysis; this program reads version 6: analyze the traces again"),
+        ({"version": 8}, "version 8 of a saved analysis; this program reads version 7: read it with"),
+        ({"version": 1}, "version 1 of a saved analysis; this program reads version 7: analyze the traces again"),
         ({"files": {}}, "cannot be read"),
         ({"files": {"content.json": {"file": "../content.json", "bytes": 0, "sha256": ""}}}, "names '../content.json'"),
         (

@@ -4,6 +4,7 @@ from dataclasses import fields, replace
 
 import polars as pl
 import pytest
+from campaigns import write_run
 from polars.testing import assert_frame_equal
 from roundtrip_frames import rows_by_group
 from trace_files import (
@@ -11,7 +12,6 @@ from trace_files import (
     WALL_ANCHOR_NS,
     Message,
     event,
-    ping_events,
     ping_session,
     relay_session,
     run,
@@ -188,14 +188,7 @@ def test_host_samples_are_rows_over_time(tmp_path):
         }
         for second in range(3)
     ]
-    events = ping_events(drawn())
-    write_trace(
-        tmp_path / "ping.mcap",
-        ping_session(),
-        [run(planned_messages=200, published=200)],
-        events,
-        host=[*samples, {"host": [], "wifi": {"w": 3}, "processes": None}],
-    )
+    write_pair(tmp_path, drawn(), host=[*samples, {"host": [], "wifi": {"w": 3}, "processes": None}])
     details = analyze(tmp_path).details
     columns = ["monotonic_ns", "cpu_percent", "cpu_busiest_percent", "wifi_signal_dbm", "udp_receive_errors"]
     assert details.host_samples.select(columns).rows() == [
@@ -215,22 +208,15 @@ def write_campaign(folder):
         for bridge, domain, vendor in [*ways, ("none", None, "zenoh")][: 4 if size == 33_000 else 3]:
             number += 1
             messages = [replace(m, t2=m.t2 + number * MS + 1000 * m.sequence) for m in drawn()]
-            name = f"{number:016x}"
-            described = run(
-                run_id=number,
+            write_run(
+                folder / f"{number}",
+                number,
+                messages,
+                ping={"vendor": vendor},
+                relay={"domain_id": domain or 5},
                 payload_bytes=size,
-                planned_messages=200,
-                published=200,
                 bridge=bridge,
                 relay_domain_id=domain,
-                extra={"session_id": name},
-            )
-            write_pair(
-                folder / name,
-                messages,
-                ping=ping_session(session_id=number, vendor=vendor),
-                relay=relay_session(session_id=100 + number, domain_id=domain or 5),
-                runs=[described],
             )
 
 

@@ -16,6 +16,7 @@ from trace_files import (
     relay_events,
     relay_session,
     run,
+    write_pair,
     write_trace,
 )
 
@@ -23,7 +24,7 @@ from dds_trace.analyzer.pipeline import analyze
 from dds_trace.tracefile.format.events import Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
     from typing import Any
 
@@ -76,6 +77,27 @@ def write_runs(
         write_trace(folder / f"ping{number}.mcap", ping_session(session_id=1 + number), [held], of_ping)
         relay = relay_session(session_id=1001 + number, relay_id=0xBEEF)
         write_trace(folder / f"relay{number}.mcap", relay, (), of_relay)
+
+
+def write_run(
+    folder: Path,
+    number: int,
+    messages: Sequence[Message],
+    *,
+    ping: Mapping[str, Any] | None = None,
+    relay: Mapping[str, Any] | None = None,
+    **described: Any,
+) -> None:
+    """`ping.mcap` and `relay.mcap` of run 70 + number, with further fields of its sessions and its description."""
+    fields = {"run_id": 70 + number, "planned_messages": len(messages), "published": len(messages), **described}
+    fields["extra"] = {"session_id": f"{50 + number:016x}", **fields.get("extra", {})}
+    write_pair(
+        folder,
+        messages,
+        ping=ping_session(session_id=50 + number, **ping or {}),
+        relay=relay_session(session_id=5000 + number, **relay or {}),
+        runs=[run(**fields)],
+    )
 
 
 def _stamped(message: Message, stage: Stage, **fields: int) -> Event:

@@ -126,6 +126,17 @@ class Message:
     t2: int | None = None
 
 
+def evenly(
+    ways_ns: Iterable[int], *, start_ns: int = 0, period_ns: int = 100_000_000, relay_ns: int = 0
+) -> list[Message]:
+    """One message a period, sent on time; each takes its way there and back, and its time in the relay."""
+    return [
+        Message(s, t0=t, t1=t, t3=t + way, t4=t + way + relay_ns, t2=t + 2 * way + relay_ns)
+        for s, way in enumerate(ways_ns)
+        for t in [start_ns + s * period_ns]
+    ]
+
+
 def ping_events(messages: Iterable[Message], **fields: int) -> dict[Stage, list[Event]]:
     """What the ping records of `messages`; `fields` (run_id, relay_id, payload_bytes) go into every event."""
     held = list(messages)
@@ -151,15 +162,16 @@ def write_pair(
     folder: Path,
     messages: Sequence[Message],
     *,
-    ping: Session | None = None,
+    ping: Session | Sequence[Session] | None = None,
     relay: Session | None = None,
     runs: Sequence[Run] | None = None,
+    host: Sequence[Mapping[str, Any]] = (),
 ) -> tuple[Path, Path]:
-    """Write `ping.mcap` and `relay.mcap` of one run and give their paths."""
+    """Write `ping.mcap`, with its host samples, and `relay.mcap` of one run and give their paths."""
     held = [run(planned_messages=len(messages), published=len(messages))] if runs is None else runs
     fields = {"run_id": held[0].run_id, "payload_bytes": held[0].payload_bytes}
     return (
-        write_trace(folder / "ping.mcap", ping or ping_session(), held, ping_events(messages, **fields)),
+        write_trace(folder / "ping.mcap", ping or ping_session(), held, ping_events(messages, **fields), host=host),
         write_trace(folder / "relay.mcap", relay or relay_session(), (), relay_events(messages, **fields)),
     )
 

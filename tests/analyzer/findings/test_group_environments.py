@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_pair, write_trace
+from campaigns import write_run
+from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
@@ -20,21 +21,8 @@ def messages(number):
 
 def record(folder, number, *, size=33_000, ping=None, relay=None):
     """One run; `ping` and `relay` are the fingerprints of the devices."""
-    write_pair(
-        folder / str(number),
-        messages(number),
-        ping=ping_session(session_id=50 + number, host=ping or {"kernel": "6.1"}),
-        relay=relay_session(session_id=150 + number, host=relay or {"kernel": "6.1"}),
-        runs=[
-            run(
-                run_id=70 + number,
-                payload_bytes=size,
-                planned_messages=30,
-                published=30,
-                extra={"session_id": f"{50 + number:016x}"},
-            )
-        ],
-    )
+    hosts = {"ping": {"host": ping or {"kernel": "6.1"}}, "relay": {"host": relay or {"kernel": "6.1"}}}
+    write_run(folder / str(number), number, messages(number), payload_bytes=size, **hosts)
 
 
 def environment_findings(folder):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from trace_files import Message, ping_session, relay_session, run, write_pair
+from campaigns import write_run
+from trace_files import evenly
 
 from dds_trace import analyze
 
@@ -15,33 +16,23 @@ PASS_FACTORS = (1.0, 1.3, 0.8, 1.6, 1.1)
 
 def record(folder, *, labelled, in_turn=True):
     """Fast DDS, Cyclone DDS 10 % quicker, and Fast DDS through a bridge 10 % slower, in each of five passes."""
-    ways = (("fastdds", "none", 1.0), ("cyclonedds", "none", 0.9), ("fastdds", "builtin", 1.1))
+    setups = (("fastdds", "none", 1.0), ("cyclonedds", "none", 0.9), ("fastdds", "builtin", 1.1))
     number = 0
     for place, factor in enumerate(PASS_FACTORS, 1):
-        for way_number, (vendor, bridge, share) in enumerate(ways):
+        for setup_number, (vendor, bridge, share) in enumerate(setups):
             number += 1
-            start = (number if in_turn else 10 * way_number + place) * 100_000 * MS
-            messages = []
-            for s in range(MESSAGES):
-                t, way = start + s * 100 * MS, int(10 * MS * factor * share) + (s * 37 % 101) * 1000
-                messages.append(Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way))
+            start = (number if in_turn else 10 * setup_number + place) * 100_000 * MS
             domain_id = 5 if bridge == "none" else 10
-            write_pair(
+            ways = [int(10 * MS * factor * share) + (s * 37 % 101) * 1000 for s in range(MESSAGES)]
+            write_run(
                 folder / str(number),
-                messages,
-                ping=ping_session(vendor=vendor, session_id=50 + number),
-                relay=relay_session(vendor=vendor, session_id=500 + number, relay_id=900 + number, domain_id=domain_id),
-                runs=[
-                    run(
-                        run_id=70 + number,
-                        bridge=bridge,
-                        relay_domain_id=domain_id,
-                        planned_messages=MESSAGES,
-                        published=MESSAGES,
-                        labels={"pass": str(place)} if labelled else {},
-                        extra={"session_id": f"{50 + number:016x}"},
-                    )
-                ],
+                number,
+                evenly(ways, start_ns=start),
+                ping={"vendor": vendor},
+                relay={"vendor": vendor, "relay_id": 900 + number, "domain_id": domain_id},
+                bridge=bridge,
+                relay_domain_id=domain_id,
+                labels={"pass": str(place)} if labelled else {},
             )
     return analyze(folder)
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 import math
 
 import pytest
-from trace_files import Message, ping_session, relay_session, run, write_pair
+from campaigns import write_run
+from trace_files import Message, evenly, ping_session, run, write_pair
+from wording import numbers
 
 from dds_trace.analyzer.analysis import load_analysis
 from dds_trace.analyzer.model.finding import Severity
@@ -36,25 +38,16 @@ def record(folder, kind, *, first=0, vendor=None, domain_id=5, bridge="none"):
     for number in range(first, first + 3):
         start = (number - first) * 10**12 + first * DUE * PERIOD
         way = round(LATENCY[kind] * (0.99 + 0.01 * (number - first)))
-        messages = [
-            Message(s, t0=t, t1=t, t3=t + way, t4=t + way, t2=t + 2 * way)
-            for s in range(SENT[kind])
-            for t in [start + s * PERIOD]
-        ]
-        described = run(
-            run_id=70 + number,
+        write_run(
+            folder / str(number),
+            number,
+            evenly([way] * SENT[kind], start_ns=start),
+            ping={"vendor": vendor},
+            relay={"vendor": vendor, "relay_id": 150 + number, "domain_id": domain_id},
             planned_messages=DUE,
-            published=SENT[kind],
             relay_domain_id=domain_id,
             bridge=bridge,
-            extra={"session_id": f"{50 + number:016x}", "ended_ns": start + (DUE - 1) * PERIOD + MS},
-        )
-        write_pair(
-            folder / str(number),
-            messages,
-            ping=ping_session(vendor=vendor, session_id=50 + number),
-            relay=relay_session(vendor=vendor, session_id=250 + number, relay_id=150 + number, domain_id=domain_id),
-            runs=[described],
+            extra={"ended_ns": start + (DUE - 1) * PERIOD + MS},
         )
 
 
@@ -153,19 +146,11 @@ def test_they_are_saved(both, tmp_path):
     assert loaded.load_messages().equals(both.load_messages())
 
 
-def test_what_was_under_way_when_the_ping_was_killed_is_neither_lost_nor_unsent(tmp_path):
+def test_what_was_under_way_when_the_ping_was_killed_is_neither_lost_nor_unsent(tmp_path, sentences):
     # 20 messages, replies after 200 ms: the last event is T1 of 19 and T2 of 17 at 1.9 s. Of 5 no reply came; 18 and 19 are open.
-    back = 200 * MS
     messages = [
-        Message(
-            s,
-            t0=s * PERIOD,
-            t1=s * PERIOD,
-            t3=s * PERIOD + 1,
-            t4=s * PERIOD + 2,
-            t2=s * PERIOD + back if s < 18 and s != 5 else None,
-        )
-        for s in range(20)
+        Message(s, t0=t, t1=t, t3=t + 1, t4=t + 2, t2=t + 200 * MS if s < 18 and s != 5 else None)
+        for s, t in enumerate(range(0, 20 * PERIOD, PERIOD))
     ]
     write_pair(tmp_path, messages, runs=[run(state="started", planned_messages=DUE, published=0)])
     analysis = analyze(tmp_path, deadline_ns=50 * MS)
@@ -176,7 +161,8 @@ def test_what_was_under_way_when_the_ping_was_killed_is_neither_lost_nor_unsent(
     (delivery,) = compare(analysis, analysis).delivery.to_dicts()
     assert delivery["new_received_ratio"] == pytest.approx(17 / 18)
     (finding,) = (one for one in analysis.findings if one.code == "unfinished_run")
-    assert finding.what.endswith("20 messages were published, 600 planned; 2 messages were under way at its end.")
+    assert numbers(finding.what)[-3:] == [20, 600, 2]
+    sentences(finding.what)
     assert finding.groups == (0,)
 
 

@@ -1,5 +1,6 @@
 """What is delivered of a recording is compared with what the recording says it has; what is missing is said."""
 
+import re
 import shutil
 import sqlite3
 
@@ -39,7 +40,7 @@ def test_a_topic_whose_qos_differs_between_metadata_and_database_is_read(tmp_pat
     assert len(load_payload(f"{bag}#/gps", {}).messages) == 1
 
 
-def test_messages_in_a_log_beside_a_database_are_read(tmp_path):
+def test_messages_in_a_log_beside_a_database_are_read(tmp_path, sentences):
     bag = write_bag2(tmp_path / "bag", MESSAGES, StoragePlugin.SQLITE3)
     database = sqlite3.connect(bag / "bag.db3")
     database.execute("PRAGMA journal_mode=WAL")
@@ -54,18 +55,20 @@ def test_messages_in_a_log_beside_a_database_are_read(tmp_path):
     database.close()
     assert topics == {"/imu": 4, "/gps": 2}
     assert "bag.db3-wal" in detail
-    assert "metadata.yaml says that /gps has 1 message, 2 were read" in detail
+    assert re.search(r"/gps has 1 .* 2 ", detail)
+    sentences(detail)
     assert len(payload.messages) == 2
     assert before.keys() >= {"bag.db3", "bag.db3-wal"}
 
 
 @pytest.mark.parametrize("plugin", StoragePlugin)
-def test_a_file_that_the_bag_does_not_list_is_named_and_not_read(tmp_path, plugin):
+def test_a_file_that_the_bag_does_not_list_is_named_and_not_read(tmp_path, plugin, sentences):
     bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
     shutil.copy(bag / f"bag{SUFFIX[plugin]}", bag / f"copy{SUFFIX[plugin]}")
     topics, detail = topics_of(bag)
     assert topics == {"/imu": 2, "/gps": 1}
-    assert detail == f"copy{SUFFIX[plugin]} is not listed in metadata.yaml and was not read"
+    assert detail.startswith(f"copy{SUFFIX[plugin]} is not listed")
+    sentences(detail)
 
 
 @pytest.mark.parametrize("plugin", StoragePlugin)
@@ -79,12 +82,13 @@ def test_a_listed_file_that_is_missing_is_named_and_the_rest_is_read(tmp_path, p
 
 
 @pytest.mark.parametrize("plugin", StoragePlugin)
-def test_a_count_that_differs_is_said(tmp_path, plugin):
+def test_a_count_that_differs_is_said(tmp_path, plugin, sentences):
     bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
     replace_in(bag / "metadata.yaml", "message_count: 2", "message_count: 9")
     topics, detail = topics_of(bag)
     assert topics["/imu"] == 2
-    assert "/imu has 9 messages, 2 were read" in detail
+    assert "/imu has 9 messages, 2 " in detail
+    sentences(detail)
 
 
 @pytest.mark.parametrize("plugin", StoragePlugin)

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 from roundtrip_frames import MS, in_runs, steady
+from wording import numbers
 
 from dds_trace.analyzer.model.finding import Finding, Severity
 from dds_trace.analyzer.run_statistics.change import Change
@@ -123,24 +124,29 @@ def test_losses_regress():
     assert result.outcome is GateOutcome.REGRESSED
 
 
-def test_one_run_decides_no_gate_and_says_what_it_takes():
+def test_one_run_decides_no_gate_and_says_what_it_takes(sentences):
     results = results_of(["latency_p50 > +10%", "received_ratio < 99%"], steady([MS] * 99), steady([9 * MS] * 99))
     assert [r.outcome for r in results] == [GateOutcome.INCONCLUSIVE] * 2
-    assert all("within one run: it takes 3 runs" in r.reason for r in results)
+    assert {r.reason.partition(": ")[0] for r in results} == {"within one run"}
+    assert [numbers(r.reason)[0] for r in results] == [3, 3]
+    sentences(*(r.reason for r in results))
 
 
-def test_an_inconclusive_gate_says_how_many_runs_would_decide():
+def test_an_inconclusive_gate_says_how_many_runs_would_decide(sentences):
     (result,) = results_of(["latency_p50 > +10%"], in_runs([10 * MS] * 40), in_runs([int(11.5 * MS)] * 40))
     assert result.outcome is GateOutcome.INCONCLUSIVE
     # Spread 3 % a side, 4.4 % from the limit: smallest_shift(sqrt(2 / n) * 0.0296, 2 (n - 1)) <= 0.0445 from n = 9 on.
-    assert result.reason == "about 9 runs a side would decide, there are 3 and 3"
+    assert numbers(result.reason) == [9, 3, 3]
+    sentences(result.reason)
     assert result.smallest_ratio > 1
 
 
-def test_an_inconclusive_tail_says_how_many_messages_it_takes():
+def test_an_inconclusive_tail_says_how_many_messages_it_takes(sentences):
     """Thirty messages a run: a p99 of ninety messages rests on no episode, one of few on too few."""
     (short,) = results_of(["latency_p99 > +10%"], in_runs([MS] * 30), in_runs([MS] * 30, run_id=2))
-    assert short.reason.startswith("within one run: p99 takes 100 messages, there are 90")
+    assert short.reason.startswith("within one run: p99 takes ")
+    assert numbers(short.reason)[:2] == [100, 90]
+    sentences(short.reason)
     slow = [MS + (9 * MS if i % 150 == 0 else i % 7 * 1000) for i in range(150)]
     (few,) = results_of(["latency_p99 > +10%"], in_runs(slow, runs=4), in_runs(slow, runs=4, run_id=2))
     assert few.outcome is GateOutcome.INCONCLUSIVE
@@ -160,7 +166,8 @@ def test_an_inconclusive_received_ratio_says_how_many_runs_and_what_it_could_hav
     (result,) = results_of(["received_ratio < -0.5 points"], base, new)
     assert result.outcome is GateOutcome.INCONCLUSIVE
     assert result.measured == pytest.approx(-0.004)
-    assert re.fullmatch(r"about \d+ runs a side would decide, there are 3 and 3", result.reason)
+    assert numbers(result.reason)[1:] == [3, 3]
+    assert "would decide" in result.reason
     # The base's runs vary by less than single losses do; with Welch's four degrees that is found in 80 of 100.
     angle = sum(math.asin(math.sqrt(lost / 1000)) for lost in (8, 10, 12)) / 3
     variance = np.var([math.asin(math.sqrt(lost / 1000)) for lost in (10, 14, 18)], ddof=1)
@@ -170,16 +177,17 @@ def test_an_inconclusive_received_ratio_says_how_many_runs_and_what_it_could_hav
     assert alone.smallest_drop is None
 
 
-def test_a_missing_and_a_dead_group_regress_unless_that_is_allowed():
+def test_a_missing_and_a_dead_group_regress_unless_that_is_allowed(sentences):
     base = pl.concat([in_runs([MS] * 40, payload_bytes=size, run_id=size) for size in (1, 2, 3)])
     new = pl.concat([in_runs([MS] * 40, payload_bytes=1), in_runs([None] * 40, payload_bytes=2, run_id=2)])
     comparison = compare_roundtrips(base, new, CompareOptions(metrics=("latency",), statistics=("p50",)))
     gates = [parse_gate("latency_p50 > +50%")]
     results = judge_gates(comparison, gates)
-    assert [(r.outcome.value, r.reason) for r in results[:2]] == [
-        ("regressed", "missing on the new side"),
-        ("regressed", "no reply was received on the new side"),
-    ]
+    assert [r.outcome.value for r in results[:2]] == ["regressed", "regressed"]
+    missing, unanswered = (r.reason for r in results[:2])
+    assert missing == "missing on the new side"
+    assert unanswered.startswith("no reply was received")
+    sentences(missing, unanswered)
     assert "payload_bytes=3" in results[0].where
     allowed = judge_gates(comparison, gates, allow_missing=True)
     assert "every group" not in " ".join(r.gate.text for r in allowed)
@@ -264,18 +272,18 @@ def side(value, low, high, *, runs=4, basis=Basis.BETWEEN_RUNS, samples=400, spr
     ("text", "value", "low", "high", "wanted"),
     [
         # The reach towards the limit is 3 or 2, the limit 1 away: nine and four times the runs.
-        ("received_ratio < -1 points", 0.0, -0.03, 0.02, "about 36 runs a side"),
-        ("received_ratio < -1 points", -0.02, -0.05, 0.0, "about 16 runs a side"),
+        ("received_ratio < -1 points", 0.0, -0.03, 0.02, [36, 3, 4]),
+        ("received_ratio < -1 points", -0.02, -0.05, 0.0, [16, 3, 4]),
         # A limit that is far takes one run more at the least, of the side that has more.
-        ("received_ratio < -50 points", 0.0, -0.03, 0.02, "about 5 runs a side would decide, there are 3 and 4"),
-        ("received_ratio < -1 points", -0.01, -0.03, 0.02, "more runs of this kind do not decide"),
-        ("received_ratio < -1 points", None, -0.03, 0.02, "more runs of this kind do not decide"),
-        ("received_ratio < -1 points", 0.0, None, 0.02, "more runs of this kind do not decide"),
-        ("received_ratio < -1 points", 0.0, -0.03, None, "more runs of this kind do not decide"),
-        ("received_ratio < 50%", 0.75, 0.0, 1.0, "about 36 runs a side would decide, there are 4"),
-        ("received_ratio < 50%", 0.25, 0.0, 0.75, "about 16 runs a side would decide, there are 4"),
-        ("received_ratio < 50%", 0.75, 0.25, 1.0, "about 16 runs a side would decide, there are 4"),
-        ("received_ratio < 50%", None, 0.3, 0.6, "more runs of this kind do not decide"),
+        ("received_ratio < -50 points", 0.0, -0.03, 0.02, [5, 3, 4]),
+        ("received_ratio < -1 points", -0.01, -0.03, 0.02, []),
+        ("received_ratio < -1 points", None, -0.03, 0.02, []),
+        ("received_ratio < -1 points", 0.0, None, 0.02, []),
+        ("received_ratio < -1 points", 0.0, -0.03, None, []),
+        ("received_ratio < 50%", 0.75, 0.0, 1.0, [36, 4]),
+        ("received_ratio < 50%", 0.25, 0.0, 0.75, [16, 4]),
+        ("received_ratio < 50%", 0.75, 0.25, 1.0, [16, 4]),
+        ("received_ratio < 50%", None, 0.3, 0.6, []),
     ],
 )
 def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
@@ -285,34 +293,33 @@ def test_how_many_runs_a_share_takes(text, value, low, high, wanted):
         base = [] if gate.against is Against.NEW else [side(1.0, 0.9, 1.0, runs=base_runs)]
         return _advice_on_received(gate.limit, value, low, high, [*base, new])
 
-    assert wanted in advice(3)
+    assert numbers(advice(3)) == wanted
+    assert ("would decide" if wanted else "do not decide") in advice(3)
     if gate.against is not Against.NEW:
-        assert advice(2) == "it takes 3 runs a side, there are 2 and 4"
+        assert numbers(advice(2)) == [3, 2, 4]
 
 
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
         # Spreads 5 % a side, 10 % from the limit each: what runs_to_decide says of them is tested where it is.
-        ("latency_p50 > +20%", 7),
-        ("latency_p50 > +2ms", 7),
-        ("latency_p50 > 12ms", 5),
-        ("latency_p50 > +100%", 5),
-        ("latency_p50 > -2000ms", None),
-        ("latency_p50 > -100%", None),  # a ratio of 0 is no limit that runs could settle
-        ("latency_p50 < -30%", 5),
-        ("latency_p50 > +10%", None),  # where it is
+        ("latency_p50 > +20%", [7, 3, 4]),
+        ("latency_p50 > +2ms", [7, 3, 4]),
+        ("latency_p50 > 12ms", [5, 4]),
+        ("latency_p50 > +100%", [5, 3, 4]),
+        ("latency_p50 > -2000ms", []),
+        ("latency_p50 > -100%", []),  # a ratio of 0 is no limit that runs could settle
+        ("latency_p50 < -30%", [5, 3, 4]),
+        ("latency_p50 > +10%", []),  # where it is
     ],
 )
-def test_how_many_runs_a_time_takes(text, wanted):
+def test_how_many_runs_a_time_takes(text, wanted, sentences):
     base = side(10.0 * MS, 9.0 * MS, 11.0 * MS, runs=3, spread=0.05)
     new = side(11.0 * MS, 10.0 * MS, 12.0 * MS, spread=0.05)
     said = _advice(parse_gate(text), Change(base, new, Basis.BETWEEN_RUNS, ratio=1.1))
-    have = "4" if wanted and "> 12ms" in text else "3 and 4"
-    if wanted is None:
-        assert said.startswith("the measured value is too close to the limit, or too much was lost")
-    else:
-        assert said == f"about {wanted} runs a side would decide, there are {have}"
+    assert numbers(said) == wanted
+    assert ("would decide" if wanted else "too close to the limit") in said
+    sentences(said)
 
 
 @pytest.fixture
@@ -370,21 +377,24 @@ def test_half_of_the_error_of_an_interval_may_be_chance(family, adjusted, outcom
     assert result.outcome.value == outcome
 
 
-def test_what_keeps_a_time_from_being_decided_comes_first():
+def test_what_keeps_a_time_from_being_decided_comes_first(sentences):
     whole = side(10.0 * MS, 9.0 * MS, 11.0 * MS, spread=0.05)
     few = replace(whole, runs=2)
     short = side(None, None, None, samples=40)
     by_ratio, by_value = parse_gate("latency_p99 > +20%"), parse_gate("latency_p99 > 20ms")
+    reasons = []
     for before, now, relative, alone in (
-        (few, whole, "it takes 3 runs a side, there are 2 and 4", None),
-        (whole, few, "it takes 3 runs a side, there are 4 and 2", "it takes 3 runs a side, there are 2"),
-        (short, whole, "p99 takes 100 messages, there are 40", None),
-        (whole, short, "p99 takes 100 messages, there are 40", "p99 takes 100 messages, there are 40"),
+        (few, whole, ("runs", [3, 2, 4]), None),
+        (whole, few, ("runs", [3, 4, 2]), ("runs", [3, 2])),
+        (short, whole, ("messages", [100, 40]), None),
+        (whole, short, ("messages", [100, 40]), ("messages", [100, 40])),
     ):
         change = Change(before, now, Basis.BETWEEN_RUNS, ratio=1.0)
-        assert _advice(by_ratio, change) == relative
-        said = _advice(by_value, change)
-        assert said == alone if alone else said.startswith("about ")
+        reasons += [_advice(by_ratio, change), _advice(by_value, change)]
+        taken = [(re.findall(r"takes \d+ (\w+)", said), numbers(said)) for said in reasons[-2:]]
+        assert taken[0] == ([relative[0]], relative[1])
+        assert taken[1] == ([alone[0]], alone[1]) if alone else reasons[-1].startswith("about ")
+    sentences(*reasons)
 
 
 def test_default_gates_are_three():
@@ -403,16 +413,19 @@ def test_exit_codes_are_distinct_and_not_those_of_errors():
     assert codes == {"passed": 0, "regressed": 20, "inconclusive": 21, "nothing to compare": 22}
 
 
-def test_a_run_without_an_end_passes_no_gate_and_its_fragment_weighs_nothing():
+def test_a_run_without_an_end_passes_no_gate_and_its_fragment_weighs_nothing(sentences):
     base, whole = in_runs([5 * MS] * 40, runs=5), in_runs([5 * MS] * 40, runs=4)
     gates = [parse_gate("latency_p50 > +10%"), parse_gate("received_ratio < -50 points")]
+    reasons = set()
     for fragment, unfinished in (([5 * MS], 1), ([900 * MS], 1), ([None], 1), ([5 * MS] * 40, 1), ([5 * MS] * 40, 0)):
         new = pl.concat([whole, steady(fragment, run_id=99)])
         found = compare_roundtrips(base, new, unfinished=[99] if unfinished else [])
         results = judge_gates(found, gates)
         assert [r.outcome.value for r in results] == ["inconclusive" if unfinished else "passed"] * 2
-        assert [r.reason for r in results] == ["1 run did not finish: record it again" if unfinished else ""] * 2
+        assert [r.reason.partition(": ")[0] for r in results] == ["1 run did not finish" if unfinished else ""] * 2
+        reasons |= {r.reason for r in results}
         assert found.rows.filter(statistic="p50")["ratio"].to_list() == pytest.approx([1, 1], rel=0.01)
+    sentences(*sorted(reasons))
     slow = pl.concat([in_runs([9 * MS] * 40, runs=4), steady([5 * MS], run_id=99)])
     results = judge_gates(compare_roundtrips(base, slow, unfinished=[99]), gates)
     assert results[0].outcome is GateOutcome.REGRESSED

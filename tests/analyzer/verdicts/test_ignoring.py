@@ -46,14 +46,13 @@ def test_only_columns_of_the_match_beside_the_message_are_ignored(column):
         match_without([column])
 
 
-def test_the_fewest_columns_that_pair_groups_and_keep_them_apart_are_offered():
+def test_the_fewest_columns_that_pair_groups_and_keep_them_apart_are_offered(sentences):
     base, new = groups(SAME, {**SAME, "payload_bytes": 7}), groups({**BRIDGED, "payload_bytes": 7}, BRIDGED)
     assert columns_to_ignore(base, new) == ("bridge", "domain_mode")
     assert unlike_columns(base, new) == {"bridge": ("none", "builtin"), "domain_mode": ("same", "different")}
-    assert ignored_sentences(base, new, BRIDGE) == (
-        "bridge is none in the base and builtin in the new side",
-        "domain_mode is same in the base and different in the new side",
-    )
+    ignored = ignored_sentences(base, new, BRIDGE)
+    assert [sentence.split()[0] for sentence in ignored] == ["bridge", "domain_mode"]
+    sentences(*ignored)
     # Two bridges beside each other would be pooled, other sizes are never compared, without a side there is nothing.
     assert columns_to_ignore(base, groups(BRIDGED, {**BRIDGED, "bridge": "zenoh"})) == ()
     assert columns_to_ignore(base, groups({"payload_bytes": 8})) == ()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from trace_files import Message, ping_session, relay_session, run, write_pair
+from campaigns import write_run
+from trace_files import Message, evenly, ping_session, relay_session, write_pair
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.verdicts.compare import compare
@@ -42,9 +43,11 @@ def pings_at(*seconds):
     return [ping_session(wall_anchor_ns=second * 1_000_000_000) for second in seconds]
 
 
-def test_sides_that_were_not_recorded_in_turns_are_told():
-    assert recorded_apart(pings_at(1, 2), pings_at(3, 4)).startswith("the base was recorded before the new side: ")
-    assert recorded_apart(pings_at(3, 4), pings_at(1, 2)).startswith("the new side was recorded before the base: ")
+def test_sides_that_were_not_recorded_in_turns_are_told(sentences):
+    early, late = pings_at(1, 2), pings_at(3, 4)
+    assert recorded_apart(early, late).startswith("the base was recorded before")
+    assert recorded_apart(late, early).startswith("the new side was recorded before")
+    sentences(recorded_apart(early, late), recorded_apart(late, early))
     assert recorded_apart(pings_at(1, 4), pings_at(2, 3)) == ""
     assert recorded_apart([], pings_at(2, 3)) == ""
 
@@ -55,7 +58,7 @@ def test_the_order_of_the_sides_stands_in_the_notes(tmp_path):
         messages = [Message(n, n * 100, n * 100, n * 100 + 10, n * 100 + 20, n * 100 + 30) for n in range(10)]
         write_pair(tmp_path / name, messages, ping=ping_session(wall_anchor_ns=second * 1_000_000_000))
     found = compare(analyze(tmp_path / "base", details=False), analyze(tmp_path / "new", details=False))
-    assert "Order: the base was recorded before the new side" in markdown.render(comparison_info(found))
+    assert "Order: the base was recorded before" in markdown.render(comparison_info(found))
 
 
 def test_two_devices_that_change_places_are_not_alike():
@@ -105,19 +108,9 @@ def test_without_a_fingerprint_of_both_roles_nothing_is_said(unknown):
 def record(folder, first, kernel):
     """Three runs of one group on one device."""
     for number in range(first, first + 3):
-        start = number * 10_000_000_000
-        messages = [
-            Message(s, t0=t, t1=t, t3=t + 400_000, t4=t + 410_000, t2=t + 810_000 + s)
-            for s in range(30)
-            for t in [start + s * 100_000_000]
-        ]
-        write_pair(
-            folder / str(number),
-            messages,
-            ping=ping_session(session_id=50 + number, host={"kernel": kernel}),
-            relay=relay_session(host={"kernel": "6.1"}),
-            runs=[run(run_id=70 + number, extra={"session_id": f"{50 + number:016x}"})],
-        )
+        messages = evenly((400_000 + s for s in range(30)), start_ns=number * 10_000_000_000, relay_ns=10_000)
+        hosts = {"ping": {"host": {"kernel": kernel}}, "relay": {"host": {"kernel": "6.1"}}}
+        write_run(folder / str(number), number, messages, **hosts)
 
 
 def test_the_tables_say_of_each_group_in_what_its_environments_differ(tmp_path):

@@ -1,9 +1,11 @@
+import re
 from dataclasses import replace
 
 import polars as pl
 from analyses import BRIDGED, EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
 from paired_by_hand import paired
 from roundtrip_frames import rows_by_group
+from wording import numbers
 
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.groups.freshness import freshness_frame
@@ -30,7 +32,8 @@ def test_a_clear_winner_is_named(sentences):
             place="pi-one → pi-two, wired",
         ),
     )
-    assert "Zenoh is fastest at the median (the next takes 9.92 times as long)" in answer.headline
+    assert "Zenoh is fastest at the median" in answer.headline
+    assert 9.92 in numbers(answer.headline)
     sentences(answer.headline, *answer.points, answer.rule)
 
 
@@ -51,12 +54,13 @@ def test_with_fewer_than_three_runs_nothing_is_faster(sentences):
     assert "fastest" not in answer.rule
 
 
-def test_lost_messages_are_infinitely_late():
+def test_lost_messages_are_infinitely_late(sentences):
     # Half of the faster one's messages are lost, so its median is infinite and it cannot lead.
     lossy = [*FAST[:10], *["lost_return"] * 10]
     answer = Book(make_analysis(Measured(SLOW), Measured(lossy, **ZENOH))).answer
     assert all(win.contender != "Zenoh" for win in answer.verdicts[0].wins)
-    assert answer.remarks[-1] == "10 of 40 messages (25 %) were lost, in 1 of 2 results."
+    assert numbers(answer.remarks[-1]) == [10, 40, 25, 1, 2]
+    sentences(answer.remarks[-1])
 
 
 def test_runs_that_differ_more_than_the_contenders_are_inconclusive():
@@ -69,17 +73,19 @@ def test_a_quality_of_service_is_part_of_a_choice():
     assert answer.verdicts[0].wins == (WinCount("Fast DDS, best_effort", "fastdds", 1),)
 
 
-def test_without_the_round_trips_in_memory_nothing_is_judged():
+def test_without_the_round_trips_in_memory_nothing_is_judged(sentences):
     analysis = make_analysis(Measured(SLOW), Measured(FAST, **ZENOH))
     answer = Book(replace(analysis, details=details_not_requested())).answer
-    assert "Fast DDS and Zenoh were not compared" in answer.headline
+    assert "not compared" in answer.headline
+    sentences(answer.headline)
     assert answer.rule == ""
 
 
-def test_unlike_conditions_are_not_compared():
+def test_unlike_conditions_are_not_compared(sentences):
     answer = Book(make_analysis(Measured(SLOW, payload_bytes=1000), Measured(FAST, **ZENOH))).answer
     assert answer.verdicts == ()
-    assert "Fast DDS and Zenoh were not measured under equal conditions" in answer.headline
+    assert "not measured under equal conditions" in answer.headline
+    sentences(answer.headline)
 
 
 def test_bridges_are_contenders_across_domains():
@@ -93,8 +99,8 @@ def test_bridges_are_contenders_across_domains():
 
 def test_one_middleware_leaves_no_choice_and_the_bridge_its_price(sentences):
     answer = Book(make_analysis(Measured(FAST), Measured(SLOW, **BRIDGED))).answer
-    assert "1.01 ms in the same domain and 10 ms through our built-in bridge" in answer.headline
-    assert "median +9 ms (95 %: +8.52 ms to +9.5 ms)" in answer.remarks[1]
+    assert numbers(answer.headline) == [1.01, 10]
+    assert numbers(answer.remarks[1]) == [9, 95, 8.52, 9.5]
     sentences(answer.headline, *answer.remarks)
 
 
@@ -111,14 +117,16 @@ def test_a_bridge_that_lost_messages_is_not_called_quick_for_the_received_ones(s
     sentences(lossy.remarks[1])
 
 
-def test_wins_are_counted_over_rates():
+def test_wins_are_counted_over_rates(sentences):
     answer = Book(make_analysis(
             Measured(SLOW), Measured(FAST, **ZENOH),
             Measured(SLOW, rate_hz=20.0), Measured(FAST, rate_hz=20.0, **ZENOH),
             Measured(FAST, rate_hz=50.0), Measured(SLOW, rate_hz=50.0, **ZENOH),
             Measured(FAST, rate_hz=80.0), Measured(FAST, rate_hz=80.0, **ZENOH),
         )).answer  # fmt: skip
-    assert "depends on the rate (Zenoh is fastest in 2 of 4 comparisons, Fast DDS in 1)" in answer.headline
+    assert "depends on the rate" in answer.headline
+    assert numbers(answer.headline)[-3:] == [2, 4, 1]
+    sentences(answer.headline)
 
 
 DEVICES = {"fast": 1, "pi": 9, "zero": 80}
@@ -133,11 +141,12 @@ def on_three_devices(shares, **more):
     ]
 
 
-def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report():
+def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report(sentences):
     # Pooled, the devices' unlike speeds would hide the 20 % (Simpson).
     book = Book(make_analysis(*on_three_devices([0.8] * 3)))
-    assert "on each of 3 pairs of devices and links: at 33 KB Zenoh is fastest" in book.answer.headline
+    assert "33 KB Zenoh is fastest" in book.answer.headline
     assert "1.25 times" in book.answer.headline
+    sentences(book.answer.headline)
     assert [(one.place, one.wins[0].contender) for one in book.answer.verdicts] == [
         ("fast, wired", "Zenoh"),
         ("pi, wired", "Zenoh"),
@@ -146,13 +155,13 @@ def test_who_is_faster_on_each_device_is_said_to_be_so_in_every_report():
     for kind in ("html", "md", "terminal"):
         text = " ".join(load_reporter(kind).render(book).split())
         assert all(verdict.place in text for verdict in book.answer.verdicts), kind
-        assert "on each of 3 pairs of devices and links" in text, kind
+        assert "on each of 3 pairs" in text, kind
 
 
 def test_different_answers_of_devices_have_a_sentence_each(sentences):
     answer = Book(make_analysis(*on_three_devices([0.8, 0.8, 1.25]))).answer
-    assert "on fast, wired; pi, wired: at 33 KB Zenoh is fastest" in answer.headline
-    assert "on zero, wired: at 33 KB Fast DDS is fastest" in answer.points[0]
+    assert re.search("fast, wired; pi, wired: .* Zenoh", answer.headline)
+    assert re.search("zero, wired: .* Fast DDS is", answer.points[0])
     sentences(answer.headline, answer.points[0])
 
 
@@ -161,9 +170,10 @@ def test_conditions_follow_devices_and_link_in_every_report():
     setting = "flows=2,link=wifi-54(loss_percent=1)"
     together = [Measured(SLOW, setting=setting), Measured(FAST, setting=setting, **ZENOH)]
     book = Book(make_analysis(*alone, *together))
-    place = "pi-one → pi-two, wired, 2 runs at once, emulated link wifi-54(loss_percent=1)"
+    conditions = "2 runs at once, emulated link wifi-54(loss_percent=1)"
+    place = f"pi-one → pi-two, wired, {conditions}"
     assert [one.place for one in book.answer.verdicts] == ["pi-one → pi-two, wired", place]
-    assert Fact("Conditions", "2 runs at once, emulated link wifi-54(loss_percent=1)") in book.overview.facts
+    assert Fact("Conditions", conditions) in book.overview.facts
     for kind in ("html", "terminal"):
         assert place in " ".join(load_reporter(kind).render(book).split()), kind
     assert markdown(place) in load_reporter("md").render(book)
@@ -180,9 +190,7 @@ def test_a_bridge_has_its_price_on_each_device():
         for one in Book(make_analysis(*price)).answer.remarks
         if one.startswith("Fast DDS, through our built-in bridge")
     ]
-    assert [one.split(": median")[0] for one in remarks] == [
-        f"Fast DDS, through our built-in bridge, on {device}, wired" for device in DEVICES
-    ]
+    assert [re.search(r", on (\w+), wired: median", one)[1] for one in remarks] == list(DEVICES)
     assert all(one.endswith("clearly slower.") for one in remarks)
 
 
@@ -192,8 +200,7 @@ def test_the_deadline_is_judged_in_words_and_the_worst_result_is_named(sentences
     freshness = freshness_frame(*paired(rows, deadline_ns=10 * MS))
     details = replace(analysis.details, freshness=freshness, deadline_ns=10 * MS)
     remark = Book(replace(analysis, details=details)).answer.remarks[0]
-    assert "2 of 13 messages missed it (15.38 %)" in remark
-    assert "Binary 1 KB at 10 Hz (40 %" in remark
+    assert numbers(remark) == [10, 2, 13, 15.38, 1, 10, 40]
     sentences(remark)
 
 
@@ -203,35 +210,28 @@ def test_without_a_relay_the_round_trip_is_compared_and_said_so():
     assert "the latency is unknown" in answer.remarks[0]
 
 
-def test_nothing_to_say():
+def test_nothing_to_say(sentences):
     assert Book(EVERY_ANALYSIS["empty folder"]()).answer.headline == "No measurement was found."
     lost = Book(EVERY_ANALYSIS["nothing came back"]()).answer
     assert "No message was received" in lost.headline
-    assert lost.remarks == ("40 of 40 messages (100 %) were lost, in 2 of 2 results.",)
+    (remark,) = lost.remarks
+    assert numbers(remark) == [40, 40, 100, 2, 2]
+    sentences(remark)
 
 
-def test_overview_lists_what_was_measured():
+def test_overview_lists_what_was_measured(sentences):
     analysis = make_analysis(
         Measured([MS] * 3),
         Measured([MS, "lost_return"], rate_hz=20.0, payload_bytes=1405, data_type="string"),
         title="kitchen",
     )
     overview = Book(analysis).overview
-    assert overview.brief == "Fast DDS; pi-one → pi-two; 5 messages in 2 runs, 4 received; 2026-09-21 14:13 UTC"
     assert overview.title == "kitchen"
-    assert overview.facts == (
-        Fact("Devices", "pi-one → pi-two"),
-        Fact("Link", "wired"),
-        Fact("Middleware", "Fast DDS"),
-        Fact("Domains", "same domain"),
-        Fact("Messages", "5 in 2 runs, 4 received"),
-        Fact("Sent", "Binary 33 KB; String 1405 B"),
-        Fact("Rates", "10, 20 Hz"),
-        Fact("When", "2026-09-21 14:13 UTC"),
-        Fact("Traces", "1 read"),
-        Fact("Quality of service", "reliable, volatile, keep_last 10"),
-        Fact("Cost of measuring", "recording an event 900 ns (p99 2 µs); not subtracted"),
-    )
+    facts = {fact.label: fact.value for fact in overview.facts}
+    assert (facts["Messages"], facts["Traces"]) == ("5 in 2 runs, 4 received", "1 read")
+    assert (facts["Sent"], facts["Rates"]) == ("Binary 33 KB; String 1405 B", "10, 20 Hz")
+    assert numbers(facts["Cost of measuring"]) == [900, 2]
+    sentences(overview.brief, *(f"{label}: {value}" for label, value in facts.items()))
 
 
 def test_overview_of_nothing():

@@ -10,6 +10,7 @@ from dds_trace.reports.book.groups import groups_info
 from dds_trace.reports.reporters import load_reporter
 
 RATES = [10.0 * step for step in range(1, 7)]
+RESULT = "Binary 33 KB at 10 Hz"
 
 
 def analysis_with(*findings, rates=RATES):
@@ -42,7 +43,7 @@ def test_a_kind_is_one_entry_with_a_count():
 def test_findings_that_are_not_listed_one_by_one_are_counted():
     (kind,) = Book(analysis_with(loss(0), loss(1, groups=(1, 2, 3, 4), count=33))).findings
     assert kind.heading == "Loss (34)"
-    assert kind.listed[1].where == "4 results, such as Binary 33 KB at 20 Hz"
+    assert kind.listed[1].where.split(", such as ") == ["4 results", "Binary 33 KB at 20 Hz"]
     assert kind.listed[1].groups == tuple(f"Binary 33 KB at {rate} Hz" for rate in (20, 30, 40, 50))
 
 
@@ -95,14 +96,14 @@ def test_severities_are_counted_in_words_the_most_severe_first():
 def test_markdown_has_a_row_a_kind_and_a_list_that_opens():
     text = load_reporter("md").render(Book(analysis_with(loss(0), loss(1))))
     (row,) = (line for line in text.splitlines() if line.startswith("| warning"))
-    assert row.startswith("| warning | Loss (2) | Binary 33 KB at 10 Hz |")
-    assert "<details><summary>Loss (2)</summary>\n\n- Binary 33 KB at 10 Hz: 1 of 2 is lost." in text
+    assert row.startswith(f"| warning | Loss (2) | {RESULT} |")
+    assert f"<details><summary>Loss (2)</summary>\n\n- {RESULT}: 1 of 2 is lost." in text
 
 
 def test_the_terminal_says_a_kind_once():
     text = load_reporter("terminal").render(Book(analysis_with(loss(0), loss(1), loss(2))))
     assert text.count("Look at it.") == 1
-    assert "warning Loss (3): Binary 33 KB at 10 Hz: 1 of 2 is lost." in text
+    assert f"warning Loss (3): {RESULT}: 1 of 2 is lost." in text
 
 
 def test_hostile_findings_are_one_kind():

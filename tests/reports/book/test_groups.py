@@ -33,15 +33,11 @@ def test_the_label_of_a_group_is_its_cell_and_what_sets_its_series_apart():
 
     bridged = Measured([MS], bridge="builtin", domain_mode="different")
     assert labelled() == set()
-    assert labelled(Measured([MS])) == {"Binary 33 KB at 10 Hz"}
-    assert labelled(Measured([MS]), bridged) == {
-        "Binary 33 KB at 10 Hz, same domain",
-        "Binary 33 KB at 10 Hz, through our built-in bridge",
-    }
-    assert labelled(Measured([MS]), Measured([MS], vendor="zenoh", relay_vendor="zenoh")) == {
-        "Binary 33 KB at 10 Hz, Fast DDS",
-        "Binary 33 KB at 10 Hz, Zenoh",
-    }
+    zenoh = Measured([MS], vendor="zenoh", relay_vendor="zenoh")
+    message = "Binary 33 KB at 10 Hz"
+    assert labelled(Measured([MS])) == {message}
+    assert labelled(Measured([MS]), bridged) == {f"{message}, same domain", f"{message}, through our built-in bridge"}
+    assert labelled(Measured([MS]), zenoh) == {f"{message}, Fast DDS", f"{message}, Zenoh"}
 
 
 def test_a_pair_of_vendors_is_named_as_a_pair():

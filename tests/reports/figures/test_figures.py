@@ -239,9 +239,9 @@ def test_a_few_groups_are_one_chart_in_place_of_figures_with_a_dot_each(campaign
 
 def test_clock_shows_offsets_since_the_first():
     info = clock_info(Book(make_analysis(Measured([MS, MS]))))
-    assert info.pairs == (
-        ClockPair("pi-one → pi-two: drift +20 ± 1 ppm", 500, (0.0, 10.0), (0, 200_000), (50_000, 50_000), (0, 0)),
-    )
+    (pair,) = info.pairs
+    assert pair.title.split(": ") == ["pi-one → pi-two", "drift +20 ± 1 ppm"]
+    assert pair == ClockPair(pair.title, 500, (0.0, 10.0), (0, 200_000), (50_000, 50_000), (0, 0))
 
 
 def test_host_load_is_that_of_the_run():
@@ -351,10 +351,10 @@ def test_nothing_empty_is_drawn():
     assert [figure.name for figure in made if isinstance(figure, Figure)] == ["received", "timeline", "host_load"]
 
 
-def test_a_figure_left_out_says_why():
+def test_a_figure_left_out_says_why(sentences):
     left_out = LATENCY_BY_RATE.figure(Faceted(Facet("rate", "size"), ()))
     assert isinstance(left_out, LeftOut)
-    assert left_out.reason == "no message size was measured at two rates."
+    sentences(left_out.reason)
 
 
 def test_names_are_unique():

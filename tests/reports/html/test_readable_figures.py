@@ -110,7 +110,8 @@ def test_losses_are_seen_on_marks_bars_and_curves(reader, pages):
     assert len(rows) >= 4
     assert all(row[3].startswith("Fast DDS, through zenoh-bridge") and row[6] == "lost" for row in rows)
     assert "hollow" in tab.locator("#figure-latency_by_rate .note").text_content()
-    assert tab.evaluate("blocks.find(b => b.name === 'ecdf').drawn.columns.map(c => c.label)")[4] == "Share of planned"
+    columns = tab.evaluate("blocks.find(b => b.name === 'ecdf').drawn.columns.map(c => c.label)")
+    assert columns[4] == "Share of planned"
 
 
 def test_a_legend_switches_a_line_off_and_shows_one_alone(reader, pages):

@@ -82,7 +82,7 @@ else:
 
     @cache
     def _homes() -> dict[str, str]:
-        """Return the names that the block above imports, each with its module (PEP 562; SPEC 1 does so with stub files)."""
+        """Return the module of each name that the block above imports (PEP 562)."""
         tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
         block = next(block for block in tree.body if isinstance(block, ast.If))
         return {alias.name: f".{line.module}" for line in block.body for alias in line.names}

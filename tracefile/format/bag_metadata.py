@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 
 METADATA_NAME = "metadata.yaml"
-"""Name of the file that makes a folder a bag."""
 
 BAG_VERSION = 9
 """Version that ROS 2 Jazzy writes: with type hashes (7), distribution (8), QoS profiles as YAML (9)."""
@@ -22,7 +21,7 @@ BAG_VERSION = 9
 
 @dataclass(frozen=True, slots=True)
 class TopicCount:
-    """A topic of a bag: its name, the type of its messages with hash (REP 2016), and their number."""
+    """A topic of a bag: its name, type with hash (REP 2016), and number of messages."""
 
     topic: str
     schema_name: str

@@ -1,6 +1,6 @@
 """The two JSON descriptions in a trace: `Session` of a recording process, `Run` of a ping's run.
 
-Unknown fields are kept and written back; a missing field is an error that names the file and the field.
+Unknown fields are kept and written back; an error names the file and the missing field.
 """
 
 from __future__ import annotations
@@ -73,11 +73,11 @@ class Session:
     extra: JsonObject = field(default_factory=dict)
 
     def closed(self, dropped_events: int, **extra: Json) -> Session:
-        """Return the session as described at a clean end, with `extra` added."""
+        """Return the session at a clean end, with `extra` added."""
         return replace(self, state="closed", dropped_events=dropped_events, extra={**self.extra, **extra})
 
     def wall_ns(self, monotonic_ns: int) -> int:
-        """Convert an instant of this device's monotonic clock to its wall clock (ns since 1970), by the anchor."""
+        """Convert a monotonic instant of this device to its wall clock (ns since 1970), by the anchor."""
         return self.wall_anchor_ns + (monotonic_ns - self.monotonic_anchor_ns)
 
     def to_json(self) -> str:
@@ -89,8 +89,8 @@ class Session:
         """Parse the description of a session; `path` names the trace in errors.
 
         Raises:
-            TraceFormatError: `text` is not a JSON object, has another format version, or lacks a field or has one of another
-                type; the message names `path` and the field.
+            TraceFormatError: `text` is not a JSON object, has another format version, or lacks a field or has one of
+                another type; the message names the field.
         """
         take = DescriptionFields.parse(text, path, "session")
         return cls(
@@ -146,7 +146,7 @@ class Run:
     extra: JsonObject = field(default_factory=dict)
 
     def finished(self, published: int, **extra: Json) -> Run:
-        """Return the run as described at its end, with `extra` added."""
+        """Return the run at its end, with `extra` added."""
         return replace(self, state="finished", published=published, extra={**self.extra, **extra})
 
     def to_json(self) -> str:
@@ -155,7 +155,7 @@ class Run:
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Run:
-        """Parse the description of a run; arguments and errors as for `Session.from_json`."""
+        """Parse the description of a run; as `Session.from_json`."""
         take = DescriptionFields.parse(text, path, "run")
         qos = take.nested("qos")
         return cls(
@@ -183,7 +183,7 @@ class Run:
 
 
 def _description(described: Session | Run, **encoded: Json) -> str:
-    """Return the JSON of a description: format and state first, then its fields, some of them `encoded`, and the unknown ones."""
+    """Return a description's JSON: format and state, then fields, some of them `encoded`, and the unknown ones."""
     values = {f.name: getattr(described, f.name) for f in fields(described)}
     state, extra = values.pop("state"), values.pop("extra")
     return json.dumps({"format": FORMAT_VERSION, "state": state, **values, **encoded, **extra})

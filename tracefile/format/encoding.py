@@ -8,31 +8,31 @@ MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of a file."""
 
 RECORD_HEADER = struct.Struct("<BQ")
-"""Opcode of a record, length of the content that follows."""
+"""Opcode of a record, length of the content."""
 
 MESSAGE_HEADER = struct.Struct("<HIQQ")
-"""Start of a Message record's content: channel id, sequence, log time and publish time (ns)."""
+"""Start of a Message record: channel id, sequence, log time and publish time (ns)."""
 
 STRING_SCHEMA_NAME = "std_msgs/msg/String"
 STRING_DEFINITION = "string data\n"
 
 CDR_HEADER = b"\x00\x01\x00\x00"
-"""Encapsulation of XCDR1 in little-endian byte order, which we write."""
+"""XCDR1 in little-endian byte order, which we write."""
 
 _LENGTHS = {b"\x00\x00": struct.Struct(">4xI"), b"\x00\x01": struct.Struct("<4xI")}
-"""Representation identifier of XCDR1 -> encapsulation and length of a string in that byte order."""
+"""Representation of XCDR1 -> encapsulation and length of a string in that byte order."""
 
 _TEXT_AT = len(CDR_HEADER) + 4
 
 
 def encode_string(text: str) -> bytes:
-    """Return `text` as a little-endian String message."""
+    """Return a little-endian String message."""
     data = text.encode() + b"\0"
     return CDR_HEADER + struct.pack("<I", len(data)) + data
 
 
 def decode_string(data: bytes | memoryview) -> str:
-    """Return the text of a String message of either byte order; bytes after the message are ignored.
+    """Return the text of a String message of either byte order; bytes after it are ignored.
 
     Raises:
         ValueError: `data` is not a String, or its text is not UTF-8; the error completes "the message is ...".

@@ -59,7 +59,7 @@ class Stage(Enum):
 
     @property
     def topic(self) -> str:
-        """MCAP topic of the events of this stage."""
+        """MCAP topic of this stage."""
         return f"/dds_trace/{self.value}"
 
 
@@ -100,7 +100,7 @@ class EventColumns:
 
     @classmethod
     def from_records(cls, records: NDArray[np.void]) -> EventColumns:
-        """Copy columns out of an array of `EVENT_DTYPE`, or of a dtype with the same field names."""
+        """Copy columns out of an array with the field names of `EVENT_DTYPE`."""
         return cls(**{name: np.ascontiguousarray(records[name]) for name in EVENT_DTYPE.names or ()})
 
     @classmethod
@@ -145,18 +145,18 @@ EVENT_RECORD_DTYPE = np.dtype(
         "itemsize": EVENT_RECORD_BYTES,
     }
 )
-"""Fields: `head` is the opcode and the seven low bytes of the length, for one comparison; `length_top` the length's last byte;
-`times_ns` log and publish time; `cdr` the first half of `cdr_header`."""
+"""`head` is the opcode and the seven low bytes of the length, for one comparison; `length_top` the length's last byte;
+`times_ns` log and publish time; `cdr` the first half of `cdr_header`.
+"""
 
 EVENT_HEAD = Opcode.MESSAGE | (MESSAGE_HEADER.size + EVENT_CDR_BYTES) << 8
 """`head` of every event; `length_top` is 0."""
 
 EVENT_CDR = int.from_bytes(CDR_HEADER[:2], "little")
-"""`cdr` of every event."""
 
 
 def fill_constants(records: Records) -> None:
-    """Write the fields that are the same for every event into an array of `EVENT_RECORD_DTYPE`."""
+    """Write the fields that are the same for every event."""
     records["head"] = EVENT_HEAD
     records["length_top"] = 0
     records["cdr_header"] = np.void(CDR_HEADER)

@@ -1,4 +1,4 @@
-"""JSON of a trace as typed values: the type itself, and the fields of a description taken one by one."""
+"""JSON of a trace as typed values: the type, and the fields of a description one by one."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
-"""A value of JSON; objects are mappings, arrays are sequences, numbers are int or float."""
+"""Objects are mappings, arrays are sequences, numbers are int or float."""
 
 JsonObject: TypeAlias = Mapping[str, Json]
-"""A JSON object, which is what every description and every sample is."""
+"""Every description and every sample is one."""
 
 FORMAT_VERSION = 1
-"""Version of the descriptions' JSON, written into each. Version 1: first version (2026)."""
+"""Version 1: first version (2026), written into each description."""
 
 
 def parse_json(text: str) -> Json:
@@ -64,7 +64,7 @@ def _encodable(value: Json) -> Json:
 class DescriptionFields:
     """JSON object from a trace, taken field by field; the rest is unknown to this version.
 
-    Every method that takes a field raises `TraceFormatError` if it is missing or of another type.
+    A method that takes a field raises `TraceFormatError` if it is missing or of another type.
     """
 
     def __init__(self, left: dict[str, Json], path: Path | str, what: str) -> None:
@@ -74,7 +74,7 @@ class DescriptionFields:
 
     @classmethod
     def parse(cls, text: str, path: Path | str, what: str) -> DescriptionFields:
-        """Parse a description and check that its format version is `FORMAT_VERSION`.
+        """Parse a description of the version `FORMAT_VERSION`.
 
         Raises:
             TraceFormatError: `text` is not a JSON object, or of another version.
@@ -138,7 +138,7 @@ class DescriptionFields:
         return value if limit is None else self._limited(name, value, limit)
 
     def rest(self) -> dict[str, Json]:
-        """Return the fields that were not taken."""
+        """Return what was not taken."""
         return self._left
 
     def _limited(self, name: str, value: T, limit: Limit) -> T:

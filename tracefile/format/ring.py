@@ -56,11 +56,11 @@ if TYPE_CHECKING:
 RING_SUFFIX = ".ring"
 RING_MAGIC = b"DDSRING\n"
 RING_VERSION = 1
-"""Version of the layout. Version 1: first version (2026)."""
+"""Version 1: first version (2026)."""
 
 RING_HEADER = struct.Struct("<8sIIQQQQ")
 DROPPED_AT = 32
-"""Offset of the number of dropped events in the header."""
+"""Offset of the number of dropped events."""
 
 MOST_RING_BYTES = 1 << 28
 """Largest ring that is read: four million events."""
@@ -74,7 +74,7 @@ SLOT_PAIR_STRUCT = struct.Struct("<QQqqqqIIQQQqqqqIIQ")
 
 SLOT_WORDS = SLOT_BYTES // 8
 TIME_WORD, SOURCE_WORD, RECEIVED_WORD, MARK_WORD = 2, 4, 5, 7
-"""Indices of the monotonic time, the middleware's two times and the mark among the words of a slot."""
+"""Indices of monotonic time, the middleware's two times and mark among a slot's words."""
 
 SLOT_DTYPE = np.dtype(
     {
@@ -84,17 +84,17 @@ SLOT_DTYPE = np.dtype(
         "itemsize": SLOT_BYTES,
     }
 )
-"""A slot as it is read: the event's bytes, its run and its monotonic time (parts of them), the mark, the mark's stage byte."""
+"""A slot as it is read: event, parts of it (run and monotonic time), the mark, and the mark's stage byte."""
 
 STAGE_MARKS = (0, *(number << 56 for number in range(1, len(Stage) + 1)))
-"""Stage's number -> what a slot's mark adds to the ticket."""
+"""By the stage's number, what a slot's mark adds to the ticket."""
 
 TICKET_MASK = np.uint64((1 << 56) - 1)  # numpy 1 mixes no Python int with a single uint64
 _TICKETS = np.uint64(1 << 40)
 """More events than a session records or drops: twelve days at a million a second."""
 
 STAGE_NUMBERS = dict(enumerate(Stage, start=1))
-"""Number of a stage in slots, and of its channel in our files -> stage."""
+"""Number in slots, and of the channel in our files -> stage."""
 
 Slots: TypeAlias = "NDArray[np.void]"
 """One-dimensional array of `SLOT_DTYPE`."""
@@ -136,7 +136,7 @@ class Ring:
         slots_at = -(-(RING_HEADER.size + len(text)) // mmap.PAGESIZE) * mmap.PAGESIZE
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
         try:
-            with suppress(OSError):  # a file system without locks: recovery then cannot see that this process lives
+            with suppress(OSError):  # a file system without locks: recovery cannot see that this process lives
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             _fill(self._descriptor, slots_at + slot_count * SLOT_BYTES)
             self.memory = mmap.mmap(self._descriptor, 0)
@@ -162,7 +162,7 @@ class Ring:
         struct.pack_into("<Q", self.memory, DROPPED_AT, dropped)
 
     def close(self, *, delete: bool) -> None:
-        """Unmap the ring; with `delete` remove its file, because every event is in the trace."""
+        """Unmap the ring; `delete` its file if every event is in the trace."""
         self.slots = self.slots[:0].copy()
         self.words.release()
         with suppress(BufferError):  # the traceback of a failed write may still refer to the slots
@@ -250,7 +250,7 @@ def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> R
 
 
 def is_recorded(trace: Path) -> bool:
-    """Return whether a living recorder has the ring of a trace."""
+    """Return whether a living recorder has the trace's ring."""
     try:
         with open_regular(ring_path(trace)) as stream:
             return _is_locked(stream.fileno())
@@ -259,7 +259,7 @@ def is_recorded(trace: Path) -> bool:
 
 
 def _read(path: Path) -> tuple[bytes, bool]:
-    """Return the bytes of a ring, and whether a living recorder has it open."""
+    """Return a ring's bytes, and whether a living recorder has it open."""
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         if size > MOST_RING_BYTES:
@@ -271,7 +271,7 @@ def _read(path: Path) -> tuple[bytes, bool]:
 def _pending(
     slots: Slots, slot_count: int, events_in_trace: int, session: Session, dropped: int, *, recording: bool
 ) -> RingContents:
-    """Return the events among the first slots of a ring of `slot_count` that the trace has not."""
+    """Return the events among a ring's first slots that the trace has not."""
     tickets = slots["mark"] & TICKET_MASK
     is_event = (slots["stage"] >= 1) & (slots["stage"] <= len(Stage))
     is_event &= (tickets < _TICKETS) & (slots["run_id"] != 0)

@@ -1,4 +1,4 @@
-"""What a message cost on the wire: one record per message and direction, and the texts that carry records and counts.
+"""What a message cost on the wire: a record per message and direction, and the texts that carry records and counts.
 
 The layout is `docs/trace-format.md`; other programs depend on every name here.
 """
@@ -65,7 +65,7 @@ class Direction(IntEnum):
 
 
 def row_texts(rows: MessageRows) -> Iterator[JsonObject]:
-    """Yield the JSON objects that carry `rows`, sorted by run, on `WIRE_TOPIC`: some thousand of one run each."""
+    """Yield the JSON objects that carry `rows`, sorted by run: some thousand of one run each."""
     for run_id in np.unique(rows["run_id"]).tolist():
         run_rows = rows[rows["run_id"] == run_id]
         for first in range(0, len(run_rows), _ROWS_OF_A_TEXT):
@@ -80,6 +80,6 @@ def rows_of_text(text: JsonObject) -> MessageRows:
     if isinstance(packed, str):
         try:
             return np.frombuffer(base64.b64decode(packed, validate=True), MESSAGE_ROW)
-        except (binascii.Error, ValueError):  # not base64, or not a whole number of records
+        except (binascii.Error, ValueError):  # not base64, or no whole number of records
             pass
     return np.empty(0, MESSAGE_ROW)

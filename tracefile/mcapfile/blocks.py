@@ -1,7 +1,7 @@
 """A MCAP file cut into blocks of about two megabytes, each a job that unpacks, checks and sorts its records.
 
-Record headers are walked from front to back, without an index, which might be wrong. The summary serves only to resume
-after a damaged record.
+Headers are walked from front to back, without an index, which might be wrong. The summary serves only to resume after a
+damaged record.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
     from .scan import ChannelEvents
 
 BLOCK_BYTES = 2 << 20
-"""Size up to which small chunks are read together."""
+"""Small chunks are read together up to this size."""
 
 BLOCK_STEPS = 120
 """Cost of a block besides its records, in steps over one record."""
 
 CHUNK_STEPS = 40
-"""Cost of a chunk besides its records, likewise."""
+"""Cost of a chunk besides its records."""
 
 LARGEST_FILE_RATIO = 200
-"""Most bytes that all chunks up to an offset in a file may unpack to, per byte of the file up to there."""
+"""Most bytes that all chunks up to an offset may unpack to, per byte of the file up to there."""
 
 _UNSUSPECTED_FILE_BYTES = 256 << 20
 
 
 def most_unpacked_bytes(end: int) -> int:
-    """Return the most bytes that all chunks of a file up to the offset `end` may unpack to."""
+    """Return the most bytes that all chunks up to the offset `end` may unpack to."""
     return max(_UNSUSPECTED_FILE_BYTES, LARGEST_FILE_RATIO * end)
 
 
@@ -94,7 +94,7 @@ class BlockJobs:
     """The blocks of a file in order, as jobs that make them.
 
     Attributes:
-        summary: its summary; without one nothing after a damaged record is read.
+        summary: without one nothing after a damaged record is read.
         notes: one line for each damage between the blocks; complete after the last block.
     """
 
@@ -110,7 +110,7 @@ class BlockJobs:
     _chunk_offsets: list[int] | None = None
 
     def take_back(self, block: Block) -> None:
-        """Reuse the memory of `block`, whose `data` is no longer needed, for later blocks."""
+        """Reuse the memory of `block`, whose `data` is lost."""
         if block.memory and block.memory.size <= _MOST_REUSED_BYTES:
             _FREE.append(block.memory)
 
@@ -128,7 +128,7 @@ class BlockJobs:
         yield from self._chunks_so_far()
 
     def _headers(self) -> Iterator[RecordHeader]:
-        """Yield the headers of the data section; a caller that reads more than that record advances `_at`."""
+        """Yield the headers of the data section; a caller that reads more advances `_at`."""
         self._at = len(MAGIC)
         data_ended = False
         while True:
@@ -144,7 +144,7 @@ class BlockJobs:
                 yield header
 
     def _next_header(self) -> RecordHeader | None:
-        """Return the header at `_at`, or after damage there; None at the end of what can be read."""
+        """Return the header at `_at`, or after damage there; None at the end."""
         while True:
             try:
                 return self.file.header_at(self._at, _WALKED)
@@ -155,14 +155,14 @@ class BlockJobs:
             self._at = resumed_at
 
     def _outside(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
-        """Yield the job of a block of this record and those that follow it outside of chunks."""
+        """Yield the job of a block of this record and those that follow outside of chunks."""
         if header.length > MAX_RECORD_BYTES:
             name = record_name(header.opcode)
             self.notes.append(
                 f"the {name} record of {counted(header.length, 'byte')} at byte {header.offset} is left out"
             )
             return
-        # Twice the previous stretch: if each record outside is single, little is read in vain.
+        # Twice the previous stretch: little is read in vain if each record outside is single.
         size = max(header.end - header.offset, min(self._stretch_bytes, self.file.size - header.offset))
         data = self.file.read(header.offset, size)
         scan = scan_records(data, 0, len(data), only=True)
@@ -220,7 +220,7 @@ class BlockJobs:
         return Block(data, scan, starts, True, split_by_channel(scan.events(data)), notes, memory, len(chunks))
 
     def _resume_after(self, torn: TornRecordError) -> int | None:
-        """Return the offset at which reading resumes after a damaged record; None if it cannot."""
+        """Return where reading resumes after a damaged record; None if it cannot."""
         if self.summary is None:
             self.truncated = f"ends early, {torn}; everything complete before it is used"
             return None

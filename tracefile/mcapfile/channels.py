@@ -1,4 +1,4 @@
-"""The topic of each MCAP channel id, and whether the channel's messages can be events."""
+"""The topic of each MCAP channel id, and whether its messages can be events."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class DeclaredChannel:
     """A channel as its file declares it.
 
     Attributes:
-        stage: the stage of its events; None on every other topic.
-        fault: the reason why its messages cannot be events although its topic is a stage's, or None.
+        stage: of its events; None on every other topic.
+        fault: why its messages cannot be events although its topic is a stage's, or None.
     """
 
     topic: str
@@ -48,15 +48,15 @@ class ChannelTable:
         self._channels: dict[int, DeclaredChannel] = {}
 
     def get(self, channel_id: int) -> DeclaredChannel | None:
-        """Return the channel; None while it is not declared."""
+        """Return a channel once it is declared."""
         return self._channels.get(channel_id)
 
     def items(self) -> ItemsView[int, DeclaredChannel]:
-        """Return (channel id, channel) pairs of all channels."""
+        """Return channels with their ids."""
         return self._channels.items()
 
     def declare(self, opcode: int, content: Buffer, offset: int) -> None:
-        """Add a Schema or Channel record; `offset` is its offset in the file, for errors.
+        """Add a Schema or Channel record at `offset` in the file.
 
         Raises:
             TraceFormatError: the record is damaged, or gives a declared channel id another topic.
@@ -94,7 +94,7 @@ class ChannelTable:
 
 
 def _parsed(opcode: int, content: Buffer) -> Schema | Channel:
-    """Parse a record; data and summary, and all files of a recorder, have the same ones."""
+    """Parse once: data and summary, and all files of a recorder, have the same records."""
     if len(content) > _MOST_CACHED_BYTES:
         return _parse(opcode, content)
     return _parsed_once(opcode, bytes(content))

@@ -1,4 +1,4 @@
-"""Chunks of a MCAP file: their position in the file, and their records unpacked and checked, with bounded memory."""
+"""Chunks of a MCAP file: their position, and their records unpacked and checked, with bounded memory."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _HEADER_BYTES = 64  # all fields before the records
 LARGEST_RATIO = 1000
 """Most unpacked bytes per packed byte; events pack 5 to 30 times, and a larger claim may be an attack."""
 
-_UNSUSPECTED_BYTES = 1 << 20  # up to here any ratio is allowed: a blank image packs better still
+_UNSUSPECTED_BYTES = 1 << 20  # any ratio up to here: a blank image packs better still
 
 _thread_local = threading.local()
 
 
 class DamagedChunkError(Exception):
-    """A chunk whose records cannot be unpacked, or are not those that were written; the text says why."""
+    """A chunk whose records cannot be unpacked, or are not those that were written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class PackedChunk:
 
     @classmethod
     def at(cls, file: RecordFile, header: RecordHeader) -> PackedChunk:
-        """Read the header of the chunk whose record is at `header`.
+        """Read the header of a chunk.
 
         Raises:
             DamagedChunkError: its fields are not valid MCAP, or claim more than a chunk may have.
@@ -70,7 +70,7 @@ class PackedChunk:
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
     def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
-        """Unpack the chunk's records to position `at` of `memory.records`; threads may do so at once, each into its own memory.
+        """Unpack to position `at` of `memory.records`; threads may do so at once, each into its own memory.
 
         Raises:
             DamagedChunkError: the records cannot be unpacked, or are not those that were written.
@@ -98,7 +98,7 @@ class PackedChunk:
 
 
 def unpack_records(compression: str, packed: bytes, unpacked_bytes: int) -> bytes | bytearray:
-    """Return the unpacked records of a chunk that another reader has taken out of its file.
+    """Unpack a chunk that another reader has taken out of its file.
 
     Raises:
         DamagedChunkError: it claims more than a chunk may have, or cannot be unpacked to what it claims.
@@ -130,27 +130,27 @@ def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int) -> N
 
 
 class UnpackMemory:
-    """Memory into which chunks are unpacked one after the other, because fresh memory is slow at its first touch."""
+    """Reused for chunk after chunk, because fresh memory is slow at its first touch."""
 
     def __init__(self) -> None:
         self._packed = bytearray()
         self._records = bytearray()
 
     def packed(self, size: int) -> memoryview:
-        """Return space for `size` packed bytes; previous content is overwritten."""
+        """Return space for packed bytes; previous content is lost."""
         if len(self._packed) < size:
             self._packed = bytearray(size)
         return memoryview(self._packed)[:size]
 
     def records(self, size: int) -> memoryview:
-        """Return space for `size` unpacked bytes: the existing memory, or a new and empty one if it is too small."""
+        """Return space for unpacked bytes: the existing memory, or a new and empty one if it is too small."""
         if len(self._records) < size:
             self._records = bytearray(size)
         return memoryview(self._records)[:size]
 
     @property
     def size(self) -> int:
-        """Number of bytes allocated."""
+        """Bytes allocated."""
         return len(self._packed) + len(self._records)
 
 
@@ -158,7 +158,7 @@ def unpack_zstd(packed: bytes, limit_bytes: int) -> bytes:
     """Unpack the first `limit_bytes` bytes of zstd frames, in no more memory than that.
 
     Raises:
-        ZstdError: `packed` is not a zstd frame, or a damaged one.
+        ZstdError: `packed` is not a zstd frame, or damaged.
     """
     with _zstd().stream_reader(packed, read_across_frames=True) as stream:
         return stream.read(limit_bytes)
@@ -183,4 +183,4 @@ def _zstd() -> zstandard.ZstdDecompressor:
 
 
 _UNPACKERS: dict[str, Callable[[memoryview, memoryview], int]] = {"zstd": _unpack_zstd_into, "lz4": _unpack_lz4_into}
-"""Compression -> function that unpacks into a buffer and returns the number of unpacked bytes."""
+"""Functions that unpack into a buffer and return the number of bytes."""

@@ -1,4 +1,4 @@
-"""A MCAP file as bytes: reads at any offset from any thread, headers of records whose lengths are not trusted, its summary."""
+"""A MCAP file as bytes: reads at any offset from any thread, headers of records, its summary; no length is trusted."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _AHEAD_BYTES = 4096  # many small records at once
 
 MAX_RECORD_BYTES = 64 << 20
-"""Longest record, packed or unpacked, that is read into memory as a whole; chunks have 0.7 to 8 MB."""
+"""Longest record, packed or unpacked, that is read whole; chunks have 0.7 to 8 MB."""
 
 
 class TornRecordError(Exception):
@@ -44,7 +44,7 @@ class TornRecordError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RecordHeader:
-    """Opcode and offset of a record that is completely in its file."""
+    """A record that is completely in its file."""
 
     opcode: int
     offset: int
@@ -52,12 +52,12 @@ class RecordHeader:
 
     @property
     def content(self) -> int:
-        """Offset of the first byte of the content, which follows opcode and length."""
+        """Offset of the content, which follows opcode and length."""
         return self.offset + RECORD_HEADER.size
 
     @property
     def end(self) -> int:
-        """Offset of the first byte after the record."""
+        """Offset after the record."""
         return self.content + self.length
 
 
@@ -108,7 +108,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         return bytes(data)
 
     def read_into(self, target: memoryview, offset: int) -> None:
-        """Fill `target` with the bytes from `offset` on."""
+        """Fill `target` from `offset` on."""
         try:
             done = read_into(self._descriptor, target, offset)
         except OSError as err:
@@ -117,7 +117,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
             raise TraceFormatError(self.path, "became shorter while it was read", offset + done)
 
     def peek(self, offset: int, size: int) -> bytes:
-        """Return `size` bytes from `offset` on, and read ahead; only for the one thread that walks headers."""
+        """Return `size` bytes from `offset` on, and read ahead; only for the thread that walks headers."""
         at = offset - self._ahead_at
         if at < 0 or at + size > len(self._ahead):
             self._ahead = self.read(offset, max(size, min(_AHEAD_BYTES, self.size - offset)))
@@ -128,7 +128,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         """Return the header of the record at `offset`, or of the first after it whose opcode is in `opcodes`.
 
         Raises:
-            TornRecordError: no record begins there, or the file ends before the record does.
+            TornRecordError: no record begins there, or the file ends before the record.
         """
         while True:
             if offset + RECORD_HEADER.size > self.size:
@@ -147,7 +147,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
             offset += RECORD_HEADER.size + length
 
     def parse(self, kind: type[R], header: RecordHeader) -> R:
-        """Read and parse a record of the class `kind`.
+        """Read and parse a record.
 
         Raises:
             TornRecordError: its fields are not valid MCAP, or it is longer than `MAX_RECORD_BYTES`.
@@ -170,7 +170,7 @@ _KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHU
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The records between the data section and the footer: claims about the rest, which are useful but not trusted.
+    """The records between data section and footer: useful, but not trusted.
 
     Attributes:
         data_end: offset in the file at which the data section ends and `data` begins.
@@ -181,13 +181,13 @@ class Summary:
     records: list[tuple[int, int, int]] = field(default_factory=list)
 
     def declarations(self) -> Iterator[tuple[int, memoryview, int]]:
-        """Yield opcode, content and offset in the file of each schema and channel."""
+        """Yield opcode, content and offset of each schema and channel."""
         for opcode, start, length in self.records:
             if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 yield opcode, memoryview(self.data)[start : start + length], self.data_end + start
 
     def parsed(self, kind: type[R]) -> Iterator[R]:
-        """Yield each undamaged record of the class `kind`."""
+        """Yield the undamaged records of a class."""
         for opcode, start, length in self.records:
             if opcode == OPCODES[kind]:
                 try:
@@ -201,7 +201,7 @@ class Summary:
         return None if statistics is None else statistics.channel_message_counts
 
     def chunk_offsets(self) -> list[int]:
-        """Return the offsets of the chunks that have an index, in order."""
+        """Return the offsets of indexed chunks, in order."""
         offsets = {index.chunk_start_offset for index in self.parsed(ChunkIndex)}
         return sorted(offset for offset in offsets if offset < self.data_end)
 

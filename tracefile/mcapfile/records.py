@@ -1,4 +1,4 @@
-"""Records of MCAP parsed into the classes of the `mcap` library, with bounds that the library does not have.
+"""Records of MCAP parsed into the classes of the `mcap` library, with bounds that it does not have.
 
 A file may be cut off, damaged or hostile: no field reaches beyond its record, and no map keeps a reader busy.
 """
@@ -14,7 +14,7 @@ from mcap.records import Channel, ChunkIndex, Footer, Header, Schema, Statistics
 
 from dds_trace.base.units import counted
 
-try:  # reading lz4 spends a fifth of its time in this checksum, and isal's is four times as fast
+try:  # reading lz4 spends a fifth of its time in this checksum; isal's is four times as fast
     from isal.isal_zlib import crc32
 except ImportError:  # a device that only records, or a platform without a wheel of it
     from zlib import crc32
@@ -34,10 +34,10 @@ OPCODES: dict[type[object], Opcode] = {
     ChunkIndex: Opcode.CHUNK_INDEX,
     Statistics: Opcode.STATISTICS,
 }
-"""Class of each parsed record -> its opcode; `chunks` and `scan` read chunks and messages."""
+"""Opcode of each parsed record; `chunks` and `scan` read chunks and messages."""
 
 _MAX_MAP_RECORD_BYTES = 2 << 20
-"""Longest record with a map: an entry for each of the 65,536 possible channels fits."""
+"""Longest record with a map: each of the 65,536 possible channels fits."""
 
 _HAS_MAP = frozenset({Channel, ChunkIndex, Statistics})
 
@@ -54,7 +54,7 @@ R = TypeVar("R", bound=ParsedRecord)
 
 
 class RecordContent(ReadDataStream):
-    """The content of one record, read field by field; bytes after the last field are ignored, as MCAP demands.
+    """The content of one record, field by field; bytes after the last field are ignored, as MCAP demands.
 
     Raises:
         ValueError: by each method that reads: the field reaches beyond the content.
@@ -67,7 +67,7 @@ class RecordContent(ReadDataStream):
 
     @property
     def count(self) -> int:
-        """Number of bytes read so far."""
+        """Bytes read so far."""
         return self._at
 
     def read(self, length: int) -> bytes:
@@ -81,7 +81,7 @@ class RecordContent(ReadDataStream):
 
 
 def parse_record(kind: type[R], content: Buffer) -> R:
-    """Parse the content of a record, the bytes after opcode and length.
+    """Parse the bytes after opcode and length.
 
     Raises:
         ValueError: a field reaches beyond the content, a text is not UTF-8, or a map is longer than any file needs.
@@ -94,7 +94,7 @@ def parse_record(kind: type[R], content: Buffer) -> R:
 
 
 def record_name(opcode: int) -> str:
-    """Return the MCAP specification's name for a kind of record: `ChunkIndex`."""
+    """Return MCAP's name for a kind of record: `ChunkIndex`."""
     try:
         return Opcode(opcode).name.title().replace("_", "")
     except ValueError:

@@ -1,7 +1,7 @@
-"""Events in a buffer of MCAP records, found and copied as arrays without a Python step per event.
+"""Events in a buffer of MCAP records, copied as arrays without a Python step per event.
 
-Every event is a record of the same length (`docs/trace-format.md`), so a stretch of events is an array of records. At the
-first mismatch of opcode, length or CDR header the record there is stepped over by its own length.
+Every event is a record of the same length (`docs/trace-format.md`), so a stretch of events is an array of records. At
+the first mismatch of opcode, length or CDR header that record is stepped over by its own length.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from .records import Buffer
 
 MESSAGES_AND_CHANNELS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})
-"""Opcodes of the records that a chunk may hold."""
+"""Opcodes of the records in a chunk."""
 
 _CHECKED = struct.Struct(f"<QB{MESSAGE_HEADER.size}xH")
 _BLOCK_DTYPE = np.dtype(f"V{EVENT_RECORD_BYTES}")
 
-_SINGLE_STEPS = 16  # events that are checked one by one: so few cost less than an array of them
+_SINGLE_STEPS = 16  # so few events cost less one by one than as an array
 # The first stretch is short because a run may be. The others fit the core's cache: three comparisons read memory once.
 _FIRST_STRETCH = 256
 _STRETCH = 4096
-_FEW_CHANNELS = 6  # ids in so small a range are searched one by one, which is faster than sorting
+_FEW_CHANNELS = 6  # ids in so small a range are searched one by one, faster than sorted
 
 
 class ChannelEvents(NamedTuple):
     """Events of one channel, copied out of the scanned buffer.
 
     Attributes:
-        last_number: the number in the channel (MCAP's `sequence`) of the last event.
-        events: the events in file order, an array of `EVENT_DTYPE`.
+        last_number: number in the channel (MCAP's `sequence`) of the last event.
+        events: in file order, an array of `EVENT_DTYPE`.
     """
 
     channel_id: int
@@ -80,7 +80,7 @@ class Scan:
         self.steps += following.steps
 
     def contents(self, data: Buffer, channel_id: int) -> list[tuple[int, int]]:
-        """Return (byte offset, length) of the content of each event-shaped record of one channel."""
+        """Return (byte offset, length) of each event-shaped record's content of one channel."""
         length = EVENT_RECORD_BYTES - RECORD_HEADER.size
         offsets: list[tuple[int, int]] = []
         for offset, count in self.runs:
@@ -131,7 +131,7 @@ def scan_records(
 
 
 def split_by_channel(records: Records) -> list[ChannelEvents]:
-    """Return the events of each channel id among `records` (`EVENT_RECORD_DTYPE`), by channel id."""
+    """Return the events of each channel, by channel id."""
     if not len(records):
         return []
     channels = np.ascontiguousarray(records["channel_id"])

@@ -1,6 +1,6 @@
 """Limits on what rosbags unpacks of an untrusted bag, which it does without any.
 
-rosbags looks up its decompressors in tables, by the name of the compression; these contain ours while a bag is read.
+rosbags looks up decompressors by the name of the compression in tables that contain ours while a bag is read.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 _BZ2_WEIGHT = 4
-"""A byte of bz2 needs at least three times as long as one of lz4."""
+"""bz2 needs at least three times as long for a byte as lz4."""
 
 
 class _Decompressor(Protocol):
@@ -31,20 +31,18 @@ class _Decompressor(Protocol):
 
 
 class _Budget:
-    """The bytes that one bag, a file or a folder, may still unpack to."""
+    """The bytes that one bag may still unpack to."""
 
     def __init__(self, bag: Path) -> None:
         files = [bag] if bag.is_file() else [path for path in bag.rglob("*") if path.is_file()]
         self._left_bytes = most_unpacked_bytes(sum(path.stat().st_size for path in files))
 
     def take(self, size_bytes: int, weight: int = 1) -> None:
-        """Count unpacked bytes, each for `weight`."""
         self._left_bytes -= weight * size_bytes
         if self._left_bytes < 0:
             raise ValueError(f"it unpacks to more than {LARGEST_FILE_RATIO // weight} times its size")
 
     def unpack(self, decompressor: _Decompressor, packed: bytes, weight: int = 1) -> bytes:
-        """Return what one stream unpacks to."""
         unpacked = decompressor.decompress(packed, MAX_RECORD_BYTES + 1)
         if len(unpacked) > MAX_RECORD_BYTES:
             raise ValueError(f"a piece of it unpacks to more than {MAX_RECORD_BYTES >> 20} MiB")
@@ -55,7 +53,7 @@ class _Budget:
 
 
 class _BoundedZstd:
-    """The names of the module `zstd` (`compression.zstd`, or its backport) that rosbags uses."""
+    """The names of `compression.zstd`, or its backport, that rosbags uses."""
 
     def __init__(self, module: Any, budget: _Budget) -> None:
         self._module = module
@@ -71,8 +69,6 @@ class _BoundedZstd:
 
 
 class _CountedFile:
-    """A file that is unpacked as it is read."""
-
     def __init__(self, file: BinaryIO, budget: _Budget) -> None:
         self._file = file
         self._budget = budget
@@ -89,9 +85,10 @@ def _no_qos(_: object) -> list[object]:
 
 @contextmanager
 def bounded_unpacking(bag: Path) -> Iterator[Callable[[bytes], bytes]]:
-    """Yield a function that unpacks a message that was packed by itself, and limit what rosbags unpacks of a bag: a piece to 64 MiB, all of them as for a trace (`most_unpacked_bytes`).
+    """Limit what rosbags unpacks of a bag, and yield a function that unpacks a message that was packed by itself.
 
-    One bag at a time: the tables are rosbags' own.
+    A piece has at most 64 MiB, all of them as much as a trace (`most_unpacked_bytes`). One bag at a time: the tables
+    are rosbags' own.
     """
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415 - a dependency of rosbags, and only bags need it
     from rosbags.rosbag1 import reader as ros1  # noqa: PLC0415

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from ..format.events import Records
 
-# An event is six fields of 8 bytes and then two of 4: two blocks of columns, each filled in one step.
+# Six fields of 8 bytes and then two of 4: two blocks of columns, each filled in one step.
 _NAMES = EVENT_DTYPE.names or ()
 _WIDE = tuple(name for name in _NAMES if EVENT_DTYPE[name].itemsize == 8)
 _NARROW = _NAMES[len(_WIDE) :]
@@ -29,20 +29,20 @@ _INSTANTS, _OPTIONAL = slice(2, 4), slice(4, 6)  # of the wide columns: T and T0
 class ColumnsMemory:
     """Memory for columns, reused as soon as nobody refers to a column in it.
 
-    The C library returns large blocks to the kernel each time, so that each piece of a trace would fill fresh memory.
+    The C library returns large blocks to the kernel, so that each piece of a trace would fill fresh memory.
     """
 
     def __init__(self) -> None:
         self._free: list[NDArray[np.uint8]] = []  # any thread that drops the last column appends
 
     def lend(self, size: int) -> NDArray[np.uint8]:
-        """Return memory of `size` bytes, not cleared; it comes back with the last array that is a view of it."""
+        """Return memory, not cleared; it comes back with the last array that is a view of it."""
         if not size:
             return np.empty(0, np.uint8)
         owner = self._free.pop() if self._free else None
         if owner is None or len(owner) < size:
             owner = np.empty(size, np.uint8)
-        # Through its buffer, so that views refer to `lent` and not to the owner.
+        # Through its buffer: views refer to `lent` and not to the owner.
         lent = np.frombuffer(owner.data, np.uint8)
         weakref.finalize(lent, self._free.append, owner).atexit = False
         return lent[:size]
@@ -63,7 +63,7 @@ class ColumnsBuilder:
         return filled > 0 and filled + events > self._most_events
 
     def append(self, stage: Stage, records: Records) -> int:
-        """Append `records`, a contiguous array of `EVENT_DTYPE`, to the events of the stage.
+        """Append a contiguous array of `EVENT_DTYPE` to the events of the stage.
 
         Returns:
             The number of records that were left out, since their instant is beyond `MOST_STAMP_NS`.
@@ -78,7 +78,8 @@ class ColumnsBuilder:
 class _StageColumns:
     """Events of one stage, all columns in one piece of memory.
 
-    numpy requests large pages for it, which halves the cost of touching fresh memory; unfilled memory is never allocated.
+    numpy requests large pages for it, which halves the cost of touching fresh memory; unfilled memory is never
+    allocated.
 
     Attributes:
         filled: number of events.
@@ -89,7 +90,7 @@ class _StageColumns:
         self._memory = memory
         try:
             self._reserve(expected)
-        except MemoryError:  # the claim of the file may be wrong; the columns grow as events come
+        except MemoryError:  # the file's claim may be wrong; the columns grow as events come
             self._reserve(0)
 
     def append(self, records: Records) -> int:
@@ -115,7 +116,7 @@ class _StageColumns:
         return left_out
 
     def finish(self) -> EventColumns:
-        """Return views of the filled part; a stage without events refers to no memory."""
+        """Return views of the filled part; without events they refer to no memory."""
         if not self.filled:
             return EventColumns.empty()
         rows = zip(_NAMES, [*self._wide, *self._narrow], strict=True)

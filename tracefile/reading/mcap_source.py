@@ -1,4 +1,4 @@
-"""Messages of one MCAP file as batches: blocks are made on all cores and put in order, channels become topics."""
+"""Messages of one MCAP file as batches: blocks are made on all cores and put in order."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ _UNSUSPECTED_STEPS = 2_000_000
 _STEP_BYTES = 4  # a recorded message that is not an event needs more, even packed
 _ROOM_CHUNKS = 100_000  # chunks whose headers are read before the first is unpacked
 _BYTES_AHEAD = 32 << 20  # of all these blocks
-_SMALL_FILE_BYTES = 1 << 19  # read by the calling thread: a block is unpacked before another thread has started
+_SMALL_FILE_BYTES = 1 << 19  # read by the calling thread, before another has started
 
 
 class McapSource:
-    """MCAP file as a `Source`; `pool` unpacks and checks chunks, `shown_as` is its name in errors if it is an unpacked copy.
+    """MCAP file as a `Source`; `pool` unpacks and checks chunks, `shown_as` is the name of an unpacked copy in errors.
 
     Raises:
         TraceFormatError: `path` is not a MCAP file, or cannot be read.
@@ -72,11 +72,11 @@ class McapSource:
 
     @property
     def written_events(self) -> int:
-        """Number of events that the recorder had written, those in damaged chunks before the last whole one included."""
+        """Events that the recorder had written, those in damaged chunks before the last whole one included."""
         return sum(self._numbered.values())
 
     def expected_events(self) -> dict[Stage, int]:
-        """Return the number of events of each stage by the statistics, or else the number that fits into the chunks."""
+        """Return each stage's events by the statistics, or else the number that fits into the chunks."""
         counts = self._claimed
         most = self._file.size  # a claim of more than one event per packed byte is not believed
         if counts is None:
@@ -109,7 +109,7 @@ class McapSource:
         yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
 
     def _blocks(self) -> Iterator[Block]:
-        """Yield the blocks in order; of a small file without other threads, which start slower than its few blocks."""
+        """Yield the blocks in order; of a small file without other threads, which start more slowly."""
         if self._file.size <= _SMALL_FILE_BYTES:
             return (job() for _, job in self._jobs)
         return in_order(self._jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD)
@@ -126,7 +126,7 @@ class McapSource:
         for channel_id, last_number, events in block.events:
             channel = self._channels.get(channel_id)
             if channel and not channel.stage and channel.topic.startswith(TOPIC_PREFIX):
-                # Texts that happen to be as long as an event.
+                # Texts as long as an event.
                 singles += block.scan.contents(block.data, channel_id)
                 continue
             self._messages[channel_id] += len(events)
@@ -144,7 +144,7 @@ class McapSource:
             yield event_batch(packed)
 
     def _add_single(self, content: memoryview, offset: int, batch: Batch, packed: list[tuple[Stage, bytes]]) -> None:
-        """Add a message that is not part of an array: a text, an event that was packed by itself, or a foreign one."""
+        """Add a message that is not in an array: a text, an event that was packed by itself, or a foreign one."""
         if len(content) < MESSAGE_HEADER.size:
             return
         channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
@@ -184,13 +184,13 @@ class McapSource:
         return notes
 
     def _is_of_others(self) -> bool:
-        """Return whether the summary lists only foreign topics: a large bag of camera images need not be unpacked."""
+        """Return whether the summary lists only foreign topics: a bag of camera images need not be unpacked."""
         if self._claimed is None or not all(map(self._channels.get, self._claimed)):
             return False
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
 
     def _room_for_events(self) -> int:
-        """Return the number of events that fit into the file's chunks, or its bytes outside of chunks."""
+        """Return how many events fit into the chunks, or into the bytes outside of chunks."""
         room, at, chunks = 0, len(MAGIC), 0
         while True:
             try:
@@ -210,12 +210,12 @@ class McapSource:
 
 
 def _blocks_ahead() -> int:
-    """Return the number of blocks made in advance: one per core and one more; further ones only fill the caches."""
+    """Return the number of blocks made in advance: one per core and one more; others only fill caches."""
     return min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)
 
 
 def read_first_session(path: Path) -> Session | None:
-    """Return the session at the start of a file, read from its first chunk only; None if the file is not our recorder's."""
+    """Return the session in a file's first chunk; None if the file is not our recorder's."""
     try:
         with RecordFile(path) as file:
             chunk = PackedChunk.at(file, file.header_at(len(MAGIC), frozenset({Opcode.CHUNK})))

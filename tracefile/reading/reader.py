@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .trace import Trace
 
 PIECE_EVENTS = 1 << 18
-"""Most events of a piece (15 MB), if no chunk has more."""
+"""Most events of a piece (15 MB), unless a chunk has more."""
 
 _MOST_WORKERS = 4  # more threads wait for memory, not for each other
 
@@ -78,8 +78,8 @@ def _read(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object], mo
 def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, EventColumns]]:
     """Yield the events of a trace about a megabyte at a time, of each stage in file order.
 
-    Memory follows the size of a chunk, not of the file. Descriptions, notes and the number of unreadable messages come
-    from `read_trace`.
+    Memory follows the size of a chunk, not of the file. `read_trace` has descriptions, notes and the number of
+    unreadable messages.
     """
     path = Path(path)
     builder = TraceBuilder(path)
@@ -95,6 +95,6 @@ def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, Ev
 
 
 def _workers() -> ThreadPoolExecutor:
-    """Return the threads that unpack and check chunks besides the caller's; the libraries release the GIL."""
+    """Return the threads that unpack and check chunks besides the caller's."""
     others = len(os.sched_getaffinity(0)) - 1
     return ThreadPoolExecutor(max(1, min(_MOST_WORKERS, others)), thread_name_prefix="read_trace")

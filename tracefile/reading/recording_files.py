@@ -1,6 +1,7 @@
-"""Files of a recording that is not ours: those its metadata lists, each readable by itself, and what the recording says it has.
+"""Files of a recording that is not ours, each readable by itself, and the messages that its metadata claims.
 
-Libraries match topics by the texts of `metadata.yaml`, do not read the log (`-wal`) of a SQLite database, and take any file of a folder.
+Libraries match topics by the texts of `metadata.yaml`, do not read the log (`-wal`) of a SQLite database, and take any
+file of a folder.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 _MOST_METADATA_BYTES = 16 << 20
-"""Of metadata.yaml; a thousand topics with the QoS of ten publishers each have 6 MB."""
+"""A thousand topics with the QoS of ten publishers each have 6 MB."""
 
 
 @dataclass(slots=True)
 class RecordingFiles:
-    """The files to read, under their names, notes on files that are not read, and messages of each topic by `metadata.yaml`."""
+    """The files under their names, notes on others, and messages of each topic by `metadata.yaml`."""
 
     files: list[Path]
     notes: list[str] = field(default_factory=list)
@@ -65,7 +66,7 @@ def open_recording(path: Path) -> Iterator[RecordingFiles]:
 
 
 def missing_messages(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str) -> Iterator[str]:
-    """Yield a note for each topic whose number of messages is not the claimed one."""
+    """Yield a note for each topic whose messages are not as many as claimed."""
     for topic, count in claimed.items():
         got = delivered.get(topic, 0)
         if got != count:
@@ -94,7 +95,7 @@ def _unpacked_name(name: str) -> str:
 def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
     """Return the listed files and the messages of each topic, nothing where the file cannot be read.
 
-    Line by line: a YAML parser makes objects of a thousand times the size of the text.
+    Line by line: a YAML parser makes objects of a thousand times the text's size.
     """
     try:
         with open_regular(path) as file:
@@ -135,7 +136,7 @@ def _plain(text: str) -> str:
 
 
 def _join_log(database: Path, log: Path, copy: Path) -> None:
-    """Write a copy of a database that contains what is in its log (https://www.sqlite.org/wal.html)."""
+    """Copy a database with its log (https://www.sqlite.org/wal.html)."""
     shutil.copyfile(database, copy)
     shutil.copyfile(log, copy.with_name(f"{copy.name}-wal"))
     try:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..format.events import Records, Stage
 
 TOPIC_PREFIX = "/dds_trace/"
-"""Beginning of the topics that are ours."""
+"""Start of our topics."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MESSAGE_BYTES = 16 << 20  # no message of ours is longer; more is not unpacked
@@ -47,7 +47,7 @@ class Batch:
 
     Attributes:
         events: (stage, contiguous array of `EVENT_DTYPE`) pairs; each stage's events are in file order.
-        truncated: the reason why the source ends early, in its last batch; else None.
+        truncated: why the source ends early, in its last batch; else None.
     """
 
     events: list[tuple[Stage, Records]] = field(default_factory=list)
@@ -66,10 +66,10 @@ class Source(Protocol):
 
     @property
     def written_events(self) -> int:
-        """Number of events that our recorder had written to the file, those in damaged chunks included."""
+        """Events that our recorder had written to the file, those in damaged chunks included."""
 
     def expected_events(self) -> Mapping[Stage, int]:
-        """Return the number of events of each stage that the file claims; it may be wrong."""
+        """Return each stage's events as the file claims; it may be wrong."""
 
     def batches(self) -> Iterator[Batch]:
         """Yield all messages in file order."""
@@ -79,7 +79,7 @@ class Source(Protocol):
 
 
 def event_batch(singles: Sequence[tuple[Stage, bytes]]) -> Batch:
-    """Return a batch of single messages on event topics; those that are not events count as unreadable."""
+    """Return a batch of single messages; those that are not events count as unreadable."""
     events: dict[Stage, list[bytes]] = {}
     unreadable = 0
     for stage, data in singles:
@@ -95,7 +95,7 @@ def event_batch(singles: Sequence[tuple[Stage, bytes]]) -> Batch:
 def unpack_message(data: bytes) -> bytes:
     """Unpack a message that rosbag2 has compressed by itself; return any other, or a damaged one, unchanged.
 
-    Serialized CDR begins with a zero byte, so it cannot be taken for a zstd frame.
+    Serialized CDR begins with a zero byte, so it is never taken for a zstd frame.
     """
     if data[:4] != ZSTD_MAGIC:
         return data

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _HEADER = struct.Struct(">16xH10xI")  # page size, pages
-# SQLite reports an absurd size in the file as a lack of memory.
+# SQLite reports an absurd size as a lack of memory.
 _SQLITE_ERRORS = (sqlite3.Error, MemoryError)
 _BATCH_ROWS = 8192
 _BATCH_BYTES = 4 << 20
@@ -80,7 +80,7 @@ class SqliteSource:
             except (*_SQLITE_ERRORS, OSError, ValueError) as err:
                 raise TraceFormatError(self._shown_as, f"not a rosbag2 database ({err!r})") from err
             undo.pop_all()
-        # A column of SQLite has no fixed type: a damaged page may contain anything.
+        # Columns of SQLite have no fixed type: a damaged page may contain anything.
         self._topics: list[tuple[int, str, str, str]] = [
             row for row in topics if isinstance(row[0], int) and isinstance(row[1], str)
         ]
@@ -100,12 +100,12 @@ class SqliteSource:
         return 0
 
     def expected_events(self) -> dict[Stage, int]:
-        """Return for every stage the number of rows that the table can have."""
+        """Return for every stage the rows that the table can have."""
         last_row = self._last_row if isinstance(self._last_row, int) else 0
         return dict.fromkeys(Stage, max(0, min(self._size, last_row)))
 
     def batches(self) -> Iterator[Batch]:
-        """Yield all messages in the order in which they were stored, up to the first damaged page."""
+        """Yield all messages in stored order, up to the first damaged page."""
         rows_left, bytes_left = _UNSUSPECTED_ROWS + self._size // _ROW_BYTES, max(self._size, _BATCH_BYTES)
         names = {topic_id: name for topic_id, name, *_ in self._topics}
         ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
@@ -149,7 +149,7 @@ class SqliteSource:
             self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE_BYTES)
 
     def _faults(self) -> dict[int, str]:
-        """Return topic id -> reason why the messages of this event topic cannot be events."""
+        """Return topic id -> why the messages of this event topic cannot be events."""
         faults = {}
         for topic_id, name, kind, encoding in self._topics:
             if name in STAGE_OF_TOPIC and encoding != "cdr":
@@ -164,12 +164,12 @@ class SqliteSource:
 
 
 def _missing_bytes(path: Path) -> int:
-    """Return the number of bytes that the file lacks by its header (https://www.sqlite.org/fileformat.html, 1.3)."""
+    """Return how many bytes the file lacks by its header (https://www.sqlite.org/fileformat.html, 1.3)."""
     with open_regular(path) as stream:
         header = stream.read(_HEADER.size)
         size = stream.seek(0, os.SEEK_END)
     if len(header) < _HEADER.size:
-        return 0  # SQLite will report what is wrong with this file
+        return 0  # SQLite will report what is wrong
     page_bytes: int
     pages: int
     page_bytes, pages = _HEADER.unpack(header)
@@ -185,7 +185,7 @@ class _Rows:
         self._bytes = 0
 
     def add(self, topic: str, timestamp: object, data: object, *, faulty: bool) -> None:
-        """Add a row; values that rosbag2 never writes are unreadable."""
+        """Add a row; what rosbag2 never writes is unreadable."""
         stage = STAGE_OF_TOPIC.get(topic)
         if not isinstance(data, bytes) or not isinstance(timestamp, int) or faulty:
             self._unreadable += stage is not None

@@ -1,4 +1,4 @@
-"""Files of a trace, and how each is opened: a `.mcap` file, or the files of a rosbag2 folder."""
+"""How each file of a trace is opened: a `.mcap` file, or the files of a rosbag2 folder."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.Pat
         here, real = Path(name), Path(name).resolve()
 
         def is_left_out(child: Path, real: Path = real) -> bool:
-            # Only a link leads elsewhere, and resolving every path would be slow.
+            # Only a link leads elsewhere, and resolving every path is slow.
             return (child.resolve() if child.is_symlink() else real / child.name) in left_out
 
         searched = [child for child in folders if not is_left_out(here / child)]
@@ -65,9 +65,9 @@ def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.Pat
 
 
 def storage_files(path: Path) -> list[Path]:
-    """Return the files with the messages of a trace, in the order in which they were recorded: `bag_10.mcap` after `bag_9.mcap`.
+    """Return the files of a trace in the order in which they were recorded: `bag_10.mcap` after `bag_9.mcap`.
 
-    A file that was packed as a whole ends in `.zstd`; if a player has unpacked it into the same folder it counts once.
+    A file that was packed as a whole ends in `.zstd`; if a player has unpacked it there it counts once.
 
     Raises:
         TraceFormatError: `path` is a folder that cannot be read or has no such file.
@@ -88,16 +88,16 @@ def storage_files(path: Path) -> list[Path]:
 
 
 def is_bag(folder: Path) -> bool:
-    """Return whether a folder is a rosbag2 folder: it has a `metadata.yaml` and a storage file."""
+    """Return whether a folder has a `metadata.yaml` and a storage file."""
     try:
         return (folder / METADATA_NAME).is_file() and any(_opener_suffix(file) for file in folder.iterdir())
-    except OSError:  # no permission: nothing in it can be found either
+    except OSError:  # no permission: nothing in it can be found
         return False
 
 
 @contextmanager
 def open_source(file: Path, pool: Executor) -> Iterator[Source]:
-    """Open a storage file for as long as the context lasts.
+    """Open a storage file within the block.
 
     Raises:
         TraceFormatError: the file is not of the kind that its name says, or cannot be read.
@@ -113,7 +113,7 @@ def open_source(file: Path, pool: Executor) -> Iterator[Source]:
 
 
 def _opener_suffix(file: Path) -> str | None:
-    """Return the suffix that names the storage of a file; None if it is not a storage file."""
+    """Return the suffix of a storage file; None of others."""
     suffix = file.with_suffix("").suffix if file.suffix == ZSTD_SUFFIX else file.suffix
     return suffix if suffix in _OPENERS else None
 

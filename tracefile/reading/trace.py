@@ -1,4 +1,4 @@
-"""A trace in memory, the value that passes from `tracefile` to `analyzer`, and how it is collected from batches."""
+"""A trace in memory, which passes from `tracefile` to `analyzer`, and how it is collected from batches."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _NO_JSON_OBJECT = {
     HOST_TOPIC: ("host sample is not a JSON object", "host samples are not JSON objects"),
     WIRE_TOPIC: ("text about the wire is not a JSON object", "texts about the wire are not JSON objects"),
 }
-"""Topic -> words for one and for several unreadable messages."""
+"""Words for one and for several unreadable messages."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,9 +47,9 @@ class Trace:
         events: the events of every stage, in file order; a stage may be empty.
         host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock, ns since 1970).
         wire: the JSON objects of `/dds_trace/wire`: records of messages, and counts of a relay (`format.wire`).
-        truncated: the reason why the file ends early, or None; everything complete before it is in `events`.
-        ring_events: number of events from the ring that a killed recorder left.
-        unreadable_messages: number of messages on event topics that are not events (wrong length or encoding).
+        truncated: why the file ends early, or None; everything complete before it is in `events`.
+        ring_events: events from the ring that a killed recorder left.
+        unreadable_messages: messages on event topics that are not events (wrong length or encoding).
         notes: one line for each other fact that a reader of the numbers should know.
     """
 
@@ -74,10 +74,10 @@ _MAX_BYTES = 4 << 20  # a session with every configuration file of its host is a
 
 
 class TextCollector:
-    """Latest description of each session and run, in order of first appearance, all host samples and texts about the wire.
+    """The latest description of each session and run, in order of first appearance, and the other texts.
 
     Attributes:
-        unreadable: topic -> number of its host samples or texts about the wire that are not JSON objects.
+        unreadable: topic -> number of its texts that are not JSON objects.
     """
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class TextCollector:
             raise TraceFormatError(text.path, what, text.offset) from err
 
     def add_ring_session(self, described: Session, dropped_events: int) -> None:
-        """Add a ring's session, unless the trace has it, and the number of drops in the ring's header."""
+        """Add a ring's session, unless the trace has it, and the header's number of drops."""
         session = self.sessions.get(described.session_id, described)
         dropped_events = max(session.dropped_events, dropped_events)
         self.sessions[session.session_id] = replace(session, dropped_events=dropped_events)
@@ -139,13 +139,13 @@ def _string(text: Text) -> str:
 
 @dataclass(frozen=True, slots=True)
 class RingBeside:
-    """Ring next to one file of a trace; its content is None if it cannot be read because of `fault`."""
+    """Ring next to a file; its content is None if it cannot be read because of `fault`."""
 
     contents: RingContents | None
     fault: str | None = None
 
     def batch(self, events_in_file: int) -> Batch:
-        """Return the events that the file lacks, given the number of events that the recorder had written to it."""
+        """Return the events that the file lacks, given the number that the recorder had written to it."""
         if self.contents is None:
             return Batch(notes=[self.fault] if self.fault else [])
         slots = self.contents.slots
@@ -166,8 +166,8 @@ class RingBeside:
 def ring_beside(file: Path) -> RingBeside | None:
     """Read the ring of a storage file, if it has an event; call this before the file is opened.
 
-    In this order no event of a living recorder is missed: one that has left the ring when the ring is read is in the file
-    when the file is read.
+    So no event of a living recorder is missed: one that has left the ring when the ring is read is in the file when the
+    file is read.
     """
     path = ring_path(file)
     try:
@@ -192,7 +192,7 @@ class TraceBuilder:
     truncated: list[str] = field(default_factory=list)
 
     def batches_of(self, file: Path, source: Source, ring: RingBeside | None = None) -> Iterator[Batch]:
-        """Yield the batches of a file, then a batch of the events that only its ring has; collect everything else."""
+        """Yield the batches of a file, then the events that only its ring has; collect everything else."""
         for batch in source.batches():
             self._add(batch, file)
             yield batch

@@ -1,4 +1,4 @@
-"""Recovery: a closed trace from a file that a killed recorder left and its ring."""
+"""Recovery: a closed trace from a killed recorder's file and ring."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ if TYPE_CHECKING:
     from ..format.ring import RingContents, Slots
 
 KILLED_SUFFIX = ".killed"
-"""Suffix of a trace that was recovered."""
 
 UNFINISHED_SUFFIX = ".recovering"
-"""Suffix of the new trace until it is complete."""
+"""Of the new trace until it is complete."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +40,10 @@ class RecoveryReport:
     Attributes:
         recovered: the closed trace that was written; None if `path` was closed and whole.
         originals: the cut off file and its ring, by their new names.
-        file_events, ring_events: number of events in the complete chunks of the file, and of those that only the ring had.
-        missing_events: number of events in neither, after a power failure or on a bad disk.
-        torn_bytes: number of bytes at the file's end that were no complete record.
-        damaged_chunks: number of chunks whose content is not what was written.
+        file_events, ring_events: events in the file's complete chunks, and those that only the ring had.
+        missing_events: events in neither, after a power failure or on a bad disk.
+        torn_bytes: bytes at the file's end that were no complete record.
+        damaged_chunks: chunks whose content is not what was written.
         ring_fault: the damage of a ring from which only whole slots were used, or None.
     """
 
@@ -99,7 +98,7 @@ def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | 
         raise OutputExistsError(f"{destination} is there already; choose another name")
     killed = _inspect(trace)
     if killed.is_whole:
-        # Killed between the footer and the deletion of the ring: every event is in the file.
+        # Killed between the footer and the deletion of the ring.
         if killed.ring_fault is None:
             ring_path(trace).unlink(missing_ok=True)
         return RecoveryReport(path, None, file_events=killed.file.events, ring_fault=killed.ring_fault)
@@ -134,7 +133,7 @@ def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | 
 
 @dataclass(frozen=True, slots=True)
 class _FileCounts:
-    """The final counts of a `Salvage`; all 0 of a file that is gone."""
+    """Of a `Salvage`; all 0 of a file that is gone."""
 
     closed: bool = False
     events: int = 0
@@ -145,7 +144,7 @@ class _FileCounts:
 
 @dataclass(frozen=True, slots=True)
 class _KilledTrace:
-    """Trace read once: the counts of its file, its session, its ring and the damage of that."""
+    """A trace read once, its ring, and the damage of that."""
 
     trace: Path
     file: _FileCounts
@@ -155,7 +154,7 @@ class _KilledTrace:
 
     @property
     def mode(self) -> int:
-        """Rights of the old file, or of its ring if that is all there is."""
+        """Rights of the old file, or of its ring if the file is gone."""
         original = self.trace if self.trace.exists() else ring_path(self.trace)
         return mode_within(original.stat().st_mode)
 
@@ -195,7 +194,7 @@ def _read_file(trace: Path) -> tuple[_FileCounts, list[Session]]:
 
 
 def _read_ring(ring: Path, events_in_trace: int, session: Session | None) -> tuple[RingContents | None, str | None]:
-    """Return the content of a ring and its damage in words; both None if there is no ring, or an empty one."""
+    """Return a ring's content and its damage; None for no ring, or an empty one."""
     if not ring.exists():
         return None, None
     try:
@@ -215,7 +214,7 @@ def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText]:
 
 
 def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> TraceWriter:
-    """Write the closed trace: the content of file and ring, and the session with the report's counts."""
+    """Write the content of file and ring, and the session with the report's counts."""
     counts = {
         "file_events": report.file_events,
         "ring_events": report.ring_events,
@@ -261,7 +260,7 @@ def _check_readable(unfinished: Path, report: RecoveryReport) -> None:
 
 
 def _swap_files(trace: Path, unfinished: Path) -> tuple[Path, ...]:
-    """Rename the old file and give its name to the new one, so that a trace exists at every moment; return the old ones' names.
+    """Rename the old files and give the name to the new one, so that a trace exists at every moment.
 
     The ring is renamed last: to the new file, which has all its events, it adds nothing.
     """

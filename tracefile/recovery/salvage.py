@@ -1,4 +1,4 @@
-"""Events and texts in the complete chunks of a cut off trace, in file order."""
+"""The complete chunks of a cut off trace, in file order."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
 _CHANNEL_IDS = 1 << 16  # a channel id has 16 bits
 
 _UNSUSPECTED_STEPS = 1_000_000
-_STEP_BYTES = 32  # a second of a recording at 10 Hz needs a kilobyte: a chunk and six records
+_STEP_BYTES = 32  # a second at 10 Hz needs a kilobyte: a chunk and six records
 _CHUNK_STEPS, _RECORD_STEPS = 16, 2
 
 
 @dataclass(frozen=True, slots=True)
 class SalvagedText:
-    """`std_msgs/msg/String` of the file; `log_time_ns` is ns since 1970."""
+    """`log_time_ns` is ns since 1970."""
 
     topic: str
     text: str
@@ -45,12 +45,12 @@ class SalvagedText:
 
 
 class Salvage:
-    """Iterable, to be used once, of the events (`SLOT_DTYPE` without tickets) and texts in the complete chunks of a file.
+    """One-time iterable of the events (`SLOT_DTYPE` without tickets) and texts in the complete chunks of a file.
 
     Attributes, final after the last item:
         closed: whether the file has its footer.
-        torn_bytes: number of bytes at the end that are no complete record.
-        damaged_chunks: number of chunks left out because their content is not what was written.
+        torn_bytes: bytes at the end that are no complete record.
+        damaged_chunks: chunks whose content is not what was written.
 
     Raises:
         TraceFormatError: by the iteration: another program wrote the file, or it contradicts itself.
@@ -70,7 +70,7 @@ class Salvage:
 
     @property
     def tickets(self) -> int:
-        """Number of events that the recorder had written, including damaged chunks."""
+        """Events that the recorder had written, including damaged chunks."""
         return sum(self._next_number.values())  # MCAP sequences count the messages of a channel
 
     def __iter__(self) -> Iterator[Slots | SalvagedText]:
@@ -90,7 +90,7 @@ class Salvage:
             at = header.end
 
     def _check_origin(self, header: RecordHeader) -> None:
-        """Refuse files of other writers, which may contain other messages that would be lost."""
+        """Refuse files of other writers, whose other messages would be lost."""
         try:
             library = self._file.parse(Header, header).library
         except TornRecordError:  # a damaged header: the content decides
@@ -132,7 +132,6 @@ class Salvage:
                         self._stages[channel_id] = _NUMBER_OF_STAGE[channel.stage]
 
     def _take_steps(self, steps: int) -> None:
-        """Count work."""
         self._steps_left -= steps
         if self._steps_left < 0:
             raise self._suspected("it has more small records than a recorder writes into so few bytes")
@@ -158,6 +157,6 @@ class Salvage:
             return
         try:
             text = decode_string(content[MESSAGE_HEADER.size :])
-        except ValueError:  # not a String, so not a text of the recorder's
+        except ValueError:  # not a String of the recorder's
             return
         yield SalvagedText(channel.topic, text, log_time_ns)

@@ -39,7 +39,7 @@ class TraceDestination:
 
     @property
     def flush_seconds(self) -> float:
-        """Time between chunks; half with `fsync`, as an event waits for the end of one flush and for all of the next."""
+        """Time between chunks; half with `fsync`, as an event waits for one flush and all of the next."""
         return self.chunk_seconds / 2 if self.fsync else self.chunk_seconds
 
     @property
@@ -58,9 +58,9 @@ class ClosedTrace:
     """Result of a recording.
 
     Attributes:
-        dropped_events: number of events that could not be stored.
-        error: the reason why writing failed; None if everything is in a closed file.
-        ring_events: number of events that stayed in the ring because of `error`; readers use them, `recover` joins both.
+        dropped_events: events that could not be stored.
+        error: why writing failed; None if everything is in a closed file.
+        ring_events: events that stayed in the ring because of `error`; readers use them, `recover` joins both.
     """
 
     path: Path
@@ -72,7 +72,7 @@ class ClosedTrace:
 
 
 def discard(destination: TraceDestination) -> None:
-    """Remove a closed trace without useful content, so that the next recording can use its name.
+    """Remove a closed trace, so that the next recording can use its name.
 
     Raises:
         OutputError: it cannot be removed.

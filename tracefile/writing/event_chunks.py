@@ -1,4 +1,4 @@
-"""Content of MCAP chunks: schemas and channels, and events by numpy, slots of the ring in, records and their index out."""
+"""Content of MCAP chunks: schemas, channels and events by numpy; slots of the ring in, records and their index out."""
 
 from __future__ import annotations
 
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from ..format.ring import Slots
 
 LIBRARY = "dds-trace"
-"""Start of the library field of our files' Header."""
 
 EVENT_SCHEMA = Schema(id=1, name=EVENT_SCHEMA_NAME, encoding="ros2msg", data=EVENT_DEFINITION.encode())
 STRING_SCHEMA = Schema(id=2, name=STRING_SCHEMA_NAME, encoding="ros2msg", data=STRING_DEFINITION.encode())
@@ -41,7 +40,7 @@ TYPE_HASHES = {
     EVENT_SCHEMA_NAME: "RIHS01_bda991ead4fe8ce479c129efc17c1affed4da47fbc0d1731d7bad959cf922db2",
     STRING_SCHEMA_NAME: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
 }
-"""Message type -> type description hash of ROS 2 (REP 2016), computed by rosbags from the definitions."""
+"""Type description hashes of ROS 2 (REP 2016), computed by rosbags from the definitions."""
 
 EVENT_TOPICS = tuple(stage.topic for stage in Stage)
 """Topics of channels 1 to 4; a channel's id is the stage's number in the ring."""
@@ -51,7 +50,7 @@ TEXT_TOPICS = (SESSION_TOPIC, RUN_TOPIC)
 
 
 def declarations_of(channels: Sequence[Channel]) -> bytes:
-    """Return the schema and channel records at the start of a chunk; each has its own, so that a damaged one loses only itself."""
+    """Return the schema and channel records at the start of a chunk, so that a damaged one loses only itself."""
     schemas = {channel.schema_id: schema_of(channel) for channel in channels}
     return b"".join(map(encode_record, [*schemas.values(), *channels]))
 
@@ -70,7 +69,7 @@ def schema_of(channel: Channel) -> Schema:
 
 
 MESSAGES_AT = 4096
-"""Offset of the messages in the builder's buffer, after space for schemas and channels."""
+"""Offset of the messages in the builder's buffer, after schemas and channels."""
 
 Positions: TypeAlias = "NDArray[np.intp]"
 """Indices of slots."""
@@ -81,7 +80,7 @@ Index: TypeAlias = "NDArray[np.uint64]"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chunk:
-    """Uncompressed content of a chunk, its earliest and latest log time (ns since 1970), and channel id -> index of its messages."""
+    """Uncompressed chunk, its earliest and latest log time (ns since 1970), and channel id -> index of its messages."""
 
     content: memoryview
     start_ns: int
@@ -90,14 +89,14 @@ class Chunk:
 
 
 def positions_by_channel(slots: Slots) -> dict[int, Positions]:
-    """Return channel id (the number of its stage) -> positions of its events in `slots`."""
+    """Return channel id (the stage's number) -> positions of its events."""
     stages = slots["stage"].copy()
     by_channel = {number: np.flatnonzero(stages == number) for number in range(1, len(Stage) + 1)}
     return {number: positions for number, positions in by_channel.items() if len(positions)}
 
 
 def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
-    """Return events as slots of a ring, ordered by their monotonic time, then by stage."""
+    """Return events as slots, ordered by monotonic time, then by stage."""
     numbered = [(number, events[stage]) for number, stage in STAGE_NUMBERS.items() if stage in events]
     slots = np.zeros(sum(len(columns) for _, columns in numbered), SLOT_DTYPE)
     end = 0
@@ -112,7 +111,7 @@ def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
 
 
 class EventChunkBuilder:
-    """Builder of chunks in one reused buffer, because fresh memory is slow at its first touch."""
+    """Builds in one reused buffer, because fresh memory is slow at its first touch."""
 
     def __init__(self, wall_offset_ns: int, max_events: int) -> None:
         self._wall_offset_ns = wall_offset_ns
@@ -130,14 +129,14 @@ class EventChunkBuilder:
     ) -> Chunk:
         """Build the chunk of one to `max_events` slots in their order; its content is lost at the next call.
 
-        Threads may stamp in one order and get their slots in another, microseconds apart. The file has the order of the slots; a log
-        time that would run backwards repeats the previous one (the event's `monotonic_ns` is untouched).
+        Threads may stamp in one order and get their slots in another, microseconds apart. The file has the order of the
+        slots; a log time that would run backwards repeats the previous one (`monotonic_ns` is untouched).
 
         Args:
             slots: the events.
             by_channel: their positions, from `positions_by_channel`.
             declarations: schema and channel records, at most `MESSAGES_AT` bytes.
-            written: channel id -> number of messages that the file already has.
+            written: channel id -> messages that the file already has.
             not_before_ns: log time of the file's last message.
         """
         count = len(slots)

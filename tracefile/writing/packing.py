@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .writer import TraceFiles
 
 ExpectedPair: TypeAlias = tuple[int, int, int, int]
-"""A pair of events packed without times: ticket of the first, its first word in the ring, the marks of both."""
+"""Ticket of the first, its first word in the ring, the marks of both."""
 
 _pack_into, _pack_pair_into = SLOT_STRUCT.pack_into, SLOT_PAIR_STRUCT.pack_into
 
@@ -52,7 +52,7 @@ class EventPacker:
         self._use(files)
 
     def _use(self, files: TraceFiles) -> None:
-        """Send the next event to the ring of these files, with ticket 0; the caller has the lock, if there is one."""
+        """Send the next event to the ring of these files, with ticket 0; the caller has the lock, if any."""
         self._files = files
         self._memory = files.ring.memory
         self._words = files.ring.words
@@ -290,7 +290,7 @@ class EventPacker:
                 self._packing.wake()
 
     def _has_room(self, head: int) -> bool:
-        """Wake the draining thread and return whether there is a free slot; the caller has the lock."""
+        """Wake the draining thread; return whether there is a free slot. The caller has the lock."""
         if head >= self._limit:
             self._drop()
             return False

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
-"""Switch interval while another thread fills the ring (see `_quick_switches`)."""
+"""While another thread fills the ring (see `_quick_switches`)."""
 
 
 class TraceSink(EventPacker):
@@ -63,11 +63,11 @@ class TraceSink(EventPacker):
         self._thread.start()
 
     def write_run(self, run: Run) -> None:
-        """Write a run's description to the file, after all events before it."""
+        """Write a run's description after all events before it."""
         self._write(RUN_TOPIC, run.to_json())
 
     def write_json(self, topic: str, value: Mapping[str, object]) -> None:
-        """Write `value` as JSON in a `std_msgs/msg/String`, at once as `write_run` does."""
+        """Write JSON in a `std_msgs/msg/String`, as `write_run` does."""
         self._write(topic, json.dumps(value))
 
     def _write(self, topic: str, text: str) -> None:
@@ -78,7 +78,7 @@ class TraceSink(EventPacker):
 
     @property
     def dropped_events(self) -> int:
-        """Number of events that could not be stored so far."""
+        """Events that could not be stored so far."""
         return self._dropped
 
     @property
@@ -144,7 +144,7 @@ class TraceSink(EventPacker):
             return self._end(self._files, head, session_extra)
 
     def _end(self, files: TraceFiles, head: int, session_extra: Mapping[str, Json]) -> ClosedTrace:
-        """Write the rest up to ticket `head` and the closed session, and close the files; the caller has the write lock."""
+        """Write the rest up to ticket `head` and the closed session; the caller has the write lock."""
         self._flush_to(files, head)
         if self._measures_unsaved:
             session_extra = {**session_extra, "longest_unsaved_ns": self._longest_unsaved_ns}
@@ -165,7 +165,7 @@ class TraceSink(EventPacker):
         return closed
 
     def _drain(self) -> None:
-        """Write a chunk every `flush_seconds`, or when a quarter of the ring is used, in the draining thread."""
+        """Write a chunk every `flush_seconds`, or when a quarter of the ring is used."""
         run_in_background()
         going_on = True
         while going_on:
@@ -175,11 +175,11 @@ class TraceSink(EventPacker):
                 self._flush()
 
     def _flush(self) -> bool:
-        """Move the ring's events so far, then the texts, to the file; return whether all of it is there."""
+        """Move the ring's events so far, then the texts; return whether all of it is in the file."""
         return not self._is_paused and self._flush_to(self._files, self._head)
 
     def _flush_to(self, files: TraceFiles, head: int) -> bool:
-        """Move the events up to ticket `head`, then the texts, to a file; the caller has the write lock."""
+        """Move the events up to ticket `head`, then the texts; the caller has the write lock."""
         start_ns, before = time.monotonic_ns(), files.drained
         try:
             with _quick_switches(only_if=head - before >= self._quarter):

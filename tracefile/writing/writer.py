@@ -1,4 +1,4 @@
-"""The MCAP file of a trace, which grows by whole chunks and is readable after each, and the ring next to it."""
+"""The MCAP file of a trace, readable after each of its chunks, and the ring next to it."""
 
 from __future__ import annotations
 
@@ -96,12 +96,12 @@ class TraceWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Length of the file in bytes."""
+        """Length of the file."""
         return self._end
 
     @property
     def events(self) -> int:
-        """Number of events in the file."""
+        """Events in the file."""
         return sum(self._counts.get(self._channels[topic].id, 0) for topic in EVENT_TOPICS)
 
     @property
@@ -130,7 +130,7 @@ class TraceWriter:
             self._write_chunk(built)
 
     def write_text(self, topic: str, text: str, time_ns: int) -> None:
-        """Append one `std_msgs/msg/String` in a chunk of its own, so that no later damage loses it; log times never decrease."""
+        """Append a String in its own chunk, so that no later damage loses it; log times never decrease."""
         channel = self._channel(topic, STRING_SCHEMA)
         log_time = max(time_ns, self._last_ns)
         message = Message(
@@ -146,7 +146,7 @@ class TraceWriter:
         self._write_chunk(Chunk(content, log_time, log_time, {channel.id: index}))
 
     def finish(self) -> None:
-        """Close the data section, write summary and footer, close the file."""
+        """Write summary and footer, close the file."""
         summary_start = self._end + len(encode_record(DataEnd(0)))
         channels = self._used_channels()
         schemas = {channel.schema_id: schema_of(channel) for channel in channels}
@@ -207,7 +207,7 @@ class TraceWriter:
         return [channel for channel in self._channels.values() if channel.id in self._counts]
 
     def _write_chunk(self, chunk: Chunk) -> None:
-        """Append a chunk and its message indexes, then count it as part of the file."""
+        """Append a chunk and its message indexes."""
         compressed = self._compressor.compress(chunk.content)
         size = len(chunk.content)
         body = _CHUNK_HEADER.size - 9 + len(_COMPRESSION) + 8 + len(compressed)
@@ -243,7 +243,7 @@ class TraceWriter:
         self._last_ns = chunk.end_ns
 
     def _append(self, parts: Sequence[bytes | memoryview]) -> None:
-        """Write `parts` at the end, all or nothing: bytes of an incomplete write are cut off again."""
+        """Write all or nothing: bytes of an incomplete write are cut off again."""
         self._check_unchanged()
         end = self._end
         try:
@@ -276,7 +276,7 @@ class TraceWriter:
             raise output_error(self.path, cause) from cause
 
     def _change(self) -> int:
-        """Return the error number of what another program did to the file, 0 for nothing."""
+        """Return the error number of that, 0 for nothing."""
         status = os.fstat(self._descriptor)
         if status.st_nlink == 0:
             return errno.ENOENT
@@ -316,7 +316,7 @@ class TraceFiles:
             raise (err if isinstance(err, OutputError) else output_error(ring_path(trace), err)) from err
 
     def move_chunk(self, head: int) -> None:
-        """Move the next chunk of the ring's events below ticket `head` to the file.
+        """Move the ring's next chunk below ticket `head` to the file.
 
         Raises:
             OutputError: it cannot be written; the events stay in the ring.

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class TraceError(Exception):
-    """Error that a user can act on; its text is one line."""
+    """Error that a user can act on, in one line."""
 
     exit_code: ClassVar[int] = 1
 

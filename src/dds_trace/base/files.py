@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, files that are read safely, and what a failed write means."""
+"""Files that are written whole or not at all or read safely, and what a failed write means."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 @contextmanager
 def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
-    """Yield the path of a draft that replaces `path` once the block ends without an error; after an error it is removed.
+    """Yield a draft that replaces `path` once the block ends without an error; after an error it is removed.
 
-    A reader sees the old file or the new one, never a part; a symbolic link is replaced itself. The draft ends in `.part`, which
-    no reader takes for a trace. With `fsync` file and folder are on the disk on return.
+    A reader sees the old file or the new one; a symbolic link is replaced itself. The draft ends in `.part`, which no
+    reader takes for a trace. With `fsync` file and folder are on the disk on return.
 
     Raises:
         OSError: the draft cannot be flushed to the disk, or cannot replace `path`.
@@ -49,9 +49,9 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def _draft_lock(folder: Path) -> Iterator[None]:
-    """Share the lock of a folder while a draft is in it, so that `remove_drafts` knows which drafts nobody writes any more."""
+    """Share the lock of a folder while a draft is in it, for `remove_drafts`."""
     descriptor = None
-    with suppress(OSError):  # the folder is not there, or its file system has no locks: then no draft is removed either
+    with suppress(OSError):  # no folder, or no locks: then no draft is removed either
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         for _ in range(_LOCK_ATTEMPTS):
             with suppress(BlockingIOError):
@@ -66,7 +66,7 @@ def _draft_lock(folder: Path) -> Iterator[None]:
 
 
 def remove_drafts(folder: Path, names: Iterable[str]) -> None:
-    """Remove the drafts of files of these names that a dead process left in a folder; none while any process has a draft in it."""
+    """Remove the drafts of these files that a dead process left; none while any process has a draft in the folder."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
@@ -80,7 +80,7 @@ def remove_drafts(folder: Path, names: Iterable[str]) -> None:
 
 
 _LOCK_ATTEMPTS, _LOCK_PAUSE_S = 20, 0.01
-"""`remove_drafts` has its lock for milliseconds; a stranger who keeps it must not stop us."""
+"""`remove_drafts` locks for milliseconds; a stranger who keeps the lock must not stop us."""
 
 
 def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
@@ -98,7 +98,7 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
 
 
 def read_into(descriptor: int, target: memoryview, offset: int) -> int:
-    """Fill `target` with the bytes of a file from `offset` on; return how many there were."""
+    """Fill `target` from `offset` on; return how many bytes there were."""
     done = 0
     while done < len(target):  # the kernel returns at most 2 GiB at once
         count = os.preadv(descriptor, [target[done:]], offset + done)
@@ -111,7 +111,7 @@ def read_into(descriptor: int, target: memoryview, offset: int) -> int:
 def expand_home(text: str) -> Path:
     """Return a path with the home folder in place of `~` or `~user`, or as it is if that user does not exist.
 
-    `Path.expanduser` raises there, though such a name may be a folder's.
+    `Path.expanduser` raises there, though it may be a folder's name.
     """
     return Path(os.path.expanduser(text))  # noqa: PTH111
 
@@ -121,18 +121,18 @@ OWNER_AND_GROUP = 0o640
 
 
 def create_file(path: Path, mode: int = OWNER_AND_GROUP) -> BinaryIO:
-    """Create a file that must not exist (nor a dangling link) and open it for writing, with at most the rights of `mode`."""
+    """Create a file that must not exist (nor a dangling link), with at most the rights of `mode`."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     return os.fdopen(descriptor, "wb")
 
 
 def mode_within(rights: int) -> int:
-    """Return the mode for a file derived from one with these rights: no more rights, and none for others."""
+    """Return the mode for a file derived from one with these rights: no more, and none for others."""
     return rights & OWNER_AND_GROUP | stat.S_IRUSR | stat.S_IWUSR
 
 
 def flush_to_disk(path: Path) -> None:
-    """Flush a file, or the names in a folder, from the page cache to the disk."""
+    """Flush a file, or the names in a folder, to the disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -154,6 +154,6 @@ _ADVICE = {
 
 
 def output_error(path: Path, err: OSError, what: str = "the trace") -> OutputError:
-    """Return the error for a failed write: what the system's error number means, and what to do."""
+    """Return the error for a failed write: what the system's number means, and what to do."""
     advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
     return OutputError(f"{path}: cannot write {what}: {advice}")

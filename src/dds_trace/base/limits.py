@@ -1,6 +1,6 @@
-"""One list of validators for the values of options, plans and traces, so that what one refuses no other accepts.
+"""One list of validators for options, plans and traces, so that what one refuses no other accepts.
 
-A validator raises nothing of its own, whatever the value: NaN, an integer of 400 digits, text that no encoding has.
+A validator never raises: not for NaN, an integer of 400 digits, or text that no encoding has.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Whole:
     what: str
 
     def fault(self, value: object) -> str | None:
-        """Return what to write instead of `value`, None if it is allowed."""
+        """See `Limit.fault`."""
         if isinstance(value, int) and not isinstance(value, bool) and self.low <= value <= self.high:
             return None
         return f"{self.what} must be between {self.low} and {self.high}"
@@ -53,7 +53,7 @@ class Real:
     is_above: bool = False
 
     def fault(self, value: object) -> str | None:
-        """Return what to write instead of `value`, None if it is allowed."""
+        """See `Limit.fault`."""
         if (
             isinstance(value, int | float)
             and not isinstance(value, bool)
@@ -75,7 +75,7 @@ class Words:
     most: int = 4096
 
     def fault(self, value: object) -> str | None:
-        """Return what to write instead of `value`, None if it is allowed."""
+        """See `Limit.fault`."""
         if not isinstance(value, str):
             return f"{self.what} must be text"
         if not is_utf8(value):
@@ -94,7 +94,7 @@ class OneOf:
     choices: tuple[str, ...] | tuple[float, ...]
 
     def fault(self, value: object) -> str | None:
-        """Return what to write instead of `value`, None if it is allowed."""
+        """See `Limit.fault`."""
         if not isinstance(value, bool) and value in self.choices:
             return None
         words = [f"{choice:g}" if isinstance(choice, float) else choice for choice in self.choices]
@@ -113,7 +113,7 @@ class FilePath:
     is_input: bool = False
 
     def fault(self, value: object) -> str | None:
-        """Return what to write instead of `value`, None if it is allowed."""
+        """See `Limit.fault`."""
         if self.is_input and isinstance(value, str):
             value = value.encode(errors="replace").decode()  # undecodable bytes of a name are lone surrogates
         fault = Words(self.what, most=4095).fault(value)
@@ -131,12 +131,12 @@ class Flag:
     """True or false."""
 
     def fault(self, value: object) -> str | None:
-        """Return what to write instead of `value`, None if it is allowed."""
+        """See `Limit.fault`."""
         return None if isinstance(value, bool) else "write true or false"
 
 
 def check(limit: Limit, value: object, where: str) -> None:
-    """Refuse a value of the option `where`; None passes as the default of an option that was not given.
+    """Refuse a value of the option `where`; None passes, as not given.
 
     Raises:
         OptionError: `<where> <value>: <what to write>`.
@@ -147,7 +147,7 @@ def check(limit: Limit, value: object, where: str) -> None:
 
 
 def nearest(word: str, choices: Collection[str]) -> str:
-    """Return what to write instead of a word that is not in `choices`: the nearest one, or all."""
+    """Return what to write instead of a wrong word: the nearest choice, or all."""
     import difflib  # noqa: PLC0415 - only errors need it, and each command loads this module
 
     near = difflib.get_close_matches(word[:_COMPARED_CHARACTERS], choices, n=1)
@@ -155,11 +155,11 @@ def nearest(word: str, choices: Collection[str]) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a refused value for an error message: on one line, at most 80 characters."""
+    """Return a refused value on one line, at most 80 characters."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):
-        # str() of an int refuses more than 4300 digits (`sys.set_int_max_str_digits`).
+        # str() refuses more than 4300 digits (`sys.set_int_max_str_digits`).
         digits = int(value.bit_length() * math.log10(2)) + 1
         return str(value) if digits <= _SHOWN_DIGITS else f"a number of about {digits} digits"
     if isinstance(value, float):
@@ -170,7 +170,7 @@ def shown(value: object) -> str:
 
 
 def is_utf8(text: str) -> bool:
-    """Return whether UTF-8 can encode the text: it has no lone surrogate, as bytes of another encoding leave them."""
+    """Return whether the text has no lone surrogate, as bytes of another encoding leave them."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -184,7 +184,7 @@ LAST_DOMAIN = 231
 MAX_PAYLOAD_BYTES = 1 << 30
 """Largest payload: it is in memory while it is sent, and a small board has 2 GB."""
 MAX_MESSAGES = 100_000_000
-"""Most messages of a run; its ledger needs 20 bytes of memory for each."""
+"""A run's ledger needs 20 bytes of memory for each."""
 
 DOMAIN_ID = Whole(0, LAST_DOMAIN, "a DDS domain id")
 RELAY_ID = Whole(1, (1 << 32) - 1, "a relay's id")

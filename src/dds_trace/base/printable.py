@@ -11,7 +11,7 @@ MAX_SHOWN_CHARACTERS = 300
 """Longest text that is shown whole; JSON keeps texts whole."""
 
 MAX_FINDING_CHARACTERS = 3000
-"""Longest text of a finding or a line of a comparison, which may name several results in full."""
+"""Longest text of a finding or of a comparison's line, which may name several results."""
 
 # Cc control, Cf format (bidi overrides, zero width), Zl and Zp line separators, Cs lone surrogates, Co private use.
 _HIDDEN_CATEGORIES = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs", "Co"})
@@ -28,7 +28,7 @@ def printable(text: object, most: int = MAX_SHOWN_CHARACTERS) -> str:
 
 
 def is_hidden(character: str) -> bool:
-    """Return whether a character has no glyph of its own."""
+    """Return whether a character has no glyph."""
     # XML 1.0 forbids U+FFFE and U+FFFF.
     return unicodedata.category(character) in _HIDDEN_CATEGORIES or ord(character) & 0xFFFE == 0xFFFE
 

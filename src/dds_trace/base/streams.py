@@ -1,9 +1,9 @@
 """The door of all text to a terminal or a log: nothing that a device, peer, file or trace contains commands its reader.
 
-`plain_streams` replaces stdout and stderr for a command. A text that goes through them has no control or invisible characters,
-and no line that a runner of GitHub takes for a command (`::name::` at its start, `##[name]` anywhere). Rich writes its own
-escapes past that, so `plain_console` cleans each segment before it is drawn. What comes from outside is made one line by
-`printable` where it enters a sentence.
+`plain_streams` replaces stdout and stderr for a command. Text through them has no control or invisible characters, and
+no line that GitHub's runner takes for a command (`::name::` at its start, `##[name]` anywhere). Rich writes its own
+escapes past that, so `plain_console` cleans each segment before it is drawn. What comes from outside is made one line
+by `printable` where it enters a sentence.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def plain(text: str) -> str:
-    r"""Return lines of text with all but line feeds and tabs spelled out as in JSON: `\u001b`, so that JSON stays JSON."""
+    r"""Return text with all but line feeds and tabs spelled out as in JSON: `\u001b`, so that JSON stays JSON."""
     if text.isprintable():
         return text
     return "".join(c if c in "\n\t" or not is_hidden(c) else _spelled(c) for c in text)
@@ -50,7 +50,7 @@ def _without_command(line: str) -> str:
 
 
 class PlainStream:
-    """A text stream that is written plainly; where it cannot be written, words are lost and nothing else.
+    """A text stream that is written plainly; where it cannot be written, only words are lost.
 
     Attributes:
         failure: why something could not be written, or None.
@@ -95,7 +95,7 @@ class PlainStream:
         return shown
 
     def _give_up(self, err: OSError) -> None:
-        """Let what follows, and what is buffered, go nowhere: Python would fail again at its end."""
+        """Drop what follows and what is buffered: Python would fail again at its end."""
         self.failure = self.failure or err
         with suppress(OSError, ValueError):
             nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -1,4 +1,4 @@
-"""Jobs on all cores with results in order, and a lock and a scheduler change for threads that time stamps wait for."""
+"""Jobs on all cores with results in order; a lock and a scheduler change for threads that time stamps wait for."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class PendingResult(Protocol[T_co]):
-    """A job that was started, such as a future of a pool."""
+    """A started job, such as a future of a pool."""
 
     def result(self) -> T_co:
-        """Wait until the job is done and return its result, or raise its exception."""
+        """Wait until the job is done; raise its exception."""
 
     def cancel(self) -> bool:
         """Keep the job from starting, if it has not."""
@@ -65,10 +65,10 @@ def in_order(
 
 @dataclass(slots=True)
 class _SharedJob(Generic[T]):
-    """A job that is done by the pool, or by the thread that waits for it or for a job before it.
+    """A job for the pool, or for the thread that waits for it or an earlier one.
 
     Attributes:
-        waiting: this job and those after it, in their order.
+        waiting: this job and those after it, in order.
     """
 
     job: Callable[[], T]
@@ -82,7 +82,7 @@ class _SharedJob(Generic[T]):
         return self.future.result()
 
     def done_here(self) -> bool:
-        """Do the job in this thread unless a thread of the pool has it; return whether it was done here."""
+        """Do the job unless a thread of the pool has it; return whether it was done here."""
         if not self.cancel():
             return False
         self.future = InlineExecutor().submit(self.job)
@@ -93,7 +93,7 @@ class _SharedJob(Generic[T]):
 
 
 class InlineExecutor(Executor):
-    """An executor without threads: `submit` does the job at once, and raises what it raises."""
+    """An executor without threads: `submit` does the job, and raises what it raises."""
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
         """Do the job."""
@@ -162,6 +162,6 @@ class FastLock:
 
 
 def run_in_background() -> None:
-    """Put the calling thread back under the ordinary scheduler, if it may; it inherits SCHED_FIFO of `dds-record --realtime`."""
+    """Put this thread back under the ordinary scheduler, if it may; it inherits SCHED_FIFO of `--realtime`."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -1,4 +1,4 @@
-"""Numbers with units: read as people write them (`20ms`, `33KB`, `1kHz`) and written for people."""
+"""Numbers with units, read as people write them (`20ms`, `33KB`, `1kHz`) and written for people."""
 
 from __future__ import annotations
 
@@ -17,38 +17,37 @@ MISSING = "-"
 
 SECOND_NS = 1_000_000_000
 UNIT_NS = {"s": SECOND_NS, "ms": 1_000_000, "us": 1_000, "ns": 1}
-"""Unit as the command line takes it -> its ns."""
+"""As the command line takes units."""
 
 INFINITE_NS = (2**31 - 1) * SECOND_NS
 """Shortest duration that DDS takes as infinite: its seconds are a signed 32-bit integer (RTPS 2.5, section 9.3.2)."""
 
 UNIT_HZ = {"": 1, "hz": 1, "khz": 1000}
-"""Unit in lower case -> its Hz."""
 
 _SHOWN_NS = {"s": SECOND_NS, "ms": 1_000_000, "µs": 1_000, "ns": 1}
 _READ_NS = UNIT_NS | _SHOWN_NS
 _DECIMAL_BYTES = {"GB": 10**9, "MB": 10**6, "KB": 10**3, "B": 1}
 _BINARY_BYTES = {"GiB": 2**30, "MiB": 2**20, "KiB": 2**10}
 UNIT_BYTES = {"": 1} | {unit.lower(): size for unit, size in (_DECIMAL_BYTES | _BINARY_BYTES).items()}
-"""Unit in lower case -> its bytes; a number without unit is bytes."""
+"""A number without unit is bytes."""
 
 _QUANTITY = re.compile(r"\s*(\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})\s*([a-zµ%]*)\s*", re.IGNORECASE | re.ASCII)
 
 
 def counted(count: float, one: str, many: str = "", *, text: str = "") -> str:
-    """Return a count with its noun: `1 message`, `2 messages`; `many` is the plural if it is not `one` + s, `text` the printed count."""
+    """Return a count with its noun, `2 messages`; `many` is an irregular plural, `text` the printed count."""
     noun = one if count == 1 else many or f"{one}s"
     return f"{text or count} {noun}"
 
 
 def split_quantity(text: str) -> tuple[float, str] | None:
-    """Split `1.5 ms` into its number (no sign, no exponent) and its unit in lower case; None if `text` is no quantity."""
+    """Split `1.5 ms` into number (no sign, no exponent) and unit in lower case; None if `text` is no quantity."""
     match = _QUANTITY.fullmatch(text)
     return None if match is None else (float(match[1]), match[2].lower())
 
 
 def format_quantity(value: float | None, units: Mapping[str, float]) -> str:
-    """Write a value (factor 1) to three digits, in the largest unit (name -> factor, descending) that it fills: `1.25 ms`; `MISSING` if not finite."""
+    """Write three digits in the largest unit (name -> factor, descending) that fits; `MISSING` if not finite."""
     if value is None or not math.isfinite(value):
         return MISSING
     # 999.96 would be written as 1000: the larger unit takes it.
@@ -57,7 +56,7 @@ def format_quantity(value: float | None, units: Mapping[str, float]) -> str:
 
 
 def _three_digits(value: float) -> str:
-    """Write three significant digits without exponent or trailing zeros after the point; whole numbers stay whole."""
+    """Write three significant digits without exponent or trailing zeros; whole numbers stay whole."""
     if value == 0:
         return "0"
     decimals = max(0, 2 - math.floor(math.log10(abs(value)) + 1e-12))
@@ -79,17 +78,17 @@ def parse_duration(text: str, what: str = "duration") -> int:
 
 
 def format_duration(value_ns: float | None, unit: str | None = None) -> str:
-    """Write a duration to three digits: `812 ns`, `1.25 ms`; in `unit` of `UNIT_NS` if one is given."""
+    """Write a duration to three digits: `812 ns`, `1.25 ms`; in `unit` of `UNIT_NS` if given."""
     return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit: UNIT_NS[unit]})
 
 
 def format_ms(value_ns: float) -> str:
-    """Write a duration in ms with three decimals and without the unit: `1.250`."""
+    """Write a duration in ms without the unit: `1.250`."""
     return f"{value_ns / 1e6:.3f}"
 
 
 def spell_duration(duration_ns: int, digits: int = 15) -> str:
-    """Write a duration to `digits` digits as `parse_duration` reads it, in the largest unit that it fills: `20ms`."""
+    """Write a duration as `parse_duration` reads it, in the largest unit that it fills: `20ms`."""
     unit = next((unit for unit, factor in UNIT_NS.items() if duration_ns >= factor), "ns")
     return f"{duration_ns / UNIT_NS[unit]:.{digits}g}{unit}"
 
@@ -141,7 +140,7 @@ def format_size(size_bytes: int) -> str:
 
 
 def spell_size(size_bytes: int) -> str:
-    """Write a size exactly and as `parse_size` reads it, in whole decimal units: `33KB`, `1500KB`, `91B`."""
+    """Write a size as `parse_size` reads it, in whole decimal units: `33KB`, `1500KB`, `91B`."""
     whole = (unit for unit, size in _DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
     unit = next(whole, "B")
     return f"{size_bytes // _DECIMAL_BYTES[unit]}{unit}"

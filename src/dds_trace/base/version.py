@@ -1,3 +1,3 @@
-"""The version of dds-trace, written into every trace's library field."""
+"""The version, written into every trace's library field."""
 
 __version__ = "0.2.0"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 KILLED_SUFFIX = ".killed"
 
 UNFINISHED_SUFFIX = ".recovering"
-"""Of the new trace until it is complete."""
+"""Suffix of the new trace until it is complete."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | 
 
 @dataclass(frozen=True, slots=True)
 class _FileCounts:
-    """Of a `Salvage`; all 0 of a file that is gone."""
+    """Counts of a `Salvage`; all 0 of a file that is gone."""
 
     closed: bool = False
     events: int = 0

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .writer import TraceFiles
 
 ExpectedPair: TypeAlias = tuple[int, int, int, int]
-"""Ticket of the first, its first word in the ring, the marks of both."""
+"""Two events without times: ticket of the first, its first word in the ring, the marks of both."""
 
 _pack_into, _pack_pair_into = SLOT_STRUCT.pack_into, SLOT_PAIR_STRUCT.pack_into
 

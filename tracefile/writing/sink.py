@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
-"""While another thread fills the ring (see `_quick_switches`)."""
+"""Switch interval while another thread fills the ring (see `_quick_switches`)."""
 
 
 class TraceSink(EventPacker):

@@ -276,7 +276,7 @@ class TraceWriter:
             raise output_error(self.path, cause) from cause
 
     def _change(self) -> int:
-        """Return the error number of that, 0 for nothing."""
+        """Return the error number of what another program did, 0 for nothing."""
         status = os.fstat(self._descriptor)
         if status.st_nlink == 0:
             return errno.ENOENT

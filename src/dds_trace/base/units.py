@@ -17,7 +17,7 @@ MISSING = "-"
 
 SECOND_NS = 1_000_000_000
 UNIT_NS = {"s": SECOND_NS, "ms": 1_000_000, "us": 1_000, "ns": 1}
-"""As the command line takes units."""
+"""Units of the command line."""
 
 INFINITE_NS = (2**31 - 1) * SECOND_NS
 """Shortest duration that DDS takes as infinite: its seconds are a signed 32-bit integer (RTPS 2.5, section 9.3.2)."""

@@ -51,7 +51,7 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
 
 
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-"""One of these is set on a desktop."""
+"""Set on a desktop."""
 
 
 def open_page(page: Path) -> None:
@@ -75,7 +75,7 @@ class ExportKind(str, Enum):
 
 
 def _check_kinds(kinds: list[str] | None) -> list[str] | None:
-    """Refuse an unknown kind of report, as typer does for a fixed choice."""
+    """Refuse an unknown kind of report."""
     for kind in kinds or ():
         if kind not in REPORT_MODULES:
             raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, REPORT_MODULES))}.")
@@ -274,7 +274,6 @@ def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
 
 
 COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.app}
-"""Name -> command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -286,7 +285,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def _reading_bar() -> Iterator[Callable[[int, int, Path], None] | None]:
-    """Yield the update of a bar on stderr, None where that is not a terminal."""
+    """Yield a bar's update on stderr, None where that is no terminal."""
     if not sys.stderr.isatty():
         yield None
         return

@@ -23,7 +23,6 @@ app = command_app(completes=True)
 
 
 _SHARED = ("discovery", "reliability", "durability", "depth", "deadline", "lifespan", "tuned")
-"""Options that a bridge, a ping and a relay take alike."""
 
 
 @declare_command(app, "bridge")
@@ -141,7 +140,7 @@ def _check(bridge: Bridge, options: BridgeOptions) -> None:
 
 
 def _run(name: str, options: BridgeOptions) -> None:
-    """Run the bridge until SIGINT or SIGTERM; print the end of the log of a program that fails."""
+    """Run the bridge until SIGINT or SIGTERM; print the log's end if the program fails."""
     from dds_trace.recorder.bridges.process.running import open_bridge
     from dds_trace.recorder.host.process import stop_at_signals
 

@@ -1,4 +1,4 @@
-"""Defaults of options from `dds-trace.toml`; an option on the command line and a variable of ROS 2 count more."""
+"""Defaults from `dds-trace.toml`; an option on the command line and a variable of ROS 2 count more."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ VARIABLE = "DDS_TRACE_CONFIG"
 """Variable that names the file instead of all others; empty for none."""
 
 TABLES = ("record", "bridge", "sweep", "analyze", "compare", "watch")
-"""Tables of the file, one per command."""
 
 _MOST_BYTES = 1 << 20
 
@@ -42,7 +41,7 @@ _WITHOUT_DEFAULT = frozenset(
         "list",
     )
 )
-"""Options without a configured default: they overwrite, or do something else than the command."""
+"""They overwrite, or do something else than the command."""
 
 OWN_ONLY = frozenset(
     [
@@ -64,7 +63,7 @@ OWN_ONLY = frozenset(
         "type",
     ]
 )
-"""Options that name code, an address, an output or what is sent: a file in a working folder may belong to somebody else."""
+"""They name code, an address, an output or what is sent: a file in a working folder may belong to somebody else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,7 @@ class Default:
 
 
 def find_files() -> list[Path]:
-    """Return the files of defaults, the first one counts most; only the one of `VARIABLE` if it is set."""
+    """Return the files of defaults, the first one counts most; only the file of `VARIABLE` if it is set."""
     named = os.environ.get(VARIABLE)
     if named is not None:
         return [Path(named)] if named else []
@@ -86,7 +85,7 @@ def find_files() -> list[Path]:
 
 
 def _own_file() -> Path | None:
-    """Return the path in the user's configuration folder; a relative one would be a working folder's."""
+    """Return the file in the user's configuration folder; a relative path would be a working folder's."""
     config = Path(os.environ.get("XDG_CONFIG_HOME") or Path(_home(), ".config"))
     return config / "dds-trace" / FILE_NAME if config.is_absolute() else None
 
@@ -100,7 +99,9 @@ def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]
         options: name without dashes -> whether it is repeatable.
 
     Raises:
-        OptionError: a file cannot be read, belongs to another user, has an unknown key, or one of `OWN_ONLY` in a working folder.
+        OptionError: a file cannot be read, belongs to another user, has an unknown key, or one of `OWN_ONLY` in a
+            working
+            folder.
     """
     defaults: dict[str, Default] = {}
     for path in reversed(files):
@@ -161,7 +162,7 @@ def _folders() -> Iterator[Path]:
 
 
 def _check_owner(path: Path, owner: int) -> None:
-    """Refuse a file that another user put into a shared folder such as `/tmp`."""
+    """Refuse another user's file in a shared folder such as `/tmp`."""
     trusted = {os.geteuid(), 0, path.parent.stat().st_uid}
     if owner not in trusted:
         raise OptionError(f"{path} belongs to another user; remove it, or work without: {VARIABLE}= in the environment")
@@ -187,12 +188,12 @@ class DefaultedCommand(TyperCommand):
     in_file: Mapping[str, Default] = {}
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return arguments and options, `--print-config` among them unless the command has its own."""
+        """Return arguments and options, with `--print-config`."""
         params = super().get_params(ctx)
         return [*params[:-1], _print_config_option(), params[-1]] if self._prints_config else params
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        """Return the context of a call; options that are not given have the defaults of `dds-trace.toml`."""
+        """Return the context of a call, with the defaults of `dds-trace.toml`."""
         files = find_files() if self.table and not {"-h", "--help", "--version"} & set(args) else []
         if files:
             options = {_key(option): option for option in self._options()}
@@ -202,7 +203,7 @@ class DefaultedCommand(TyperCommand):
         return super().make_context(info_name, args, parent, **extra)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the arguments; print which defaults are in force, or with `--print-config` all values."""
+        """Print which defaults are in force, or with `--print-config` all values."""
         prints_config = "--print-config" in args and self._prints_config
         # Nothing will be done, so nothing may be missing.
         ctx.resilient_parsing = ctx.resilient_parsing or prints_config

@@ -23,7 +23,7 @@ BASH_WORDS, BASH_POSITION, OTHER_WORDS = "COMP_WORDS", "COMP_CWORD", "_TYPER_COM
 """Variables of typer's scripts: words with line breaks and the cursor's position (bash), or the line (zsh, fish)."""
 
 CLOSE_ENOUGH = 0.7
-"""Similarity from which a word is taken for a misspelt command (`difflib`: 1 is equal)."""
+"""From this similarity (`difflib`: 1 is equal) a word is a misspelt command."""
 
 
 def run_program(
@@ -42,7 +42,7 @@ def run_program(
 
 
 def _run_nameless(name: str, app: typer.Typer, commands: Collection[str], given: list[str]) -> None:
-    """Run the command without a name, unless the first word is not a path and nearly another command."""
+    """Run the command without a name, unless the first word is no path and nearly a command."""
     word = given[0] if given else "-"
     meant = get_close_matches(word, commands, n=1, cutoff=CLOSE_ENOUGH)
     if meant and not word.startswith("-") and not Path(word).exists():
@@ -51,7 +51,7 @@ def _run_nameless(name: str, app: typer.Typer, commands: Collection[str], given:
 
 
 def _take_completed_command(program: str, app: typer.Typer, commands: Collection[str]) -> str | None:
-    """Take the command out of the words to complete and return it, None if there is none."""
+    """Return the command of the words to complete, None if there is none."""
     if f"_{program}_COMPLETE".replace("-", "_").upper() not in os.environ:
         return None
     variable = BASH_WORDS if BASH_WORDS in os.environ else OTHER_WORDS
@@ -69,7 +69,7 @@ def _take_completed_command(program: str, app: typer.Typer, commands: Collection
 
 
 _EXTRA = re.compile(r"""(?P<package>[\w-]+).*\bextra == ['"](?P<extra>\w+)['"]""")
-"""A requirement of an extra, such as `polars<3,>=1.30; extra == 'analyze'`."""
+"""As in `polars<3,>=1.30; extra == 'analyze'`."""
 
 
 _TOO_LARGE = "not enough memory; request smaller or fewer messages, or give a part of the traces"
@@ -119,7 +119,7 @@ def _print_error(text: str) -> None:
 
 
 def _extra_with(module: str) -> str | None:
-    """Return the extra that brings the package of a module, None if none does."""
+    """Return the extra that brings a module, None if none does."""
     from importlib.metadata import requires  # slow, and rarely needed
 
     package = module.partition(".")[0]

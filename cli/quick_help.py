@@ -1,4 +1,4 @@
-"""Apps with a `--help` of their own: rich, which typer's help imports, loads longer than all else (docs/explanation/performance.md)."""
+"""Apps with their own `--help`: rich, which typer's imports, loads slowly (docs/explanation/performance.md)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 WIDEST_COLUMNS = 120
 """Columns of help on a wide terminal."""
 WIDEST_NAME = 30
-"""Columns for the names of options; a longer name has its help on the next line."""
+"""A longer name of an option has its help on the next line."""
 
 
 class QuickHelpCommand(DefaultedCommand):
@@ -42,7 +42,7 @@ class QuickHelpCommand(DefaultedCommand):
                 formatter.write(first + (filled if first.endswith("\n") else filled[column:]))
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return options and arguments of the usage line: `[NAME]` is optional."""
+        """Return the usage line's parts: `[NAME]` is optional."""
         return [piece.removeprefix("{").removesuffix("}") for piece in super().collect_usage_pieces(ctx)]
 
     def _panels(self, ctx: Any) -> dict[str, list[tuple[str, str]]]:
@@ -86,7 +86,7 @@ def argument(metavar: str, help: str, **more: Any) -> ArgumentInfo:  # noqa: A00
 
 
 def command_app(*, completes: bool = False) -> typer.Typer:
-    """Return an empty app; one that `completes` has options for its completion in the shell."""
+    """Return an empty app, with options for completion in the shell if it `completes`."""
     return typer.Typer(add_completion=completes, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
@@ -112,4 +112,3 @@ def _print_version(context: typer.Context, is_given: bool) -> None:
 
 
 Version = Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")]
-"""The option of every program that shows its version."""

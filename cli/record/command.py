@@ -66,7 +66,7 @@ def main_command(
         return
     command = read_record(CommandOptions, given)
     backend = load_backend(given.get("backend", OPTIONS["backend"].field_default))
-    # Where a relay listens at an address, other devices reach it only if somebody asked for that.
+    # Where a relay listens at an address, other devices reach it only on request.
     is_open = backend.meeting is not Meeting.PEERS or bool(given.get("peers"))
     given.setdefault("discovery", default_discovery(is_open=is_open))
     if command.self_test:
@@ -81,7 +81,7 @@ def main_command(
     _refuse_other_role(command.role, given)
     options = _record_options(command, given)
     take: Callable[[RecordOptions], None] | None = context.obj
-    if take is not None:  # a sweep looks at the options of every recording before it starts any
+    if take is not None:  # a sweep checks all recordings before the first
         take(options)
     elif command.check:
         check_start(options)
@@ -101,7 +101,7 @@ def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
 
 
 def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOptions:
-    """Return the options of a recording; its domains are by default from ROS 2's environment."""
+    """Return the options; domains are by default from ROS 2's environment."""
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import PingOptions, RecordOptions
@@ -129,11 +129,11 @@ def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOpt
 
 
 COMMANDS: Mapping[str, typer.Typer] = {"status": status.app}
-"""Name -> command; anything else as first argument belongs to the command without a name."""
+"""Any other first argument belongs to the command without a name."""
 
 
 def main() -> None:
-    """Run `dds-record` with the arguments of the process."""
+    """Run `dds-record`."""
     run_program("dds-record", app, COMMANDS, None)
 
 

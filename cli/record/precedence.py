@@ -17,7 +17,7 @@ DEFAULT_DOMAIN = 10
 
 
 def overridden(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return field of an option -> why its default in a file does not count."""
+    """Return option -> why its default in a file does not count."""
     role = None if values.get("role") is None else Role(values["role"])
     is_bridged = role is not Role.RELAY and values.get("bridge") not in (None, "none")
     reasons = {}

@@ -43,11 +43,11 @@ def describe_progress(progress: PingProgress | RelayProgress) -> str:
 
 
 class TerminalWatch:
-    """A `Watch` on stderr: notes are lines; on a terminal, progress is one line that is redrawn."""
+    """A `Watch` on stderr: notes are lines, progress is one line that a terminal redraws."""
 
     def __init__(self) -> None:
         self._console = plain_console(stderr=True)
-        # Without a thread of its own: drawing holds the interpreter lock, and a received message would wait.
+        # Without its own thread: drawing holds the interpreter lock, and a received message would wait.
         self._live = Live(
             console=self._console, auto_refresh=False, transient=True, redirect_stdout=False, redirect_stderr=False
         )
@@ -85,7 +85,7 @@ def record_until_stopped(options: RecordOptions) -> Recorded:
 
 
 def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | None = None) -> None:
-    """Print the result of a recording, and raise its error: `LossesError` above `fail_if_lost`."""
+    """Print the result; raise its error, or `LossesError` above `fail_if_lost`."""
     trace = recorded.trace
     error = _error_of(recorded, fail_if_lost)
     if as_json:

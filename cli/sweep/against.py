@@ -26,7 +26,7 @@ SAME = "SAME"
 
 @dataclass(frozen=True, slots=True)
 class NewSide:
-    """The new side; `command` is its `dds-record`, None for the one of this installation."""
+    """The new side; `command` is its `dds-record`, None for this installation's."""
 
     name: str
     plan: Plan

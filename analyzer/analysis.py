@@ -166,7 +166,7 @@ class Analysis:
         )
 
     def _repr_html_(self) -> str:
-        """Return the first screen of the report, as a notebook shows it."""
+        """Return the first screen of the report."""
         return _presenter().first_screen(self)
 
     def plot(

@@ -295,11 +295,7 @@ def _base(variable: str, default: str) -> Path:
 
 
 def _own_folder(folder: Path) -> int:
-    """Open a folder that only this user can read, made if it is missing.
-
-    Raises:
-        OSError: it is a link, another user's, or cannot be made.
-    """
+    """Open, or make, a folder that only this user can read and that is no link."""
     with suppress(FileExistsError):
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700)

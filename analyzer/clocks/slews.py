@@ -30,13 +30,10 @@ _STEPS = 3
 """Steps the same way in a chain that prove a slew: chance does not repeat jumps."""
 
 _BARELY = 3
-"""A step below so many of its bounds may be a slew's: a fit goes on until a message is just out of reach, while setting a clock
-jumps by many bounds.
-"""
+"""A step below so many of its bounds may be a slew's; setting a clock jumps by many bounds."""
 
 _GAIN_NS = 100_000
-"""Gain on CLOCK_MONOTONIC_RAW in ten seconds, beyond the steady rate, that is a slew: NTP changes it by well under 1 ppm (10 us).
-"""
+"""Gain on CLOCK_MONOTONIC_RAW in ten seconds, beyond the steady rate, that is a slew: NTP's is below 10 us."""
 
 _NEARLY = 0.95
 """Share of the fastest rate that is the same slew: its start and end are between two knots."""

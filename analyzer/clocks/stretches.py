@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _BLOCKS = (1 << 12, 1 << 17)
-"""Messages searched for a step at once: at first, as a slewed clock soon has its next step, and at most."""
+"""Messages searched for a step at once: at first, and at most."""
 
 _PART = 32
 

@@ -26,10 +26,10 @@ HALF_MESSAGES = 16
 
 _BLOCK_MESSAGES = 1 << 18
 _BLOCK_WINDOWS = 1 << 12
-"""Messages and windows processed together, unless one window has more: arrays of two megabytes."""
+"""Messages and windows processed together, unless one window has more."""
 
 _CACHED_MESSAGES = 1 << 15
-"""Messages narrowed together: their arrays fit into the cache of a core."""
+"""Messages narrowed together, in the cache of a core."""
 
 _INSTANTS = 17
 """Instants of a window, first to last message, at which its bound is computed."""

@@ -42,14 +42,10 @@ Item = TypeVar("Item")
 
 
 class _Future(Protocol[Result_co]):
-    """The part of `distributed.Future` used here."""
-
     def result(self) -> Result_co: ...
 
 
 class _Client(Protocol):
-    """The part of `distributed.Client` used here."""
-
     def submit(self, work: Callable[..., Result], *arguments: object, pure: bool) -> _Future[Result]:
         """Call a function on a worker; futures among the arguments stand for their results."""
 

@@ -52,7 +52,6 @@ _MOST_EVENTS_AHEAD = 8_000_000
 """Events of batches in progress, or whose results wait; a larger batch is processed on its own."""
 
 _FILES_PER_JOB = 16
-"""Traces that a worker reads before it reports."""
 
 
 class Engine(Protocol):

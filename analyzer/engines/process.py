@@ -182,7 +182,6 @@ def process(
 def _pair(
     batch: Batch, parts: Parts, cache: ResultCache | None, pool: Executor
 ) -> tuple[list[_Part], PairedRows, CopiesByKey]:
-    """Return the parts of a batch, all of its rows, and its copies."""
     batches = parts_of(batch) if batch.options.rows else [batch]
     keys = [cache.key_of(runs, parts) if cache else None for runs in batches]
     cached = [

@@ -51,7 +51,7 @@ def schedule_not_held(evidence: Evidence) -> Iterator[Observation]:
 
 
 _LATE_SHARE = 0.01
-"""Late messages that decide the p99 of the response: none of 1000 simulated runs sent 0.1 ms late (log-normal, 1) has as many."""
+"""Late messages that decide the p99 of the response; no simulated run sent 0.1 ms late has as many."""
 
 _LATE_MESSAGES = 3
 """Late messages at least: one hiccup of a short run is no habit."""

@@ -82,7 +82,7 @@ def load_campaign(
     progress: Progress | None = None,
     load_all: LoadAll | None = None,
 ) -> Campaign:
-    """Read every trace of a location: a folder, a trace file, or a rosbag2 folder; or several.
+    """Read every trace of a location.
 
     Folders of results are in `skip`; without `load_all`, events are in memory and in temporary files.
 

@@ -91,7 +91,6 @@ def count_messages(
 
 
 def _span_ns(starts_ns: NDArray[np.int64], ends_ns: NDArray[np.int64]) -> int | None:
-    """Return the time from the first start to the last end, None without both."""
     if not (len(starts_ns) and len(ends_ns)):
         return None
     # An array wraps silently: damaged stamps may be too far apart for an int64.

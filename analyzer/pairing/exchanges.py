@@ -179,7 +179,7 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
 def _within_bounds(
     relays: Mapping[int, Mapping[Stage, Parts]], published: int
 ) -> tuple[Mapping[int, Mapping[Stage, Parts]], list[Parts]]:
-    """Return the relays that get rows, those with the most events first, and the events of all others."""
+    """Return the relays that get rows, the busiest first, and the events of all others."""
     if len(relays) <= _ANY_RELAYS:
         return relays, []
     events = {relay_id: sum(map(_count, stages.values())) for relay_id, stages in relays.items()}

@@ -45,7 +45,7 @@ _ARROW_TYPES = {
 def roundtrips_writer(path: Path, provenance: Mapping[str, str] | None = None) -> Iterator[Callable[[pa.Table], None]]:
     """Write `roundtrips.parquet`, complete or not at all; yield a function that writes a table of `tables_of`.
 
-    Times ascend by steps or stay within a range: delta encoding takes a quarter of the bytes and time of plain values under zstd.
+    Times ascend by steps or stay within a range, for which delta encoding is small.
 
     Raises:
         OutputError: the folder or the file cannot be written.

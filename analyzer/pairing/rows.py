@@ -147,7 +147,7 @@ def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG0
 
 
 class RowWriter:
-    """Writes the rows of a campaign; on an error, a file that was there before stays as it was.
+    """Writes the rows of a campaign; on an error, an earlier file stays as it was.
 
     Without a path it writes a temporary file, and only if there are many rows.
 

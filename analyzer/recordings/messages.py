@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 _UNSUSPECTED_MESSAGES, _MESSAGE_BYTES = 2_000_000, 64
-"""More messages than the first number, of fewer bytes each than the second, are no recording but an attack."""
+"""More messages than this, of fewer bytes each, are no recording but an attack."""
 
 _SUFFIXES = (".mcap", ".bag", ".db3", ".mcap.zstd", ".db3.zstd")
 

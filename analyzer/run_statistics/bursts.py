@@ -202,8 +202,7 @@ def episode_ends(positions: Float64, gaps: Float64 | float, offsets: Indices | N
 def episode_sizes(indices: Indices, messages: int, sent_ns: Int64 | None = None) -> Int64:
     """Return the number of events in each episode of a series.
 
-    Runs declustering (R. Smith and I. Weissman, JRSS B 56, 1994), with a gap of `EPISODE_GAP_SHARE`. The intervals estimator
-    (C. Ferro and J. Segers, JRSS B 65, 2003) takes one outage of 100 messages for 100 episodes.
+    Runs declustering (R. Smith and I. Weissman, JRSS B 56, 1994), with a gap of `EPISODE_GAP_SHARE`.
     """
     positions = positions_of(indices, sent_ns)
     return sizes_between(episode_ends(positions, gap_of(len(indices), messages, EPISODE_GAP_SHARE)))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 BATCH = 5
 WARM_UP_MIN_MESSAGES = 40 * BATCH
 WARM_UP_P_VALUE = 1e-3
-"""Small, because MSER picks the most extreme of many starts: 0.7 % of simulated steady runs seem to have a warm-up."""
+"""Small, because MSER picks the most extreme of many starts."""
 
 HEAD_SHARE = 0.5
 """Share of the difference in the first quarter of a warm-up: MSER also cuts after a later burst."""
@@ -99,7 +99,7 @@ BLOCKS = 32
 _FIRST, _SECOND = np.triu_indices(BLOCKS, 1)
 TREND_MIN_MESSAGES = 4 * BLOCKS
 TREND_P_VALUE = 0.001
-"""Small, because a campaign has hundreds of runs: 0.5 % of simulated steady runs seem to have a trend."""
+"""Small, because a campaign has hundreds of runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +172,7 @@ LEAST_VALUES = 30
 """Different values: a coarse clock makes modes of its ticks."""
 
 SURE_DEVIATIONS = 4.0
-"""No simulated run with one mode has two; a share of 30 % three times as slow is detected in 81 % of runs of 300 messages."""
+"""No simulated run with one mode has two."""
 
 _BINS = 256
 

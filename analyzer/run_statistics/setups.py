@@ -144,5 +144,4 @@ def overlap_in_time(one: Sequence[int], other: Sequence[int]) -> bool:
 
 
 LEAST_MIXED = 0.1
-"""Share of pairs of runs in the rarer order: 1/9 for two alternating setups with three runs but for one exchange, 0.24 to
-0.76 for alternating ones."""
+"""Share of pairs of runs in the rarer order; alternating setups have 0.24 or more."""

@@ -152,7 +152,6 @@ _READERS: Mapping[object, Callable[[object, object, str], object]] = {
     float: _read_float,
     **dict.fromkeys((int, str, bool, NoneType), _read_plain),
 }
-"""Type of an annotation -> function that reads its values."""
 
 
 def _expect(kind: type[Record], value: object, where: str) -> Record:

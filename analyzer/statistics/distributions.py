@@ -39,8 +39,8 @@ def student_quantile(probability: float, degrees: float) -> float:
         return _NORMAL.inv_cdf(probability)
     if probability < 0.5:
         return -student_quantile(1 - probability, degrees)
-    # Newton's method on the tail, which keeps its digits. Above zero the distribution is concave and its quantile
-    # is beyond the normal's, so that every step from there stays on this side of the root.
+    # Newton's method on the tail, which keeps its digits: every step from the normal's quantile stays on this side of
+    # the root.
     tail, t = 1 - probability, _NORMAL.inv_cdf(probability)
     for _ in range(_MOST_TERMS):
         step = (student_cdf(-t, degrees) - tail) / _student_density(t, degrees)

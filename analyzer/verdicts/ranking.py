@@ -156,7 +156,6 @@ def rank_setups(
 
 
 def _lead(pairs: Sequence[SetupPair]) -> list[SetupPair]:
-    """Return the pairs of the fastest setup."""
     return [pair for pair in pairs if pair.fast == pairs[0].fast]
 
 

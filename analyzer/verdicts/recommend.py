@@ -1,9 +1,9 @@
 """Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
-The job is about messages, so a setting meets the deadline if the share of messages that are late (lost ones included) very likely is
-at most what the job allows, with runs as the unit (`run_statistics.late_share`). It misses it if that share, or the `reliability`
-quantile of a typical run, very likely is beyond. Otherwise it is inconclusive; with fewer than three runs or without a measurement it
-is `likely` at best. A run must have sent at the planned rate and finished.
+The job is about messages, so a setting meets the deadline if the share of messages that are late (lost ones included)
+very likely is at most what the job allows, with runs as the unit (`run_statistics.late_share`). It misses it if that
+share, or the `reliability` quantile of a typical run, very likely is beyond. Otherwise it is inconclusive; with fewer
+than three runs or without a measurement it is `likely` at best. A run must have finished at the planned rate.
 """
 
 from __future__ import annotations

@@ -82,8 +82,6 @@ class Analysis:
     """Everything that was computed from one folder of traces.
 
     Attributes:
-        title: name of the folder.
-        sources: its files.
         sessions: the recording processes, by start.
         runs: by start.
         rows: the round trips; read with `load_roundtrips` and `scan_roundtrips`.
@@ -92,8 +90,6 @@ class Analysis:
         run_times: when each run of each group sent, and what came back (`timeline.RUN_SCHEMA`).
         timeline: round trips to draw (`timeline.timeline_frame`).
         timeline_decimated: whether `timeline` leaves rows out.
-        findings: most severe first.
-        details: what takes longer.
         outputs: files written, by kind (`roundtrips`, `summary`).
         unsent: run_id -> messages that were due and never left.
     """
@@ -187,7 +183,7 @@ class Analysis:
         return _presenter().plot(self, name, panels=panels, metric=metric, statistic=statistic)
 
     def show(self, folder: str | os.PathLike[str] | None = None) -> Path:
-        """Write the HTML report, open it in this machine's browser and return its path.
+        """Write the HTML report, open it in a browser and return its path.
 
         Without a `folder` it is in a new temporary one, which is not removed.
 

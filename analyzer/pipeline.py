@@ -91,11 +91,11 @@ def analyze(
         sketch: percentiles from histograms, off by at most `histogram.RELATIVE_ERROR`, no rows and no comparison of groups.
         details: one-way times, `Analysis.details` and their findings; without, a large campaign takes a fraction of the time.
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
-        deadline_metric: metric of the deadline: `response`, `latency`, `rtt`, `outbound` ...
+        deadline_metric: `response`, `latency`, `rtt`, `outbound`...
         job: what to recommend settings for (`Analysis.details.recommendation`).
         margin: the least lead of a setup that is called fastest; 0.05 means that the next takes 5 % longer.
         trust_order: compare setups that were recorded one after the other, too.
-        progress: called before each trace is read with the number done, the number of all, and its path.
+        progress: called before each trace is read: number done, number of all, path.
 
     Raises:
         MissingEventsError: there is no trace, or no published message in any.

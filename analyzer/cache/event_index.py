@@ -36,7 +36,7 @@ class EventPart:
     events: EventColumns | EventsElsewhere
 
     def __sizeof__(self) -> int:
-        # Dask decides by it whether to move the events or the work.
+        # Dask decides by it what to move.
         in_memory = len(self.events) if isinstance(self.events, EventColumns) else 0
         return object.__sizeof__(self) + in_memory * EVENT_DTYPE.itemsize
 

@@ -28,15 +28,13 @@ class _Storage(Protocol):
 
     def isdir(self, path: str) -> bool: ...
 
-    def find(self, path: str) -> list[str]:
-        """List the files below a folder, or the one file."""
+    def find(self, path: str) -> list[str]: ...
 
     def ls(self, path: str, *, detail: bool) -> list[str]: ...
 
     def get_file(self, remote: str, local: str) -> None: ...
 
-    def ukey(self, path: str) -> str:
-        """Return a tag that changes with the file's content."""
+    def ukey(self, path: str) -> str: ...
 
 
 def is_remote(path: Path) -> bool:

@@ -10,9 +10,9 @@ slower one way looks like a clock that is off by half the difference.
 Two assumptions give a slow message the interval of its fast neighbours:
 - clocks part by at most `DRIFT_LIMIT_PPB`. A message out of reach shows a step (clock set, suspend, reboot) and splits the fit;
 - within a window theta is a straight line, and the bound is what the lines that respect every message leave open (L.
-  Zhang, Z. Liu, C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002; S. Moon, P. Skelly,
-  D. Towsley, INFOCOM 1999; Huygens, NSDI 2018; RFC 5905, section 10). A window without such a line, or with a half
-  whose offset is outside its bound (a clock that bends), is halved.
+  Zhang, Z. Liu, C. Xia, INFOCOM 2002; S. Moon, P. Skelly, D. Towsley, INFOCOM 1999; Huygens, NSDI 2018; RFC 5905,
+  section 10). A window without such a line, or with a half whose offset is outside its bound (a clock that bends), is
+  halved.
 """
 
 from __future__ import annotations
@@ -98,7 +98,6 @@ class ClockFit:
         same_clock: both sides are of one boot of one machine (without boot ids: have one name), and zero agrees with every
             message. One-way times are then exact.
         segments: in order of time; empty without a message that has all four stamps.
-        steps: jumps between the segments.
         relay_boot: the kernel's id of the boot of the relay's device; None if unknown.
     """
 

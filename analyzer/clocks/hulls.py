@@ -53,8 +53,8 @@ def lowest_of_parts(height: Float64, edges: Intp) -> Intp:
 def lower_hulls(time: Float64, height: Float64) -> Intp:
     """Return the lower convex hull of the points of each row, from left to right.
 
-    Gift wrapping (R. A. Jarvis, "On the identification of the convex hull of a finite set of points in the plane", 1973): the
-    gentlest slope to a later point leads to the next corner, the last of points on one line.
+    Gift wrapping (R. A. Jarvis, 1973): the gentlest slope to a later point leads to the next corner, the last of points
+    on one line.
 
     `time`, not falling, and `height` have the shape (rows, points); the result has columns of the corners, the last repeated where
     a row has fewer.

@@ -68,12 +68,9 @@ class Boundary:
     def of(cls, corners: Intp, time: Float64, height: Float64, steepness: Float64, at_centre: Float64) -> Boundary:
         """Return the boundary of the lines below some points.
 
-        Args:
-            corners: shape (windows, corners): messages of the lower hull of the points.
-            time: instants of the corners, the centre being zero.
-            height: heights of the corners.
-            steepness: as in `Lines`.
-            at_centre: greatest heights of the gentlest and steepest line at the centre.
+        `corners`, shape (windows, corners), are messages of the lower hull of the points, `time` (the centre being
+        zero) and `height` theirs, `steepness` as in `Lines`, `at_centre` the greatest heights of the gentlest and
+        steepest line at the centre.
         """
         run, rise = np.diff(time), np.diff(height)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -27,7 +27,7 @@ BEND_PPB = 50_000
 """Difference of two rates of one clock pair that only a slew makes: crystals keep theirs within a few ppm."""
 
 _STEPS = 3
-"""Steps the same way in a chain that prove a slew: chance does not repeat jumps."""
+"""Steps the same way in a chain that prove a slew."""
 
 _BARELY = 3
 """A step below so many of its bounds may be a slew's; setting a clock jumps by many bounds."""

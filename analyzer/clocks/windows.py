@@ -41,9 +41,9 @@ class Windows:
 
     Attributes:
         time: the instant at which the lines are closest together.
-        offset: middle of the lines at that instant.
-        bound: half of their distance at that instant.
-        steepness: shape (windows, 2): smallest and largest slope of the lines.
+        offset: middle of the lines then.
+        bound: half of their distance then.
+        steepness: shape (windows, 2): smallest and largest slope.
         first: shape (windows, 2): middle and half distance of the lines at the first message.
         last: the same at the last message.
     """

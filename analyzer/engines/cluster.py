@@ -46,11 +46,9 @@ class _Future(Protocol[Result_co]):
 
 
 class _Client(Protocol):
-    def submit(self, work: Callable[..., Result], *arguments: object, pure: bool) -> _Future[Result]:
-        """Call a function on a worker; futures among the arguments stand for their results."""
+    def submit(self, work: Callable[..., Result], *arguments: object, pure: bool) -> _Future[Result]: ...
 
-    def run(self, function: Callable[..., Result], *arguments: object) -> Mapping[str, Result]:
-        """Call a function on every worker; return the results by the workers' addresses."""
+    def run(self, function: Callable[..., Result], *arguments: object) -> Mapping[str, Result]: ...
 
     def close(self) -> None: ...
 
@@ -83,7 +81,7 @@ class ClusterEngine:
                 "--cluster needs Dask: install the extra with `pip install 'dds-trace[cluster]'`"
             ) from err
         try:
-            # Rows come straight from the workers where possible, else through the scheduler.
+            # Rows come straight from the workers where possible.
             self._client: _Client = distributed.Client(
                 address, timeout=_TIMEOUT_S, set_as_default=False, direct_to_workers=True
             )

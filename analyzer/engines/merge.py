@@ -160,7 +160,7 @@ def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64
 
 
 def _within(value_ns: float, row: Mapping[str, float | str | int | None]) -> float:
-    """Limit a percentile: the centre of a bucket may be outside the values."""
+    """Limit a percentile: a bucket's centre may be outside the values."""
     low, high = row["min"], row["max"]
     assert isinstance(low, float)
     assert isinstance(high, float)

@@ -80,7 +80,7 @@ class PackedRows(PairedRows):
     """Rows that are read on demand, column by column or batch by batch.
 
     Attributes:
-        offset: offset of the stream of rows in the source.
+        offset: of the stream of rows in the source.
         is_temporary: whether the file is for these rows only.
     """
 

@@ -154,7 +154,7 @@ class Worker:
         return output if self._is_here else output.packed(self._folder)
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> list[R]:
-        """Return the function's results."""
+        """Return the results."""
         return list(map(function, items))
 
     def close(self) -> None:

@@ -37,7 +37,6 @@ EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
     "csv": lambda rows, path: _inert(rows).sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
     "arrow": lambda rows, path: rows.sink_ipc(path),
 }
-"""Kind and suffix of the files -> function that streams rows into a file."""
 
 
 def export_tables(analysis: Analysis, kind: str, folder: str | os.PathLike[str]) -> list[Path]:

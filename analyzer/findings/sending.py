@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .evidence import Evidence, Observation
 
 _RATE_TOLERANCE = 0.02
-"""Share by which the rate may stay below the requested one: a slower run has measured another load."""
+"""Share by which the rate may be below the requested one: a slower run measured another load."""
 
 _LAG_NS = 10_000_000
 """Least lag of a run: two late sends (`sending.LATE_NS`), which no short run loses by its timers."""

@@ -1,7 +1,7 @@
 """Checks of the latency over the time of a run and over the size of messages.
 
-A result is reported if at least half of its runs show the same: with the false alarms of a run below, at most 3 of 10,000
-results of five sound runs (10 p^3 for three of five), and of results of one run as many as of runs.
+A result is reported if at least half of its runs show the same: with the false alarms of a run below, at most 3 of
+10,000 results of five sound runs (10 p^3 for three of five).
 """
 
 from __future__ import annotations

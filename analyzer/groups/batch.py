@@ -1,4 +1,4 @@
-"""Groups of exchanges with equal parameters, and batches of groups that are processed together."""
+"""Groups of exchanges with equal parameters, and batches of groups."""
 
 from __future__ import annotations
 

@@ -268,8 +268,8 @@ class _Times:
 def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     """Compare response times with round trips, a row per whole group.
 
-    A sender that waits hides the waiting in round trips ("coordinated omission", G. Tene, "How not to measure latency", 2013).
-    `late_ratio` were sent more than a tenth of the period after T0; `hidden_*_ns` = response - rtt; p99 needs 100 messages.
+    A sender that waits hides the waiting in round trips ("coordinated omission", G. Tene, 2013). `late_ratio` were sent
+    more than a tenth of the period after T0; `hidden_*_ns` = response - rtt; p99 needs 100 messages.
     """
     names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")
     columns = {name: filled(roundtrips.column(name)) for name in names}

@@ -92,7 +92,6 @@ def _summarize(roundtrips: pl.DataFrame, keys: Sequence[tuple[int, int]], bounds
 
 _ALL_POINTS = 100_000
 _POINTS_OF_EXCHANGE = (200, 4_000)
-"""Fewest and most points of an exchange."""
 
 _POINTS_PER_STRETCH = 4
 """Lowest, highest, the first loss, and one of another kind of loss."""

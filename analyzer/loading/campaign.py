@@ -43,9 +43,7 @@ class Campaign:
 
     Attributes:
         folder: the folder, or the only file.
-        sources: every file in it.
-        session_traces: indices of the traces that name a session.
-        run_traces: indices of the traces that describe a run.
+        session_traces: indices of the traces that name a session; `run_traces` likewise.
         copies: the events of each trace that another trace has, too.
     """
 

@@ -112,7 +112,7 @@ def _relay_differences(ping: Session, ping_settings: Mapping[str, str], relay: S
     relay_settings = _side(relay)
     compared: Collection[str] = {*relay_settings, *ping_settings}
     if not ("settings" in ping.extra and "settings" in relay.extra):
-        # An older recorder's session says nothing of the other settings, which is no difference.
+        # An older recorder's session says nothing of the other settings.
         compared = {key for key in compared if key in _OLD}
     for key in compared:
         if relay_settings.get(key) != ping_settings.get(key):

@@ -42,10 +42,8 @@ class Exchange:
 
     Attributes:
         relay: the relay's session; None without its trace.
-        start_ns: the run's first T1, wall clock by the anchor of the ping.
-        end_ns: the run's last T1, likewise.
+        start_ns: the run's first T1, wall clock by the ping's anchor; `end_ns` its last.
         counts: events of T1, T2, T3 and T4 in all traces; copies count.
-        relays: relays that took part in the run.
         flows: runs of the ping's machine at the middle of this one, itself included.
         replied_ns: first and last T2 of the relay, ping's monotonic clock; None without a reply.
     """

@@ -192,7 +192,7 @@ def _mcap_records(file: BinaryIO) -> Iterator[McapRecord]:
 
 
 def _bag_messages(path: Path, claims: dict[str, int]) -> Iterator[RecordedMessage]:
-    """Yield the messages through rosbags, which reads all storages and compressions but only the log time."""
+    """Yield the messages through rosbags, which reads all storages but only the log time."""
     try:
         with (
             bounded_unpacking(path) as unpack,

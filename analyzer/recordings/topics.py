@@ -70,7 +70,7 @@ def analyze_topics(
     Args:
         path: a folder, a `.mcap`, `.bag` or `.db3` file, or a rosbag2 folder; or a list of such.
         skip: files and folders to leave out.
-        progress: called with each recording before it is read.
+        progress: called before each recording is read.
 
     Raises:
         MissingEventsError: there is no recording, or none of them can be read at all.

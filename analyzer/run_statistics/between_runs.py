@@ -36,9 +36,7 @@ class Units:
 
     Attributes:
         values: float64, infinite where a lost message sets it.
-        messages: of all runs.
         independent: how many independent messages they are worth within their runs.
-        runs: runs in the units.
         episodes: beyond the quantile in all runs; None for a mean, and where no value is beyond.
     """
 

@@ -58,14 +58,12 @@ class Change:
     """One statistic of one group on both sides. What the samples do not support is None.
 
     Attributes:
-        base: interval of the statistic of the base.
-        new: the same of the new side.
+        base: interval of the base's statistic.
         basis: between runs only if both sides have three.
         difference: new - base.
         ratio: new / base, infinite where the new side lost too much; None where a side is not above zero.
         p_value: of a difference like this between equal sides; None within one run.
         smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
-        degrees: degrees of freedom of the test.
         pairs: repeats that were compared one by one.
         pair_spread: standard deviation of their differences of logarithms.
     """
@@ -261,9 +259,6 @@ class DetectableChange:
     """The smallest change of one statistic of one metric that the verdicts of a comparison would have detected.
 
     Attributes:
-        metric: the metric.
-        statistic: its statistic.
-        groups: groups in common.
         told: groups whose runs allow a verdict and an estimate of the smallest change.
         smallest_ratio: a group that became slower by this much or more, whichever it is and though no other did, would
             have been called slower with a probability of at least 80 %; None without such an estimate.

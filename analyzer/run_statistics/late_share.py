@@ -66,9 +66,9 @@ def late_share(runs: Runs, deadline_ns: float, confidence: float = 0.95) -> Late
 def _predicted_limit(logs: list[Float64], deadline: float, probability: float) -> float:
     """Return the upper limit of the late share by the levels of the runs.
 
-    A generalized confidence limit (S. Weerahandi, JASA 88, 1993; for tolerance limits of groups K. Krishnamoorthy and T. Mathew,
-    Technometrics 46, 2004): mean and deviation of the levels are replaced by what they may be, given the observed ones, by independent
-    normal and chi-square variables; the limit is the quantile of the late shares that follow.
+    A generalized confidence limit (S. Weerahandi, JASA 88, 1993; for tolerance limits of groups K. Krishnamoorthy and
+    T. Mathew, Technometrics 46, 2004): normal and chi-square variables replace mean and deviation of the levels; the
+    limit is the quantile of the late shares that follow.
     """
     levels = np.array([run[np.isfinite(run)].mean() if np.isfinite(run).any() else np.inf for run in logs])
     if not np.isfinite(levels).all():

@@ -126,14 +126,11 @@ class DeliveryChange:
     """Received ratios of both sides; what the samples do not support is None.
 
     Attributes:
-        base: interval of the base's received ratio.
-        new: the same of the new side.
         difference: new - base, between -1 and 1.
         basis: between runs only if both sides have three.
         smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %; None where not
             even the loss of everything would be.
         p_value: of a difference like this between equal sides (`loss_test`).
-        degrees: degrees of freedom of that test.
     """
 
     base: Interval

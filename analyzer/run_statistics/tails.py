@@ -126,8 +126,6 @@ class Tail:
     Attributes:
         sizes: int64, messages of each episode.
         inflation: variance of their share over the variance for independent messages.
-        squared: sum of the squares of `sizes`.
-        squares: `independent_squares`.
         streaks: unbroken streaks of messages; None for as many as episodes.
         bursts: bursts of the group's tail, if few enough to limit it.
     """

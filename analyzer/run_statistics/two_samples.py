@@ -78,7 +78,7 @@ def permutation_p_value(base: Float64, new: Float64) -> float:
     if math.comb(len(values), len(base)) > MOST_PERMUTATIONS:
         return 0.0
     dealt = np.array(list(itertools.combinations(range(len(values)), len(base))))
-    # The difference of the means follows from the sum of one side, which has the same mean over all ways.
+    # The difference of the means follows from the sum of one side.
     apart = np.abs(values[dealt].sum(axis=1) - values.sum() * len(base) / len(values))
     return float((apart >= apart[0] * (1 - 1e-9)).mean())
 

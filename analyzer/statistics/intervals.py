@@ -44,14 +44,11 @@ class Interval:
     """An estimate with its confidence interval; what the sample does not support is None.
 
     Attributes:
-        value: the estimate.
-        lower: lower end; None where the interval is open.
-        upper: upper end, likewise; infinite if lost messages reach up to it.
+        lower: None where the interval is open.
+        upper: likewise; infinite if lost messages reach up to it.
         confidence: probability that an interval with both ends contains the truth; one end is wrong with half of the rest.
-        samples: messages in the sample.
         independent: independent messages that would give an interval of this width within one run.
         basis: what the interval has seen vary.
-        runs: runs in the sample.
         units: runs, or groups of neighbouring runs, that the interval was computed from; 0 within one run.
         episodes: bursts that the messages beyond a quantile came in, as many of equal size as vary as much; of a received ratio
             the bursts of losses (of replies, where they are rarer). None for a mean, and where no value is beyond a quantile.

@@ -98,7 +98,7 @@ PERCENTILES = tuple(
 def quantile_of(ordered: Values, quantile: float) -> float:
     """Return a quantile of ascending values by linear interpolation; infinite if one of the two order statistics is.
 
-    Definition 7 of R. Hyndman and Y. Fan, "Sample quantiles in statistical packages", The American Statistician 50, 1996.
+    Definition 7 of R. Hyndman and Y. Fan, American Statistician 50, 1996.
     """
     position = quantile * (len(ordered) - 1)
     below = math.floor(position)

@@ -33,7 +33,7 @@ def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:
 
 
 def hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
-    """Return p values that bound the probability of a single false alarm in the family, in the order of the tests.
+    """Return p values that bound the same as Holm's, in the order of the tests.
 
     The i-th smallest of m becomes the smallest `(m - j + 1) p_j` from it on (Y. Hochberg, Biometrika 75, 1988), for tests that are
     independent or positively dependent; none is larger than Holm's.

@@ -55,16 +55,13 @@ class CaseAnswer:
     """The fastest setups for one kind of message.
 
     Attributes:
-        connectivity: the link.
         domain_mode: `same` or `different`.
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message.
-        rate_hz: planned rate.
         percentile: the one by which `contenders` are sorted, `p99` or `p50`.
         clarity: whether one of them leads at the median, at p99, or at both; two different leaders are inconclusive.
         contenders: setups, best first.
         leaders: the one that leads, the two that lead at one percentile each, else all that are not shown to be slower than the best.
-        ping_device: device of the ping.
         relay_device: device of the relay, None without its trace.
         conditions: what surrounded the runs, as in `setting`.
         basis: `between runs`, or `within one run` where a setup has fewer than three: then there is no verdict.

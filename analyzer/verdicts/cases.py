@@ -78,7 +78,6 @@ def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.Da
 
 
 CONDITIONS = "conditions"
-"""Column of `with_conditions`."""
 
 
 def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
@@ -119,7 +118,7 @@ class Contender:
     """One setup in one case.
 
     Attributes:
-        name: vendor, bridge, and what else differs from the other setups of the campaign.
+        name: vendor, bridge, and what else differs between setups.
         setting: value of each of `CONTENDER_COLUMNS`.
         latency: the compared percentile with its interval, ns; a lost message is infinitely late.
         received: share of messages whose reply came back, with its interval.

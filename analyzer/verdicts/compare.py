@@ -88,7 +88,7 @@ class CompareOptions:
             others, refused where that merges two groups of a side.
         confidence: of every interval.
         same_within: a ratio wholly within `1 +- same_within` counts as the same.
-        paired: whether both sides are compared repeat by repeat (label `pass` of a run).
+        paired: whether to compare repeat by repeat (label `pass` of a run).
     """
 
     metrics: tuple[str, ...] = ("latency", "rtt")
@@ -105,15 +105,13 @@ class Comparison:
 
     Attributes:
         rows: one row per matched group, metric and statistic: the match columns, then `ChangeRow`.
-        delivery: one row per matched group: the match columns, then `DeliveryRow`.
-        distributions: one row per matched group and metric: the match columns, then `DistributionRow`.
+        delivery: likewise for each group, with `DeliveryRow`.
+        distributions: likewise for each group and metric, with `DistributionRow`.
         only_base: groups (match columns) that the new side does not have.
         only_new: groups that the base does not have.
-        options: how the sides were compared.
         changes: of each row of `rows`.
         deliveries: of each row of `delivery`.
-        environment: differences between the environments of the two sides, a sentence each.
-        errors: findings of severity error of either side.
+        environment: differences between the environments, a sentence each.
         barred: groups of either side in which a setting was not applied; every gate is inconclusive there.
         interleaved: how the parameters of interleaved groups differ, a sentence for each.
         ignored: what each side has in the columns that were not matched, a sentence each.

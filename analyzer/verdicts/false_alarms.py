@@ -1,7 +1,7 @@
 """How precise a statistic is, and how often a comparison of two equal sides (A/A) calls one better or worse.
 
-In an A/A sweep either run of a repeat could have been the base: the repeats are dealt to the two sides in every possible way, and
-every better or worse is false. The ways share their runs, so they show less than as many sweeps would.
+In an A/A sweep either run of a repeat could have been the base: the repeats are dealt to the two sides in every
+possible way, and every better or worse is false.
 """
 
 from __future__ import annotations

@@ -82,11 +82,8 @@ class Gate:
     """A condition under which a comparison fails.
 
     Attributes:
-        text: the gate as it was written.
         metric: a metric of time or `received_ratio`.
         statistic: `mean` or a percentile; empty for `received_ratio`.
-        operator: `>`, `>=`, `<` or `<=`.
-        against: the value that the limit applies to.
         limit: a ratio new / base for `RATIO`, otherwise ns (for `received_ratio` a share).
     """
 

@@ -41,12 +41,9 @@ class GateResult:
     """The outcome of a gate for one group.
 
     Attributes:
-        gate: the gate.
         where: the group in words.
-        outcome: the outcome.
         measured: the measured value in the unit of the limit.
-        low: lower end of its interval.
-        high: upper end of its interval.
+        low: lower end of its interval; `high` the upper one.
         reason: why the outcome is inconclusive, and what it takes to decide; or what is missing.
         smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
         smallest_drop: the same of a received ratio: the smallest loss of share.
@@ -165,7 +162,7 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     ]
     is_ratio = gate.against is Against.RATIO or bool(gate.statistic and gate.against is Against.NEW)
     p_values = [groups[index].p_beyond(gate.limit, confidence, is_ratio=is_ratio) for index in beyond]
-    # Groups that are not beyond the limit are tests of the family, too: their p values are larger than all of these.
+    # Groups that are not beyond the limit are of the family, too: their p values are larger than these.
     adjusted = holm_adjusted([*p_values, *[1.0] * (len(groups) - len(beyond))])
     by_chance = {index for index, p in zip(beyond, adjusted.tolist(), strict=False) if p > (1 - confidence) / 2 + 1e-12}
     for index, (group, outcome) in enumerate(zip(groups, outcomes, strict=True)):

@@ -29,9 +29,7 @@ class Job:
     """Messages to send, and the deadline for their latency.
 
     Attributes:
-        data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message.
-        rate_hz: messages per second.
         deadline_ns: time within which a reply must arrive.
         reliability: share of messages that must arrive within the deadline, between 0 and 1.
         domain_mode: `same` or `different`; None accepts both.

@@ -52,7 +52,6 @@ class SetupRuns:
     """One setup with one kind of message.
 
     Attributes:
-        estimates: percentile -> its estimate.
         repeats: the repeat of each run; empty if some run has none.
         starts_ns: when each run started by one clock; empty if unknown. Below three runs there is no verdict, and no order.
         may_lead: False for a setup that lost too much.

@@ -130,7 +130,6 @@ class Recommendation:
     """The candidates for a job.
 
     Attributes:
-        job: the requested job.
         candidates: best first.
     """
 

@@ -25,12 +25,13 @@ demo: setup
     {{bin}}/dds-sweep plans/demo.toml --out out
     {{bin}}/dds-analyze out/demo --report terminal --report html --open
 
-# Lint, format, types, import directions, the Dockerfile
+# Lint, format, types, import directions, size and words of the product, the Dockerfile
 check: setup
     {{bin}}/ruff check .
     {{bin}}/ruff format --check .
     {{bin}}/mypy
     {{bin}}/lint-imports
+    {{bin}}/python scripts/house.py
     @if test -x {{bin}}/hadolint; then {{bin}}/hadolint docker/Dockerfile; else echo 'no hadolint for this machine: docker/ is unchecked'; fi
 
 # Fix what ruff can fix

@@ -100,8 +100,7 @@ def read_defaults(files: Sequence[Path], table: str, options: Mapping[str, bool]
 
     Raises:
         OptionError: a file cannot be read, belongs to another user, has an unknown key, or one of `OWN_ONLY` in a
-            working
-            folder.
+            working folder.
     """
     defaults: dict[str, Default] = {}
     for path in reversed(files):

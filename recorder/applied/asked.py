@@ -38,8 +38,8 @@ class Asked:
         transport: `default`, `udp`, `shm`, `large-data` or `tcp`; for a profile file, what its transports amount to.
         receive_buffer_bytes, send_buffer_bytes: that sockets are set to, 0 for the system's default.
         shared_memory: requested on or off, None if the vendor decides.
-        interface: the one interface that a configuration names, empty if it names none or several.
-        profile: file name of the user's own profile, empty if there is none.
+        interface: the only one that a configuration names, or empty.
+        profile: file name of the user's own profile, or empty.
         congestion_control: TCP congestion control, empty for the system's.
     """
 

@@ -43,18 +43,18 @@ class Backend:
     """One API that carries messages: `BACKEND` of each module in `BACKEND_MODULES`.
 
     Attributes:
-        label: name for people.
+        label: its name for people.
         make_node: opens a node, not started; an `ImportError` means that the package is missing or broken.
         find_installed: returns the ROS middlewares of this machine, `[None]` for a backend without, empty if it cannot
             run.
         install: how to install the middleware, for the end of a message.
         meeting_needs: what ping and relay need to meet, with `{port}` of the relay and `{dds_backends}` that speak DDS.
         speaks_dds: whether its nodes meet nodes of other backends that speak DDS.
-        relay_port: number of the relay's port among the 250 of the domain: 2 to 9, which DDS does not use.
+        relay_port: the relay's port among the 250 of the domain: 2 to 9, which DDS does not use.
         make_pair: opens a node that subscribes and one that publishes, where nodes do not receive their own messages.
         has_ros: whether the ROS middleware and the executor can be chosen.
         has_congestion_control: whether TCP's congestion control can be chosen.
-        environment: variables and files that configure the middleware.
+        environment: variables and files that configure it.
         check_settings: raises an `OptionError` for further options that have no effect.
     """
 

@@ -234,12 +234,7 @@ class Node(ABC):
 
     @abstractmethod
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
-        """Create a publisher of serialized messages.
-
-        Args:
-            topic: ROS name without the first slash.
-            type_name: such as `sensor_msgs/msg/Image`.
-            qos: by default the node's.
+        """Create a publisher of serialized messages on a ROS name without the first slash.
 
         Raises:
             OptionError: the backend does not have this quality of service or type.

@@ -164,14 +164,14 @@ class Bridge:
     """One bridging program: `BRIDGE` of each module in `BRIDGE_MODULES`.
 
     Attributes:
-        name: name in `--bridge` and in a run.
+        name: in `--bridge` and in a run.
         install: how to install the program, in one line.
-        suffix: suffix of the configuration file.
+        suffix: of the configuration file.
         find: returns the program's path, None if it is not installed.
-        version: returns the version that the program reports, empty if it reports none.
+        version: returns the version that the program reports, empty if none.
         arguments: returns the arguments between the program and the path of its configuration.
         environment: returns the variables to add.
-        up_pattern: regular expression of the log line that says the bridge is up.
+        up_pattern: regular expression of the log line when the bridge is up.
         compiled_in: vendor of the middleware in its program, where no loaded library shows it.
         needs_ros_nodes: whether it finds nodes by `ros_discovery_info`, which only ROS 2 publishes.
     """

@@ -134,9 +134,7 @@ class StopEvent(threading.Event):
 
 
 def stop_at_signals() -> StopEvent:
-    """Return an event that SIGINT, SIGTERM and SIGHUP (not under `nohup`) set from now on; a third one ends the process at once.
-
-    The ring keeps the events.
+    """Return an event that SIGINT, SIGTERM and SIGHUP (not under `nohup`) set from now on; a third one ends the process.
 
     A handler may run while the main thread has the event's lock in `wait()`, where `set()` would deadlock.
     `SimpleQueue.put` is reentrant, so a thread that reads a queue sets the event.

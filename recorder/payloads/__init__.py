@@ -52,7 +52,7 @@ def open_payload(
     Args:
         data: value of `--data`.
         size_bytes: application bytes of a message, None for the default of its type.
-        seed: seed of random content.
+        seed: of random content.
         open_node: opens a second node, for a live source.
         wait_s: longest wait for a live source.
         stop: ends the work.

@@ -92,7 +92,7 @@ class Replies:
         publish_ns: T1 of each message by its sequence number; 0 before it is sent.
         payload_bytes: application bytes of each message.
         received: messages with at least one reply.
-        highest: highest sequence number with a reply, -1 before the first.
+        highest: sequence number with a reply, -1 before the first.
         last_ns: time of the latest reply, duplicates left out.
     """
 

@@ -40,8 +40,8 @@ class Entry:
     """The state of a recording, as `dds-record status --json` prints it.
 
     Attributes:
-        path: absolute path of the file that is written now.
-        pid_start: start time of the process in clock ticks since boot: ids of processes are reused.
+        path: absolute, of the present file.
+        pid_start: the process's start, in clock ticks since boot: ids are reused.
         session_id: 16 hex digits.
         began_ns: its start, ns since 1970.
         told_ns: time of this state, ns since 1970.

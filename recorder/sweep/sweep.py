@@ -94,12 +94,7 @@ def run_sweep(
 ) -> SweepOutcome:
     """Record every incomplete cell of the plan, in a folder below `out`.
 
-    Args:
-        plan: the plan to record.
-        out: folder for the plan's folder.
-        progress: receiver of every step.
-        command: `dds-record` on this machine; the installed one by default.
-        until: precision up to which passes are added.
+    `command` is `dds-record` on this machine; `until` is the precision up to which passes are added.
 
     Raises:
         TraceError: no cell can be recorded at all; failures of single cells are in the outcome.

@@ -187,14 +187,14 @@ class WireCounts:
     """Counts of one run on the wire, seen from one side; times are CLOCK_MONOTONIC ns of this device.
 
     Attributes:
-        messages, sample_bytes: number of messages with a row, both directions, and their serialized lengths in total.
+        messages, sample_bytes: messages with a row, both directions, and their serialized bytes.
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
         first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
             the first message with our stamp (probes included), the first that a relay has sent back.
         unseen_headers: packets with a submessage whose header was not captured; its kind is missing in `classes`, its
             bytes count for the packet's class.
-        unfollowed_datagrams: datagrams with an IP fragment missing or out of order, so that later headers were not found,
-            likewise. On the receiving side of a lossy link that is the link's loss.
+        unfollowed_datagrams: datagrams with an IP fragment missing or out of order, so that later headers were not
+            found; on the receiving side of a lossy link that is the link's loss.
         late_repeats: repeats of samples that were no longer remembered; they are in `classes` and in no row.
         kernel_drops, kernel_freezes: packets that found no room in the ring, and how often it was full.
     """

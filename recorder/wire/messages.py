@@ -35,10 +35,10 @@ class Copy(NamedTuple):
     """One sample, or some fragments of it, sent to one destination.
 
     Attributes:
-        fragment: number of the first fragment, WHOLE for a whole sample.
+        fragment: the first, WHOLE for a whole sample.
         fragments: how many, 1 for a whole sample.
         destination: a number for address and port; MULTICAST for all groups.
-        sample_bytes: serialized length of the sample.
+        sample_bytes: of the whole sample.
     """
 
     sequence: int

@@ -53,9 +53,9 @@ class RingStatistics:
 
 
 class PacketRing:
-    """A socket with its ring on one interface; the kernel delivers a block when it is full, or after `block_timeout_ms`.
+    """A socket with its ring on one interface; the kernel delivers a full block, or any after `block_timeout_ms`.
 
-    On `lo`, which frames pass twice, only the incoming pass is captured; on other interfaces both directions are.
+    On `lo`, which frames pass twice, only the incoming pass is captured.
 
     Raises:
         OptionError: no CAP_NET_RAW, no such interface, or one without Ethernet frames.

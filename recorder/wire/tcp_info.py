@@ -48,7 +48,7 @@ _COUNTERS = ("retransmitted_segments", "segments_out", "segments_in", "bytes_sen
 
 @dataclass(frozen=True, slots=True)
 class TcpConnection:
-    """One end of a connection (without addresses, which may identify a device); counters since it opened, or of a run (`since`).
+    """One end of a connection, without addresses, which may identify a device; counters since it opened, or of a run.
 
     Attributes:
         bytes_sent: payload, repetitions included (`tcpi_bytes_sent`).

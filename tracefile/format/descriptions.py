@@ -51,7 +51,7 @@ class Session:
         connectivity: the link between the devices, as the user named it.
         wall_anchor_ns, monotonic_anchor_ns: one instant in ns since 1970, and of CLOCK_MONOTONIC.
         host: fingerprint of the environment.
-        dropped_events: number of events that the recorder could not store.
+        dropped_events: events that the recorder could not store.
         state: `open` at the start, `closed` at a clean end.
         extra: fields that this version does not know.
     """
@@ -120,12 +120,12 @@ class Run:
         run_id: 64-bit random number, 16 hex digits in the JSON.
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message, without the stamp.
-        planned_messages: number of messages to measure, without warm-up.
-        warmup_messages: number of first messages that no statistic includes.
+        planned_messages: messages to measure, without warm-up.
+        warmup_messages: first messages that no statistic includes.
         bridge: the bridge between the two domains, or `none`.
         relay_domain_id: the relay's domain, as the user gave it; None if unknown.
         serialization: `raw` or `typed`.
-        published: number of messages handed to the middleware, with the warm-up; final in state `finished`.
+        published: messages handed to the middleware, with the warm-up; final in state `finished`.
         state: `started` or `finished`.
         extra: fields that this version does not know.
     """

@@ -1,7 +1,7 @@
 r"""The ring file: events that are not yet in the trace, in memory that outlives the process.
 
-`NAME.mcap.ring` is next to `NAME.mcap` during the recording and is deleted at a clean close. The mapping is shared with the
-page cache, so that a killed process loses no packed event. All numbers are little-endian:
+`NAME.mcap.ring` is next to `NAME.mcap` until a clean close. The mapping is shared with the page cache, so that a killed
+process loses no packed event. All numbers are little-endian:
 
     offset  type      field
     0       8 bytes   magic b"DDSRING\n", written last: a ring without it holds no event yet
@@ -22,7 +22,7 @@ Tickets number the events of a session: 0, 1, 2 ... Ticket t is in slot t modulo
 stores the mark last, so a slot is an event exactly if its mark has a stage and a ticket that belongs there. `stamp` and
 `expect` pack an event before its time is known; time and mark follow in two stores. Events go to the trace in order of
 their tickets, in whole chunks: if the complete chunks of the trace have n events, these are tickets 0..n-1, and the ring
-adds every ticket from n on. No counter has to agree with the file, so a kill neither doubles nor loses an event.
+adds every ticket from n on: a kill neither doubles nor loses an event.
 
 A mark is believed if its ticket is below 2^40 and the event's run is not 0. A kill leaves every slot whole, and a power loss
 every sector of eight slots, old or new; garbage has such a mark once in 10^11 slots. A bit that a disk flips within an
@@ -116,7 +116,7 @@ class Ring:
 
     Attributes:
         memory: the mapped file, to pack into (0.1 us faster than a memoryview of it).
-        words: the slots as int64 words (little-endian on every ROS 2 machine), each stored in a third of the time of a `struct`.
+        words: the slots as int64 (little-endian on every ROS 2 machine), stored in a third of the time of a `struct`.
 
     Raises:
         OSError: the file cannot be created (disk full, read-only folder).

@@ -25,8 +25,8 @@ class TraceDestination:
     Attributes:
         path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
         fsync: whether file, folder and each chunk are on the disk, not only in the page cache.
-        chunk_seconds: the longest time that an event waits in the ring.
-        ring_slots: number of events (64 bytes each) in the ring before further ones are dropped.
+        chunk_seconds: longest time of an event in the ring.
+        ring_slots: events (64 bytes each) in the ring before further ones are dropped.
         mode: the most rights of trace, ring and metadata; the umask may reduce them.
     """
 

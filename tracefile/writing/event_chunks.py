@@ -135,7 +135,7 @@ class EventChunkBuilder:
         Args:
             slots: the events.
             by_channel: their positions, from `positions_by_channel`.
-            declarations: schema and channel records, at most `MESSAGES_AT` bytes.
+            declarations: at most `MESSAGES_AT` bytes.
             written: channel id -> messages that the file already has.
             not_before_ns: log time of the file's last message.
         """

@@ -1,7 +1,7 @@
 """The hot path of a trace: events are packed into the ring, by threads that messages wait for.
 
-Caches are cold when a message arrives, so memory touched costs more than computation: no avoidable call is made, the lock is
-a `FastLock`, and what is known before an instant is packed before it.
+Caches are cold when a message arrives, so touching memory costs more than computing: no avoidable call is made, the
+lock is a `FastLock`, and what is known earlier is packed earlier.
 """
 
 from __future__ import annotations
@@ -131,8 +131,8 @@ class EventPacker:
     ) -> int:
         """Read the clock, store the event of this instant, and return its time stamp; arguments as for `record`.
 
-        Everything else is packed first, so that only two stores are between the clock and the return: a process that is killed
-        after the return, where the message leaves, has stored its event.
+        Everything else is packed first, so that only two stores follow the clock: a process that is killed when the
+        message leaves has stored its event.
         """
         now = self._clock_ns
         try:

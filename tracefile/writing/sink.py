@@ -106,8 +106,9 @@ class TraceSink(EventPacker):
     def go_on_in(self, destination: TraceDestination, **session_extra: Json) -> ClosedTrace | None:
         """Close the file with `session_extra` and continue in another one, between two events.
 
-        The new files are created first and the old ring is drained afterwards: no event waits for the disk, and a kill meanwhile
-        leaves two whole traces. Return the closed file; None, and nothing changes, if events wait for the disk or the sink is closed.
+        The new files are created first and the old ring is drained afterwards: no event waits for the disk, and a kill
+        leaves two whole traces. Return the closed file; None, and nothing changes, if events wait for the disk or the
+        sink is closed.
 
         Raises:
             OutputExistsError: the new file exists; the recording continues in the old one.

@@ -2,8 +2,8 @@
 
 In that range rmw_fastrtps adds shared memory and UDP to the default profile
 (rmw_fastrtps_shared_cpp/src/participant.cpp), so nothing removes shared memory. Instead we set the range SYSTEM_DEFAULT
-and load a profile that does what the LOCALHOST range does: sockets on 127.0.0.1 only, no multicast beyond it, unicast
-search for participants.
+and load a profile that does the same: sockets on 127.0.0.1 only, no multicast beyond it, unicast search for
+participants.
 
 Fast DDS loads one profile file in each process, with its first participant. So all nodes of a process have the same
 transports, and the options are refused if the user has a profile.

@@ -29,7 +29,7 @@ class Key:
     """One key of a plan.
 
     Attributes:
-        default_words: the default, where `default` does not say it.
+        default_words: where `default` does not say it.
         takes_list: whether a list of values is allowed.
     """
 

@@ -38,7 +38,7 @@ class CellState:
     """One cell's entry in the state file.
 
     Attributes:
-        reason: reason of the last failure.
+        reason: of the last failure.
         run_id: the run that counts, 16 hex digits.
         segment: the relay's own trace that still contains this cell's part.
         result: numbers of the ping's trace.

@@ -45,12 +45,12 @@ class Headers:
     """Headers of frames, one row each; a field of a header that the frame does not have is 0.
 
     Attributes:
-        ip_id: the identification that the fragments of a datagram share.
-        transport: index in the batch's memory of the first byte after the IP header.
-        transport_end: end index of the frame's IP packet, captured or not.
-        seen_end: end index of what was captured, `transport_end` at most.
+        ip_id: shared by the fragments of a datagram.
+        transport: index of the first byte after the IP header.
+        transport_end: end of the IP packet, captured or not.
+        seen_end: end of what was captured, `transport_end` at most.
         source_port, destination_port: of UDP and TCP; 0 in later fragments.
-        datagram_bytes: length of the UDP datagram with its header, over all its fragments.
+        datagram_bytes: of UDP with its header, over all fragments.
     """
 
     protocol: Numbers

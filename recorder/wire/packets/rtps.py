@@ -28,8 +28,8 @@ class Submessage(NamedTuple):
     """One submessage.
 
     Attributes:
-        sequence: number of the sample; of an ACKNACK the first number not received.
-        fragment: number of its first fragment, from 1; 0 for a sample that is not fragmented.
+        sequence: of the sample; of an ACKNACK the first not received.
+        fragment: its first fragment, from 1; 0 for a whole sample.
         asks: whether it requests something again (ACKNACK, NACK_FRAG).
         payload_at: index of the serialized sample's first byte, None if it does not begin in this submessage.
     """

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FILE_NAME = "report.json"
 FORMAT_VERSION = 1
-"""Version 1: first version (2026). A field may be added without a new version."""
+"""A field may be added without a new version."""
 
 _IDENTIFIERS = ("run_id", "session_id")
 """Columns written as hex digits: a JSON number has no 64 bits."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150
-"""Most results in a table: a comment on a pull request is read and not searched."""
+"""Most results in a table."""
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
     "Latency through the bridge less the latency in the same domain, its 95 % interval, and the ratio of the two, with the runs and the "

@@ -30,7 +30,7 @@ MOST_CHARACTERS = 12_000
 
 _BELOW = 700
 
-# Only losses have a colour: a red with a contrast of 4.5 on a light and a dark notebook.
+# A red with a contrast of 4.5 on a light and a dark notebook.
 _LOST = "color:#e5484d"
 _SOFT = "font-size:90%"
 _CELL = "text-align:left;white-space:nowrap"
@@ -108,7 +108,7 @@ def plot(
 
 
 def show(analysis: Analysis, folder: Path | None = None) -> Path:
-    """Write the HTML report into a folder, by default a new temporary one, open it in the browser and return its path."""
+    """Write the HTML report into a folder, by default a temporary one, open it and return its path."""
     folder = Path(tempfile.mkdtemp(prefix="dds-trace-")) if folder is None else Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (path,) = write_reports(analysis, ["html"], folder)

@@ -31,7 +31,7 @@ _MS, _MB = 1e6, 1e6
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """What the marks of a figure show: the title of the axis, the value of a group in its unit, and the text of a value."""
+    """What the marks of a figure show: title of the axis, a group's value in its unit, and the text of a value."""
 
     title: str
     of: Callable[[int], float | None]
@@ -106,12 +106,8 @@ PANELS_BY: Mapping[str, str] = {
 def line_figure(book: Book, name: str, panels: str | None, metric: str | None, statistic: str) -> Figure:
     """Draw a figure of lines: a column of panels for each value of `panels`, rows for other differences of groups.
 
-    Args:
-        book: of the analysis.
-        name: one of `NAMES`.
-        panels: one of `PANELS_BY`; None as on the page.
-        metric: where the figure shows times; None for the page's.
-        statistic: where the figure shows times or their spread.
+    `name` is one of `NAMES`, `panels` one of `PANELS_BY`; None is as on the page. Figures of times use `metric` and
+    `statistic`.
 
     Raises:
         OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.

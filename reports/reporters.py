@@ -51,10 +51,10 @@ def write_reports(analysis: Analysis, kinds: Iterable[str], folder: str | os.Pat
     """Write reports of one analysis into a folder, which must exist.
 
     Returns:
-        For each kind its file, or None for a report that was printed.
+        The file of each kind, None for a printed report.
 
     Raises:
-        OptionError: there is no such kind; nothing was written.
+        OptionError: there is no such kind.
         OutputError: a file cannot be written.
     """
     reporters = {kind: load_reporter(kind) for kind in kinds}

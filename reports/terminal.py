@@ -204,7 +204,7 @@ def _runs(runs: float | None) -> str:
 
 
 def _sparkline(curve: Sequence[int], ends: tuple[int, int]) -> str:
-    """Draw a curve on a log axis; bars count its levels, which are denser in the tail, so that rare late messages stay visible."""
+    """Draw a curve on a log axis; bars count its levels, which are denser in the tail."""
     positive = [value for value in curve if value > 0]
     if not positive:
         return MISSING

@@ -180,7 +180,6 @@ _BRIDGE_VERDICTS = {
     "same": "the same within 5 %",
     "inconclusive": "no clear difference",
 }
-"""`run_statistics.change.Verdict` on a bridge -> its words, in the order of the sentence."""
 
 
 def _bridge_remark(rows: list[dict[str, Any]]) -> str:

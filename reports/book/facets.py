@@ -25,7 +25,7 @@ MADE_OF = {
     "plane": ("size", "rate"),
     "load": ("size", "rate"),
 }
-"""Dimension -> what it is made of; the last three are only positions on an axis."""
+"""What each dimension is made of; the last three are only positions on an axis."""
 
 LABELS = {
     "data": "data",
@@ -46,10 +46,9 @@ class Dimension:
     """One dimension.
 
     Attributes:
-        label: name for readers.
-        options: label of each value, in the order of cells and series.
-        index: for each group the index of its value among the options.
-        short: label of each value at the end of a line.
+        options: labels, in the order of cells and series.
+        index: for each group the option of its value.
+        short: labels at the end of a line.
     """
 
     label: str

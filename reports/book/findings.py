@@ -29,10 +29,9 @@ _TITLES = {
     "few_samples": "Too few messages for a percentile",
     "not_applied": "Requested and not applied",
 }
-"""Code -> its name, where its words are not enough."""
+"""Names where the words of the code are not enough."""
 
 _MOST_NAMED = 3
-"""Most groups that a finding names."""
 
 
 @dataclass(frozen=True, slots=True)

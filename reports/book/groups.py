@@ -29,8 +29,8 @@ _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 def markdown(text: object) -> str:
     """Escape text for GitHub's Markdown, also inside a table cell.
 
-    Punctuation becomes entities. An empty comment follows `@` and `#`, because GitHub resolves entities before it looks for
-    mentions and issues.
+    Punctuation becomes entities. An empty comment follows `@` and `#`, as GitHub looks for mentions and issues after it
+    has resolved entities.
     """
     parts = []
     for c in printable(text, MAX_FINDING_CHARACTERS):
@@ -87,7 +87,6 @@ STATISTIC_LABELS = {
     "p99_9": "p99.9",
     "max": "maximum",
 }
-"""Statistic -> label; `<metric>_<statistic>_ns` is its column."""
 
 VENDORS = {
     "fastdds": "Fast DDS",
@@ -96,7 +95,7 @@ VENDORS = {
     "zenoh": "Zenoh",
     "socket": "Socket",
 }
-"""Vendor -> label, in the order of a report; sessions have other labels."""
+"""In the order of a report; sessions have other labels."""
 
 BRIDGES = {"builtin": "our built-in bridge", "builtin-zenoh": "our built-in Zenoh bridge"}
 
@@ -114,7 +113,7 @@ class VendorLabels:
         return self.labels.get(vendor, printable(vendor))
 
     def of_pair(self, vendor: str, relay_vendor: str | None) -> str:
-        """Return the label of the vendors of ping and relay, which is None without its trace."""
+        """Return the label of both vendors; the relay's is None without its trace."""
         if relay_vendor is None or relay_vendor == vendor:
             return self.of(vendor)
         return f"{self.of(vendor)} → {self.of(relay_vendor)}"
@@ -125,8 +124,8 @@ class Series:
     """Setup, device pair and link of a group.
 
     Attributes:
-        further: the parameters without a field of their own, as in `name value`.
-        vendor_label: label of the vendor, or of both vendors if ping and relay differ.
+        further: other parameters, as in `name value`.
+        vendor_label: names both vendors if ping and relay differ.
     """
 
     vendor: str
@@ -231,7 +230,6 @@ def series_labels(series: Sequence[Series]) -> list[str]:
 
 
 def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
-    """Return the function that labels a series by the parts of its setting in which any two differ."""
     settings = {one.setting: parse_setting(one.setting) for one in series}
     keys = sorted({key for setting in settings.values() for key in setting})
     varying = [key for key in keys if len({setting.get(key) for setting in settings.values()}) > 1]
@@ -245,7 +243,7 @@ def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
 
 
 def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> list[str]:
-    """Label settings (values of `SETTING_COLUMNS`) by everything in which any two differ: what a reader has to set."""
+    """Label settings (values of `SETTING_COLUMNS`) by everything in which any two differ."""
     series = [_series({**dict.fromkeys(SERIES_COLUMNS), **setting}, vendors) for setting in settings]
     parts = (*_LABEL_PARTS, (where_it_varies, _setting_label_of(series)))
     rules = [(where_it_varies if word not in _FOLLOWING else rule, word) for rule, word in parts]

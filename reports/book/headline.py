@@ -81,7 +81,7 @@ def _from_size(least: int, largest: int) -> str:
 def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
     """Name the setups that lost more than `LOSSY_SHARE` of a message, the worst first."""
     labels = contender_labels(answers, vendors)
-    # Device pair -> data type and label of the setup -> smallest size, largest share lost.
+    # Device pair -> data type and setup -> smallest size, largest share lost.
     lossy: dict[str, dict[tuple[str, str], tuple[int, float]]] = {}
     largest: dict[str, int] = {}
     for answer in answers:
@@ -125,7 +125,7 @@ def _on_pairs(pairs: Sequence[tuple[str, float]], count: int) -> str:
 
 
 def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[str, ...]:
-    """Say for each kind of data from which size on which setup is fastest, and by which factor."""
+    """Say for each kind of data at which sizes which setup is fastest, and by which factor."""
     labels = contender_labels(answers, vendors)
     several_types = len({answer.data_type for answer in answers}) > 1
     kinds: dict[tuple[str, str], dict[str, list[CaseAnswer]]] = {}
@@ -192,7 +192,6 @@ def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
 
 
 def _by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
-    """Join the stretches with the same outcome, those with a winner first."""
     joined_of: dict[Outcome | None, Stretch] = {}
     for stretch in cut:
         own = joined_of.get(stretch.outcome, Stretch(stretch.outcome, (), ()))
@@ -267,7 +266,6 @@ def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -
 
 
 def _repeats_words(cases: Sequence[CaseAnswer], what: str) -> str:
-    """Return how many repeats would probably decide what is open about the fastest."""
     counts = [case.repeats_p50 for case in cases if case.repeats_p50 is not None]
     return f" (about {max(counts)} repeats would decide{what})" if counts else ""
 
@@ -299,7 +297,6 @@ def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:
 
 
 def _cost_words(rows: pl.DataFrame) -> str:
-    """Return the factors of one way where it is clearly slower, and how the other comparisons came out."""
     is_finite = pl.col("ratio").is_finite().fill_null(value=False)
     parts, lost, others, compared = [], 0, 0, 0
     for name, label in (("p50", "at the median"), ("p99", "at p99")):

@@ -86,9 +86,7 @@ class Intervals:
     """95 % intervals: metric -> percentile (`p50` to `p99_9`) -> value per group, None without one.
 
     Attributes:
-        low_ns: lower ends.
-        high_ns: upper ends.
-        episodes: bursts that the messages beyond each percentile came in.
+        episodes: bursts beyond each percentile.
         is_between: whether each interval comes from the runs: 1 or 0.
         runs: of each group, 0 where nothing was measured.
     """

@@ -23,7 +23,7 @@ class Outcome:
     Attributes:
         p50: the setup with the lowest median, empty if none is shown to have it; `p99` likewise.
         best: if nobody leads: the fastest one and the setups without a proven difference from it.
-        slower: those that are shown to be slower than the fastest.
+        slower: those that are shown to be slower.
         percentile: by which `slower` are.
         is_lossy: whether a leader, like all others, lost more than `LOSSY_SHARE`.
         is_interleaved: False where nothing is shown and setups were recorded one after the other.

@@ -34,8 +34,7 @@ class Advice:
 
     Attributes:
         job: the job in words, with its deadline.
-        sentence: which settings meet it.
-        rows: one row per candidate, columns of `COLUMNS`.
+        rows: one per candidate, columns of `COLUMNS`.
     """
 
     job: str
@@ -128,7 +127,7 @@ def _sentence(named: Sequence[tuple[Candidate, str]], deadline: str, *, opens: b
 
 
 def _unseen(candidates: Iterable[Candidate]) -> Iterator[str]:
-    """Yield how likely a kind of run was not seen, if something is said to meet the deadline."""
+    """Yield how likely a kind of run was missed, if something meets the deadline."""
     chances = [(c.runs, c.unseen_ratio) for c in candidates if c.unseen_ratio is not None]
     if chances:
         runs, ratio = min(chances)

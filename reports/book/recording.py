@@ -36,9 +36,9 @@ class RunTime:
     """One run; `published` and `received` count messages times relays.
 
     Attributes:
-        group: index of its group; the first one if several relays answered.
-        origin_ns: planned send time of its first counted message, on the ping's monotonic clock.
-        last_ns: publish time of its last message, on the same clock.
+        group: the first one if several relays answered.
+        origin_ns: planned send time of its first counted message, ping's monotonic clock.
+        last_ns: publish time of its last message, same clock.
         p50_ns: median of the latency, or of the round trip without a relay's trace.
     """
 
@@ -166,7 +166,7 @@ class OwnCost:
         floor_median_ns: median time of a short message from a node to itself, the floor of every latency through this
             client library.
         floor_p99_ns: p99 of it.
-        floor_messages: smallest number of messages that a floor rests on.
+        floor_messages: smallest number of messages of a floor.
     """
 
     vendor: str
@@ -227,7 +227,7 @@ def setting_words(analysis: Analysis) -> str:
     for session in analysis.sessions:
         middleware = session.host.get("middleware")
         for name, value in middleware.items() if isinstance(middleware, dict) else ():
-            # A configuration in XML would fill a first screen.
+            # A configuration in XML would fill the screen.
             values.setdefault(printable(name), {})[printable(value, _LONGEST_SETTING)] = None
         path = payload_path(session)
         if path is not None:
@@ -254,7 +254,6 @@ def _numbers(sessions: Sequence[Session], part: str, name: str) -> list[int]:
 
 MOST_COLUMNS = 16
 _MOST_VALUES = 4
-"""Most values in one table cell."""
 
 _VARIED = "Sessions"
 _SECTIONS = {
@@ -265,7 +264,7 @@ _SECTIONS = {
     "socket_buffers": "Limits of socket buffers (bytes)",
     "mtu": "MTU of interfaces (bytes)",
 }
-"""Part of a fingerprint -> its heading; the others are under the machine."""
+"""Other parts are under the machine."""
 _NAMES = {
     "cpu_model": "processor",
     "cpu_cores": "processors",

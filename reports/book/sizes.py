@@ -43,8 +43,8 @@ class SizeCell:
         p50: median as text, `lost` if more than half of the messages were lost.
         p99: p99 likewise; a dash where the sample does not support it.
         leads_p50: whether the median is clearly the lowest; `leads_p99` likewise.
-        lost: share of the messages that were lost, as in `14 % lost`.
-        group: index of its group; None where several groups share the cell.
+        lost: as in `14 % lost`.
+        group: None where several groups share the cell.
     """
 
     p50: str
@@ -97,10 +97,8 @@ class SizeTable:
     """Sizes by setup, for each device pair and link.
 
     Attributes:
-        modes: domain modes with the number of their columns.
-        choices: names of the columns.
-        deadline: the deadline in words.
-        rates: the rates of the rows, as in `at 10 Hz`.
+        modes: domain modes and how many columns each has.
+        rates: as in `at 10 Hz`.
     """
 
     modes: tuple[tuple[str, int], ...]

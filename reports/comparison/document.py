@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .words import Gated
 
 FORMAT_VERSION = 1
-"""Version 1: first version (2026). A field may be added without a new version."""
+"""A field may be added without a new version."""
 
 
 def render(info: ComparisonInfo, comparison: Comparison) -> str:

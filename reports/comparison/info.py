@@ -86,10 +86,9 @@ class ComparisonInfo:
     """Contents of the reports of a comparison.
 
     Attributes:
-        said: the answer in one sentence, for people.
+        said: the answer, for people.
         seen: which changes would not have been seen, or how sides without a common result differ; for people.
         groups: the results of both sides, worst first.
-        metric: label of the metric in the rows of the results.
         only_base: results that the new side does not have.
         only_new: results that the base does not have.
         outcome: of the gates; null without one.
@@ -97,8 +96,6 @@ class ComparisonInfo:
         sights: which changes the verdicts would have seen.
         unlike: columns in which sides without a common result differ.
         ignore: columns for --ignore, without which such sides can be compared.
-        notes: what makes the sides unlike or unfit.
-        rules: how to read the numbers.
     """
 
     said: str

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .info import ComparedGroup, ComparisonInfo
 
 MOST_GROUPS = 50
-"""Results and gates without `--all`: a comment of a pull request has no room for more."""
+"""Results and gates without `--all`, for a comment of a pull request."""
 
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:

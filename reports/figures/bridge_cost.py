@@ -51,7 +51,7 @@ class BridgeCost(Faceted):
 
 def bridge_cost_info(book: Book) -> BridgeCost:
     """Assign the rows of `details.bridge_costs` to their groups."""
-    # The comparison pools the numbers of domains, so a row belongs to the first of several groups.
+    # The comparison pools domain ids, so a row belongs to the first of several groups.
     first: dict[tuple[object, ...], int] = {}
     for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
         if row["domain_mode"] == "different":

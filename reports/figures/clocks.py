@@ -74,10 +74,10 @@ KNOTS_IN_PAGE = 4000
 
 @dataclass(frozen=True, slots=True)
 class ClockPair:
-    """Clocks of one device pair, and the drift of the longest segment without a step in the title.
+    """Clocks of one device pair; the title has the drift of the longest segment.
 
     Attributes:
-        elapsed_s: time of each mark since the first.
+        elapsed_s: of each mark since the first.
         offset_ns: relay's clock minus ping's clock minus `first_offset_ns`.
         bound_ns: largest error of each offset.
     """

@@ -1,4 +1,4 @@
-"""How the values of a group are spread: from run to run, over rarity (the tail), and as the share of messages in time."""
+"""How the values of a group are spread: from run to run, in the tail, and as the share of messages in time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ class Spread(Faceted):
 
     Attributes:
         reaches: percentile -> group -> how far the 95 % interval of a typical run reaches to either side (0.05 is 5 %).
-        metric: what the percentiles are of.
     """
 
     reaches: Mapping[str, Mapping[int, float]]

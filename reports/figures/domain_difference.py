@@ -31,7 +31,7 @@ class DomainDifference(Faceted):
 
 
 def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
-    """Pair each group across domains with the group in the same domain that differs in nothing else, in the order of cells."""
+    """Pair each group across domains with the one in the same domain that differs in nothing else, by cell."""
     ordered = [(group, groups.series_of(group)) for group in groups.in_order]
     keyed = [((group.cell, series.values(SAME_SIDES_COLUMNS)), group, series) for group, series in ordered]
     same = {

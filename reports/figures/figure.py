@@ -1,7 +1,6 @@
 """How a figure is made: numbers from the book, then the plan that the page draws.
 
-A plan has groups in place of values: the page looks them up (metric, statistic and filters are the reader's) and draws with
-plotly.js.
+A plan has groups in place of values: the page looks them up, as metric, statistic and filters are the reader's.
 """
 
 from __future__ import annotations
@@ -27,10 +26,8 @@ class Figure:
     """A figure that can be drawn.
 
     Attributes:
-        name: id in the page and in file names of downloads.
-        how_to_read: one sentence for the reader.
+        name: id in the page and in names of downloads.
         kind: function of the page's scripts (`KINDS`) that draws it.
-        plan: arguments of that function.
         follows: whether it shows the reader's metric and statistic, which then replace the word Latency in the title.
     """
 
@@ -64,8 +61,7 @@ class FigureMaker:
     """One row of the table of figures (`reports.figures.FIGURES`).
 
     Attributes:
-        info: numbers of the figure, from the book; what tests compare.
-        figure: plan of the figure from these numbers, or why there is none.
+        info: numbers of the figure, from the book.
         opened: whether the page shows it at once.
         few: whether it says more about a few groups than the chart of dots, which replaces the others then.
     """
@@ -91,7 +87,7 @@ def is_few(book: Book) -> bool:
 
 
 MOST_LINES = 7
-"""Most lines of one panel that a reader can distinguish; a panel with more becomes several."""
+"""Most lines of one panel; one with more becomes several."""
 
 ATOMS = ("device", "link", "data", "vendor", "way", "rest", "size", "rate")
 """Dimensions that are made of no other, in the order of rows of panels."""
@@ -99,7 +95,7 @@ ATOMS = ("device", "link", "data", "vendor", "way", "rest", "size", "rate")
 
 @dataclass(frozen=True, slots=True)
 class Facet:
-    """How groups are spread: along the axis, over lines, and over panels side by side and below one another.
+    """How groups are spread along the axis, over lines and over panels.
 
     What is neither on the axis nor a line separates panels. The page spreads by the same rule and tables (`facets.js`).
 
@@ -208,14 +204,11 @@ class LineFigure:
     """A row of the table of figures whose marks or lines show one value of each group; fields as in `Figure` and `FigureMaker`.
 
     Attributes:
-        nothing: why there is nothing to draw.
         x: dimension along the axis (`Facet`).
-        panels: dimension whose values are side by side.
         value: what the marks show: a key of `VALUES` of the page's scripts and of `reports.plotting`.
         drawn: of a book, whether a group has the value.
-        shows: of a book, whether a group shows something; a panel in which none does is left out.
+        shows: of a book, whether a group shows something; a panel needs one.
         least: fewest positions of a panel.
-        settings: further settings of the plan.
     """
 
     name: str

@@ -22,10 +22,9 @@ class DeviceLoad:
     """Samples of one device during the runs of one group.
 
     Attributes:
-        role: `ping` or `relay`.
         elapsed_s: time since the planned first message of the run, rounded to 0.1 s.
-        cpu_percent: load of the busiest processor.
-        signal_dbm: signal of the weakest Wi-Fi interface.
+        cpu_percent: of the busiest processor.
+        signal_dbm: of the weakest Wi-Fi interface.
     """
 
     role: str

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 POINTS_IN_PAGE = 40_000
 """Most messages in a page (about 1 MB of JSON)."""
 FEWEST_POINTS = 80
-"""Fewest messages drawn of a group."""
 MOST_OUTAGES = 50
 
 

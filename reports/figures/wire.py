@@ -1,4 +1,4 @@
-"""What was seen on the wire: bytes by class of traffic, messages sent again, time to the first message."""
+"""The wire: bytes by class of traffic, messages sent again, time to the first message."""
 
 from __future__ import annotations
 

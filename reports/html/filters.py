@@ -53,7 +53,6 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
     ("link", "Link", lambda _, s: _same(printable(s.connectivity))),
     ("setting", "Setting", lambda _, s: Option(printable(s.setting), printable(s.setting) or "nothing else set")),
 )
-"""Key, label, and the option of a group."""
 
 
 def filters_info(groups: Groups) -> tuple[Filter, ...]:

@@ -38,7 +38,7 @@ Stamp: TypeAlias = "tuple[tuple[str, int, int], ...]"
 TRACE_ENDINGS = (".mcap", ".db3", ".yaml", ".ring")
 
 _STATE, _PARTS = "state.json", ".parts"
-"""A sweep's state, and the folder of what it is recording."""
+"""A sweep's state, and the folder of what it records."""
 
 _DONE = ("recorded", "complete")
 
@@ -93,7 +93,7 @@ def without_running(analysis: Analysis) -> Analysis:
 
 @dataclass(frozen=True, slots=True)
 class WatchOptions:
-    """A folder with traces, where the analysis is written (None: its default), and whether it keeps a cache there at all."""
+    """A folder with traces, where the analysis is written (None: its default), and whether there is a cache."""
 
     folder: Path
     out: Path | None = None
@@ -139,7 +139,7 @@ class Watcher:
     def refresh(self) -> bool:
         """Analyze the folder if a file changed, and return whether there is a new report.
 
-        A failed analysis leaves the previous report on the page, under a line with the reason.
+        A failed analysis leaves the previous report, under a line with the reason.
         """
         stamp = _stamp_of(self._options.folder, self._target())
         if stamp == self._stamp:
@@ -148,7 +148,7 @@ class Watcher:
         version = sha256(repr(stamp).encode("utf-8", "backslashreplace")).hexdigest()[:16]
         try:
             self._report, self._analyzed_version = self._analyzed(version), version
-        except Exception as err:  # noqa: BLE001 - one bad file must not end a watch that runs for a night
+        except Exception as err:  # noqa: BLE001 - one bad file must not end a watch
             why = str(err) if isinstance(err, TraceError) else f"{type(err).__name__}: {err}"
             self.shown = self._failed(why, version)
             return False

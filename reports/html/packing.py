@@ -21,7 +21,7 @@ def json_island(value: object) -> str:
     )
     for character in "<>&\u2028\u2029":
         text = text.replace(character, f"\\u{ord(character):04x}")
-    # A lone surrogate (undecodable file name) cannot be written as UTF-8.
+    # A lone surrogate (of a file name) cannot be written as UTF-8.
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
@@ -30,7 +30,7 @@ def _fields(record: DataclassInstance) -> dict[str, object]:
     return {field.name: getattr(record, field.name) for field in fields(record)}
 
 
-@lru_cache(maxsize=4)  # plotly.js, and scripts that stay the same while a folder is watched
+@lru_cache(maxsize=4)  # plotly.js, and scripts of a watched folder
 def packed_script(text: str) -> str:
     """Return a script as `packed` does."""
     return packed(text)

@@ -125,7 +125,7 @@ def _asset(name: str) -> str:
 
 
 def _policy(*scripts: str, connect: str) -> str:
-    """Return a policy for these scripts only; plotly.js needs style attributes, downloads data and blob images."""
+    """Return a policy for these scripts; plotly.js needs style attributes, downloads data and blob images."""
     hashes = " ".join(f"'{policy_hash(script)}'" for script in scripts)
     return (
         f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data: blob:; "

@@ -50,8 +50,8 @@ class Style:
 def choice_styles(facets: Facets) -> tuple[Style, ...]:
     """Choose a style for each setup.
 
-    The same domain is solid, with its vendor's colour and symbol; every bridge has a dash, a hatching and a symbol per vendor. A
-    bridge has its vendor's colour, unless a vendor has more than two setups and there are colours for all.
+    The same domain is solid, with its vendor's colour and symbol; a bridge has a dash, a hatching and a symbol per
+    vendor, and its vendor's colour unless a vendor has more than two setups and there are colours for all.
     """
     setups = facets.choices
     vendors = in_order_of([*VENDORS, *(one.vendor for one in setups)], VENDORS)

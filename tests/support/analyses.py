@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 from kept import kept
 from paired_by_hand import paired
-from roundtrip_frames import rows_by_group
+from roundtrip_frames import PLAIN, rows_by_group
 
 from dds_trace import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import breakdown_frame, response_frame
@@ -22,8 +22,8 @@ from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
 from dds_trace.analyzer.groups.timeline import run_frame
 from dds_trace.analyzer.groups.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA, no_wire_frames
-from dds_trace.analyzer.model.columns import SUMMARY_COLUMNS
-from dds_trace.analyzer.model.metrics import METRICS, schema_of
+from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from dds_trace.analyzer.model.metrics import schema_of
 from dds_trace.analyzer.pairing.one_way import KNOT_SCHEMA, SEGMENT_SCHEMA
 from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
@@ -45,45 +45,7 @@ RECORDER_COST = {"timer_ns": 60, "record_median_ns": 900, "record_p99_ns": 2000,
 CLOCK_BOUND_NS = 50_000
 LOSSES = ("lost_outbound", "lost_in_relay", "lost_return", "lost_unknown")
 
-PARAMETERS: dict[str, Any] = {
-    "vendor": pl.String,
-    "backend": pl.String,
-    "rmw": pl.String,
-    "bridge": pl.String,
-    "relay_vendor": pl.String,
-    "relay_backend": pl.String,
-    "ping_domain_id": pl.Int32,
-    "relay_domain_id": pl.Int32,
-    "domain_mode": pl.String,
-    "data_type": pl.String,
-    "payload_bytes": pl.UInt32,
-    "rate_hz": pl.Float64,
-    "reliability": pl.String,
-    "durability": pl.String,
-    "history": pl.String,
-    "depth": pl.Int32,
-    "serialization": pl.String,
-    "ping_device": pl.String,
-    "relay_device": pl.String,
-    "connectivity": pl.String,
-}
-SETTING: dict[str, Any] = {"setting": pl.String}
-STAMPS: dict[str, Any] = dict.fromkeys(
-    ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns"), pl.Int64
-)
-ROUNDTRIPS: dict[str, Any] = {
-    "run_id": pl.UInt64,
-    "relay_id": pl.UInt32,
-    "sequence": pl.UInt64,
-    **PARAMETERS,
-    **STAMPS,
-    **schema_of(metric.column for metric in METRICS.values()),
-    "outcome": pl.String,
-    "duplicates": pl.UInt16,
-    "reordered": pl.Boolean,
-    **dict.fromkeys(("outbound_ns", "return_ns", "clock_bound_ns"), pl.Int64),
-    **SETTING,
-}
+ROUNDTRIPS = schema_of(ROUNDTRIP_COLUMNS)
 DISTRIBUTIONS = {"group": pl.UInt32, "metric": pl.String, "value_ns": pl.Float64, "count": pl.UInt64}
 TIMELINE = {
     "group": pl.UInt32,
@@ -138,28 +100,14 @@ class Measured:
         return self.relay_device is not None
 
     def parameters(self) -> dict[str, Any]:
+        no_relay = {} if self.relayed else dict.fromkeys(("relay_vendor", "relay_backend", "relay_domain_id"))
         return {
-            "vendor": self.vendor,
-            "backend": self.backend,
-            "rmw": self.rmw,
-            "bridge": self.bridge,
-            "relay_vendor": self.relay_vendor if self.relayed else None,
-            "relay_backend": self.backend if self.relayed else None,
+            **PLAIN,
+            **{name: getattr(self, name) for name in PLAIN if hasattr(self, name)},
+            "relay_backend": self.backend,
             "ping_domain_id": 10 if self.domain_mode == "same" else 5,
-            "relay_domain_id": 10 if self.relayed else None,
-            "domain_mode": self.domain_mode,
-            "data_type": self.data_type,
-            "payload_bytes": self.payload_bytes,
-            "rate_hz": self.rate_hz,
-            "reliability": self.reliability,
-            "durability": "volatile",
-            "history": "keep_last",
-            "depth": 10,
-            "serialization": "raw",
-            "ping_device": self.ping_device,
-            "relay_device": self.relay_device,
-            "connectivity": self.connectivity,
-            "setting": self.setting,
+            "relay_domain_id": 10,
+            **no_relay,
         }
 
     def rows(self, run_id: int) -> list[dict[str, Any]]:

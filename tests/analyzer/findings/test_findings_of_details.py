@@ -389,12 +389,8 @@ def test_three_relays_on_purpose_are_no_restart(tmp_path):
         of_relay = ping_events(drawn(), relay_id=relay_id)
         ping[Stage.T1] = of_relay[Stage.T1]
         ping[Stage.T2] += of_relay[Stage.T2]
-        write_trace(
-            tmp_path / f"relay{relay_id}.mcap",
-            relay_session(session_id=relay_id, relay_id=relay_id),
-            (),
-            relay_events(drawn(), relay_id=relay_id),
-        )
+        session = relay_session(session_id=relay_id, relay_id=relay_id)
+        write_trace(tmp_path / f"relay{relay_id}.mcap", session, (), relay_events(drawn(), relay_id=relay_id))
     write_trace(tmp_path / "ping.mcap", ping_session(), [run(planned_messages=200, published=200)], ping)
     analysis = analyze(tmp_path)
     assert {"relays=3"} == set(analysis.load_roundtrips()["setting"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from campaigns import write_run
-from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
+from trace_files import Message, merged_events, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
@@ -70,23 +70,11 @@ def test_unlike_environments_of_relays_are_told_of_the_relay(tmp_path):
 def test_a_run_with_two_relays_is_another_group_than_one_with_one(tmp_path):
     record(tmp_path, 1)
     record(tmp_path, 2)
-    write_trace(
-        tmp_path / "2" / "second.mcap",
-        relay_session(session_id=900, relay_id=0xCAFE),
-        (),
-        relay_events(messages(2), run_id=72, relay_id=0xCAFE),
-    )
-    write_trace(
-        tmp_path / "2" / "ping.mcap",
-        ping_session(session_id=52, host={"kernel": "6.1"}),
-        [run(run_id=72, planned_messages=30, published=30, extra={"session_id": f"{52:016x}"})],
-        _with_both(messages(2)),
-    )
+    second, fields = relay_session(session_id=900, relay_id=0xCAFE), {"run_id": 72, "relay_id": 0xCAFE}
+    write_trace(tmp_path / "2" / "second.mcap", second, (), relay_events(messages(2), **fields))
+    ping = ping_session(session_id=52, host={"kernel": "6.1"})
+    described = run(run_id=72, planned_messages=30, published=30, extra={"session_id": f"{52:016x}"})
+    replies = {Stage.T2: ping_events(messages(2), **fields)[Stage.T2]}
+    both = merged_events([ping_events(messages(2), run_id=72), replies])
+    write_trace(tmp_path / "2" / "ping.mcap", ping, [described], both)
     assert sorted(analyze(tmp_path).summary["setting"].to_list()) == ["", "relays=2"]
-
-
-def _with_both(of_run):
-    """The ping's events with the replies of both relays."""
-    first = ping_events(of_run, run_id=72)
-    second = ping_events(of_run, run_id=72, relay_id=0xCAFE)
-    return first | {Stage.T2: first[Stage.T2] + second[Stage.T2]}

@@ -24,6 +24,7 @@ from dds_trace.base.errors import MissingEventsError, TraceFormatError
 TIMELINE = [
     Message(s, t0=1000 * s, t1=1000 * s + 5, t3=1000 * s + 900, t4=1000 * s + 930, t2=1000 * s + 205) for s in range(12)
 ]
+DESCRIBED = run(planned_messages=12, published=12)
 
 
 def statuses(analysis):
@@ -66,14 +67,8 @@ def test_another_form_of_the_same_session_counts_once(tmp_path):
     """As `ros2 bag convert` leaves it: other file, other storage options, the same events."""
     write_pair(tmp_path, TIMELINE)
     once = analyze(tmp_path)
-    write_trace(
-        tmp_path / "converted" / "ping.mcap",
-        ping_session(),
-        [run(planned_messages=12, published=12)],
-        ping_events(TIMELINE),
-        compression="none",
-        chunked=False,
-    )
+    other_form = {"compression": "none", "chunked": False}
+    write_trace(tmp_path / "converted" / "ping.mcap", ping_session(), [DESCRIBED], ping_events(TIMELINE), **other_form)
     both = analyze(tmp_path)
     assert both.load_roundtrips().equals(once.load_roundtrips())
     assert statuses(both)["ping.mcap"] == ("duplicate", 0)
@@ -124,12 +119,8 @@ def test_a_bag_given_by_name_keeps_results_beside_it(tmp_path):
 def test_a_copy_taken_before_the_end_adds_what_it_has(tmp_path):
     write_pair(tmp_path, TIMELINE)
     once = analyze(tmp_path)
-    write_trace(
-        tmp_path / "early.mcap",
-        ping_session(state="open"),
-        [run(state="started", planned_messages=12, published=0)],
-        ping_events(TIMELINE[:5]),
-    )
+    cut = run(state="started", planned_messages=12, published=0)
+    write_trace(tmp_path / "early.mcap", ping_session(state="open"), [cut], ping_events(TIMELINE[:5]))
     both = analyze(tmp_path)
     assert both.load_roundtrips().equals(once.load_roundtrips())
     assert statuses(both)["early.mcap"] == ("read", 10)
@@ -154,12 +145,8 @@ def test_a_relay_trace_split_over_files_is_put_together(tmp_path):
 
 def test_ping_and_relay_merged_into_one_file_are_told_apart(tmp_path):
     write_pair(tmp_path / "two", TIMELINE)
-    write_trace(
-        tmp_path / "one" / "all.mcap",
-        [ping_session(), relay_session()],
-        [run(planned_messages=12, published=12)],
-        ping_events(TIMELINE) | relay_events(TIMELINE),
-    )
+    events = ping_events(TIMELINE) | relay_events(TIMELINE)
+    write_trace(tmp_path / "one" / "all.mcap", [ping_session(), relay_session()], [DESCRIBED], events)
     assert analyze(tmp_path / "one").load_roundtrips().equals(analyze(tmp_path / "two").load_roundtrips())
 
 
@@ -233,15 +220,8 @@ def test_relays_alone_are_an_error(tmp_path):
 
 def test_a_truncated_trace_is_used_to_its_end(tmp_path):
     write_pair(tmp_path, TIMELINE)
-    relay = write_trace(
-        tmp_path / "relay.mcap",
-        relay_session(),
-        (),
-        relay_events(TIMELINE),
-        chunk_bytes=300,
-        indexed=False,
-        statistics=False,
-    )
+    plain = {"chunk_bytes": 300, "indexed": False, "statistics": False}
+    relay = write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(TIMELINE), **plain)
     os.truncate(relay, relay.stat().st_size * 2 // 3)
     analysis = analyze(tmp_path)
     status, events = statuses(analysis)["relay.mcap"]

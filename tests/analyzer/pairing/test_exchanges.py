@@ -11,6 +11,7 @@ from trace_files import (
     WALL_ANCHOR_NS,
     Message,
     event,
+    merged_events,
     ping_events,
     ping_session,
     relay_events,
@@ -34,6 +35,10 @@ NO_RELAY_COLUMNS = ("relay_vendor", "relay_backend", "relay_device", "relay_in_n
 
 def rows(analysis):
     return analysis.load_roundtrips().to_dicts()
+
+
+def values(analysis, *columns):
+    return analysis.load_roundtrips().select(columns).rows()
 
 
 def codes(analysis):
@@ -134,8 +139,7 @@ def test_two_relays_give_two_rows_a_message_each_with_its_own_outcome(tmp_path):
             },
         )
     analysis = analyze(tmp_path)
-    found = [(r["relay_id"], r["sequence"], r["outcome"], r["latency_ns"], r["relay_device"]) for r in rows(analysis)]
-    assert found == [
+    assert values(analysis, "relay_id", "sequence", "outcome", "latency_ns", "relay_device") == [
         (near, 0, "completed", 45, "pi17"),  # (100 - 10) // 2
         (near, 1, "completed", 50, "pi17"),  # (120 - 20) // 2
         (far, 0, "lost_return", None, "pi34"),
@@ -151,16 +155,11 @@ def test_a_relay_named_by_replies_only_has_rows_without_latency(tmp_path):
     _, relay = write_pair(tmp_path, TWO, runs=[run(relay_domain_id=None)])
     relay.unlink()
     analysis = analyze(tmp_path)
-    first, second = rows(analysis)
-    assert (first["relay_id"], first["outcome"], first["rtt_ns"], first["response_ns"]) == (
-        RELAY_ID,
-        "completed",
-        130,
-        140,
-    )
-    assert (second["relay_id"], second["outcome"], second["rtt_ns"]) == (RELAY_ID, "lost_unknown", None)
-    assert [first[name] for name in NO_RELAY_COLUMNS] == [None] * 6
-    assert first["intermediate_ns"] is None
+    assert values(analysis, "relay_id", "outcome", "rtt_ns", "response_ns") == [
+        (RELAY_ID, "completed", 130, 140),
+        (RELAY_ID, "lost_unknown", None, None),
+    ]
+    assert values(analysis, *NO_RELAY_COLUMNS, "intermediate_ns")[0] == (None,) * 7
     assert "missing_relay_trace" in codes(analysis)
     assert analysis.summary["latency_p50_ns"].to_list() == [None]
 
@@ -170,27 +169,15 @@ def test_a_relay_whose_trace_lacks_the_run_is_found_by_its_id(tmp_path):
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping_events(TWO))
     write_trace(tmp_path / "relay.mcap", relay_session(), (), {})
     analysis = analyze(tmp_path)
-    assert [(r["outcome"], r["relay_device"]) for r in rows(analysis)] == [
-        ("completed", "beta"),
-        ("lost_unknown", "beta"),
-    ]
+    assert values(analysis, "outcome", "relay_device") == [("completed", "beta"), ("lost_unknown", "beta")]
 
 
 def test_a_run_without_a_relay_has_rows_of_losses(tmp_path):
-    write_trace(
-        tmp_path / "ping.mcap",
-        ping_session(),
-        [run(planned_messages=2, published=2)],
-        {Stage.T1: [event(0, 10, scheduled_ns=1), event(1, 20, scheduled_ns=11)]},
-    )
-    write_trace(tmp_path / "relay.mcap", relay_session(relay_id=0), (), {})
+    unanswered = [Message(0, t0=1, t1=10), Message(1, t0=11, t1=20)]
+    write_pair(tmp_path, unanswered, relay=relay_session(relay_id=0))
     analysis = analyze(tmp_path)
-    assert [(r["relay_id"], r["sequence"], r["outcome"]) for r in rows(analysis)] == [
-        (0, 0, "lost_unknown"),
-        (0, 1, "lost_unknown"),
-    ]
-    assert [rows(analysis)[0][name] for name in NO_RELAY_COLUMNS] == [None] * 6
-    assert rows(analysis)[0]["setting"] == ""
+    assert values(analysis, "relay_id", "sequence", "outcome") == [(0, 0, "lost_unknown"), (0, 1, "lost_unknown")]
+    assert values(analysis, *NO_RELAY_COLUMNS, "setting")[0] == (*[None] * 6, "")
     assert {"no_relay", "nothing_received"} <= codes(analysis)
 
 
@@ -204,21 +191,12 @@ def test_a_relay_that_only_warmup_saw_took_part(tmp_path):
 def test_two_pings_at_one_relay_keep_their_messages(tmp_path):
     first, second = TWO, [Message(0, t0=5000, t1=5001, t3=600, t4=601, t2=5102)]
     write_trace(tmp_path / "a.mcap", ping_session(), [run()], ping_events(first))
-    write_trace(
-        tmp_path / "b.mcap",
-        ping_session(session_id=7, device="delta"),
-        [run(run_id=7, extra={})],
-        ping_events(second, run_id=7),
-    )
-    both = relay_events(first), relay_events(second, run_id=7)
-    write_trace(
-        tmp_path / "relay.mcap",
-        relay_session(),
-        (),
-        {stage: both[0][stage] + both[1][stage] for stage in (Stage.T3, Stage.T4)},
-    )
+    other = ping_session(session_id=7, device="delta")
+    write_trace(tmp_path / "b.mcap", other, [run(run_id=7, extra={})], ping_events(second, run_id=7))
+    relayed = merged_events([relay_events(first), relay_events(second, run_id=7)])
+    write_trace(tmp_path / "relay.mcap", relay_session(), (), relayed)
     analysis = analyze(tmp_path)
-    assert [(r["run_id"], r["ping_device"], r["latency_ns"]) for r in rows(analysis)] == [
+    assert values(analysis, "run_id", "ping_device", "latency_ns") == [
         (RUN_ID, "alpha", 55),
         (RUN_ID, "alpha", None),
         (7, "delta", 50),
@@ -233,7 +211,7 @@ def test_several_runs_in_one_file_are_rows_by_group_and_runs_by_start(tmp_path):
         events[stage] = of_early + events[stage]
     write_trace(tmp_path / "ping.mcap", ping_session(), [late, early], events)
     analysis = analyze(tmp_path)
-    assert [(r["run_id"], r["payload_bytes"], r["rtt_ns"]) for r in rows(analysis)] == [(1, 10, 100), (2, 20, 200)]
+    assert values(analysis, "run_id", "payload_bytes", "rtt_ns") == [(1, 10, 100), (2, 20, 200)]
     assert [described.run_id for described in analysis.runs] == [2, 1]
 
 
@@ -244,14 +222,9 @@ def test_a_restarted_relay_is_another_relay(tmp_path):
     ping[Stage.T2] = [event(0, 140, relay_id=1), event(1, 1112, relay_id=2)]
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping)
     for relay_id, message in zip((1, 2), messages, strict=True):
-        write_trace(
-            tmp_path / f"relay{relay_id}.mcap",
-            relay_session(session_id=relay_id, relay_id=relay_id),
-            (),
-            relay_events([message], relay_id=relay_id),
-        )
-    found = [(r["relay_id"], r["sequence"], r["outcome"], r["latency_ns"]) for r in rows(analyze(tmp_path))]
-    assert found == [
+        session = relay_session(session_id=relay_id, relay_id=relay_id)
+        write_trace(tmp_path / f"relay{relay_id}.mcap", session, (), relay_events([message], relay_id=relay_id))
+    assert values(analyze(tmp_path), "relay_id", "sequence", "outcome", "latency_ns") == [
         (1, 0, "completed", 55),
         (1, 1, "lost_outbound", None),
         (2, 0, "lost_outbound", None),
@@ -296,7 +269,7 @@ def test_merged_pings_are_told_apart_by_what_the_run_names(tmp_path):
     events[Stage.T1] += [event(0, 9000, run_id=9, scheduled_ns=9000)]
     write_trace(tmp_path / "all.mcap", sessions, runs, events)
     analysis = analyze(tmp_path)
-    assert [(r["run_id"], r["ping_device"]) for r in rows(analysis)] == [(RUN_ID, "alpha")] * 2 + [(9, "omega")]
+    assert values(analysis, "run_id", "ping_device") == [(RUN_ID, "alpha")] * 2 + [(9, "omega")]
     assert "doubtful_session" not in codes(analysis)
 
 
@@ -309,15 +282,14 @@ def test_merged_pings_without_a_name_are_told_apart_by_their_start(tmp_path):
     events[Stage.T1] += [event(0, 9000, run_id=9, scheduled_ns=9000)]
     write_trace(tmp_path / "all.mcap", sessions, [run(extra={}), run(run_id=9, extra={})], events)
     analysis = analyze(tmp_path)
-    assert [(r["run_id"], r["ping_device"]) for r in rows(analysis)] == [(RUN_ID, "alpha")] * 2 + [(9, "omega")]
+    assert values(analysis, "run_id", "ping_device") == [(RUN_ID, "alpha")] * 2 + [(9, "omega")]
     assert "doubtful_session" in codes(analysis)
 
 
 def test_relay_events_without_their_ping_have_no_row_and_a_finding(tmp_path):
     write_pair(tmp_path, TWO)
-    write_trace(
-        tmp_path / "other.mcap", relay_session(session_id=3, relay_id=3), (), relay_events(TWO, run_id=99, relay_id=3)
-    )
+    stranger = relay_session(session_id=3, relay_id=3)
+    write_trace(tmp_path / "other.mcap", stranger, (), relay_events(TWO, run_id=99, relay_id=3))
     analysis = analyze(tmp_path)
     assert set(analysis.load_roundtrips()["run_id"]) == {RUN_ID}
     (finding,) = [f for f in analysis.findings if f.code == "orphan_relay_events"]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import polars as pl
 
 from dds_trace.base.errors import OutputError
-from dds_trace.base.files import remove_drafts
 
 from .analysis import Analysis
 from .cache.event_index import total_copies
@@ -26,12 +26,13 @@ from .pairing.exchanges import find_exchanges
 from .pairing.parquet import write_summary
 from .pairing.provenance import provenance
 from .pairing.rows import RowWriter
+from .saving.results import replacing_results
 from .verdicts.cases import UnbarredRows
 from .verdicts.ranking import RankingOptions
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from dds_trace.tracefile.format.descriptions import Run
 
@@ -41,15 +42,6 @@ if TYPE_CHECKING:
     from .loading.place import Paths
     from .pairing.exchanges import Exchanges
     from .verdicts.job import Job
-
-
-RESULT_NAMES = (
-    *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
-    *(f"report.{kind}" for kind in ("html", "md", "json")),
-    "latency.derived.mcap",
-    "latency.derived.foxglove.json",
-)
-"""A later analysis removes drafts of these files."""
 
 
 def default_output(path: Paths) -> Path:
@@ -71,6 +63,7 @@ def analyze(
     job: Job | None = None,
     margin: float = 0.05,
     trust_order: bool = False,
+    write_more: Callable[[Analysis, Path], object] | None = None,
 ) -> Analysis:
     """Analyze every trace in a folder.
 
@@ -83,7 +76,8 @@ def analyze(
 
     Args:
         path: a folder (with all folders in it), one trace file, or one rosbag2 folder; or a list of such.
-        out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. Traces in it are not read.
+        out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. Traces in it are not read. Earlier
+            files are replaced together.
         cache: keep the events of every trace in the user's cache (`$XDG_CACHE_HOME/dds-trace`), so that the next
             analysis reads only new ones.
         cluster: address of a Dask scheduler (`tcp://host:8786`); its workers read the traces, so `path` must be the same for
@@ -95,6 +89,7 @@ def analyze(
         job: what to recommend settings for (`Analysis.details.recommendation`).
         margin: the least lead of a setup that is called fastest; 0.05 means that the next takes 5 % longer.
         trust_order: compare setups that were recorded one after the other, too.
+        write_more: writes further files into the folder of drafts, to be replaced with the tables.
         progress: called before each trace is read: number done, number of all, path.
 
     Raises:
@@ -106,36 +101,38 @@ def analyze(
     if target is not None and target in location.own_folders and target.is_symlink():
         # The author of the traces chose where it leads, not the user who analyzes them.
         raise OutputError(f"{target} is a link to {target.readlink()}; give that folder, or another, with --out")
+    options = AnalysisOptions(
+        rows=not sketch,
+        details=details,
+        deadline_ns=deadline_ns,
+        deadline_metric=deadline_metric,
+        job=job,
+        ranking=RankingOptions(margin, trust_order),
+    )
     engine: Engine = ClusterEngine(cluster) if cluster is not None else LocalEngine(cache=cache)
-    try:
-        options = AnalysisOptions(
-            rows=not sketch,
-            details=details,
-            deadline_ns=deadline_ns,
-            deadline_metric=deadline_metric,
-            job=job,
-            ranking=RankingOptions(margin, trust_order),
-        )
-        return _analyze(engine, location, target, options, progress)
-    finally:
-        engine.close()
+    with ExitStack() as stack:
+        with closing(engine):
+            campaign = engine.load(location, location.own_folders | ({target} if target else set()), progress)
+            drafts = stack.enter_context(replacing_results(target)) if target else None
+            analysis = _analyze(engine, campaign, location, target, drafts, options)
+        if drafts is not None and write_more is not None:
+            write_more(analysis, drafts)
+    if "roundtrips" in analysis.outputs:
+        analysis.rows.moved_to(analysis.outputs["roundtrips"])
+    return analysis
 
 
 def _analyze(
-    engine: Engine, location: Place, out: Path | None, options: AnalysisOptions, progress: Progress | None
+    engine: Engine, campaign: Campaign, location: Place, out: Path | None, drafts: Path | None, options: AnalysisOptions
 ) -> Analysis:
-    own = location.own_folders | ({out} if out is not None else set())
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
     stale_rows = None if options.rows else outputs.pop("roundtrips", None)
-
-    if out is not None:
-        remove_drafts(out, RESULT_NAMES)
-    campaign = engine.load(location, own, progress)
+    drafted = {kind: drafts / path.name for kind, path in outputs.items()} if drafts else {}
     exchanges = find_exchanges(campaign)
     grouping = group_exchanges(exchanges.placed)
     batches = plan_batches(grouping, options)
     origin = provenance(campaign, exchanges)
-    with RowWriter(outputs.get("roundtrips"), origin) as writer:
+    with RowWriter(drafted.get("roundtrips"), origin) as writer:
         results = _write_rows(engine.process(batches, campaign.events), writer)
         merged = merge_results(results, grouping, sketch=not options.rows)
     rows = writer.store()
@@ -160,8 +157,8 @@ def _analyze(
         sending=merged.frames["sending"],
         shapes=merged.frames.get("shapes", pl.DataFrame(schema=SHAPE_SCHEMA)),
     )
-    if out is not None:
-        write_summary(merged.summary.frame, outputs["summary"], origin)
+    if drafts is not None:
+        write_summary(merged.summary.frame, drafted["summary"], origin)
     timeline = merged.frames["timeline"]
     return Analysis(
         title=location.folder.resolve().name,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -176,7 +176,9 @@ def main_command(
     """
     from dds_trace.analyzer.exports.tables import export_tables
     from dds_trace.analyzer.model.finding import Severity
+    from dds_trace.analyzer.pairing.provenance import read_provenance
     from dds_trace.analyzer.pipeline import analyze, default_output
+    from dds_trace.analyzer.saving.results import RESULT_NAMES
     from dds_trace.analyzer.verdicts.job import parse_job
     from dds_trace.recorder.option_values import parse_percentage
     from dds_trace.reports.reporters import write_reports
@@ -191,11 +193,24 @@ def main_command(
     if topics:
         _show_topics(traces, target)
         return
-    with _reading_bar() as progress:
+    kinds = report or ["terminal"]
+    if open_it and HTML not in kinds:
+        kinds = [*kinds, HTML]
+    written: list[Path] = []
+
+    def write_more(analysis: Analysis, folder: Path) -> None:
+        bar.close()
+        reports = write_reports(analysis, kinds, folder)
+        exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, folder)]
+        derived = _write_derived(analysis, folder) if derived_mcap else []
+        written.extend(target / path.name for path in (*reports, *exported, *derived) if path is not None)
+
+    earlier = read_provenance(target)
+    with ExitStack() as bar:
         analysis = analyze(
             traces,
             out=target,
-            progress=progress,
+            progress=bar.enter_context(_reading_bar()),
             cache=not no_cache,
             cluster=cluster,
             sketch=sketch,
@@ -204,26 +219,23 @@ def main_command(
             job=job,
             margin=least_lead,
             trust_order=trust_order,
+            write_more=write_more,
         )
-    kinds = report or ["terminal"]
-    if open_it and HTML not in kinds:
-        kinds = [*kinds, HTML]
-    reports = write_reports(analysis, kinds, target)
-    exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, target)]
-    if derived_mcap:
-        exported += _write_derived(analysis, target)
     if analysis.details.recommendation is not None and "terminal" not in kinds:
         from dds_trace.reports.book.book import Book
         from dds_trace.reports.terminal import render_advice
 
         print(render_advice(Book(analysis)), end="")
-    for path in (*analysis.outputs.values(), *reports, *exported):
-        if path is not None:
-            print(f"Wrote {path}")
+    written[:0] = analysis.outputs.values()
+    for path in written:
+        print(f"Wrote {path}")
+    left = [name for name in RESULT_NAMES if target / name not in written and (target / name).is_file()]
+    if left and earlier is not None and earlier != read_provenance(target):
+        say(f"{target}: {', '.join(left)}: of an earlier analysis of other traces, and not replaced")
     for finding in analysis.findings:
         if finding.severity is Severity.ERROR:
             say(f"{finding.where}: {finding.what} {finding.action}")
-    _show_page([path for path in reports if path is not None and path.suffix == ".html"], open_it=open_it)
+    _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
 
 
 def _show_page(pages: list[Path], *, open_it: bool) -> None:

@@ -8,6 +8,9 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.json_fields import FORMAT_VERSION
 
@@ -15,6 +18,7 @@ from .utc import is_synchronized, utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from ..loading.campaign import Campaign
     from .exchanges import Exchanges
@@ -51,3 +55,11 @@ def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
         "dds_trace.contract": f"docs/trace-format.md, format {FORMAT_VERSION}",
         **{f"dds_trace.{key}": json.dumps(value) for key, value in values.items()},
     }
+
+
+def read_provenance(folder: Path) -> Mapping[bytes, bytes] | None:
+    """Return the metadata of a folder's `summary.parquet`, None without one."""
+    try:
+        return dict(pq.read_schema(folder / "summary.parquet").metadata or {})
+    except (OSError, pa.ArrowException):
+        return None

@@ -54,6 +54,10 @@ class RowStore(ABC):
         """Absolute path of the file of the rows, if there is one."""
 
     @abstractmethod
+    def moved_to(self, path: Path) -> None:
+        """Take note of the new path of their file."""
+
+    @abstractmethod
     def load(self) -> pl.DataFrame:
         """Return all rows; rows in a file are read at every call."""
 
@@ -103,6 +107,10 @@ class RowsInMemory(RowStore):
         """Path of the file, if there is one."""
         return None if self._path is None else self._path.resolve()
 
+    def moved_to(self, path: Path) -> None:
+        """Take note of the new path."""
+        self._path = path
+
     def load(self) -> pl.DataFrame:
         """Return all rows."""
         return self._rows
@@ -130,6 +138,10 @@ class RowsInFile(RowStore):
     def file(self) -> Path:
         """Path of the file."""
         return self._path.resolve()
+
+    def moved_to(self, path: Path) -> None:
+        """Take note of the new path."""
+        self._path = path
 
     def load(self) -> pl.DataFrame:
         """Read all rows."""

@@ -70,6 +70,33 @@ def test_a_second_analysis_replaces_the_first(runs):
     assert (runs / "analysis" / "roundtrips.parquet").read_bytes() == first
 
 
+def test_an_error_of_a_report_leaves_all_earlier_files(runs, monkeypatch, capsys):
+    every = ("--report", "html", "--report", "md", "--export", "csv", "--derived-mcap")
+    assert analyze(runs, *every) == 0
+    before = {path.name: path.read_bytes() for path in (runs / "analysis").iterdir()}
+    write_pair(runs / "more", TIMELINE, runs=[run(run_id=0xB2)])
+    monkeypatch.setattr("dds_trace.analyzer.exports.foxglove.foxglove_layout", lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        analyze(runs, *every)
+    assert {path.name: path.read_bytes() for path in (runs / "analysis").iterdir()} == before
+    monkeypatch.undo()
+    capsys.readouterr()
+    assert analyze(runs, *every) == 0
+    assert "earlier analysis" not in capsys.readouterr().err
+    after = {path.name: path.read_bytes() for path in (runs / "analysis").iterdir()}
+    assert after.keys() == before.keys()
+    assert all(after[name] != before[name] for name in ("summary.parquet", "report.html", "report.md", "summary.csv"))
+
+
+def test_files_of_an_earlier_analysis_of_other_traces_are_named(runs, capsys):
+    assert analyze(runs, "--report", "md") == 0
+    assert analyze(runs) == 0
+    assert "earlier analysis" not in capsys.readouterr().err
+    write_pair(runs / "more", TIMELINE, runs=[run(run_id=0xB2)])
+    assert analyze(runs) == 0
+    assert "report.md: of an earlier analysis" in capsys.readouterr().err
+
+
 def test_doubts_that_spoil_numbers_go_to_stderr(tmp_path, capsys):
     write_pair(tmp_path, TIMELINE, runs=[run(published=99)])
     assert analyze(tmp_path) == 0

@@ -33,7 +33,7 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
     """
     # Random, so that no other process and no link in a shared folder has the same name.
     draft = path.with_name(f"{path.name}.{secrets.token_hex(4)}.part")
-    with _draft_lock(path.parent):
+    with folder_lock(path.parent, fcntl.LOCK_SH, _DRAFT_LOCK_S):  # `remove_drafts` sees that somebody writes
         try:
             yield draft
             if fsync:
@@ -48,39 +48,43 @@ def replacing(path: Path, *, fsync: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def _draft_lock(folder: Path) -> Iterator[None]:
-    """Share the lock of a folder while a draft is in it, for `remove_drafts`."""
-    descriptor = None
-    with suppress(OSError):  # no folder, or no locks: then no draft is removed either
+def folder_lock(folder: Path, kind: int, wait_s: float = 0.0) -> Iterator[bool]:
+    """Lock a folder (`fcntl.LOCK_SH` or `LOCK_EX`) within the block; yield whether that succeeded within `wait_s`.
+
+    It fails where the folder is missing, its file system has no locks, or a stranger keeps one.
+    """
+    descriptor, is_locked = None, False
+    with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        for _ in range(_LOCK_ATTEMPTS):
-            with suppress(BlockingIOError):
-                fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-                break
+        end_s = time.monotonic() + wait_s
+        while not (is_locked := _try_lock(descriptor, kind)) and time.monotonic() < end_s:
             time.sleep(_LOCK_PAUSE_S)
     try:
-        yield
+        yield is_locked
     finally:
         if descriptor is not None:
             os.close(descriptor)
 
 
+def _try_lock(descriptor: int, kind: int) -> bool:
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
 def remove_drafts(folder: Path, names: Iterable[str]) -> None:
     """Remove the drafts of these files that a dead process left; none while any process has a draft in the folder."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            draft = re.compile(rf"({'|'.join(map(re.escape, names))})\.[0-9a-f]{{8}}\.part")
-            for path in folder.iterdir():
-                if draft.fullmatch(path.name) and path.is_file() and not path.is_symlink():
-                    path.unlink()
-        finally:
-            os.close(descriptor)
+    draft = re.compile(rf"({'|'.join(map(re.escape, names))})\.[0-9a-f]{{8}}\.part")
+    with folder_lock(folder, fcntl.LOCK_EX) as nobody_writes, suppress(OSError):
+        for path in folder.iterdir() if nobody_writes else ():
+            if draft.fullmatch(path.name) and path.is_file() and not path.is_symlink():
+                path.unlink()
 
 
-_LOCK_ATTEMPTS, _LOCK_PAUSE_S = 20, 0.01
-"""`remove_drafts` locks for milliseconds; a stranger who keeps the lock must not stop us."""
+_DRAFT_LOCK_S, _LOCK_PAUSE_S = 0.2, 0.01
+"""`remove_drafts` has its lock for milliseconds."""
 
 
 def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:

@@ -1,0 +1,116 @@
+"""The results of one analysis, which replace the earlier ones in their folder together.
+
+All new files are complete in a folder of drafts, `results.xxxxxxxx.part`, before its name becomes `results.xxxxxxxx.whole`. From then
+on they are the results: whoever dies while they are moved leaves the rest to the next analysis that writes there. Earlier files
+go first, so that old and new ones are never there together.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import secrets
+import shutil
+from contextlib import ExitStack, contextmanager, suppress
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import OutputError
+from dds_trace.base.files import folder_lock, remove_drafts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+RESULT_NAMES = (
+    *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
+    *(f"report.{kind}" for kind in ("html", "md", "json")),
+    "latency.derived.mcap",
+    "latency.derived.foxglove.json",
+)
+
+_DRAFTS = re.compile(r"results\.[0-9a-f]{8}\.(part|whole)")
+_DRAFT = re.compile(rf"({'|'.join(map(re.escape, RESULT_NAMES))})(\.[0-9a-f]{{8}}\.part)?")
+_LOCK_S = 2.0
+
+
+@contextmanager
+def replacing_results(folder: Path) -> Iterator[Path]:
+    """Yield a folder for drafts of `RESULT_NAMES`, which replace earlier results in `folder` once the block ends without an error.
+
+    After an error the earlier results are as they were. Files of other names are never touched.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    with ExitStack() as stack:
+        with _output_errors(folder):
+            missing = [path for path in (folder, *folder.parents) if not path.exists()]
+            drafts = _open_drafts(folder, stack)
+        try:
+            yield drafts
+            with _output_errors(folder):
+                _check_no_folders(folder, drafts)
+                with _finished_results(folder):
+                    _replace(folder, drafts.rename(drafts.with_suffix(".whole")))
+        finally:
+            shutil.rmtree(drafts, ignore_errors=True)
+            for path in missing:
+                with suppress(OSError):  # it has the results
+                    path.rmdir()
+
+
+@contextmanager
+def _output_errors(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as err:
+        raise OutputError(f"{folder} cannot be written ({err.strerror}); give another folder with --out") from err
+
+
+def _check_no_folders(folder: Path, drafts: Path) -> None:
+    for target in (folder / draft.name for draft in drafts.iterdir()):
+        if target.is_dir() and not target.is_symlink():
+            raise OutputError(f"{target} is a folder; give another folder with --out")
+
+
+def _open_drafts(folder: Path, stack: ExitStack) -> Path:
+    """Create the folder of drafts, locked until the stack ends, so that others see that somebody writes into it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    remove_drafts(folder, RESULT_NAMES)
+    with _finished_results(folder):
+        drafts = folder / f"results.{secrets.token_hex(4)}.part"
+        drafts.mkdir()
+        stack.enter_context(folder_lock(drafts, fcntl.LOCK_SH))
+        return drafts
+
+
+@contextmanager
+def _finished_results(folder: Path) -> Iterator[None]:
+    """Within the block no other process replaces results, and what dead ones left is finished or removed."""
+    with folder_lock(folder, fcntl.LOCK_EX, _LOCK_S) as is_ours:
+        for left in sorted(folder.iterdir()) if is_ours else ():
+            if _DRAFTS.fullmatch(left.name) and left.is_dir():
+                with folder_lock(left, fcntl.LOCK_EX) as is_dead, suppress(OSError):
+                    if not is_dead or not all(map(_is_ours, (left, *left.iterdir()))):
+                        continue
+                    if left.suffix == ".whole":
+                        _replace(folder, left)
+                    else:
+                        shutil.rmtree(left)
+        yield
+
+
+def _is_ours(path: Path) -> bool:
+    is_named = _DRAFTS.fullmatch(path.name) or (_DRAFT.fullmatch(path.name) and path.is_file())
+    return bool(is_named) and not path.is_symlink() and path.stat().st_uid == os.geteuid()
+
+
+def _replace(folder: Path, whole: Path) -> None:
+    """Move complete results to their names; wherever this ends, it can be done again."""
+    results = sorted(whole.iterdir())
+    for result in results[1:]:  # one alone is replaced at once
+        (folder / result.name).unlink(missing_ok=True)
+    for result in results:
+        result.replace(folder / result.name)
+    whole.rmdir()

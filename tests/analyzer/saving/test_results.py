@@ -1,0 +1,129 @@
+"""Results are replaced together: whenever a process dies, old and new ones are never there side by side, and the next one cleans up."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from dds_trace.analyzer.saving.results import RESULT_NAMES, replacing_results
+from dds_trace.base.errors import OutputError
+from dds_trace.base.files import folder_lock
+
+OWN = "notes.md"
+FILE_EVENTS = {"open", "fcntl.flock", *(f"os.{name}" for name in ("mkdir", "listdir", "rename", "remove", "rmdir"))}
+"""Audit events of what a replacement does with files."""
+
+
+def write(folder, text, names=RESULT_NAMES):
+    with replacing_results(folder) as drafts:
+        for name in names:
+            (drafts / name).write_text(text)
+
+
+def results(folder):
+    return {path.name: path.read_text() for path in folder.iterdir() if path.name in RESULT_NAMES}
+
+
+def killed_at(number, act):
+    """Whether a process that acts is killed, at its `number`-th change or look at files."""
+    pid = os.fork()
+    if pid == 0:
+        left = iter(range(number))
+
+        def hook(event, _arguments):
+            if event in FILE_EVENTS and next(left, None) is None:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        try:
+            sys.addaudithook(hook)
+            act()
+        finally:
+            os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == -signal.SIGKILL
+
+
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
+def test_a_process_that_is_killed_anywhere_leaves_results_of_one_analysis(tmp_path):
+    some = RESULT_NAMES[:3]
+    states = set()
+    for number in range(10_000):
+        folder = tmp_path / str(number)
+        write(folder, "old")
+        (folder / OWN).write_text("mine")
+        is_killed = killed_at(number, lambda folder=folder: write(folder, "new"))
+        after = results(folder)
+        states.add((tuple(sorted(after)), tuple(set(after.values()))))
+        assert len(set(after.values())) == 1, number
+        write(folder, "next", some)
+        after = results(folder)
+        assert after.keys() == set(RESULT_NAMES)
+        assert {after.pop(name) for name in some} == {"next"}
+        assert len(set(after.values())) == 1, number
+        assert {path.name for path in folder.iterdir()} == {*RESULT_NAMES, OWN}
+        assert (folder / OWN).read_text() == "mine"
+        if not is_killed:
+            break
+    assert len(states) == 2 * len(RESULT_NAMES)  # each step of the replacement was met
+
+
+def test_an_error_leaves_the_earlier_results_and_no_new_folder(tmp_path):
+    write(tmp_path, "old")
+
+    def fail(folder):
+        with replacing_results(folder) as drafts:
+            (drafts / "report.html").write_text("new")
+            raise KeyboardInterrupt
+
+    for folder in (tmp_path, tmp_path / "new" / "folder"):
+        with pytest.raises(KeyboardInterrupt):
+            fail(folder)
+    assert set(results(tmp_path).values()) == {"old"}
+    assert {path.name for path in tmp_path.iterdir()} == set(RESULT_NAMES)
+
+
+def test_drafts_of_others_stay(tmp_path):
+    """A living process's, a folder with a file that no analysis writes, another's name, a link."""
+    living, strange, named, target = (
+        tmp_path / name for name in ("results.00000000.part", "results.00000001.whole", "results.0.part", "elsewhere")
+    )
+    for folder in (living, strange, named, target):
+        folder.mkdir()
+        (folder / "report.html").write_text("theirs")
+    (strange / OWN).write_text("theirs")
+    (tmp_path / "results.00000002.whole").symlink_to(target)
+    with folder_lock(living, fcntl.LOCK_SH) as is_locked:
+        assert is_locked
+        write(tmp_path, "new")
+    for folder in (living, strange, named, target):
+        assert (folder / "report.html").read_text() == "theirs"
+    assert (tmp_path / "results.00000002.whole").is_symlink()
+
+
+def test_a_folder_in_place_of_a_result_is_an_error_before_anything_is_replaced(tmp_path):
+    write(tmp_path, "old")
+    (tmp_path / "report.md").unlink()
+    (tmp_path / "report.md").mkdir()
+    with pytest.raises(OutputError, match=r"report\.md is a folder"):
+        write(tmp_path, "new")
+    (tmp_path / "report.md").rmdir()
+    assert set(results(tmp_path).values()) == {"old"}
+    assert not [path for path in tmp_path.iterdir() if path.name not in RESULT_NAMES]
+
+
+def test_a_link_is_replaced_and_its_target_left_alone(tmp_path):
+    target = tmp_path / "elsewhere"
+    target.write_text("theirs")
+    (tmp_path / "report.md").symlink_to(target)
+    write(tmp_path, "new")
+    assert (target.read_text(), (tmp_path / "report.md").is_symlink()) == ("theirs", False)
+
+
+def test_a_folder_that_cannot_be_written_is_an_error(tmp_path):
+    Path(tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="--out"):
+        write(tmp_path / "file" / "below", "new")

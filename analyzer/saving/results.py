@@ -2,7 +2,7 @@
 
 All new files are complete in a folder of drafts, `results.xxxxxxxx.part`, before its name becomes `results.xxxxxxxx.whole`. From then
 on they are the results: whoever dies while they are moved leaves the rest to the next analysis that writes there. Earlier files
-go first, so that old and new ones are never there together.
+go first, so that old and new ones are never in the folder together.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ RESULT_NAMES = (
 )
 
 _DRAFTS = re.compile(r"results\.[0-9a-f]{8}\.(part|whole)")
-_DRAFT = re.compile(rf"({'|'.join(map(re.escape, RESULT_NAMES))})(\.[0-9a-f]{{8}}\.part)?")
+_DRAFT = re.compile(rf"({'|'.join(map(re.escape, RESULT_NAMES))})(\.[0-9a-f]{{8}}\.part|\.old)?")
 _LOCK_S = 2.0
 
 
@@ -107,10 +107,14 @@ def _is_ours(path: Path) -> bool:
 
 
 def _replace(folder: Path, whole: Path) -> None:
-    """Move complete results to their names; wherever this ends, it can be done again."""
-    results = sorted(whole.iterdir())
-    for result in results[1:]:  # one alone is replaced at once
-        (folder / result.name).unlink(missing_ok=True)
-    for result in results:
-        result.replace(folder / result.name)
-    whole.rmdir()
+    """Move complete results to their names; wherever this ends, it can be done again.
+
+    Earlier files are moved away first: to delete a large one takes a while.
+    """
+    names = [name for name in RESULT_NAMES if (whole / name).exists()]
+    for name in names[1:]:  # one alone is replaced at once
+        with suppress(FileNotFoundError):
+            (folder / name).replace(whole / f"{name}.old")
+    for name in names:
+        (whole / name).replace(folder / name)
+    shutil.rmtree(whole)

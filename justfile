@@ -115,13 +115,9 @@ bench-report *args: setup
     uv pip install --quiet --python {{bin}}/python -e '.[browsers]'
     {{bin}}/python benchmarks/report_page.py {{args}}
 
-# How often intervals and verdicts hold, by drawing: the tables of docs/results/coverage.md (--quick: about a minute)
+# How often what is said is true, by drawing: the tables of docs/results/coverage.md (--quick, names of tables)
 coverage *args: setup
     {{bin}}/python benchmarks/coverage.py {{args}}
-
-# How often comparisons err and find: losses, 1 to 50 results, looks at growing recordings (--quick: some minutes)
-coverage-comparisons *args: setup
-    {{bin}}/python benchmarks/comparisons.py {{args}}
 
 # How often comparisons of equal sides err, by drawing pairs from the recordings of a sweep (twenty repeats: docs/results/coverage.md)
 real-aa *args: setup

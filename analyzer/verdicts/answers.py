@@ -7,9 +7,8 @@ advises against because of its losses, never leads.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from operator import attrgetter
@@ -19,17 +18,14 @@ import polars as pl
 
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from ..run_statistics.between_runs import estimates_of_runs
-from ..run_statistics.change import Verdict
-from ..run_statistics.received import change_of_received
 from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis
-from ..statistics.power import holm_adjusted
 from .cases import CONDITIONS, Contender, contender_names, is_lossy, is_too_large, partition_groups, with_conditions
 from .matching import MatchedGroup
-from .ranking import Kind, RankingOptions, SetupRuns, rank_setups
+from .ranking import Kind, RankingOptions, SetupRuns, find_losers, rank_setups
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from ..model.runs import RunRows
     from ..statistics.intervals import Interval
@@ -132,6 +128,8 @@ def find_answers(
         wall_offsets_ns=wall_offsets_ns or {},
     )
     cases = list(mapper(measure, [part for part in parts if not is_too_large(part)]))
+    losers = find_losers([case.kind() for case in cases], confidence)
+    cases = [case.with_losers(names) for case, names in zip(cases, losers, strict=True)]
     rankings = rank_setups([case.kind() for case in cases], confidence, options)
     return tuple(_answer(case, ranking, confidence) for case, ranking in zip(cases, rankings, strict=True))
 
@@ -151,7 +149,7 @@ class _Setup:
     runs: SetupRuns
     received: Interval
     survivors_ns: Mapping[str, float | None]
-    loses_more: bool
+    loses_more: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,6 +169,13 @@ class _Case:
         percentiles = tuple(_STATISTICS) if self.has_tails else ("p50",)
         return Kind(family, {name: setup.runs for name, setup in self.setups.items()}, percentiles)
 
+    def with_losers(self, losers: Collection[str]) -> _Case:
+        setups = {
+            name: replace(setup, runs=replace(setup.runs, may_lead=False), loses_more=True) if name in losers else setup
+            for name, setup in self.setups.items()
+        }
+        return replace(self, setups=setups)
+
 
 def _measure_case(
     case: pl.DataFrame,
@@ -187,7 +192,6 @@ def _measure_case(
         groups[names[tuple(setting.values())]] = setting, MatchedGroup(rows.frame(part, _ROW_COLUMNS))
     received = {name: group.received_ratio(confidence) for name, (_, group) in groups.items()}
     usable = {name for name, interval in received.items() if not is_lossy(interval)} or set(groups)
-    losers = _losers({name: group for name, (_, group) in groups.items()}, received, confidence)
     setups = {}
     for name, (setting, group) in groups.items():
         estimates = estimates_of_runs(group.delivered("latency"), list(_STATISTICS.values()), confidence)
@@ -197,32 +201,13 @@ def _measure_case(
                 estimates=dict(zip(_STATISTICS, estimates, strict=True)),
                 repeats=_repeats(group.runs, passes),
                 starts_ns=_starts_ns(group.runs, wall_offsets_ns),
-                may_lead=name in usable and name not in losers,
+                may_lead=name in usable,
                 received=group.received,
             ),
             received[name],
             {key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
-            loses_more=name in losers,
         )
     return _Case(case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True), setups)
-
-
-def _losers(groups: Mapping[str, MatchedGroup], received: Mapping[str, Interval], confidence: float) -> set[str]:
-    """Return the setups that receive significantly less than the one that receives most.
-
-    That one is picked by what it received, so the tests are adjusted by Holm over all pairs.
-    """
-    most = max(groups, key=lambda name: (received[name].value or 0.0, name))
-    others = [name for name in groups if name != most]
-    base = groups[most].received
-    changes = [change_of_received(base, groups[name].received, confidence) for name in others]
-    p_values = [1.0 if change.p_value is None else change.p_value for change in changes]
-    adjusted = holm_adjusted([*p_values, *[1.0] * (math.comb(len(groups), 2) - len(others))])
-    return {
-        name
-        for name, change, p in zip(others, changes, adjusted.tolist(), strict=False)
-        if change.verdict(p_adjusted=p) is Verdict.WORSE
-    }
 
 
 def _repeats(runs: Sequence[RunRows], passes: Mapping[int, int]) -> tuple[int, ...]:

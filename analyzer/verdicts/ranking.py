@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..run_statistics.between_runs import Scale, scale_of
-from ..run_statistics.change import change_of_estimates
+from ..run_statistics.change import Verdict, change_of_estimates
 from ..run_statistics.received import change_of_received
 from ..run_statistics.setups import RunLogarithms, overlap_in_time, setup_means, tier_letters
 from ..statistics.intervals import MIN_RUNS
@@ -63,6 +63,12 @@ class SetupRuns:
     starts_ns: tuple[int, ...] = ()
     may_lead: bool = True
     received: tuple[NDArray[np.bool_], ...] = ()
+
+    @property
+    def received_share(self) -> float:
+        """Share of the messages of all runs whose reply came back; 0 without a message."""
+        messages = sum(map(len, self.received))
+        return sum(int(run.sum()) for run in self.received) / messages if messages else 0.0
 
     def logarithms(self, percentile: str) -> RunLogarithms | None:
         """Return the logarithms of the runs' percentiles; None below three runs, and where one is infinite or not above zero."""
@@ -152,6 +158,26 @@ def rank_setups(
                 1 + options.margin,
             )
     return rankings
+
+
+def find_losers(kinds: Sequence[Kind], confidence: float = 0.95) -> list[set[str]]:
+    """Return for each kind of message the setups that receive significantly less than the one that receives most.
+
+    That one is picked by what it received, so the tests are adjusted by Holm over all pairs of all kinds.
+    """
+    tests = []
+    for index, kind in enumerate(kinds):
+        *others, most = sorted(kind.setups, key=lambda name: (kind.setups[name].received_share, name))
+        base = kind.setups[most].received
+        tests += [(index, name, change_of_received(base, kind.setups[name].received, confidence)) for name in others]
+    p_values = [1.0 if change.p_value is None else change.p_value for *_, change in tests]
+    pairs = sum(math.comb(len(kind.setups), 2) for kind in kinds)
+    adjusted = holm_adjusted([*p_values, *[1.0] * (pairs - len(tests))])
+    losers: list[set[str]] = [set() for _ in kinds]
+    for (index, name, change), p_adjusted in zip(tests, adjusted.tolist(), strict=False):
+        if change.verdict(p_adjusted=p_adjusted) is Verdict.WORSE:
+            losers[index].add(name)
+    return losers
 
 
 def _lead(pairs: Sequence[SetupPair]) -> list[SetupPair]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +11,14 @@ import pytest
 
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 
-SCRIPT = (
-    next(folder for folder in Path(__file__).parents if (folder / "benchmarks").is_dir()) / "benchmarks/coverage.py"
-)
+BENCHMARKS = next(folder for folder in Path(__file__).parents if (folder / "benchmarks").is_dir()) / "benchmarks"
 
 
 @pytest.fixture(scope="module")
 def coverage():
-    spec = importlib.util.spec_from_file_location("dds_trace_coverage", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        yield importlib.import_module("coverage_intervals")
 
 
 @pytest.mark.parametrize(

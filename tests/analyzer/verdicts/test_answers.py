@@ -298,6 +298,21 @@ def test_who_lost_33_of_100_is_not_the_fastest():
     assert headline.inconclusive == 1
 
 
+def test_losses_are_adjusted_over_kinds_of_message():
+    # Runs lose 0 to 2 and 4 to 9 of 60: by Welch's test p is 0.006, enough for one kind and not for ten.
+    def sizes(count):
+        for size in range(1, count + 1):
+            for vendor, lost in (("fastdds", (0, 1, 0, 2)), ("zenoh", (4, 9, 5, 7) if size == 1 else (0, 1, 0, 2))):
+                for number, some in enumerate(lost):
+                    times = [None if i < some else 5 * MS for i in range(60)]
+                    run_id = 100 * size + 10 * (vendor == "zenoh") + number
+                    yield steady(times, vendor=vendor, relay_vendor=vendor, payload_bytes=size, run_id=run_id)
+
+    for count, losers in ((1, ["zenoh"]), (10, [])):
+        answers = find_answers(rows_by_group(pl.concat(sizes(count))))
+        assert [one.name for answer in answers for one in answer.contenders if one.loses_more] == losers
+
+
 def test_one_run_is_counted_as_too_few_in_the_headline():
     frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(5 * MS), vendor="zenoh", run_id=2)])
     (headline,) = find_headlines(find_answers(rows_by_group(frame)))

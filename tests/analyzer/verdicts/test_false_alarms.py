@@ -84,9 +84,9 @@ def rows_of(rtts_ms):
 
 
 def test_half_width_is_that_of_students_t_on_the_logarithms_of_the_runs():
-    # p50 of three runs: e^-0.1, 1, e^0.1 ms; standard deviation 0.1, 99.75 % point of Student's t with two degrees 14.08905
+    # p50 of three runs: e^-0.1, 1, e^0.1 ms; standard deviation 0.1, 99.995 % point of Student's t with two degrees 99.9925
     rows = rows_of([math.exp(-0.1), 1.0, math.exp(0.1)])
-    reach = 14.08905 * 0.1 / math.sqrt(3)
+    reach = 99.9925 * 0.1 / math.sqrt(3)
     expected = 100 * (math.exp(reach) - math.exp(-reach)) / 2
     assert half_widths(rows, {"cell": (1, 2, 3)}, "rtt_p50") == {"cell": pytest.approx(expected, rel=1e-4)}
 

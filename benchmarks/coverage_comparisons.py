@@ -1,0 +1,191 @@
+"""How often `dds-analyze compare` errs and finds, by simulation with a known truth: losses, 1 to 50 results, five looks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from simulated import LOSSES, Table, draw_values, outages, percent, round_trips, single_losses, unlike_losses
+
+from dds_trace.analyzer.run_statistics.change import Verdict, change_of_runs
+from dds_trace.analyzer.run_statistics.received import change_of_received
+from dds_trace.analyzer.run_statistics.runs import Run, Statistic
+from dds_trace.analyzer.statistics.power import confidence_at_each
+from dds_trace.analyzer.verdicts.compare import compare
+from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
+from dds_trace.analyzer.verdicts.gates import judge_gates
+from dds_trace.reports.comparison.info import comparison_info
+
+if TYPE_CHECKING:
+    import polars as pl
+    from simulated import DrawLosses
+
+SEED = 20_261_126
+MOST_FALSE_LOSSES, MOST_FALSE_SENTENCES, MOST_FALSE_GATES, MOST_FALSE_LOOKS = 0.07, 0.05, 0.05, 0.025
+LOOKS, RUNS_A_LOOK = 5, 5
+RATE_HZ, PAUSE_SECONDS = 100, 2
+
+
+def losses_table(samples: int) -> Table:
+    """Count pairs of sides whose losses are called different."""
+    shares = (0.005, 0.02, 0.05)
+    equal = tuple(f"equal, {share:.1%}" for share in shares)
+    table = Table("losses", ("losses", "runs", *equal, "0.5 % against 5 %"))
+    for name, draw in LOSSES.items():
+        for runs in (3, 5, 10):
+            generator = np.random.default_rng([SEED, runs])
+            cells = []
+            for base, new in (*zip(shares, shares, strict=True), (0.005, 0.05)):
+                sides = ([list(~draw(generator, runs, 1000, share)) for share in (base, new)] for _ in range(samples))
+                called = sum(change_of_received(*pair).verdict() in {Verdict.BETTER, Verdict.WORSE} for pair in sides)
+                bar = MOST_FALSE_LOSSES if base == new else 1.0
+                cells.append(table.at_most(bar, called, samples, f"{name}, {runs} runs, {base:.1%}"))
+            table.rows.append((name, f"{runs} x 1000", *cells))
+    return table
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of a comparison, as `compare` reads it."""
+
+    rows: pl.DataFrame
+    sessions: tuple[()] = ()
+    runs: tuple[()] = ()
+    findings: tuple[()] = ()
+
+    @property
+    def summary(self) -> pl.DataFrame:
+        """One row for each result."""
+        return self.rows.unique("payload_bytes", maintain_order=True)
+
+    @property
+    def barred_groups(self) -> pl.DataFrame:
+        """None."""
+        return self.rows.head(0)
+
+    def load_messages(self) -> pl.DataFrame:
+        """All messages."""
+        return self.rows
+
+
+EQUAL_RESULTS: tuple[tuple[str, DrawLosses | None, float, int, int], ...] = (
+    ("none", None, 0.0, 5, 300),
+    ("1 %, single", single_losses, 0.01, 5, 300),
+    ("2 %, single", single_losses, 0.02, 5, 300),
+    ("1 %, shares +-50 %", unlike_losses, 0.01, 5, 300),
+    ("2 %, outages of 20", partial(outages, together=20), 0.02, 5, 300),
+    ("1 %, outages of 4", partial(outages, together=4), 0.01, 10, 300),
+)
+"""Losses, their share, runs a side, messages of a run."""
+
+
+def results_table(samples: int) -> Table:
+    """Count comparisons of equal results, through `compare` and its first sentence, that say something or fail a gate."""
+    gates = parse_gates(["latency_p99 > +20%"])
+    table = Table(
+        "comparisons",
+        (
+            "equal results",
+            "losses",
+            "runs x messages",
+            "slower or faster",
+            "more is lost",
+            "`latency_p99 > +20%` fails",
+        ),
+    )
+    for results, part in ((1, 1), (6, 2), (50, 5)):
+        comparisons = samples // part
+        for name, draw, share, runs, messages in EQUAL_RESULTS:
+            generator = np.random.default_rng([SEED, results])
+            said = lost = failed = 0
+            for _ in range(comparisons):
+                sides = []
+                for _ in range(2):
+                    times = draw_values(generator, results * runs, messages, 0.05)
+                    if draw is not None:
+                        times[draw(generator, results * runs, messages, share)] = math.inf
+                    sides.append(Side(round_trips(times.reshape(results, runs, messages))))
+                comparison = compare(*sides)
+                outcomes = judge_gates(comparison, gates, allow_missing=True)
+                sentence = comparison_info(comparison).said
+                said += "othing is shown to be slower" not in sentence or " faster" in sentence
+                lost += "ore is lost" in sentence
+                failed += any(result.outcome is GateOutcome.REGRESSED for result in outcomes)
+            where = f"{results} results, {name}"
+            table.rows.append(
+                (
+                    str(results),
+                    name,
+                    f"{runs} x {messages}",
+                    str(comparisons),
+                    table.at_most(MOST_FALSE_SENTENCES, said, comparisons, where),
+                    table.at_most(MOST_FALSE_LOSSES, lost, comparisons, f"{where}, losses"),
+                    table.at_most(MOST_FALSE_GATES, failed, comparisons, f"{where}, gate"),
+                )
+            )
+    return table
+
+
+GATES = (("p50", 0.5, 200, 1.1), ("p90", 0.9, 500, 1.1), ("p99", 0.99, 1000, 1.2))
+"""Percentile, messages of a run, and limit of a gate."""
+
+
+def looks_table(samples: int) -> Table:
+    """Count outcomes of a gate by the last of up to five looks at five more runs a side each."""
+    table = Table(
+        "looks",
+        (
+            "gate",
+            "true change",
+            "spread of runs",
+            "`--looks`",
+            "regressed",
+            "passed",
+            "undecided",
+            "runs a side",
+            "minutes",
+        ),
+    )
+    for percentile, quantile, messages, limit in GATES:
+        minutes_a_run = 2 * (messages / RATE_HZ + PAUSE_SECONDS) / 60
+        for change, spread, looks in (
+            (limit, 0.1, 1),
+            (limit, 0.1, LOOKS),
+            (1.0, 0.05, LOOKS),
+            (1.0, 0.1, LOOKS),
+            (limit + 0.1, 0.05, LOOKS),
+            (limit + 0.1, 0.1, LOOKS),
+        ):
+            generator = np.random.default_rng([SEED, messages, int(100 * change), int(100 * spread)])
+            regressed = passed = runs_in_all = 0
+            for _ in range(samples):
+                base, new = (
+                    [Run(run) for run in factor * draw_values(generator, LOOKS * RUNS_A_LOOK, messages, spread)]
+                    for factor in (1.0, change)
+                )
+                for runs in range(RUNS_A_LOOK, len(base) + 1, RUNS_A_LOOK):
+                    result = change_of_runs(base[:runs], new[:runs], Statistic(quantile), confidence_at_each(looks))
+                    is_over = result.ratio_low is not None and result.ratio_low > limit
+                    is_under = result.ratio_high is not None and result.ratio_high <= limit
+                    if is_over or is_under:
+                        break
+                regressed, passed, runs_in_all = regressed + is_over, passed + is_under, runs_in_all + runs
+            gate = f"`latency_{percentile} > +{100 * (limit - 1):.0f}%`"
+            bar = MOST_FALSE_LOOKS if change == limit and looks > 1 else 1.0
+            table.rows.append(
+                (
+                    gate,
+                    f"+{100 * (change - 1):.0f} %",
+                    f"{100 * spread:.0f} %",
+                    str(looks),
+                    table.at_most(bar, regressed, samples, f"{gate}, {looks} looks"),
+                    percent(passed, samples),
+                    percent(samples - regressed - passed, samples),
+                    f"{runs_in_all / samples:.1f}",
+                    f"{minutes_a_run * runs_in_all / samples:.1f}",
+                )
+            )
+    return table

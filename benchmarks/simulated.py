@@ -132,16 +132,6 @@ def estimate_of(values: Float64) -> Estimate:
     value, lower, upper, spread = ends_of_units(values, 0.95)
     runs, messages = len(values), 1000 * len(values)
     interval = Interval(
-        value,
-        lower,
-        upper,
-        confidence,
-        messages,
-        messages,
-        Basis.BETWEEN_RUNS,
-        runs,
-        runs,
-        messages,
-        unit_spread=spread,
+        value, lower, upper, 0.95, messages, messages, Basis.BETWEEN_RUNS, runs, runs, messages, unit_spread=spread
     )
     return Estimate(interval, Units(values, messages, messages, runs, messages))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 
 import pytest
 from hostile_values import HOSTILE_NUMBERS, HOSTILE_TEXTS, json_values
@@ -94,29 +93,19 @@ def test_any_value_of_any_field_is_taken_or_named_in_one_line(kind, place, value
 @pytest.mark.parametrize(
     ("field", "value", "said"),
     [
-        ("domain_id", 10**400, "an integer of 401 digits does not fit into 64 bits"),
-        (
-            "domain_id",
-            2**31,
-            "field 'domain_id' of the session description is 2147483648; a number must be between 0 and 2147483647",
-        ),
-        (
-            "wall_anchor_ns",
-            2**63 - 1,
-            "field 'wall_anchor_ns' of the session description is 9223372036854775807; a time",
-        ),
-        ("host", {"cores": 10**400}, "an integer of 401 digits does not fit into 64 bits"),
-        (
-            "dropped_events",
-            -1,
-            "field 'dropped_events' of the session description is -1; a count must be between 0 and 281474976710655",
-        ),
+        ("domain_id", 10**400, "401 digits"),
+        ("domain_id", 2**31, "'domain_id' .* is 2147483648; .* 0 and 2147483647"),
+        ("wall_anchor_ns", 2**63 - 1, "'wall_anchor_ns' .* is 9223372036854775807; a time"),
+        ("host", {"cores": 10**400}, "401 digits"),
+        ("dropped_events", -1, "'dropped_events' .* is -1; .* 0 and 281474976710655"),
     ],
+    ids=["long", "domain", "time", "long in host", "count"],
 )
-def test_a_value_that_no_column_holds_is_named(field, value, said):
+def test_a_value_that_no_column_holds_is_named(field, value, said, sentences):
     text = json.dumps(replaced(json.loads(ping_session().to_json()), (field,), value))
-    with pytest.raises(TraceFormatError, match=re.escape(said)):
+    with pytest.raises(TraceFormatError, match=said) as error:
         Session.from_json(text, "x.mcap")
+    sentences(str(error.value))
 
 
 def test_a_lone_surrogate_is_spelled_out_and_a_pair_is_a_character():

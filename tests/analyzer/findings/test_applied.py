@@ -211,20 +211,18 @@ def of_path(path, *, memory=(), sockets=()):
 @pytest.mark.parametrize(
     ("fields", "cause"),
     [
-        (of_path("shm"), "Fast DDS's shared-memory segment of 524288 B"),
-        (of_path("lo"), "the recorded environment shows no cause"),
-        (of_path("unknown"), "the recorded environment shows no cause"),
-        (of_path("unknown", memory=(segment(),)), "Fast DDS's shared-memory segment of 524288 B"),
-        (of_path("lo", sockets=(udp(7411, 300_000), udp(9))), "the recorded environment shows no cause"),
-        (
-            of_path("lo", sockets=(udp(7411, 600_000), udp(9))),
-            "the socket buffer of alpha (SO_RCVBUF of its UDP sockets 600000 B)",
-        ),
-        ({}, "Fast DDS's shared-memory segment of 524288 B"),
+        (of_path("shm"), "segment of 524288 B"),
+        (of_path("lo"), "no cause"),
+        (of_path("unknown"), "no cause"),
+        (of_path("unknown", memory=(segment(),)), "segment of 524288 B"),
+        (of_path("lo", sockets=(udp(7411, 300_000), udp(9))), "no cause"),
+        (of_path("lo", sockets=(udp(7411, 600_000), udp(9))), "alpha (SO_RCVBUF of its UDP sockets 600000 B)"),
+        ({}, "segment of 524288 B"),
     ],
 )
-def test_the_cause_of_a_jump_looks_at_what_was_applied(tmp_path, fields, cause):
+def test_the_cause_of_a_jump_looks_at_what_was_applied(tmp_path, fields, cause, sentences):
     for number, (size, way_ns) in enumerate([(502_000, MS), (1_000_000, 50 * MS)] * 3):
         record(tmp_path / f"{number}", way_ns=way_ns, number=number, payload_bytes=size, ping=fields, relay=fields)
     (finding,) = of_code(analyze(tmp_path), "latency_jumps_with_size")
     assert cause in finding.what
+    sentences(finding.what)

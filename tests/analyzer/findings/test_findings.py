@@ -291,9 +291,9 @@ STOPPED = [*range(30), *range(36, 40)]
 @pytest.mark.parametrize(
     ("seconds", "of_relay", "words"),
     [
-        (range(40), [], "sampling thread of its process went on."),
-        (STOPPED, [], "no sample of the host was taken."),
-        (STOPPED, range(40), "other recordings on its machine went on."),
+        (range(40), [], "of its process went on."),
+        (STOPPED, [], "sample of the host was taken."),
+        (STOPPED, range(40), "on its machine went on."),
         (STOPPED, [*range(32), *range(36, 40)], "the machine stood still."),
         (range(30), [], " ms late."),
     ],
@@ -343,16 +343,16 @@ def test_what_a_stand_still_held_up_is_no_late_send(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "code", "text"),
+    ("changes", "code", "said"),
     [
-        ({"state": "started", "published": 0}, "unfinished_run", "The run has no end: 1000 messages"),
-        ({"published": 1000, "planned_messages": 1500}, "unfinished_run", "stopped after 1000 of 1500"),
-        ({"published": 1003}, "missing_publications", "3 of 1003 published messages have no T1"),
-        ({"payload_bytes": 20}, "unlike_payloads", "described as 20 B a message, its T1 events say 33000 to 33000 B"),
-        ({"relay_domain_id": 7}, "unlike_domains", "given relay domain 7, the relay was in 10"),
+        ({"state": "started", "published": 0}, "unfinished_run", {1000}),
+        ({"published": 1000, "planned_messages": 1500}, "unfinished_run", {1000, 1500}),
+        ({"published": 1003}, "missing_publications", {3, 1003}),
+        ({"payload_bytes": 20}, "unlike_payloads", {20, 33_000}),
+        ({"relay_domain_id": 7}, "unlike_domains", {7, 10}),
     ],
 )
-def test_runs_that_are_not_what_they_say(tmp_path, changes, code, text):
+def test_runs_that_are_not_what_they_say(tmp_path, changes, code, said, sentences):
     messages = sound()
     write_trace(
         tmp_path / "ping.mcap", ping_session(), [replace(described(messages), **changes)], ping_events(messages)
@@ -360,7 +360,8 @@ def test_runs_that_are_not_what_they_say(tmp_path, changes, code, text):
     write_trace(tmp_path / "relay.mcap", relay_session(), (), relay_events(messages))
     found = findings(tmp_path)
     assert set(found) == {code}
-    assert text in found[code].what
+    assert said <= {*numbers(found[code].what)}
+    sentences(found[code].what)
 
 
 def test_times_below_zero_are_counted(tmp_path, sentences):

@@ -331,14 +331,14 @@ def test_a_run_that_nobody_describes_is_left_out_and_named(tmp_path, runs, sessi
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"payload_bytes": 2**40}, "field 'payload_bytes' of the run description is 1099511627776; a size in bytes"),
-        ({"payload_bytes": -1}, "field 'payload_bytes' of the run description is -1; a size in bytes"),
-        ({"rate_hz": float("nan")}, "field 'rate_hz' of the run description is nan; a rate in messages a second"),
-        ({"warmup_messages": -1}, "field 'warmup_messages' of the run description is -1; a count"),
-        ({"qos": Qos(depth=2**70)}, "an integer of 22 digits does not fit into 64 bits"),
+        ({"payload_bytes": 2**40}, "1099511627776; a size in bytes"),
+        ({"payload_bytes": -1}, "-1; a size in bytes"),
+        ({"rate_hz": float("nan")}, "nan; a rate in messages"),
+        ({"warmup_messages": -1}, "-1; a count"),
+        ({"qos": Qos(depth=2**70)}, "an integer of 22 digits"),
     ],
 )
-def test_an_impossible_description_is_not_used_and_its_field_is_named(tmp_path, values, words):
+def test_an_impossible_description_is_not_used_and_its_field_is_named(tmp_path, values, words, sentences):
     write_trace(tmp_path / "odd.mcap", [ping_session()], [run(run_id=8, **values)], ping_events(TWO, run_id=8))
     with pytest.raises(MissingEventsError, match=r"odd\.mcap") as error:
         analyze(tmp_path)
@@ -349,31 +349,25 @@ def test_an_impossible_description_is_not_used_and_its_field_is_named(tmp_path, 
     (finding,) = [f for f in analysis.findings if f.code == "skipped_file"]
     assert finding.where == "odd.mcap"
     assert words in finding.what
+    sentences(finding.what)
 
 
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        (
-            "warmup_messages",
-            -1,
-            r"ping\.mcap was not used: field 'warmup_messages' of the run description is -1; a count must be between 0 and \d+; replace",
-        ),
-        (
-            "rate_hz",
-            "fast",
-            r"ping\.mcap was not used: field 'rate_hz' of the run description is 'fast', not a number; repl",
-        ),
-        ("qos", {}, r"ping\.mcap was not used: the run\.qos description has no field 'reliability'; replace"),
+        ("warmup_messages", -1, r"'warmup_messages' .* is -1; a count"),
+        ("rate_hz", "fast", "'rate_hz' .* 'fast', not a number"),
+        ("qos", {}, "no field 'reliability'"),
     ],
 )
-def test_a_bad_description_alone_says_what_is_bad_in_it(tmp_path, monkeypatch, field, value, words):
+def test_a_bad_description_alone_says_what_is_bad_in_it(tmp_path, monkeypatch, field, value, words, sentences):
     described = Run.to_json
     monkeypatch.setattr(Run, "to_json", lambda self: json.dumps({**json.loads(described(self)), field: value}))
     write_pair(tmp_path, TWO)
     with pytest.raises(MissingEventsError, match=words) as error:
         analyze(tmp_path)
     assert "add the trace of the ping" not in str(error.value)
+    sentences(str(error.value).replace(str(tmp_path), "FOLDER"))
 
 
 def test_sessions_are_listed_once_and_by_start(tmp_path):

@@ -186,9 +186,9 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"format": "something else"}, "not the manifest of a saved analysis"),
-        ({"version": 8}, "version 8 of a saved analysis; this program reads version 7: read it with"),
-        ({"version": 1}, "version 1 of a saved analysis; this program reads version 7: analyze the traces again"),
+        ({"format": "something else"}, "not the manifest"),
+        ({"version": 8}, "version 8 .* version 7: read"),
+        ({"version": 1}, "version 1 .* version 7: analyze"),
         ({"files": {}}, "cannot be read"),
         ({"files": {"content.json": {"file": "../content.json", "bytes": 0, "sha256": ""}}}, "names '../content.json'"),
         (
@@ -199,12 +199,12 @@ def test_a_zero_anywhere_in_the_manifest_is_refused(saved):
         ({"files": None}, "Manifest.files is None"),
     ],
 )
-def test_a_foreign_manifest_is_refused(saved, change, words):
+def test_a_foreign_manifest_is_refused(saved, change, words, sentences):
     path = saved / MANIFEST
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(TraceFormatError, match=words) as error:
         load_analysis(saved)
-    one_line(error)
+    sentences(one_line(error).replace(str(saved), "FOLDER"))
 
 
 @pytest.mark.parametrize("text", ["[]", "7", "null", "{", "", "[" * 100_000, "\ufeff{}"])

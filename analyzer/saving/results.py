@@ -1,7 +1,7 @@
 """The results of one analysis, which replace the earlier ones in their folder together.
 
 All new files are complete in a folder of drafts, `results.xxxxxxxx.part`, before its name becomes `results.xxxxxxxx.whole`. From then
-on they are the results: whoever dies while they are moved leaves the rest to the next analysis that writes there. Earlier files
+on they are the results: a process that dies while it moves them leaves the rest to the next analysis that writes there. Earlier files
 go first, so that old and new ones are never in the folder together.
 """
 
@@ -112,7 +112,7 @@ def _replace(folder: Path, whole: Path) -> None:
     Earlier files are moved away first: to delete a large one takes a while.
     """
     names = [name for name in RESULT_NAMES if (whole / name).exists()]
-    for name in names[1:]:  # one alone is replaced at once
+    for name in names[1:]:  # a single one is replaced at once
         with suppress(FileNotFoundError):
             (folder / name).replace(whole / f"{name}.old")
     for name in names:

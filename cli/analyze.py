@@ -51,7 +51,7 @@ def expand_paths(texts: Sequence[str]) -> list[Path]:
 
 
 DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
-"""Set on a desktop."""
+"""One of these is set on a desktop."""
 
 
 def open_page(page: Path) -> None:

@@ -41,7 +41,7 @@ _WITHOUT_DEFAULT = frozenset(
         "list",
     )
 )
-"""They overwrite, or do something else than the command."""
+"""Options without a configured default: they overwrite, or do something else than the command."""
 
 OWN_ONLY = frozenset(
     [
@@ -63,7 +63,7 @@ OWN_ONLY = frozenset(
         "type",
     ]
 )
-"""They name code, an address, an output or what is sent: a file in a working folder may belong to somebody else."""
+"""Options that name code, an address, an output or what is sent: a working folder's file may be somebody else's."""
 
 
 @dataclass(frozen=True, slots=True)

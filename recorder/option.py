@@ -96,7 +96,7 @@ _ROLES = {**dict.fromkeys((Panel.MESSAGE, Panel.SCHEDULE, Panel.BRIDGE), Role.PI
 """Panels whose options only one role takes."""
 
 OUTSIDE_OF_KEY = {"in_key": False}
-"""For a field that is no option and no setting."""
+"""Metadata of a field that is no option and no setting."""
 
 
 def option(

@@ -188,7 +188,7 @@ _VERSION = re.compile(r"\.so\.(\d+(?:\.\d+)+)$")
 
 @dataclass(frozen=True, slots=True)
 class Library:
-    """`version` is from the file name or the Python distribution, else empty."""
+    """A loaded library of a middleware; `version` is from the file name or the Python distribution, else empty."""
 
     name: str
     vendor: str

@@ -225,7 +225,7 @@ class _BuiltinReaders:
         return [sample for sample in samples if sample.sample_info.valid_data]
 
     def participants(self) -> dict[Any, str]:
-        """Key -> name, maybe empty."""
+        """Return key -> name (maybe empty) of each participant."""
         from cyclonedds.qos import Policy
 
         return {

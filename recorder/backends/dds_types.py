@@ -75,5 +75,5 @@ def ros_name(dds_type: str) -> str:
 
 
 def dds_topic(topic: str) -> str:
-    """Return the name in DDS."""
+    """Return a ROS topic's name in DDS."""
     return f"rt/{topic}"

@@ -171,14 +171,14 @@ class Publisher(Protocol[MessageT_contra]):
         """Hand over a message, from one thread at a time; the buffer may change afterwards."""
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Take the publisher off its topic."""
 
 
 class Subscription(Protocol):
     """The receiving end of a topic."""
 
     def close(self) -> None:
-        """Leave the topic at the end of the thread's current round."""
+        """Take the subscription off its topic, at the end of the thread's current round."""
 
 
 class Strangers:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MULTICAST = "multicast"
 """Value of `--peer`: look for others by multicast."""
 KEY_PREFIX = "dds_trace"
-"""Topic `NAME` of domain 10 has the key `dds_trace/10/data/NAME`."""
+"""Start of every key: topic `NAME` of domain 10 has `dds_trace/10/data/NAME`."""
 LOOK_S = 2.0
 """Longest wait for the endpoints of others."""
 PUBLISHER, SUBSCRIPTION = "publisher", "subscription"

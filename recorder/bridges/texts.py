@@ -56,6 +56,6 @@ def element(tag: str, /, *content: Element | str, **attributes: str) -> Element:
 
 
 def xml_text(root: Element) -> str:
-    """Return an indented document."""
+    """Return an indented XML document."""
     indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, encoding="unicode")}\n'

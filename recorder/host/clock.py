@@ -35,7 +35,7 @@ class ClockAnchor:
 
 
 class Clock(Protocol):
-    """Tests have their own."""
+    """A clock and the waits on it; tests have their own."""
 
     def monotonic_ns(self) -> int:
         """Read CLOCK_MONOTONIC, in ns."""

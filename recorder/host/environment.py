@@ -16,7 +16,7 @@ _INLINE_STARTS = ("<", "{", "str://")
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationVariable:
-    """One entry, or several with a separator."""
+    """A variable with one entry, or several with a separator."""
 
     name: str
     separator: str | None = None
@@ -24,7 +24,7 @@ class ConfigurationVariable:
 
 @dataclass(frozen=True, slots=True)
 class MiddlewareEnvironment:
-    """By what a middleware can be configured.
+    """The variables and files by which a middleware can be configured.
 
     Attributes:
         settings: variables whose values a session keeps.
@@ -54,7 +54,7 @@ class MiddlewareEnvironment:
 
 
 def join_environments(environments: Iterable[MiddlewareEnvironment]) -> MiddlewareEnvironment:
-    """Return all in one."""
+    """Return all variables and files in one environment."""
     every = list(environments)
     return MiddlewareEnvironment(
         settings=tuple(dict.fromkeys(name for one in every for name in one.settings)),

@@ -57,7 +57,7 @@ UNMET = "reply of a relay that did not answer a probe"
 
 
 class Record(Protocol):
-    """`TraceSink.record`."""
+    """The signature of `TraceSink.record`."""
 
     def __call__(
         self,

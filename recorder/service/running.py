@@ -75,7 +75,7 @@ class State(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One recording; `waiting` is a killed one's trace with events in its ring."""
+    """One recording; `waiting` is the trace of a killed one with events in its ring."""
 
     entry: Entry
     state: State

@@ -31,7 +31,7 @@ _COLOURS = {
     RateAnswer.BELOW: "#d55e00",
     RateAnswer.FAILED: "#999999",
 }
-"""By answer, from Okabe and Ito's palette for the colour-blind."""
+"""Colour of a bar by its answer, from Okabe and Ito's palette for the colour-blind."""
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:

@@ -87,7 +87,7 @@ class Bisection:
     trial: Callable[[float, int], str]
 
     def run(self) -> Knee:
-        """Search within the resolution."""
+        """Return the highest sustained rate, within the resolution."""
         low, high = self.search.min_rate, self.search.max_rate
         is_low_sustained, why = False, ""
         while high / low > self.search.resolution:

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     """Function from the folder of a sweep and its runs to the half width of each cell's interval."""
 
 INCOMPLETE_EXIT_CODE = 10
-"""For cells without complete recording; the `TraceError` tree has 1 to 9."""
+"""Exit code of `dds-sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""
 
 TOO_WIDE_EXIT_CODE = 11
-"""For `--until`: all is recorded, but some cells are too wide after the last pass."""
+"""Exit code of `dds-sweep --until`: all is recorded, but some cells are too wide after the last pass."""
 
 DEFAULT_MAX_PASSES = 40
 """Runs whose statistic spreads by 10 % (standard deviation) need about 33 repeats for +-5 %."""

@@ -64,7 +64,7 @@ class RunTally:
 
     @property
     def heartbeat_gap_p50_ns(self) -> float | None:
-        """Median, None without any gap."""
+        """Median of the gaps, None without any."""
         return median(self.heartbeat_gaps_ns) if self.heartbeat_gaps_ns else None
 
     def count_frame(self, frame: Frame, kind: WireClass, direction: Direction) -> None:

@@ -105,7 +105,7 @@ class SentSample:
 
 @dataclass(slots=True)
 class _StreamSamples:
-    """`forgotten` is the highest number dropped, `heartbeats` how many the writer has sent."""
+    """Samples of one stream; `forgotten` is the highest number dropped, `heartbeats` how many the writer has sent."""
 
     samples: dict[int, SentSample] = field(default_factory=dict)
     forgotten: int = -1
@@ -203,7 +203,7 @@ def message_row(sample: SentSample, direction: Direction) -> tuple[int, ...] | N
 
 
 def pack_rows(rows: Sequence[tuple[int, ...]]) -> MessageRows:
-    """Return tuples as an array."""
+    """Return rows, given as tuples, as an array."""
     return np.array(rows, MESSAGE_ROW)
 
 

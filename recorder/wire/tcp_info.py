@@ -72,7 +72,7 @@ class TcpConnection:
     congestion_window: int = 0
 
     def since(self, before: TcpConnection | None) -> TcpConnection:
-        """Return its counters since `before`."""
+        """Return the connection with its counters since `before`."""
         if before is None:
             return self
         return replace(self, **{name: getattr(self, name) - getattr(before, name) for name in _COUNTERS})

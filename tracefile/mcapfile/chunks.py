@@ -130,7 +130,7 @@ def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int) -> N
 
 
 class UnpackMemory:
-    """Reused for chunk after chunk, because fresh memory is slow at its first touch."""
+    """Memory that chunk after chunk is unpacked into, because fresh memory is slow at its first touch."""
 
     def __init__(self) -> None:
         self._packed = bytearray()
@@ -150,7 +150,7 @@ class UnpackMemory:
 
     @property
     def size(self) -> int:
-        """Bytes allocated."""
+        """Number of bytes allocated."""
         return len(self._packed) + len(self._records)
 
 

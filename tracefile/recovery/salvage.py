@@ -37,7 +37,7 @@ _CHUNK_STEPS, _RECORD_STEPS = 16, 2
 
 @dataclass(frozen=True, slots=True)
 class SalvagedText:
-    """`log_time_ns` is ns since 1970."""
+    """A String of the file; `log_time_ns` is ns since 1970."""
 
     topic: str
     text: str

@@ -96,7 +96,7 @@ class TraceWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Length of the file."""
+        """Length of the file, bytes."""
         return self._end
 
     @property

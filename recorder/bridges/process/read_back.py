@@ -35,7 +35,7 @@ class ProgramReadBack:
         self._applied: Applied | None = None
 
     def read(self) -> None:
-        """Read while the program runs."""
+        """Read what the program uses, if it still runs."""
         if self._applied is None:
             self._pid = self._pid_with_sockets()
         applied = read_applied(self._applied, self._pid)

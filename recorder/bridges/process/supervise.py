@@ -120,7 +120,7 @@ class SupervisedProgram:
         return next((line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it logged nothing")
 
     def load(self) -> ProgramLoad:
-        """Return the present load."""
+        """Return the present load of the program and its children."""
         loads = []
         for pid in self._pids():
             with contextlib.suppress(psutil.Error):  # it has ended

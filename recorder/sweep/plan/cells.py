@@ -100,7 +100,7 @@ AXES: Mapping[str, PlanAxis] = {
         default="",
     ),
 }
-"""Options of `dds-record`, and what else two sides may differ in."""
+"""The axes of a plan: options of `dds-record`, and what else two sides may differ in."""
 
 DEFAULTS: dict[str, Any] = {name: axis.default for name, axis in AXES.items()}
 

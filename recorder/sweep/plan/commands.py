@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .schedule import CellGroup
 
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
-"""For comparisons pass by pass."""
+"""Label with the number of the pass, for comparisons pass by pass."""
 
 AGAINST_LABEL = "against"
 """Label with the cell of the other plan."""

@@ -231,7 +231,7 @@ class Plan:
 
     @property
     def has_two_devices(self) -> bool:
-        """Whether the relay is elsewhere."""
+        """Whether the relay is on another device."""
         return self.by_hand or self.relay.ssh is not None
 
     def needs_address(self, cell: Cell) -> bool:
@@ -261,7 +261,7 @@ class Plan:
 
 
 def depth_warnings(plan: Plan) -> list[str]:
-    """Return each warning with its cells."""
+    """Return the warnings about cells whose history is too short for their rate."""
     warned: dict[str, list[str]] = {}
     for cell in plan.cells:
         if (warning := depth_warning(cell)) is not None:

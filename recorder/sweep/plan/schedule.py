@@ -44,7 +44,7 @@ def schedule(plan: Plan) -> list[CellGroup]:
 
 
 def number_groups(groups: Iterable[CellGroup], first: int = 1) -> list[CellGroup]:
-    """Count the groups from `first`."""
+    """Return the groups with numbers that count from `first`."""
     return [replace(group, number=number) for number, group in enumerate(groups, first)]
 
 

@@ -107,12 +107,12 @@ TABLES: Mapping[str, Table] = {
     ),
     "search": Table("What `--max-rate` looks for.", _keys_of(Search)),
 }
-"""By dotted name; the root has no name."""
+"""Tables by dotted name; the root has no name."""
 
 PLAN_LIMITS: Mapping[str, Mapping[str, Limit]] = {
     name: {word: key.limit for word, key in table.keys.items()} for name, table in TABLES.items()
 }
-"""Table -> key -> validator."""
+"""Table of a plan -> key -> validator."""
 
 
 def axis_choices(name: str) -> list[str]:

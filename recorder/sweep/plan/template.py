@@ -33,7 +33,7 @@ COMPARISONS: Mapping[str, tuple[str, object]] = {
     "tuning": ("tuned", [False, True]),
     "serialization": ("serialization", ["raw", "typed"]),
 }
-"""Word -> axis and values."""
+"""What can be compared -> axis and values."""
 
 
 @dataclass(frozen=True, slots=True)

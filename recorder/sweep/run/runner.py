@@ -309,11 +309,11 @@ class Runner:
             return {}
 
     def ping_path(self, name: str) -> Path:
-        """Return the ping's trace."""
+        """Return the path of a cell's ping trace."""
         return self.folder / f"{name}.ping.mcap"
 
     def relay_path(self, name: str) -> Path:
-        """Return the relay's trace."""
+        """Return the path of a cell's relay trace."""
         return self.folder / f"{name}.relay.mcap"
 
     def _segment_names(self, group: CellGroup) -> Iterator[str]:

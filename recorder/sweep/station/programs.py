@@ -34,7 +34,7 @@ REHEARSAL_PATIENCE_S = 60.0
 REHEARSAL_STOP_S = 10.0
 LAST_WORDS_BYTES = 4096
 MOST_LOG_BYTES = 64 << 20
-"""For programs on another device."""
+"""Largest log of a program on another device."""
 
 _REASON = re.compile(r"dds-\w+: ")
 

@@ -42,7 +42,7 @@ class WireClass(str, Enum):
 RANK = {kind: number for number, kind in enumerate(WireClass)}
 DISCOVERY = frozenset((WireClass.SPDP, WireClass.SEDP, WireClass.LIVELINESS))
 AGAIN = {WireClass.DATA: WireClass.DATA_AGAIN, WireClass.DATA_FRAG: WireClass.DATA_FRAG_AGAIN}
-"""First sending -> repeated one."""
+"""Class of a first sending -> class of a repetition."""
 
 _BUILTIN_KIND = 0xC0
 """Bits of an entity id's last octet that mark discovery (DDSI-RTPS 2.5, table 9.1)."""

@@ -29,7 +29,7 @@ class Piece(NamedTuple):
 
 @dataclass(slots=True)
 class _Datagram(Generic[Owner]):
-    """`next_at` is -1 if its next header is lost, `carried` the part of it seen."""
+    """An unfinished datagram; `next_at` is -1 if its next header is lost, `carried` the part of it seen."""
 
     owner: Owner
     length: int

@@ -80,7 +80,7 @@ class _Step(NamedTuple):
 
 
 def attach_filter(target: socket.socket, program: bytes) -> None:
-    """Attach a classic BPF program."""
+    """Attach a classic BPF program to a socket."""
     buffer = ctypes.create_string_buffer(program, len(program))
     count = len(program) // 8
     # struct sock_fprog: the native alignment puts the pointer where the kernel looks for it.

@@ -52,7 +52,7 @@ def test_a_toy_finding_is_in_the_reference(monkeypatch):
     reference = import_module("generated.findings")
     monkeypatch.setattr(reference, "CHECKS", (*table.CHECKS, odd_counts))
     text = reference.findings()
-    assert f"### odd_count\n\n- **Warning**, about {odd_counts.subject.value}: {odd_counts.title}." in text
+    assert f"### odd_count\n\n- **Warning**, about a {odd_counts.subject.value}: {odd_counts.title}." in text
     assert "Send … message more." in text
     assert set(re.findall("### (.*)", text)) == {check.code for check in table.CHECKS} | {"odd_count"}
 

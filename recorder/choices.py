@@ -1,4 +1,4 @@
-"""Values of options; light, since `--help` loads them."""
+"""Enums of the values of options; light, since `--help` loads them."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 SEGMENT, PORT = "segment", "port"
-"""A segment contains payloads; a port is the queue of one receiver."""
+"""Roles of a shared-memory file: a segment contains payloads; a port is the queue of one receiver."""
 
 
 @dataclass(frozen=True, slots=True)

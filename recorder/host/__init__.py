@@ -1,1 +1,1 @@
-"""The recorder's device and process."""
+"""The recorder's device and process: clocks, fingerprint, load, settings, its own cost."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject
 
 STOP_CHECK_NS = 50_000_000
-"""`stop` is checked at least so often."""
+"""Longest wait between two checks of `stop`."""
 
 _ANCHOR_READINGS, _PAIR_READINGS = 20, 5
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
@@ -30,7 +30,7 @@ class ClockAnchor:
 
     @property
     def offset_ns(self) -> int:
-        """From a monotonic time to the wall clock."""
+        """Difference from a monotonic time to the wall clock, ns."""
         return self.wall_ns - self.monotonic_ns
 
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 _INLINE_STARTS = ("<", "{", "str://")
-"""Such a value is a configuration itself and not the name of a file."""
+"""A value that starts so is a configuration itself, not the name of a file."""
 
 
 @dataclass(frozen=True, slots=True)

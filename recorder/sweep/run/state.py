@@ -35,7 +35,7 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """One cell's entry in the state file.
+    """One cell's entry in the state file, which has `{}` for None.
 
     Attributes:
         reason: of the last failure.

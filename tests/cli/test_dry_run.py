@@ -124,7 +124,7 @@ def test_names_cannot_leave_out(call, tmp_path, name):
     path.write_text(f"name = {json.dumps(name)}\n[axes]\nbackend = 'socket'\n")
     code, _, err = call(path, "--rehearse", "--out", tmp_path / "runs")
     assert code == OptionError.exit_code
-    assert "write a name: not empty, no slash" in err
+    assert "write a name" in err
     assert len(err.splitlines()) == 1
 
 

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from processes import counts_in
 
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.base.version import __version__
@@ -143,43 +144,23 @@ def test_dry_run_of_the_papers_plan_from_the_command_line(call):
     code, out, err = call(ROOT / "plans/paper.toml", "--dry-run")
     lines = out.splitlines()
     assert sum(line.startswith("  ros2-") for line in lines) == 5 * 780
-    assert lines[-1].startswith("plan paper: 3900 recordings, 0 left out, 15 starts of a relay, about ")
+    assert counts_in(lines[-1])[:3] == [3900, 0, 15]  # recordings, left out, starts of a relay
     assert (code, err) == (0, "")
 
 
-def test_a_reason_is_told_once_for_all_its_cells(call, plan, unrehearsed):
+def test_a_reason_is_told_once_for_all_its_cells(call, plan, unrehearsed, sentences):
     unrehearsed.update(dict.fromkeys(["one", "two", "three"], "not installed"), four="no licence")
     code, _, err = call(plan, "--dry-run")
     assert code == 10
-    assert err.splitlines() == [
-        "one and 2 more recordings cannot start: not installed",
-        "four cannot start: no licence",
-    ]
+    sentences(*err.splitlines())
 
 
 @pytest.mark.usefixtures("unrehearsed")
-def test_dry_run_names_what_is_left_out_and_what_cannot_be_carried(call, plan):
-    code, out, _ = call(plan, "--dry-run")
-    assert code == 0
-    assert "left out by [[exclude]]: 1 result (for the test)" in out
-    assert "ros2_same_binary-4MB_1000Hz  0 s  needs 32000 of 10000 Mbit/s: will be cut off after 30 s more" in out
-    assert "plan small: 3 recordings, 1 left out, 1 start of a relay" in out
-
-
-@pytest.mark.usefixtures("unrehearsed")
-def test_dry_run_warns_of_a_history_that_holds_too_few_messages(call, plan):
-    _, out, _ = call(plan, "--dry-run")
-    assert (
-        "warning: --depth 10 keeps 10 ms of messages at 1000 Hz: a side that stalls longer loses some, reliable or "
-        "not; --depth 100 on both sides keeps 100 ms (in ros2_same_binary-4MB_1000Hz)" in out
-    )
-    assert out.count("warning: ") == 1  # 10 Hz are fine
-
-
-@pytest.mark.usefixtures("unrehearsed")
-def test_dry_run_with_the_commands_for_the_other_device(call, plan):
-    _, out, _ = call(plan, "--dry-run", "--print", "relay")
-    assert "relay 1: DDS_TRACE_CONFIG= dds-record --role relay --domain 10 --discovery subnet --out relay-1.mcap" in out
+@pytest.mark.parametrize("more", [(), ("--print", "relay")])
+def test_dry_run_names_what_is_left_out_what_cannot_be_carried_and_a_history_too_short(call, plan, sentences, more):
+    code, out, _ = call(plan, "--dry-run", *more)
+    assert (code, out.count("warning: ")) == (0, 1)  # 10 Hz are fine
+    sentences(*out.splitlines())
 
 
 @pytest.mark.usefixtures("unrehearsed")
@@ -191,12 +172,12 @@ def test_dry_run_as_json(call, plan):
     assert listed["cells"][0]["seconds"] == 10.0
 
 
-def test_typo_in_a_plan_is_one_line_and_exit_code_2(call, tmp_path):
+def test_typo_in_a_plan_is_one_line_and_exit_code_2(call, tmp_path, sentences):
     path = tmp_path / "typo.toml"
     path.write_text("[run]\nmesages = 3\n")
     code, out, err = call(path)
     assert (code, out) == (2, "")
-    assert err == f"dds-sweep: {path}: [run]: there is no 'mesages'; did you mean 'messages'?\n"
+    sentences(err.replace(str(path), "PLAN"))
 
 
 def test_version(call):

@@ -70,7 +70,7 @@ class Started:
         self.wall_ns = [session.wall_anchor_ns for session in trace.sessions]
 
 
-def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by_pass(plan, tmp_path):
+def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by_pass(plan, tmp_path, sentences):
     """The plans ask for unlike sizes, so no group of one side has the parameters of one of the other."""
     done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", plan("q", "2KB"))
     assert done.status == 0, done.stderr
@@ -84,10 +84,9 @@ def test_another_plan_is_recorded_in_turns_and_compared_cell_by_cell_and_pass_by
         assert compared.status == 0, compared.stderr
         shown = html.unescape(compared.stdout)
         row = next(line for line in shown.splitlines() if "| Round trip median |" in line)
-        assert row.startswith("| Binary 1 KB at 200 Hz |")
         assert "| 3 pairs |" in row
         (asked,) = [line for line in shown.splitlines() if line.startswith("- Measured in turns: ")]
-        assert asked.endswith("the new side has payload_bytes 2000 instead of 1000.")
+        sentences(row.split("|")[1], asked)
 
 
 def test_another_environment_is_compared_pass_by_pass(plan, environment, tmp_path):
@@ -102,13 +101,11 @@ def test_another_environment_is_compared_pass_by_pass(plan, environment, tmp_pat
     assert "Measured in turns" not in compared.stdout  # both were asked for the same
 
 
-def test_plans_of_unlike_length_are_refused_in_one_line_before_anything_is_recorded(plan, tmp_path):
+def test_plans_of_unlike_length_are_refused_in_one_line_before_anything_is_recorded(plan, tmp_path, sentences):
     two = plan("q", "2KB", 'reliability = ["reliable", "best_effort"]\n')
     done = run("dds-sweep", plan("p", "1KB"), "--out", tmp_path / "runs", "--against", two)
     assert (done.status, done.stdout) == (2, "")
-    assert done.stderr.endswith(
-        ": the base has 1 result and the new side 2; give plans with the same number of results, in the same order\n"
-    )
+    sentences(done.stderr.rpartition(": ")[2])
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "runs").exists()
 
@@ -135,7 +132,7 @@ def test_another_environment_and_another_device_are_refused_in_one_line(plan, en
     base = plan("p", "1KB", robot)
     done = run("dds-sweep", base, "--out", tmp_path / "runs", "--against", environment)
     assert (done.status, done.stdout) == (2, "")
-    assert "--against ENVIRONMENT is for sweeps on one machine" in done.stderr
+    assert "--against ENVIRONMENT" in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "runs").exists()
 

@@ -145,18 +145,13 @@ def test_options_that_make_no_sense_are_refused(plan, tmp_path, options, message
     assert not (tmp_path / "runs").exists()
 
 
-def test_dry_run_tells_the_most_that_further_passes_take_and_the_turns_of_two_sides(plan):
+def test_dry_run_tells_the_most_that_further_passes_take_and_the_turns_of_two_sides(plan, sentences):
     until = sweep(plan(3), "--dry-run", "--until", "latency_p99:5%", "--max-passes", 6)
-    assert until.stdout.splitlines()[-1].startswith(
-        "until latency_p99 of every result is known to +-5 %: at most 6 repeats, about "
-    )
     turns = sweep(plan(2), "--dry-run", "--against", "SAME").stdout.splitlines()
     assert turns[:4] == [f"base  {CELL}", f"new   {CELL}", f"new   {CELL}_r2", f"base  {CELL}_r2"]
-    assert turns[4].startswith("plan p-against-same: 4 recordings of both sides, about ")
+    sentences(*(line.partition(", about ")[0] for line in (until.stdout.splitlines()[-1], turns[4])))
 
 
-def test_the_false_alarm_rate_is_printed_in_words():
+def test_the_false_alarm_rate_is_printed_in_words(sentences):
     alarms = FalseAlarms(measured=1, measured_verdicts=12, dealt=9, dealt_verdicts=192, deals=16)
-    assert _in_words(alarms) == (
-        "A/A: 1 of 12 verdicts better or worse; with the repeats dealt to the two sides in 16 ways: 9 of 192 (4.7%), all false"
-    )
+    sentences(_in_words(alarms))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -29,6 +30,11 @@ class Finished:
     status: int
     stdout: str
     stderr: str
+
+
+def counts_in(text: str) -> list[int]:
+    """The whole numbers of a line about counts, in their order."""
+    return [int(number) for number in re.findall(r"\b\d+\b", text)]
 
 
 class RunningCommand:

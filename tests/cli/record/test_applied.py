@@ -47,7 +47,7 @@ def test_a_setting_that_is_ignored_is_told_at_once_and_kept(domain_id, tmp_path)
         done = ping(domain_id, tmp_path / "ping.mcap", environment=IGNORED)
         stopped = relaying.stop()
     assert (done.status, stopped.status) == (0, 0), done.stderr + stopped.stderr
-    assert done.stderr.count("not applied: asked for UDP, shared memory is open") == 1
+    assert done.stderr.count("not applied: ") == 1
     assert "not applied" not in stopped.stderr
     read = session(tmp_path / "ping.mcap")
     assert [each["setting"] for each in read["not_applied"]] == ["transport"]
@@ -60,7 +60,7 @@ def test_strict_ends_a_ping_before_its_trace(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap"):
         done = ping(domain_id, out, "--strict", environment=IGNORED)
     assert done.status == NotAppliedError.exit_code
-    assert done.stderr.splitlines()[-1].startswith("dds-record: --strict: asked for UDP, shared memory is open")
+    assert done.stderr.splitlines()[-1].startswith("dds-record: --strict: asked for UDP")
     assert not out.exists()
 
 
@@ -72,7 +72,7 @@ def test_strict_ends_a_relay_at_the_first_ping_and_leaves_its_place_free(domain_
         ping(domain_id, tmp_path / "ping.mcap", "--duration", 1)
         done = relaying.finish()
     assert done.status == NotAppliedError.exit_code, done.stderr
-    assert "asked for UDP, shared memory is open" in done.stderr
+    assert "--strict: asked for UDP" in done.stderr
     assert not out.exists()
 
 
@@ -86,6 +86,7 @@ def test_two_containers_without_a_common_dev_shm_are_told_so(domain_id, tmp_path
             done = pinging.finish()
     assert done.status == NoEchoError.exit_code, done.stderr
     advice, settings = done.stderr.splitlines()[-2:]
-    assert advice.startswith("  try: let both sides have one /dev/shm"), done.stderr
-    assert settings.startswith("  not applied: messages for a receiver on this host go to fastrtps_port")
+    assert "/dev/shm" in advice, done.stderr
+    assert settings.startswith("  not applied: ")
+    assert "fastrtps_port" in settings
     assert "firewall" not in done.stderr

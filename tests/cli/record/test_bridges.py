@@ -37,7 +37,8 @@ def test_nodes_without_ros_discovery_info_are_refused_a_bridge_that_needs_it(dom
         *("--bridge", "zenoh-bridge-ros2dds", "--relay-domain", domain_id + 1),
     )
     assert done.status == 2
-    assert "ros_discovery_info, which nodes of the backend socket do not publish" in done.stderr
+    assert "ros_discovery_info" in done.stderr
+    assert "backend socket" in done.stderr
     assert not (tmp_path / "ping.mcap").exists()
 
 

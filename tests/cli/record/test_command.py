@@ -9,12 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from processes import counts_in
 from trace_files import ping_session, run
 from typer.testing import CliRunner
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, OutputExistsError, TraceError
 from dds_trace.cli.record import command
-from dds_trace.cli.record.run import print_result
+from dds_trace.cli.record.run import describe_progress, print_result
 from dds_trace.recorder import choices
 from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.qos import RANKS
@@ -218,10 +219,10 @@ def test_an_existing_file_is_refused_before_anything_is_opened(role, tmp_path, m
     assert out.read_text() == "precious"
 
 
-def test_without_a_role_nothing_is_recorded():
+def test_without_a_role_nothing_is_recorded(sentences):
     result = CliRunner().invoke(command.app, ["--messages", "5"])
     assert isinstance(result.exception, OptionError)
-    assert str(result.exception).startswith("give --role ping or --role relay, and --out PATH")
+    sentences(str(result.exception))
 
 
 def test_a_whole_trace_has_nothing_to_recover(tmp_path):
@@ -229,7 +230,7 @@ def test_a_whole_trace_has_nothing_to_recover(tmp_path):
     TraceSink(TraceDestination(path), recorded().session).close()
     result = CliRunner().invoke(command.app, ["--recover", str(path)])
     assert result.exit_code == 0, result.output
-    assert result.output == f"{path} is closed and whole (0 events); nothing to recover\n"
+    assert "(0 events); nothing to recover" in result.output
 
 
 def test_a_trace_that_was_cut_off_is_closed_again(tmp_path):
@@ -242,10 +243,10 @@ def test_a_trace_that_was_cut_off_is_closed_again(tmp_path):
     result = CliRunner().invoke(command.app, ["--recover", str(path)])
     assert result.exit_code == 0, result.output
     assert result.output.startswith("Wrote ")
-    assert "5 events in the file, 0 more in the ring" in result.output
+    assert counts_in(result.output.splitlines()[1])[:2] == [5, 0]  # events in the file, in the ring
 
 
-def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tmp_path):
+def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tmp_path, sentences):
     cost = RecorderCost(30.0, 500.0, 900.0, 4_000.0, 9_000.0, 3000)
     monkeypatch.setattr(
         "dds_trace.cli.record.tools.measure_recorder_cost", lambda folder: cost if folder == tmp_path else None
@@ -257,11 +258,7 @@ def test_the_cost_of_recording_is_printed_without_middleware_too(monkeypatch, tm
     monkeypatch.setattr("dds_trace.cli.record.tools.measure_floor", without_middleware)
     result = CliRunner().invoke(command.app, ["--self-test", "--out", str(tmp_path / "x.mcap")])
     assert result.exit_code == 0, result.output
-    assert result.output.splitlines() == [
-        "recording an event: median 0.5 us, p99 0.9 us, slowest 4 us (3000 events at 1 kHz)",
-        "slowest ten events in a row: 9 us; reading the clock: 0.03 us",
-        "floor of the client library: not measured, no ROS 2 here",
-    ]
+    sentences(*result.output.splitlines())
 
 
 def test_help_fits_80_columns_and_needs_no_middleware(monkeypatch):
@@ -284,23 +281,17 @@ def test_the_recorder_ranks_every_reliability_and_durability():
 def test_help_names_every_bridge_backend_and_default():
     output = CliRunner(env={"COLUMNS": "300", "TERMINAL_WIDTH": "300"}).invoke(command.app, ["--help"]).output
     assert f"Messages to measure. Default: {DEFAULT_MESSAGES}," in output
-    assert f"Messages sent before them, which do not count. Default: {DEFAULT_WARMUP}\n" in output
+    assert f"which do not count. Default: {DEFAULT_WARMUP}\n" in output
     for name in (*BRIDGE_MODULES, *BACKEND_MODULES):
         assert name in output
 
 
-def test_progress_in_words():
-    from dds_trace.cli.record.run import describe_progress
-
-    line = describe_progress(PingProgress(410, 300, 298, 1, 815_000, 1_430_000))
+def test_progress_in_words(sentences):
     warming = PingProgress(110, 4, 3, 0, warmup=10, warmup_received=3)
-    assert describe_progress(warming).startswith("sent 0/100 (+10 warm-up), received 0, lost 0, ")
     running = PingProgress(110, 79, 76, 2, warmup=10, warmup_received=9, warmup_lost=1)
-    assert describe_progress(running).startswith("sent 69/100 (+10 warm-up, 1 lost), received 67, lost 1, ")
-    assert line == "sent 300/410, received 298, lost 1, RTT p50 0.815 ms, p99 1.43 ms"
-    assert describe_progress(PingProgress(410, 0, 0, 0)).endswith("RTT p50 -, p99 -")
-    assert describe_progress(RelayProgress(7, 2, 0)) == "7 messages sent back in 2 runs"
-    assert describe_progress(RelayProgress(7, 2, 1)).endswith("1 without our stamp ignored")
+    measured = PingProgress(410, 300, 298, 1, 815_000, 1_430_000)
+    relays = RelayProgress(7, 2, 0), RelayProgress(7, 2, 1)
+    sentences(*map(describe_progress, (warming, running, measured, PingProgress(410, 0, 0, 0), *relays)))
 
 
 def recorded(error=None):
@@ -314,11 +305,9 @@ def recorded(error=None):
     return Recorded(trace, session, PingProgress(2, 2, 2, 0, 800_000, 900_000), run)
 
 
-def test_the_result_in_words_and_as_json(capsys):
+def test_the_result_in_words_and_as_json(capsys, sentences):
     print_result(recorded(), as_json=False)
-    assert capsys.readouterr().out == (
-        "Wrote x.mcap\nsent 2/2, received 2, lost 0, RTT p50 0.8 ms, p99 0.9 ms; 4 events, 1 dropped\n"
-    )
+    sentences(*capsys.readouterr().out.splitlines())
     print_result(recorded(), as_json=True)
     assert json.loads(capsys.readouterr().out) == {
         "path": "x.mcap",
@@ -349,11 +338,11 @@ def test_a_trace_that_could_not_be_written_whole_is_an_error_after_the_counts(ca
 
 
 def test_a_bridge_that_died_is_an_error_after_the_counts(capsys):
-    ended = replace(recorded(), error=BridgeError("the bridge builtin was killed by signal 9 (SIGKILL)"))
+    ended = replace(recorded(), error=BridgeError("killed by signal 9"))
     with pytest.raises(BridgeError, match="killed by signal 9"):
         print_result(ended, as_json=True)
     told = json.loads(capsys.readouterr().out)
-    assert (told["error"], told["events"]) == ("the bridge builtin was killed by signal 9 (SIGKILL)", 4)
+    assert (told["error"], told["events"]) == ("killed by signal 9", 4)
 
 
 @pytest.mark.parametrize(("lost", "allowed", "fails"), [(1, 0.01, False), (2, 0.01, True), (100, None, False)])
@@ -389,9 +378,9 @@ def test_a_ring_that_was_removed_with_its_folder_is_not_promised(tmp_path):
         print_result(replace(recorded(), trace=replace(trace, events=2, ring_events=7)), as_json=False)
 
 
-def test_without_a_trace_nothing_is_called_written(capsys):
+def test_without_a_trace_nothing_is_called_written(capsys, sentences):
     print_result(replace(recorded(), trace=None, run=None), as_json=False)
-    assert capsys.readouterr().out == "stopped before the first echo; nothing was written\n"
+    sentences(capsys.readouterr().out)
     print_result(replace(recorded(), trace=None, run=None), as_json=True)
     assert json.loads(capsys.readouterr().out)["path"] is None
 

@@ -65,8 +65,9 @@ def test_a_relay_that_is_killed_ends_the_run_with_the_reason(domain_id, tmp_path
         other.send_signal(signal.SIGKILL)
         done = command.finish()
     assert done.status == 12
-    assert "the relay of imu_data is lost: no reply to the last" in done.stderr
-    assert last_json(out, "session")["error"].startswith("the relay of imu_data is lost")
+    error = last_json(out, "session")["error"]
+    assert error.startswith("the relay of imu_data is lost")
+    assert error in done.stderr
     assert 0 < last_json(out, "run")["published"] < 100_000
 
 
@@ -106,5 +107,5 @@ def test_ctrl_c_before_the_first_echo_leaves_no_file(domain_id, tmp_path):
     with running("dds-record", "--role", "ping", "--domain", domain_id, "--out", out, *SOCKET, *LONG) as command:
         command.wait_for_line("waiting for an echo")
         done = command.stop(signal.SIGINT)
-    assert (done.status, done.stdout) == (0, "stopped before the first echo; nothing was written\n")
+    assert (done.status, done.stdout.count("\n"), "nothing was written" in done.stdout) == (0, 1, True)
     assert list(tmp_path.iterdir()) == []

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from processes import PATIENCE_S, ping, relay
+from processes import PATIENCE_S, counts_in, ping, relay
 from record_reader import events_of, last_json
 from warm_start import BRIEF_FLOOR_MESSAGES
 
@@ -108,7 +108,13 @@ def test_each_message_of_a_live_topic_becomes_a_ping(domain_id, tmp_path):
             *("--wait", PATIENCE_S, *ROOMY),
         )
         assert done.status == 0, done.stderr
-        assert "sent 20/20 (+2 warm-up), received 20, lost 0" in done.stdout
+        assert counts_in(done.stdout.splitlines()[1])[:5] == [
+            20,
+            20,
+            2,
+            20,
+            0,
+        ]  # sent, planned, warm-up, received, lost
         assert command.stop().status == 0
     run = last_json(out, "run")
     assert (run["data_type"], run["data_source"]) == ("pointcloud2", "topic:/lidar/points")
@@ -142,7 +148,7 @@ def test_a_deadline_that_never_matches_is_named(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap", "--deadline", "20ms", "--lifespan", "2s") as command:
         done = ping(domain_id, tmp_path / "x.mcap", "--deadline", "1.5s", "--wait", PATIENCE_S * 10)
         assert done.status == 8
-        assert "differ in deadline (1.5s offered, 20ms requested)" in done.stderr
+        assert "deadline (1.5s offered, 20ms requested)" in done.stderr
         out = tmp_path / "ping.mcap"
         same = ("--deadline", "20ms", "--lifespan", "2s")
         done = ping(domain_id, out, *same, "--data", "imu", "--messages", 5, "--rate", 100)

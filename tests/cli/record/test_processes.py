@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from event_cdr import unpack_event
 from mcap.reader import make_reader
-from processes import PATIENCE_S, ping, relay, run, running
+from processes import PATIENCE_S, counts_in, ping, relay, run, running
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = pytest.mark.middleware
@@ -82,10 +82,12 @@ def test_all_data_types_go_there_and_back(domain_id, tmp_path, serialization):
                 *("--messages", 20, "--warmup", 3, "--rate", 100, "--label", "room=lab", "--device", "pi4"),
             )
             assert done.status == 0, done.stderr
-            assert done.stdout.startswith(f"Wrote {tmp_path / data}.mcap\nsent 20/20 (+3 warm-up), received 20, lost 0")
+            wrote, counts = done.stdout.splitlines()
+            assert wrote == f"Wrote {tmp_path / data}.mcap"
+            assert counts_in(counts)[:5] == [20, 20, 3, 20, 0]  # sent, planned, warm-up, received, lost
         done = command.stop()
     assert done.status == 0, done.stderr
-    assert "69 messages sent back in 3 runs; 138 events, 0 dropped" in done.stdout
+    assert counts_in(done.stdout.splitlines()[-1]) == [69, 3, 138, 0]  # messages, runs, events, dropped
 
     relay_trace = Read(tmp_path / "relay.mcap")
     first, last = relay_trace.sessions
@@ -188,7 +190,7 @@ def test_progress_is_drawn_on_a_terminal_alone(domain_id, tmp_path):
     arguments = ("--data", "imu", "--messages", 60, "--rate", 50, *ROOMY)
     with relay(domain_id, tmp_path / "relay.mcap", *ROOMY) as command:
         done = ping(domain_id, tmp_path / "plain.mcap", *arguments)
-        assert done.stderr == f"waiting for an echo of imu_data in domain {domain_id}\n"
+        assert [line.partition(" of ")[0] for line in done.stderr.splitlines()] == ["waiting for an echo"]
         ours, theirs = os.openpty()
         drawn = subprocess.Popen(
             [
@@ -252,8 +254,8 @@ def test_quality_of_service_that_never_matches_ends_the_wait_and_is_named(domain
         done = ping(domain_id, tmp_path / "ping.mcap", "--reliability", "best_effort", "--wait", PATIENCE_S * 10)
         command.stop()
     assert done.status == 8
-    assert "differ in reliability (best_effort offered, reliable requested)" in done.stderr
-    assert "give ping and relay the same --reliability" in done.stderr
+    assert "best_effort offered, reliable requested" in done.stderr
+    assert "the same --reliability" in done.stderr
     assert not (tmp_path / "ping.mcap").exists()
 
 
@@ -262,7 +264,7 @@ def test_a_ping_without_a_relay_names_what_it_looked_for(domain_id, tmp_path):
     assert done.status == 8
     assert done.stdout == ""
     assert "dds-record: no echo within 1 s\n" in done.stderr
-    assert f"a relay of binary_image (sensor_msgs/msg/Image) in domain {domain_id}" in done.stderr
+    assert f"binary_image (sensor_msgs/msg/Image) in domain {domain_id}" in done.stderr
     assert "middleware rmw_fastrtps_cpp, discovery range localhost" in done.stderr
     assert f"dds-record --role relay --backend ros2 --domain {domain_id} --discovery localhost" in done.stderr
     assert not (tmp_path / "ping.mcap").exists()
@@ -273,7 +275,7 @@ def test_a_ping_that_is_stopped_before_its_echo(domain_id, tmp_path):
         command.wait_for_line("waiting for an echo")
         done = command.stop()
     assert done.status == 0, done.stderr
-    assert done.stdout == "stopped before the first echo; nothing was written\n"
+    assert "nothing was written" in done.stdout
     assert list(tmp_path.iterdir()) == []  # so that the next try finds its place free
 
 

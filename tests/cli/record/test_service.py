@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from processes import ping, relay, run, running
+from processes import counts_in, ping, relay, run, running
 from small_disk import needs_root, small_disk
 
 from dds_trace.analyzer.pipeline import analyze
@@ -81,7 +81,7 @@ def test_a_rotated_relay_is_one_recording_to_all_who_ask(domain_id, tmp_path, ma
         stopped = command.stop()
     assert stopped.status == 0, stopped.stderr
     assert "the recording continues in relay.00003.mcap" in stopped.stderr
-    assert "310 messages sent back in 1 run" in stopped.stdout
+    assert counts_in(stopped.stdout.splitlines()[-1])[:2] == [310, 1]  # messages, runs
     said = b""
     while b"STOPPING=1" not in said:
         said = manager.recv(4096)
@@ -124,7 +124,7 @@ def test_a_killed_relay_is_listed_as_killed_and_its_oldest_files_alone_went(doma
     assert len([name for name in left if name.endswith(".mcap")]) in (2, 3)  # killed before the next one was dropped
     said = status(command.pid)[1].splitlines()
     assert said[0].startswith(f"killed: relay  domain {domain_id}  socket  pid {command.pid}  0 messages, ")
-    assert said[2].startswith(f"    its last events are in the ring: dds-record --recover {tmp_path}/relay.0")
+    assert f" in the ring: dds-record --recover {tmp_path}/relay.0" in said[2]
     for number in range(2):
         trace = sorted(tmp_path.glob("relay.*.mcap"))[number]
         assert read_trace(trace).sessions[0].role == "relay"

@@ -63,8 +63,8 @@ def test_a_stopped_ping_is_a_finding_with_lateness_and_what_the_host_tells(domai
         assert sample["host"]["pressure_us"].keys() == host["pressure_us"].keys()
     (found,) = [each for each in analyze(tmp_path).findings if each.code == "stood_still"]
     assert found.what.startswith("The ping sent nothing for ")
-    assert "99 % of all left at most " in found.what
-    assert "its whole process did nothing, and other recordings on its machine went on" in found.what
+    assert "99 % of all left" in found.what
+    assert "other recordings on its machine" in found.what
 
 
 def _wait_for_samples(path: Path, more: int) -> None:

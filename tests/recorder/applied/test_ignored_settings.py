@@ -36,7 +36,7 @@ def test_1_udp_under_the_localhost_range(domain_id):
     for side in (ping, relay):
         ((setting, words),) = side.at_begin
         assert setting == "transport"
-        assert words.startswith("asked for UDP, shared memory is open (")
+        assert "shared memory is open" in words
         assert side.settings == ["transport"]
     assert ping.at_end[0][1].startswith("asked for UDP, ")
     assert any(each.is_foreign_segment for each in ping.applied.end.memory)
@@ -46,8 +46,8 @@ def test_1_udp_under_the_localhost_range(domain_id):
 def test_2_tuned_under_the_localhost_range(domain_id):
     for side in run_pair("ros2", domain_id, tuned=True, environment=localhost("UDPv4?sockets_size=4MB")):
         assert side.settings == ["transport", "tuned", "tuned"]
-        assert side.at_end[1][1].startswith("asked for receive buffers of 4,000,000 bytes, ")
-        assert side.at_end[2][1].startswith("asked for send buffers of 4,000,000 bytes, ")
+        assert "receive buffers of 4,000,000 bytes" in side.at_end[1][1]
+        assert "send buffers of 4,000,000 bytes" in side.at_end[2][1]
 
 
 @needs_ros2
@@ -63,7 +63,7 @@ def test_3_a_profile_that_keeps_the_builtin_transports(domain_id):
     for side in sides:
         ((setting, words),) = side.at_begin
         assert setting == "profile"
-        assert f"the profile {path.name} asks for UDP, shared memory is open (" in words
+        assert f"the profile {path.name} asks for UDP" in words
         # On a quiet machine the loopback interface, which the profile names, is seen to carry nothing as well.
         assert side.settings in (["profile"], ["profile", "interface"])
 
@@ -88,9 +88,7 @@ def test_4_an_interface_that_carries_nothing(domain_id, unused_interface):
         "cyclonedds", domain_id, discovery="subnet", variables={"CYCLONEDDS_URI": settings}, prefix=inside
     ):
         assert side.asked.interface == name
-        assert side.applied.path == "lo"
-        assert side.at_begin == []
-        assert side.at_end == [("interface", f"asked for the interface {name}, the bytes went through lo")]
+        assert (side.applied.path, side.at_begin, side.settings) == ("lo", [], ["interface"])
 
 
 @needs_ros2
@@ -108,8 +106,7 @@ def test_4_an_interface_of_a_fast_dds_profile_that_carries_nothing(domain_id, un
         )
     for side in sides:
         assert side.asked.interface == name
-        assert side.at_begin == []
-        assert side.at_end == [("interface", f"asked for the interface {name}, the bytes went through lo")]
+        assert (side.applied.path, side.at_begin, side.settings) == ("lo", [], ["interface"])
 
 
 @needs_ros2
@@ -134,8 +131,7 @@ def test_5_a_buffer_above_the_kernels_limit(domain_id):
 @needs_ros2
 def test_6_large_data_under_the_localhost_range(domain_id):
     for side in run_pair("ros2", domain_id, transport="large-data", environment=localhost("LARGE_DATA")):
-        assert side.at_begin == [("large_data", "asked for LARGE_DATA, no TCP socket is open")]
-        assert side.settings == ["large_data"]
+        assert [setting for setting, _ in side.at_begin] == side.settings == ["large_data"]
 
 
 @needs_zenoh
@@ -165,7 +161,6 @@ def test_7_the_other_side_of_zenoh_has_its_shared_memory_off(domain_id):
 def test_8_zenoh_with_a_dev_shm_of_another_namespace(domain_id):
     ping, relay = run_pair("zenoh", domain_id, asked={"shared_memory": True}, relay_prefix=OWN_SHM)
     assert ping.settings == ["memory_namespace"]
-    assert ping.at_end[0][1].startswith("asked for shared memory, the bytes went through lo: ")
     assert ping.applied.path == "lo"
     assert relay.applied.path != "shm"
 
@@ -177,7 +172,7 @@ def test_8_fast_dds_with_a_dev_shm_of_another_namespace_sends_in_vain(domain_id)
     ping, _ = run_pair("ros2", domain_id, prefix=OWN_SHM, attempts=40)
     assert ping.traffic.received == 0
     assert ping.settings == ["memory_namespace"]
-    assert "the other side has a /dev/shm of its own" in ping.at_end[0][1]
+    assert "a /dev/shm of its own" in ping.at_end[0][1]
 
 
 @needs_root

@@ -42,7 +42,8 @@ def test_without_a_licence_the_command_ends_with_that_line(domain_id, tmp_path, 
         *("--out", tmp_path / "relay.mcap"),
     )
     assert done.status == BackendUnavailableError.exit_code
-    assert "dds-record: RTI Connext does not start a participant; it needs a licence" in done.stderr
+    assert "RTI Connext" in done.stderr
+    assert "it needs a licence" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "relay.mcap").exists()
 

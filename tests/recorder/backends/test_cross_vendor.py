@@ -59,7 +59,7 @@ def test_a_stricter_deadline_than_the_relay_offers_is_named(domain_id, tmp_path,
         here = ("--backend", ping_backend, *ROOMY, "--data", "imu")
         done = ping(domain_id, tmp_path / "x.mcap", *here, "--deadline", "20ms", "--wait", PATIENCE_S)
         assert done.status == 8
-        assert "differ in deadline (333.333ms offered, 20ms requested)" in done.stderr
+        assert "deadline (333.333ms offered, 20ms requested)" in done.stderr
         assert not (tmp_path / "x.mcap").exists()
         out = tmp_path / "ping.mcap"
         done = ping(domain_id, out, *here, *ODD, "--messages", MESSAGES, "--rate", 50)

@@ -97,7 +97,7 @@ def test_all_that_waits_is_handed_on_in_its_order_and_each_to_its_reader(domain_
     assert got == {topic: [bytes(message) for message in messages] for topic in got}
 
 
-def test_quality_of_service_that_never_matches_is_seen(domain_id):
+def test_quality_of_service_that_never_matches_is_seen(domain_id, sentences):
     with (
         open_node("cyclonedds", options(domain_id, name="one")) as one,
         open_node("cyclonedds", options(domain_id, name="two")) as two,
@@ -109,9 +109,7 @@ def test_quality_of_service_that_never_matches_is_seen(domain_id):
             assert time.monotonic() < deadline
             time.sleep(0.05)
         (line,) = one.look_at(IMU.topic).incompatible
-        assert line.startswith(f"{IMU.topic}: publisher of one and subscription of two differ in ")
-        assert "reliability (best_effort offered, reliable requested)" in line
-        assert "durability (volatile offered, transient_local requested)" in line
+        sentences(line)
         assert one.count_participants() == 2
 
 
@@ -120,7 +118,7 @@ def test_a_ping_that_can_never_match_says_so(domain_id, tmp_path):
         done = ping(domain_id, tmp_path / "ping.mcap", *CYCLONE, "--reliability", "best_effort", "--wait", PATIENCE_S)
         command.stop()
     assert done.status == 8
-    assert "differ in reliability (best_effort offered, reliable requested)" in done.stderr
+    assert "reliability (best_effort offered, reliable requested)" in done.stderr
 
 
 def test_late_subscriptions_get_what_transient_local_kept(domain_id):
@@ -170,7 +168,7 @@ def test_types_and_qualities_that_it_does_not_know_are_refused(domain_id):
             node.create_publisher("x", IMU.type_name, qos=Qos(reliability="rather"))
 
 
-def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch):
+def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch, sentences):
     with open_node("cyclonedds", options(domain_id)) as one:
         one.create_publisher("imu_data", IMU.type_name)
         one.create_subscription("imu_data_relay", IMU.type_name, lambda *_: None)
@@ -188,8 +186,7 @@ def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch):
                     there, back = one.look_at("imu_data"), one.look_at("imu_data_relay")
         finally:
             cyclonedds._message_type.cache_clear()
-    assert there.unassignable == ("imu_data: a subscription's type has the same name and another definition",)
-    assert back.unassignable == ("imu_data_relay: a publisher's type has the same name and another definition",)
+    sentences(*there.unassignable, *back.unassignable)
     assert there.incompatible == back.incompatible == ()
 
 

@@ -188,7 +188,8 @@ def fresh(monkeypatch):
 @pytest.mark.usefixtures("fresh")
 def test_a_process_has_one_profile():
     with applied_transport(LOCAL, "rmw_fastrtps_cpp") as settings:
-        assert settings == {"profile": "written by dds-trace for this machine only"}
+        assert list(settings) == ["profile"]
+        assert settings["profile"].startswith("written by dds-trace")
     with applied_transport(replace(LOCAL, name="second"), "rmw_fastrtps_cpp"):
         pass
     other = replace(LOCAL, transport=Transport.DEFAULT)

@@ -50,12 +50,12 @@ def test_durations_without_end_are_left_out():
     assert requested_durations(Qos(extra={"lifespan_ns": 7, "vendor": "x"})) == {"lifespan": 7}
 
 
-def test_pairs_of_ours_are_named_and_others_are_not():
+def test_pairs_of_ours_are_named_and_others_are_not(sentences):
     type_name = "sensor_msgs/msg/Imu"
     ours, theirs = Endpoint("me", type_name, BEST_EFFORT), Endpoint("they", type_name, RELIABLE)
     unknown = Endpoint("bare", type_name)
     (line,) = incompatible_pairs("imu_data", [ours, unknown], [theirs], "me")
-    assert line.startswith("imu_data: publisher of me and subscription of they differ in reliability")
+    sentences(line)
     assert list(incompatible_pairs("imu_data", [ours], [theirs], "somebody")) == []
 
 
@@ -74,7 +74,5 @@ def test_a_depth_below_rate_times_stall_is_warned_of(history, depth, rate_hz, wa
     assert (warn_of_depth(history, depth, rate_hz) is not None) == warned
 
 
-def test_the_warning_of_a_depth_says_how_long_it_lasts_and_what_would_do():
-    warning = warn_of_depth("keep_last", 10, 1000)
-    assert warning.startswith("--depth 10 keeps 10 ms of messages at 1000 Hz: ")
-    assert "--depth 100 on both sides keeps 100 ms" in warning
+def test_the_warning_of_a_depth_says_how_long_it_lasts_and_what_would_do(sentences):
+    sentences(warn_of_depth("keep_last", 10, 1000))

@@ -39,17 +39,10 @@ def see(node, *, listening=(), answering=(), incompatible=(), unassignable=()):
     }
 
 
-def test_nobody_there(node, plan):
+def test_nobody_there(node, plan, sentences):
     see(node)
     text = explain_silence(node, plan, 20)
-    assert text.startswith("no echo within 20 s\n")
-    assert f"a relay of binary_image ({IMAGE}) in domain 5, through the bridge builtin to domain 10" in text
-    assert "middleware rmw_fake, discovery range localhost" in text
-    assert "0 other nodes in domain 5; nobody subscribed to binary_image; nobody publishing" in text
-    relay = "dds-record --role relay --backend ros2 --domain 10 --discovery localhost --out relay.mcap"
-    assert f"start `{relay}`" in text
-    assert "multicast" in text
-    assert "the bridge builtin does not reach it" in text
+    sentences(*text.splitlines())
     assert not look_for_relays(node, BINARY).is_hopeless
 
 
@@ -113,21 +106,21 @@ def test_a_type_that_the_relay_needs_as_an_option_is_named(node):
     assert "--discovery localhost --type sensor_msgs/msg/PointCloud2 --out relay.mcap`" in text
 
 
-def test_a_relay_of_an_unassignable_type_is_named_and_no_firewall(node, plan):
-    line = "binary_image: a subscription's type has the same name and another definition"
+def test_a_relay_of_an_unassignable_type_is_named_and_no_firewall(node, plan, sentences):
+    line = "a subscription's type has another definition"
     see(node, listening=[Endpoint("relay", IMAGE)], unassignable=[line])
     text = explain_silence(node, plan, 3)
     assert line in text
-    assert "try: install the same version of sensor_msgs on both sides" in text
     assert "firewall" not in text
+    sentences(text.splitlines()[-1])
 
 
-def test_sides_without_a_common_dev_shm_are_told_so_and_no_firewall(node, plan):
+def test_sides_without_a_common_dev_shm_are_told_so_and_no_firewall(node, plan, sentences):
     see(node, listening=[Endpoint("relay", IMAGE)], answering=[Endpoint("relay", IMAGE)])
     words = "messages for a receiver on this host go to fastdds_port8660, where nobody reads them"
     apart = Difference(Setting.MEMORY_NAMESPACE, "default", "fastdds_port8660", words)
     *_, advice, settings = explain_silence(node, plan, 3, (apart,)).splitlines()
-    assert advice.startswith("  try: let both sides have one /dev/shm (containers: --ipc=host")
+    sentences(advice)
     assert "firewall" not in advice
     assert settings == f"  not applied: {words}"
     smaller = Difference(Setting.KERNEL_LIMIT, "4000000", "212992", "net.core.rmem_max is 212,992")
@@ -137,11 +130,11 @@ def test_sides_without_a_common_dev_shm_are_told_so_and_no_firewall(node, plan):
 LASTING = Silence(messages=40, duration_ns=4_000_000_000, before=100, answered=100)
 
 
-def test_a_relay_that_is_silent_and_out_of_sight_is_lost(node):
+def test_a_relay_that_is_silent_and_out_of_sight_is_lost(node, sentences):
     see(node)
     error = find_loss(node, BINARY, LASTING, ended=False)
     assert isinstance(error, RelayLostError)
-    assert str(error).startswith("the relay of binary_image is lost: no reply to the last 40 messages (4.0 s); check")
+    sentences(str(error))
 
 
 def test_a_silent_relay_in_sight_may_come_back_until_the_run_has_ended(node):

@@ -122,13 +122,11 @@ class TestTruncated:
             assert (gained > 0) <= (opcode in {Opcode.CHUNK, Opcode.MESSAGE})
             assert f"byte {end}: " in at_boundary.truncated
 
-    def test_the_reason_names_the_record_and_the_byte(self, tmp_path):
+    def test_the_reason_names_the_record_and_the_byte(self, tmp_path, sentences):
         path = small_trace(tmp_path)
         (_, start), (_, end) = record_ends(path)[:2]
         path.write_bytes(path.read_bytes()[: end - 3])
-        assert read_trace(path).truncated == (
-            f"ends early, byte {start}: a Chunk record is cut off; everything complete before it is used"
-        )
+        sentences(read_trace(path).truncated.replace(f"byte {start}:", "byte START:"))
 
     def test_an_empty_file_is_a_trace_that_ended_before_it_began(self, tmp_path):
         path = tmp_path / "t.mcap"
@@ -151,13 +149,13 @@ class TestTruncated:
         assert trace.event_count == 24
         assert "closing magic" in trace.truncated
 
-    def test_bytes_behind_the_end_are_noted(self, tmp_path):
+    def test_bytes_behind_the_end_are_noted(self, tmp_path, sentences):
         path = small_trace(tmp_path)
         size = path.stat().st_size
         path.write_bytes(path.read_bytes() * 2)
         trace = read_trace(path)
         assert trace.event_count == 24
-        assert trace.notes == (f"the bytes from {size} on follow the end of the MCAP file and were ignored",)
+        sentences(*(note.replace(f" {size} ", " SIZE ") for note in trace.notes))
 
 
 class TestDamaged:
@@ -182,15 +180,14 @@ class TestDamaged:
         assert lost <= 5
         assert_no_wrong_event(trace)
 
-    def test_behind_a_damaged_record_reading_goes_on_where_the_index_says(self, tmp_path):
+    def test_behind_a_damaged_record_reading_goes_on_where_the_index_says(self, tmp_path, sentences):
         path = small_trace(tmp_path)
         chunks = chunk_starts(path)
         write_number(path, chunks[3] + 1, 1 << 60)  # the chunk's length
         trace = read_trace(path)
         assert trace.truncated is None
-        assert trace.notes[0] == (
-            f"damaged at byte {chunks[3]}: a Chunk record is cut off; nothing is read from there up to byte {chunks[4]}"
-        )
+        assert str(chunks[4]) in trace.notes[0]
+        sentences(trace.notes[0].replace(str(chunks[3]), "CHUNK 3").replace(str(chunks[4]), "CHUNK 4"))
         assert 24 - 5 <= trace.event_count < 24
 
     @pytest.mark.parametrize("compression", ["zstd", "none"])
@@ -245,7 +242,7 @@ class TestDamaged:
         trace = read_trace(path)
         assert len(trace.events[Stage.T1]) == 0
         assert len(trace.events[Stage.T2]) == 12
-        assert trace.notes[0].startswith("12 messages belong to channel 4, which is never declared")
+        assert trace.notes[0].startswith("12 messages belong to channel 4")
 
 
 LIMIT_BYTES = 2 << 30
@@ -273,7 +270,8 @@ class TestClaims:
         start = chunk_starts(path)[4]
         write_number(path, start + 9 + 16, claim)
         said = read_in_little_memory(path, "t.event_count, t.notes[0]")
-        assert f"the chunk at byte {start} is damaged and left out: it claims {claim} bytes" in said
+        assert f"the chunk at byte {start} " in said
+        assert f" it claims {claim} bytes" in said
 
     @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
     @pytest.mark.parametrize("claim", [0, 1, 63 << 20])
@@ -291,14 +289,14 @@ class TestClaims:
         write_number(path, at + 2, 1 << 62)
         said = read_in_little_memory(path, "t.event_count, t.notes")
         assert said.startswith("24 (")
-        assert f"the statistics claim {1 << 62} messages of /dds_trace/t1, 12 were found" in said
+        assert f"claim {1 << 62} messages of /dds_trace/t1, 12 were" in said
 
-    def test_statistics_that_claim_fewer_events_than_there_are(self, tmp_path):
+    def test_statistics_that_claim_fewer_events_than_there_are(self, tmp_path, sentences):
         path = small_trace(tmp_path, crcs=False)
         write_number(path, path.read_bytes().rindex(struct.pack("<HQ", 4, 12)) + 2, 1)
         trace = read_trace(path)
         assert {stage: rows(trace.events[stage]) for stage in EVENTS} == EVENTS
-        assert trace.notes == ("the statistics claim 1 message of /dds_trace/t1, 12 were found",)
+        sentences(*trace.notes)
 
     def test_a_frame_that_grows_beyond_belief_is_left_out(self, tmp_path):
         path = write_trace(tmp_path / "t.mcap", ping_session(), host=[{"x": "x" * 3_000_000}])

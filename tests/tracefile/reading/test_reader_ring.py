@@ -107,7 +107,7 @@ def test_a_trace_that_is_still_being_recorded_is_read_up_to_now(tmp_path):
         sink.record(3, 1, 0, 5)
         trace = read_trace(tmp_path / "t.mcap")
         assert trace.event_count == 1
-        assert "still being recorded; these are the events up to now" in trace.notes
+        assert any("still being recorded" in note for note in trace.notes)
     finally:
         sink.close()
     assert read_trace(tmp_path / "t.mcap").notes == ()

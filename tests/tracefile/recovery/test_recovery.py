@@ -68,7 +68,7 @@ def boundaries(path: Path) -> list[int]:
     return found
 
 
-def test_trace_and_ring_become_a_closed_trace(tmp_path):
+def test_trace_and_ring_become_a_closed_trace(tmp_path, sentences):
     trace = killed(tmp_path)
     file_bytes, ring_bytes = trace.read_bytes(), ring_path(trace).read_bytes()
     report = recover(trace)
@@ -91,7 +91,7 @@ def test_trace_and_ring_become_a_closed_trace(tmp_path):
         reader = make_reader(stream, validate_crcs=True)
         assert reader.get_summary().statistics.message_count == EVENTS + TEXTS + 1
         assert len(list(reader.iter_messages())) == EVENTS + TEXTS + 1
-    assert "150 events in the file, 30 more in the ring" in report.lines()
+    sentences(*(line.replace(str(tmp_path), "FOLDER") for line in report.lines()))
 
 
 def test_the_killed_pair_is_still_a_trace(tmp_path):

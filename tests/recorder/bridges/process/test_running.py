@@ -113,11 +113,11 @@ def test_program_that_dies_mid_run_keeps_its_last_words(stand_in):
     assert described["programs"][0]["log_tail"].endswith("stand-in lost its way")
 
 
-def test_program_that_is_killed_says_the_signal(stand_in):
+def test_program_that_is_killed_says_the_signal(stand_in, sentences):
     with stand_in("serves") as bridge:
         os.kill(bridge.processes["bridge"], signal.SIGKILL)
         wait_until(lambda: bridge.failure is not None)
-        assert bridge.failure == "the bridge stand-in was killed by signal 9 (SIGKILL)"
+        sentences(bridge.failure)
 
 
 def test_log_of_a_flooding_program_is_bounded_on_disk_and_in_the_trace(stand_in):

@@ -190,9 +190,9 @@ def test_missing_file_is_a_clear_error(tmp_path):
 def test_digest_changes_with_the_settings_and_not_with_more_cells():
     plan = parse(RUN)
     assert parse(RUN + "[axes]\nrate = [1, 2]\n").digest == plan.digest
-    assert parse("[run]\nmessages = 10\nattempts = 5\n").digest == plan.digest
+    assert parse(f"{RUN}attempts = 5\n").digest == plan.digest
     assert parse("[run]\nmessages = 11\n").digest != plan.digest
-    assert parse("[run]\nmessages = 10\nwire = true\n").digest != plan.digest
+    assert parse(f"{RUN}wire = true\n").digest != plan.digest
     assert parse(RUN + "[link]\npreset = '5g'\n").digest != plan.digest
 
 

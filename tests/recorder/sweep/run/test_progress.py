@@ -21,17 +21,12 @@ def console(*, terminal):
     return Console(file=io.StringIO(), force_terminal=terminal, width=120, _environ={"TERM": "xterm"})
 
 
-def test_plain_lines_for_a_log():
+def test_plain_lines_for_a_log(sentences):
     there = console(terminal=False)
     progress = make_progress(there)
     assert type(progress) is PlainProgress
     tell(progress)
-    assert there.file.getvalue().splitlines() == [
-        "1 of 3 recordings are there already",
-        "relay: ros2",
-        "[2/3] a_10Hz: RTT p50 0.92 p99 2.10 ms, 50/50 messages",
-        "[2/3] b_10Hz: failed: [bold]no echo[/bold]",
-    ]
+    sentences(*there.file.getvalue().splitlines())
 
 
 def test_bar_on_a_terminal_shows_the_time_left_and_the_last_percentiles():
@@ -42,7 +37,7 @@ def test_bar_on_a_terminal_shows_the_time_left_and_the_last_percentiles():
     task = progress._progress.tasks[0]
     assert (task.completed, task.total) == (2, 3)
     assert task.fields["left"] == "1 min 01 s left"
-    assert "[2/3] a_10Hz: RTT p50 0.92 p99 2.10 ms" in there.file.getvalue()
+    assert "a_10Hz: RTT p50 0.92 p99 2.10" in there.file.getvalue()
 
 
 def test_number_of_cells_may_be_unknown():

@@ -27,7 +27,7 @@ def write(path, messages=TIMELINE, *, dropped=0, **fields):
     return write_trace(path, ping_session(dropped_events=dropped), [described], events)
 
 
-def test_numbers_of_a_run_by_hand(tmp_path):
+def test_numbers_of_a_run_by_hand(tmp_path, sentences):
     result = read_result(write(tmp_path / "a.mcap", dropped=2))
     assert (result.planned, result.published, result.received) == (4, 4, 3)
     assert result.sent_bytes == 5 * 33_000
@@ -37,7 +37,7 @@ def test_numbers_of_a_run_by_hand(tmp_path):
     assert result.achieved_rate_hz == 100.0  # 4 messages over 30 ms
     assert result.dropped_events == 2
     assert not result.cut_off
-    assert str(result) == "RTT p50 2.00 p99 2.98 ms, 3/4 messages, 25 % lost"
+    sentences(str(result))
 
 
 def test_what_was_not_applied_is_in_the_cells_line(tmp_path):
@@ -49,10 +49,10 @@ def test_what_was_not_applied_is_in_the_cells_line(tmp_path):
     assert str(result).endswith(f"; not applied: {words}")
 
 
-def test_run_that_was_ended_early(tmp_path):
+def test_run_that_was_ended_early(tmp_path, sentences):
     result = read_result(write(tmp_path / "a.mcap", TIMELINE[:3], published=3))
     assert result.cut_off
-    assert str(result).endswith("2/2 messages, cut off after 2 of 4")
+    sentences(str(result))
 
 
 def test_run_without_any_reply(tmp_path):

@@ -268,17 +268,13 @@ def test_local_relay_writes_into_the_folder_and_leaves_nothing_when_discarded(tm
     assert list((tmp_path / "parts").iterdir()) == []
 
 
-def test_printed_relay_is_a_command_line_for_a_person():
+def test_printed_relay_is_a_command_line_for_a_person(sentences):
     lines = []
     device = PrintedDevice(lines.append)
     device.start(["--role", "relay", "--device", "the robot"], "1-17-1.mcap").stop()
     device.start(["--role", "relay"], "2-17-1.mcap")
     device.start_half(["zenoh-bridge-dds", "--half", "relay"], "2-17-1.mcap")
-    assert lines == [
-        "start on the other device: DDS_TRACE_CONFIG= dds-record --role relay --device 'the robot' --out relay-1.mcap",
-        "end the relay there (Ctrl-C), then start: DDS_TRACE_CONFIG= dds-record --role relay --out relay-2.mcap",
-        "and next to it: dds-bridge zenoh-bridge-dds --half relay",
-    ]
+    sentences(*lines)
     assert device.keeps_traces
 
 
@@ -294,12 +290,14 @@ def test_a_rehearsal_over_ssh_starts_the_relay_there_and_leaves_nothing(remote, 
     device.check()
     assert device.rehearse(["--role", "relay", "--label", "two words"]) is None
     asked = (tmp_path / "home/asked").read_text()
-    assert asked.startswith("--role relay --label two words --out dds-trace-rehearsal-")
-    assert asked.endswith(".mcap --check\n")
+    *given, out, check = asked.split()
+    assert (given, check) == (["--role", "relay", "--label", "two", "words", "--out"], "--check")
+    assert out.startswith("dds-trace-rehearsal-")
+    assert out.endswith(".mcap")
     assert not there(tmp_path).exists()
     assert list((tmp_path / "parts").iterdir()) == []
 
 
 def test_a_rehearsal_over_ssh_gives_the_devices_own_reason(remote):
     reason = remote(record=CHECKED).rehearse(["--role", "relay", "--tuned"])
-    assert "dds-record: --tuned is not for this backend" in reason
+    assert "dds-record: --tuned is not" in reason

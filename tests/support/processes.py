@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from waiting import PATIENCE_S, wait_until
 from warm_start import MODULES, WarmProcess
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-PATIENCE_S = 150.0
-"""No test is about time; this only ends one that hangs."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +132,11 @@ def relay(domain_id: int, out: Path, *more: object) -> Iterator[RunningCommand]:
     with running("dds-record", "--role", "relay", "--domain", domain_id, "--out", out, *more) as command:
         command.wait_for_line("serves domain")
         yield command
+
+
+def wait_for_chunks(path: Path) -> None:
+    """Wait until messages are in the file: the run goes on."""
+    wait_until(lambda: path.exists() and path.stat().st_size >= 4000)
 
 
 def ping(domain_id: int, out: Path, *more: object) -> Finished:

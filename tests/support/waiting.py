@@ -11,10 +11,20 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-def wait_until(condition: Callable[[], T], timeout_s: float = 30.0, step_s: float = 0.02) -> T:
+PATIENCE_S = 150.0
+"""No test is about time; this only ends one that hangs."""
+
+
+def wait_until(
+    condition: Callable[[], T],
+    timeout_s: float = PATIENCE_S,
+    step_s: float = 0.02,
+    meanwhile: Callable[[], object] = lambda: None,
+) -> T:
     """Return what a condition says once that is true; fail if it never is."""
     deadline = time.monotonic() + timeout_s
     while not (found := condition()):
         assert time.monotonic() < deadline, "did not happen in time"
+        meanwhile()
         time.sleep(step_s)
     return found

@@ -6,27 +6,18 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from importlib.util import find_spec
 from pathlib import Path
 
 import psutil
 import pytest
-from processes import PATIENCE_S, ping, relay, running
+from processes import PATIENCE_S, ping, relay, running, wait_for_chunks
 from record_reader import events_of, last_json
 
 pytestmark = pytest.mark.middleware
 
 LONG = ("--data", "imu", "--messages", 100_000, "--warmup", 0, "--rate", 50)
 SOCKET = ("--backend", "socket", "--discovery", "localhost")
-
-
-def wait_for_chunks(path):
-    """Wait until messages are in the file: the run goes on."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not path.exists() or path.stat().st_size < 4000:
-        assert time.monotonic() < deadline, f"nothing came into {path}"
-        time.sleep(0.05)
 
 
 @pytest.mark.skipif(find_spec("rclpy") is None, reason="no ROS 2 here")

@@ -9,10 +9,12 @@ import os
 import random
 import signal
 import time
+from functools import partial
 from importlib.util import find_spec
 
 import pytest
-from processes import PATIENCE_S, relay, running
+from processes import relay, running
+from waiting import wait_until
 
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.ring import events_by_stage, read_ring, ring_path
@@ -57,15 +59,9 @@ def start_relay(domain_id, out, backend):
     return relay(domain_id, out, "--backend", backend, "--discovery", "localhost")
 
 
-def wait_for_run(out):
-    """Wait until a first reply has come back to the ping."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not has_reply(ring_path(out)):
-        assert time.monotonic() < deadline, f"no reply came into {out}"
-        time.sleep(0.01)
-
-
-def has_reply(ring):
+def has_reply(out):
+    """Whether a first reply has come back to the ping."""
+    ring = ring_path(out)
     contents = read_ring(ring, 0) if ring.exists() else None
     return contents is not None and Stage.T2 in dict(events_by_stage(contents.slots))
 
@@ -83,7 +79,7 @@ def test_killed_pings_leave_no_t3_without_t1(domain_id, tmp_path, backend, load)
         for number in range(EACH):
             outs.append(tmp_path / f"ping{number}.mcap")
             with start_ping(domain_id, outs[-1], backend, load) as command:
-                wait_for_run(outs[-1])
+                wait_until(lambda: has_reply(outs[-1]))
                 time.sleep(moment.random() * LONGEST_S)
                 command.send_signal(signal.SIGKILL)
                 assert command.finish().status == -signal.SIGKILL
@@ -99,7 +95,7 @@ def test_killed_relays_leave_no_t2_without_t3_and_t4(domain_id, tmp_path, backen
     for number in range(EACH):
         out, other_out = tmp_path / f"ping{number}.mcap", tmp_path / f"relay{number}.mcap"
         with start_relay(domain_id, other_out, backend) as other, start_ping(domain_id, out, backend, load) as command:
-            wait_for_run(out)
+            wait_until(partial(has_reply, out))
             time.sleep(moment.random() * LONGEST_S)
             other.send_signal(signal.SIGKILL)
             assert other.finish().status == -signal.SIGKILL

@@ -8,14 +8,13 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
 from event_cdr import unpack_event
 from mcap.reader import make_reader
-from processes import PATIENCE_S, counts_in, ping, relay, run, running
+from processes import PATIENCE_S, counts_in, ping, relay, run, running, wait_for_chunks
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
 pytestmark = pytest.mark.middleware
@@ -145,11 +144,7 @@ def test_a_signal_closes_the_trace(domain_id, tmp_path, number):
             *("dds-record", "--role", "ping", "--domain", domain_id, "--out", out),
             *("--data", "imu", "--messages", 100_000, "--rate", 100, "--history", "keep_all"),
         ) as command:
-            deadline = time.monotonic() + PATIENCE_S
-            # Some chunks are in the file: the run goes on.
-            while not out.exists() or out.stat().st_size < 4000:
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
+            wait_for_chunks(out)
             command.send_signal(number)
             done = command.stop(number)  # however often it comes
         assert done.status == 0, done.stderr

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import signal
-import time
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import pytest
-from processes import PATIENCE_S, relay, running
+from processes import relay, running
+from waiting import wait_until
 
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.recorder.host.sampling import HostSampler
@@ -69,10 +69,8 @@ def test_a_stopped_ping_is_a_finding_with_lateness_and_what_the_host_tells(domai
 
 def _wait_for_samples(path: Path, more: int) -> None:
     """Wait until the recorder of a trace has taken so many more samples of its host, one a second."""
-    enough, deadline = _samples(path) + more, time.monotonic() + PATIENCE_S
-    while _samples(path) < enough:
-        assert time.monotonic() < deadline, f"{path} has {_samples(path)} of {enough} samples"
-        time.sleep(0.05)
+    enough = _samples(path) + more
+    wait_until(lambda: _samples(path) >= enough, step_s=0.05)
 
 
 def _samples(path: Path) -> int:

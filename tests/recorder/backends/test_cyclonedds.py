@@ -8,6 +8,7 @@ import time
 import pytest
 from backend_pairs import all_data_types
 from processes import PATIENCE_S, ping, relay
+from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import cyclonedds, open_node
@@ -82,17 +83,12 @@ def test_all_that_waits_is_handed_on_in_its_order_and_each_to_its_reader(domain_
             there.create_subscription(topic, IMU.type_name, lambda message, *_, kept=kept: kept.append(bytes(message)))
         there.create_subscription("closed", IMU.type_name, pytest.fail).close()
         publishers = [here.create_publisher(topic, IMU.type_name) for topic in (*got, "closed")]
-        deadline = time.monotonic() + PATIENCE_S
-        while any(len(here.look_at(topic).subscriptions) < 1 for topic in got):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_until(lambda: all(here.look_at(topic).subscriptions for topic in got))
         for message in messages:
             for publisher in publishers:
                 publisher.publish(message)
         there.start()
-        while any(len(kept) < len(messages) for kept in got.values()):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_until(lambda: all(len(kept) >= len(messages) for kept in got.values()))
         assert there.error is None
     assert got == {topic: [bytes(message) for message in messages] for topic in got}
 
@@ -104,10 +100,7 @@ def test_quality_of_service_that_never_matches_is_seen(domain_id, sentences):
     ):
         one.create_publisher(IMU.topic, IMU.type_name, qos=Qos(reliability="best_effort"))
         two.create_subscription(IMU.topic, IMU.type_name, lambda *_: None, qos=Qos(durability="transient_local"))
-        deadline = time.monotonic() + PATIENCE_S
-        while not (one.look_at(IMU.topic).incompatible and two.look_at(IMU.topic).incompatible):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        wait_until(lambda: one.look_at(IMU.topic).incompatible and two.look_at(IMU.topic).incompatible)
         (line,) = one.look_at(IMU.topic).incompatible
         sentences(line)
         assert one.count_participants() == 2
@@ -152,10 +145,7 @@ def test_a_message_older_than_its_lifespan_is_not_delivered(domain_id):
         time.sleep(0.2)
         two.create_subscription(IMU.topic, IMU.type_name, receive)
         two.start()
-        deadline = time.monotonic() + PATIENCE_S
-        while not some.wait(0.05):
-            assert time.monotonic() < deadline
-            publisher.publish(new)
+        wait_until(some.is_set, meanwhile=lambda: publisher.publish(new))
         assert set(got) == {bytes(new)}
         assert one.look_at(IMU.topic).publishers[0].qos.extra == {"lifespan_ns": 100_000_000}
 
@@ -178,12 +168,9 @@ def test_a_peer_of_an_unassignable_type_is_seen(domain_id, monkeypatch, sentence
             with open_node("cyclonedds", options(domain_id, name="two")) as two:
                 two.create_subscription("imu_data", IMU.type_name, lambda *_: None)
                 two.create_publisher("imu_data_relay", IMU.type_name)
-                deadline = time.monotonic() + PATIENCE_S
-                there, back = one.look_at("imu_data"), one.look_at("imu_data_relay")
-                while not (there.unassignable and back.unassignable):
-                    assert time.monotonic() < deadline
-                    time.sleep(0.05)
-                    there, back = one.look_at("imu_data"), one.look_at("imu_data_relay")
+                topics = ("imu_data", "imu_data_relay")
+                wait_until(lambda: all(one.look_at(topic).unassignable for topic in topics))
+                there, back = map(one.look_at, topics)
         finally:
             cyclonedds._message_type.cache_clear()
     sentences(*there.unassignable, *back.unassignable)

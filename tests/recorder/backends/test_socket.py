@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from backend_pairs import all_data_types, events
 from processes import PATIENCE_S, ping, relay
+from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
@@ -50,10 +51,7 @@ def pair(domain_id, receive, **more):
         publisher = here.create_publisher(BINARY.topic, BINARY.type_name)
         there.start()
         here.start()
-        deadline = time.monotonic() + PATIENCE_S
-        while "relay" not in [each.node_name for each in here.look_at(BINARY.topic).subscriptions]:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_until(lambda: "relay" in [each.node_name for each in here.look_at(BINARY.topic).subscriptions])
         yield here, there, publisher
 
 
@@ -169,10 +167,7 @@ def test_a_relay_that_ends_and_comes_again_is_found_again(domain_id):
             with open_node("socket", options(domain_id, name="relay", listens=True)) as there:
                 there.create_subscription(BINARY.topic, BINARY.type_name, lambda *_, some=some: some.set())
                 there.start()
-                deadline = time.monotonic() + PATIENCE_S
-                while not some.wait(0.05):
-                    assert time.monotonic() < deadline
-                    publisher.publish(b"x")
+                wait_until(some.is_set, meanwhile=lambda: publisher.publish(b"x"))
         assert here.error is None
 
 
@@ -215,13 +210,6 @@ def connect(domain_id, *sent):
     return stranger
 
 
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 SUBSCRIBED = greeting(subscriptions={BINARY.relay_topic: BINARY.type_name})
 
 
@@ -243,7 +231,7 @@ def test_a_frame_that_is_none_ends_its_connection_and_nothing_else(domain_id, se
     with pair(domain_id, lambda *_: got.set()) as (_, there, publisher):
         strangers = [connect(domain_id, *sent[at : at + 2]) for at in range(0, len(sent), 2)]
         before = memory_bytes()
-        wait_for(lambda: there.strangers.counts.get(kind))
+        wait_until(lambda: there.strangers.counts.get(kind))
         publisher.publish(b"x")
         assert got.wait(PATIENCE_S)
         assert there.error is None
@@ -261,14 +249,14 @@ def test_idle_connections_are_bounded_and_keep_nobody_out(domain_id):
     got = threading.Event()
     with pair(domain_id, lambda *_: got.set()) as (_, there, publisher):
         strangers = [connect(domain_id) for _ in range(3 * MAX_PEERS)]
-        wait_for(lambda: there.strangers.counts.get(CROWD, 0) >= 2 * MAX_PEERS)
+        wait_until(lambda: there.strangers.counts.get(CROWD, 0) >= 2 * MAX_PEERS)
         assert there.count_participants() <= 1 + MAX_PEERS
         assert threading.active_count() < MAX_PEERS + 20
         publisher.publish(b"x")
         assert got.wait(PATIENCE_S)
         with open_node("socket", options(domain_id, name="late")) as late:
             late.start()
-            wait_for(lambda: late.look_at(BINARY.topic).subscriptions)
+            wait_until(lambda: late.look_at(BINARY.topic).subscriptions)
         for stranger in strangers:
             stranger.close()
 
@@ -276,7 +264,7 @@ def test_idle_connections_are_bounded_and_keep_nobody_out(domain_id):
 def test_a_connection_without_a_greeting_is_ended(domain_id, monkeypatch):
     monkeypatch.setattr(tcp, "HALF_OPEN_S", 0.2)
     with pair(domain_id, lambda *_: None) as (_, there, _publisher), connect(domain_id, b"\1") as stranger:
-        wait_for(lambda: there.strangers.counts.get(HALF_OPEN))
+        wait_until(lambda: there.strangers.counts.get(HALF_OPEN))
         while stranger.recv(4096):
             pass
 
@@ -290,12 +278,12 @@ def test_a_subscriber_that_reads_nothing_is_dropped(domain_id, sends):
         replies = there.create_publisher(BINARY.relay_topic, BINARY.type_name)
         sent = [frame(b"x", b"y")] if sends else []
         with connect(domain_id, frame(b"", SUBSCRIBED), *sent):
-            wait_for(lambda: len(there.look_at(BINARY.relay_topic).subscriptions) == 2)
+            wait_until(lambda: len(there.look_at(BINARY.relay_topic).subscriptions) == 2)
             began_s = time.monotonic()
             for _ in range(100):
                 replies.publish(bytes(500_000))
             took_s = time.monotonic() - began_s
-        wait_for(lambda: len(got) == 100)
+        wait_until(lambda: len(got) == 100)
         assert took_s < (5 if sends else 2)
         assert there.strangers.counts == {SLOW: 1}
 
@@ -346,14 +334,14 @@ def test_addresses_are_bounded(domain_id, udp_relay):
         cookie = stranger.recv(1000)[len(UDP_HEAD) :].removeprefix(b"cookie ").decode()
         returned = {**json.loads(SUBSCRIBED), "cookie": cookie}
         stranger.sendto(UDP_HEAD + json.dumps(returned).encode(), ("127.0.0.1", port))
-    wait_for(lambda: udp_relay.strangers.counts.get(CROWD) == 10)
+    wait_until(lambda: udp_relay.strangers.counts.get(CROWD) == 10)
     assert udp_relay.count_participants() == 1 + MAX_PEERS
     for index in range(100):  # of a message that is never whole
         head = struct.pack("<IHHH", index, 7, MAX_FRAGMENTS, 1)
         strangers[0].sendto(head + b"a" + bytes(1000), ("127.0.0.1", port))
-    wait_for(lambda: udp_relay._links._unfinished_bytes == 8 * 1000)
+    wait_until(lambda: udp_relay._links._unfinished_bytes == 8 * 1000)
     strangers[0].sendto(struct.pack("<IHHH", 1, 0, 65_535, 1) + b"a", ("127.0.0.1", port))
-    wait_for(lambda: udp_relay.strangers.counts.get(MALFORMED))
+    wait_until(lambda: udp_relay.strangers.counts.get(MALFORMED))
     assert udp_relay.error is None
     for stranger in strangers:
         stranger.close()
@@ -417,10 +405,7 @@ def test_frames_of_unlike_sizes_and_topics_follow_each_other(domain_id):
     with pair(domain_id, receive_one) as (here, there, publisher):
         there.create_subscription(IMU.topic, IMU.type_name, receive_one)
         other = here.create_publisher(IMU.topic, IMU.type_name)
-        deadline = time.monotonic() + PATIENCE_S
-        while len(here.look_at(IMU.topic).subscriptions) < 1:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_until(lambda: here.look_at(IMU.topic).subscriptions)
         sent = [bytes([number % 256]) * size for number, size in enumerate(sizes)]
         for number, data in enumerate(sent):
             (other if number % 5 == 0 else publisher).publish(data)
@@ -444,10 +429,7 @@ def test_several_connections_call_back_one_at_a_time(domain_id):
     with pair(domain_id, receive) as (_, there, publisher), open_node("socket", options(domain_id)) as third:
         second = third.create_publisher(BINARY.topic, BINARY.type_name)
         third.start()
-        deadline = time.monotonic() + PATIENCE_S
-        while there.count_participants() < 3 or not third.look_at(BINARY.topic).subscriptions:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_until(lambda: there.count_participants() >= 3 and third.look_at(BINARY.topic).subscriptions)
         senders = [
             threading.Thread(target=lambda by=by: [by.publish(b"x") for _ in range(300)]) for by in (publisher, second)
         ]

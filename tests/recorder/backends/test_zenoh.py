@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import threading
-import time
 
 import pytest
 from backend_pairs import all_data_types
-from processes import PATIENCE_S
+from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import open_node
@@ -54,10 +53,7 @@ def test_a_ping_may_be_there_first_and_a_relay_may_come_again(domain_id):
             with open_node("zenoh", options(domain_id, name="relay", listens=True)) as there:
                 there.create_subscription(BINARY.topic, BINARY.type_name, receive)
                 there.start()
-                deadline = time.monotonic() + PATIENCE_S
-                while not some.wait(0.1):
-                    assert time.monotonic() < deadline
-                    publisher.publish(data)
+                wait_until(some.is_set, step_s=0.1, meanwhile=lambda: publisher.publish(data))
                 assert got[0] == data
                 view = here.look_at(BINARY.topic)
                 assert [each.node_name for each in view.publishers] == ["ping"]
@@ -81,11 +77,10 @@ def test_domains_stay_apart_even_at_one_address(domains):
         there.start()
         strange = stranger.create_publisher(IMU.topic, IMU.type_name)
         ours = here.create_publisher(IMU.topic, IMU.type_name)
-        deadline = time.monotonic() + PATIENCE_S
-        while not got.wait(0.05) or stranger.count_participants() < 2:
-            assert time.monotonic() < deadline
-            strange.publish(b"strange")
-            ours.publish(b"ours")
+        wait_until(
+            lambda: got.is_set() and stranger.count_participants() >= 2,
+            meanwhile=lambda: (strange.publish(b"strange"), ours.publish(b"ours")),
+        )
         assert stranger.look_at(IMU.topic).subscriptions == ()
     assert seen == {b"ours"}
 

@@ -21,6 +21,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from trace_files import WALL_ANCHOR_NS, ping_session, run
+from waiting import wait_until
 
 from dds_trace.base.errors import OutputExistsError
 from dds_trace.base.version import __version__
@@ -78,12 +79,6 @@ def texts(path: Path, topic: str) -> list[str]:
         for found, message in messages(path)
         if found == topic
     ]
-
-
-def wait_until(is_so) -> None:
-    """Within the test's own time limit."""
-    while not is_so():
-        time.sleep(0.001)
 
 
 def test_a_trace_is_what_the_format_says(tmp_path):

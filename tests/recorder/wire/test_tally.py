@@ -39,6 +39,11 @@ ETHERNET_TO_RTPS = 14 + 20 + 8 + 20
 DOMAIN = PortRange(7400, 7649)
 
 
+@pytest.fixture
+def tally():
+    return WireTally()
+
+
 def add(tally, frames, times_ns=None, *, packet_type=OUTGOING, is_loopback=False, captured=None):
     batch = frame_batch(frames, times_ns, captured, packet_type)
     tally.add(batch, "link0", is_loopback=is_loopback, wall_to_monotonic_ns=1000)
@@ -56,15 +61,13 @@ def message(sequence, run_id=RUN, relay_id=0, number=None):
     return data(sequence if number is None else number, stamped(run_id, sequence, relay_id))
 
 
-def test_a_packet_of_one_class_has_all_its_headers():
-    tally = WireTally()
+def test_a_packet_of_one_class_has_all_its_headers(tally):
     frame = ipv4(udp(rtps(info_ts(), message(1))))
     add(tally, [frame])
     assert counted(tally) == {(WireClass.DATA, Direction.SENT): (1, len(frame), 1, 0)}
 
 
-def test_of_a_packet_of_two_classes_the_second_has_its_own_bytes_alone():
-    tally = WireTally()
+def test_of_a_packet_of_two_classes_the_second_has_its_own_bytes_alone(tally):
     frame = ipv4(udp(rtps(info_ts(), message(1), heartbeat(1, 1))))
     add(tally, [frame])
     assert counted(tally) == {
@@ -90,8 +93,7 @@ def test_of_a_packet_of_two_classes_the_second_has_its_own_bytes_alone():
         (info_dst(), WireClass.RTPS_OTHER),
     ],
 )
-def test_a_packets_class(content, kind):
-    tally = WireTally()
+def test_a_packets_class(content, kind, tally):
     add(tally, [ipv4(udp(rtps(content)))])
     assert [found for found, _ in counted(tally)] == [kind]
 
@@ -107,14 +109,12 @@ def test_directions():
         assert list(counted(tally)) == [(WireClass.DATA, direction)]
 
 
-def test_frames_that_are_for_others_do_not_count():
-    tally = WireTally()
+def test_frames_that_are_for_others_do_not_count(tally):
     add(tally, [ipv4(udp(rtps(message(1))))], packet_type=3)
     assert counted(tally) == {}
 
 
-def test_a_repeated_message():
-    tally = WireTally()
+def test_a_repeated_message(tally):
     frame = ipv4(udp(rtps(message(1, number=77))))
     add(tally, [frame, frame, frame], [50, 250, 900])
     assert counted(tally) == {
@@ -125,15 +125,13 @@ def test_a_repeated_message():
     assert row.tolist() == (RUN, 1, 0, Direction.SENT, 1, 2, 2, 64, 1050, 1900, 200, 0)
 
 
-def test_a_repetition_to_one_reader_of_what_went_to_a_group():
-    tally = WireTally()
+def test_a_repetition_to_one_reader_of_what_went_to_a_group(tally):
     packet = udp(rtps(message(1)))
     add(tally, [ipv4(packet, destination=GROUP), ipv4(packet, destination=RELAY)])
     assert [kind for kind, _ in counted(tally)] == [WireClass.DATA, WireClass.DATA_AGAIN]
 
 
-def test_rows_are_of_the_run_alone_and_in_order():
-    tally = WireTally()
+def test_rows_are_of_the_run_alone_and_in_order(tally):
     packets = [message(2, number=1), message(1, number=2), message(5, run_id=1, number=3), data(4, bytes(64))]
     add(tally, [ipv4(udp(rtps(packet))) for packet in packets])
     rows = tally.take_rows(RUN)
@@ -142,8 +140,7 @@ def test_rows_are_of_the_run_alone_and_in_order():
     assert len(tally.take_rows(RUN)) == 0
 
 
-def test_a_message_in_ip_fragments_counts_all_of_them_and_all_its_headers():
-    tally = WireTally()
+def test_a_message_in_ip_fragments_counts_all_of_them_and_all_its_headers(tally):
     parts = [data_frag(1, 1, stamped(RUN, 0, more=bytes(1280)), 8000)]
     parts += [data_frag(1, number, bytes(1344), 8000) for number in range(2, 7)]
     datagram = udp(rtps(info_ts(), *parts, heartbeat(1, 1)))
@@ -159,46 +156,40 @@ def test_a_message_in_ip_fragments_counts_all_of_them_and_all_its_headers():
     assert tally.run.unseen_headers == 0
 
 
-def test_fragments_find_their_first_in_an_earlier_batch():
-    tally = WireTally()
+def test_fragments_find_their_first_in_an_earlier_batch(tally):
     frames = fragmented(udp(rtps(data(1, bytes(4000)))), 1480)
     for frame in frames:
         add(tally, [frame])
     assert counted(tally) == {(WireClass.DATA, Direction.SENT): (3, sum(map(len, frames)), 1, 3)}
 
 
-def test_a_fragment_without_its_first_is_unknown():
-    tally = WireTally()
+def test_a_fragment_without_its_first_is_unknown(tally):
     _, second, _ = fragmented(udp(rtps(data(1, bytes(4000)))), 1480)
     add(tally, [second])
     assert list(counted(tally)) == [(WireClass.FRAGMENT_UNKNOWN, Direction.SENT)]
 
 
-def test_a_header_that_was_not_captured_is_admitted():
-    tally = WireTally()
+def test_a_header_that_was_not_captured_is_admitted(tally):
     frame = ipv4(udp(rtps(data(1, bytes(1000)), heartbeat(1, 1))))
     add(tally, [frame], captured=[200])
     assert tally.run.unseen_headers == 1
     assert counted(tally) == {(WireClass.DATA, Direction.SENT): (1, len(frame), 1, 0)}
 
 
-def test_a_first_fragment_that_was_cut_short_ends_the_trail():
-    tally = WireTally()
+def test_a_first_fragment_that_was_cut_short_ends_the_trail(tally):
     frames = fragmented(udp(rtps(data(1, bytes(1000)), data(2, bytes(4000)), heartbeat(1, 1))), 1480)
     add(tally, frames, captured=[200, None, None, None])
     assert tally.run.unseen_headers == 1
     assert sum(size for _, size, _, _ in counted(tally).values()) == sum(map(len, frames))
 
 
-def test_padding_of_a_short_frame_is_no_submessage():
-    tally = WireTally()
+def test_padding_of_a_short_frame_is_no_submessage(tally):
     add(tally, [ipv4(udp(rtps(info_ts()))) + bytes(16)])
     assert list(counted(tally)) == [(WireClass.RTPS_OTHER, Direction.SENT)]
     assert tally.run.unseen_headers == 0
 
 
-def test_requests_and_the_gap_between_heartbeats_without_data():
-    tally = WireTally()
+def test_requests_and_the_gap_between_heartbeats_without_data(tally):
     packets = [heartbeat(1, 1), heartbeat(1, 2), acknack(1, 2), acknack(3), nack_frag(1), acknack(1, 2, SEDP_WRITER)]
     packets += [message(3) + heartbeat(1, 3), heartbeat(1, 3)]
     add(tally, [ipv4(udp(rtps(packet))) for packet in packets], [0, 100, 101, 102, 103, 104, 200, 400])
@@ -206,8 +197,7 @@ def test_requests_and_the_gap_between_heartbeats_without_data():
     assert tally.run.heartbeat_gap_p50_ns == (100 + 300) / 2
 
 
-def test_when_it_all_began():
-    tally = WireTally()
+def test_when_it_all_began(tally):
     announcement = data(1, bytes(50), writer=SPDP_WRITER)
     packets = [heartbeat(1, 1), announcement, message(0, run_id=0), message(0, run_id=0, relay_id=5, number=8)]
     add(tally, [ipv4(udp(rtps(packet))) for packet in packets + packets])
@@ -234,8 +224,7 @@ def test_another_domains_participants_are_left_out_with_their_fragments():
     assert tally.run.foreign_packets == 4
 
 
-def test_tcp_data_again_and_acknowledgements():
-    tally = WireTally()
+def test_tcp_data_again_and_acknowledgements(tally):
     segments = [tcp(100, bytes(50)), tcp(150, bytes(50)), tcp(100, bytes(50)), tcp(200)]
     frames = [ipv4(segment, protocol=6) for segment in segments]
     add(tally, frames, captured=[134] * 4)
@@ -247,15 +236,13 @@ def test_tcp_data_again_and_acknowledgements():
     assert tally.run.tcp_again_bytes == 50
 
 
-def test_other_udp_and_its_fragments():
-    tally = WireTally()
+def test_other_udp_and_its_fragments(tally):
     frames = fragmented(udp(bytes(3000), 7446, 7446), 1480)
     add(tally, frames)
     assert counted(tally) == {(WireClass.UDP_OTHER, Direction.SENT): (3, sum(map(len, frames)), 0, 3)}
 
 
-def test_a_run_begins_with_empty_counters_and_known_writers():
-    tally = WireTally()
+def test_a_run_begins_with_empty_counters_and_known_writers(tally):
     frame = ipv4(udp(rtps(message(1))))
     add(tally, [frame])
     tally.begin()
@@ -264,8 +251,7 @@ def test_a_run_begins_with_empty_counters_and_known_writers():
     assert list(counted(tally)) == [(WireClass.DATA_AGAIN, Direction.SENT)]
 
 
-def test_rows_of_all_runs_leave_readiness_probes_out():
-    tally = WireTally()
+def test_rows_of_all_runs_leave_readiness_probes_out(tally):
     packets = [message(0, run_id=run_id, number=run_id) for run_id in (0, 1, 2)]
     add(tally, [ipv4(udp(rtps(packet))) for packet in packets])
     assert tally.take_rows()["run_id"].tolist() == [1, 2]
@@ -286,8 +272,7 @@ def test_who_speaks_to_a_known_participant_is_of_its_domain():
     assert tally.run.foreign_packets == 2
 
 
-def test_a_submessage_of_several_fragments():
-    tally = WireTally()
+def test_a_submessage_of_several_fragments(tally):
     part = data_frag(1, 2, bytes(3000), 8000, count=3)
     add(tally, [ipv4(udp(rtps(part))), ipv4(udp(rtps(data_frag(1, 3, bytes(1000), 8000))))])
     first, again = (
@@ -297,15 +282,13 @@ def test_a_submessage_of_several_fragments():
     assert (again.submessages, again.fragments) == (1, 1)
 
 
-def test_a_missing_fragment_with_a_header_in_it_is_admitted():
-    tally = WireTally()
+def test_a_missing_fragment_with_a_header_in_it_is_admitted(tally):
     frames = fragmented(udp(rtps(data(1, bytes(2000)), data(2, bytes(2000)))), 1480)
     add(tally, [frames[0], frames[2]])
     assert (tally.run.unseen_headers, tally.unfollowed_datagrams) == (0, 1)
 
 
-def test_how_many_heartbeats_a_message_waited_for():
-    tally = WireTally()
+def test_how_many_heartbeats_a_message_waited_for(tally):
     other_writer = heartbeat(1, 1, writer=0x00002203)
     packets = [heartbeat(1, 0), message(1, number=1) + heartbeat(1, 1), other_writer, heartbeat(1, 1)]
     packets += [message(1, number=1), heartbeat(1, 1), message(1, number=1), message(2, number=2)]
@@ -313,9 +296,8 @@ def test_how_many_heartbeats_a_message_waited_for():
     assert tally.take_rows(RUN)["waited_heartbeats"].tolist() == [2, 0]
 
 
-def test_rows_are_packed_when_there_are_many(monkeypatch):
+def test_rows_are_packed_when_there_are_many(monkeypatch, tally):
     monkeypatch.setattr(tally_module, "_ROWS_TO_PACK", 2)
-    tally = WireTally()
     second_ns = 1_000_000_000
     numbers = [5, 3, 4, 1, 2]
     frames = [ipv4(udp(rtps(message(sequence, number=number)))) for number, sequence in enumerate(numbers)]

@@ -52,6 +52,11 @@ def killed(folder: Path, *, name: str = "a.mcap", ring_slots: int = LARGE_RING) 
     return folder / "left" / name
 
 
+@pytest.fixture
+def trace(tmp_path: Path) -> Path:
+    return killed(tmp_path)
+
+
 def sequences(path: Path) -> list[int]:
     events = read_trace(path).events
     assert len(events[Stage.T3]) == len(events[Stage.T4]) == 0
@@ -68,8 +73,7 @@ def boundaries(path: Path) -> list[int]:
     return found
 
 
-def test_trace_and_ring_become_a_closed_trace(tmp_path, sentences):
-    trace = killed(tmp_path)
+def test_trace_and_ring_become_a_closed_trace(trace, tmp_path, sentences):
     file_bytes, ring_bytes = trace.read_bytes(), ring_path(trace).read_bytes()
     report = recover(trace)
     assert (report.path, report.recovered) == (trace, trace)
@@ -145,8 +149,7 @@ def test_a_damaged_chunk_is_left_out_and_its_events_do_not_come_from_elsewhere(t
     assert sequences(tmp_path / "whole.mcap") == list(range(30, EVENTS))
 
 
-def test_without_its_ring_the_file_is_closed_alone(tmp_path):
-    trace = killed(tmp_path)
+def test_without_its_ring_the_file_is_closed_alone(trace):
     ring_path(trace).unlink()
     report = recover(trace)
     assert (report.file_events, report.ring_events, len(report.originals)) == (150, 0, 1)
@@ -162,17 +165,15 @@ def test_a_closed_trace_is_left_alone(tmp_path):
     assert trace.read_bytes() == before
 
 
-def test_recovering_twice_changes_nothing(tmp_path):
-    trace = killed(tmp_path)
+def test_recovering_twice_changes_nothing(trace):
     recover(trace)
     before = trace.read_bytes()
     assert recover(trace).recovered is None
     assert trace.read_bytes() == before
 
 
-def test_a_ring_left_by_a_kill_at_the_very_end_is_removed(tmp_path):
+def test_a_ring_left_by_a_kill_at_the_very_end_is_removed(trace):
     """Killed after the footer and before the ring was deleted."""
-    trace = killed(tmp_path)
     ring = ring_path(trace).read_bytes()
     recover(trace)
     ring_path(trace).write_bytes(ring)
@@ -181,8 +182,7 @@ def test_a_ring_left_by_a_kill_at_the_very_end_is_removed(tmp_path):
     assert not ring_path(trace).exists()
 
 
-def test_a_second_kill_under_the_same_name_keeps_both_originals(tmp_path):
-    trace = killed(tmp_path)
+def test_a_second_kill_under_the_same_name_keeps_both_originals(trace):
     data, ring = trace.read_bytes(), ring_path(trace).read_bytes()
     recover(trace)
     trace.write_bytes(data)
@@ -192,12 +192,11 @@ def test_a_second_kill_under_the_same_name_keeps_both_originals(tmp_path):
     assert (trace.parent / "a.mcap.killed").exists()
 
 
-def test_a_disk_without_hard_links(tmp_path, monkeypatch):
+def test_a_disk_without_hard_links(trace, monkeypatch):
     def refuse(*_):
         raise PermissionError
 
     monkeypatch.setattr("dds_trace.tracefile.recovery.recover.os.link", refuse)
-    trace = killed(tmp_path)
     data = trace.read_bytes()
     report = recover(trace)
     assert report.originals[0].read_bytes() == data
@@ -221,8 +220,7 @@ def test_a_trace_that_is_being_recorded_is_left_alone(tmp_path):
     assert sink.close().error is None
 
 
-def test_an_existing_destination_is_refused(tmp_path):
-    trace = killed(tmp_path)
+def test_an_existing_destination_is_refused(trace):
     with pytest.raises(OutputExistsError):
         recover(trace, trace)
 
@@ -235,8 +233,7 @@ def test_a_dangling_link_in_the_place_of_the_destination_is_refused_and_stays(tm
     assert link.is_symlink()
 
 
-def test_the_ring_of_another_recording_is_not_mixed_in(tmp_path):
-    trace = killed(tmp_path)
+def test_the_ring_of_another_recording_is_not_mixed_in(trace):
     write_trace(trace, ping_session(session_id=77, state="open"), truncate_at=-50)
     with pytest.raises(TraceFormatError, match="another recording"):
         recover(trace)
@@ -269,8 +266,7 @@ def test_a_file_of_another_program_is_left_alone(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["bag.mcap"]
 
 
-def test_the_ring_alone_gives_what_it_holds(tmp_path):
-    trace = killed(tmp_path)  # a large ring still holds every event
+def test_the_ring_alone_gives_what_it_holds(trace):
     trace.unlink()
     ring = ring_path(trace).read_bytes()
     report = recover(trace)
@@ -308,8 +304,7 @@ DAMAGED_HEADERS = [
 
 
 @pytest.mark.parametrize(("offset", "value", "fault", "events"), DAMAGED_HEADERS)
-def test_beside_a_damaged_ring_all_that_is_whole_is_kept(tmp_path, offset, value, fault, events):
-    trace = killed(tmp_path)
+def test_beside_a_damaged_ring_all_that_is_whole_is_kept(trace, offset, value, fault, events):
     data = bytearray(ring_path(trace).read_bytes())
     data[offset : offset + len(value)] = value
     ring_path(trace).write_bytes(data)
@@ -321,8 +316,7 @@ def test_beside_a_damaged_ring_all_that_is_whole_is_kept(tmp_path, offset, value
 
 
 @pytest.mark.parametrize("at", [*range(RING_HEADER.size), RING_HEADER.size + 20, RING_HEADER.size + 150])
-def test_a_flipped_bit_of_the_rings_header_leaves_a_trace_that_is_read(tmp_path, at):
-    trace = killed(tmp_path)
+def test_a_flipped_bit_of_the_rings_header_leaves_a_trace_that_is_read(trace, tmp_path, at):
     ring, file = ring_path(trace).read_bytes(), trace.read_bytes()
     for bit in range(8):
         data = bytearray(ring)
@@ -338,8 +332,7 @@ def test_a_flipped_bit_of_the_rings_header_leaves_a_trace_that_is_read(tmp_path,
     assert trace.read_bytes() == file
 
 
-def test_what_was_recovered_is_read_before_it_is_called_well(tmp_path, monkeypatch):
-    trace = killed(tmp_path)
+def test_what_was_recovered_is_read_before_it_is_called_well(trace, monkeypatch):
     before = [path.read_bytes() for path in (trace, ring_path(trace))]
     monkeypatch.setattr("dds_trace.tracefile.recovery.recover.read_trace_in_pieces", lambda *_: None)
     with pytest.raises(TraceFormatError, match="what was recovered cannot be read"):
@@ -349,8 +342,7 @@ def test_what_was_recovered_is_read_before_it_is_called_well(tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("slots", [0, 1, 100, EVENTS - 1, LARGE_RING - 1])
-def test_of_a_ring_that_was_cut_off_the_whole_slots_are_used(tmp_path, slots):
-    trace = killed(tmp_path)
+def test_of_a_ring_that_was_cut_off_the_whole_slots_are_used(trace, slots):
     ring = ring_path(trace)
     cut = ring.stat().st_size - LARGE_RING * 64 + slots * 64 + 40  # in the middle of a slot
     ring.write_bytes(ring.read_bytes()[:cut])
@@ -361,8 +353,7 @@ def test_of_a_ring_that_was_cut_off_the_whole_slots_are_used(tmp_path, slots):
     assert sequences(trace) == list(range(min(slots, EVENTS)))
 
 
-def test_a_damaged_ring_alone_whose_session_is_lost_is_an_error(tmp_path):
-    trace = killed(tmp_path)
+def test_a_damaged_ring_alone_whose_session_is_lost_is_an_error(trace):
     trace.unlink()
     data = bytearray(ring_path(trace).read_bytes())
     data[48:49] = b"["
@@ -387,8 +378,7 @@ NO_RINGS = {
 
 @pytest.mark.parametrize("kind", NO_RINGS)
 @pytest.mark.parametrize("is_alone", [True, False])
-def test_what_lies_in_the_place_of_a_ring_ends_in_one_line(tmp_path, kind, is_alone):
-    trace = killed(tmp_path)
+def test_what_lies_in_the_place_of_a_ring_ends_in_one_line(trace, kind, is_alone):
     ring_path(trace).unlink()
     NO_RINGS[kind](ring_path(trace))
     if is_alone:
@@ -404,8 +394,7 @@ def test_what_lies_in_the_place_of_a_ring_ends_in_one_line(tmp_path, kind, is_al
     assert os.path.lexists(ring_path(trace)) or os.path.lexists(ring_path(report.originals[0]))
 
 
-def test_a_damaged_ring_beside_a_closed_trace_is_left_alone(tmp_path):
-    trace = killed(tmp_path)
+def test_a_damaged_ring_beside_a_closed_trace_is_left_alone(trace):
     ring = ring_path(trace).read_bytes()
     recover(trace)
     ring_path(trace).write_bytes(b"NOTARING" + ring[8:-32])
@@ -433,8 +422,7 @@ SMALL_RECORD = struct.pack("<BQ", 0x80, 0)
         pytest.param(packed_chunk(bytes(1 << 20)) * 3, "unpacks to far more", id="bombs"),
     ],
 )
-def test_a_file_made_to_keep_the_recovery_busy_is_refused(tmp_path, monkeypatch, hostile, why):
-    trace = killed(tmp_path)
+def test_a_file_made_to_keep_the_recovery_busy_is_refused(trace, tmp_path, monkeypatch, hostile, why):
     whole = trace.read_bytes()
     trace.write_bytes(whole + hostile)
     assert recover(trace, tmp_path / "first.mcap").file_events > 0

@@ -109,9 +109,10 @@ def run(command: str, arguments: list[str]) -> tuple[int, str, str]:
     return int(code or 0), out.getvalue(), err.getvalue()  # type: ignore[call-overload]
 
 
-def check_told(command: str, code: int, err: str) -> None:
-    """Assert that a command ended well, or with a documented exit code and one line that says why."""
+def check_told(command: str, code: int, err: str) -> list[str]:
+    """Return the line that says why a command failed; assert that there is one and a documented exit code, or that it ended well."""
     assert code in EXIT_CODES, (code, err)
     assert "Traceback" not in err
     reasons = [line for line in err.splitlines() if line.startswith(("Error: ", f"{command.split(maxsplit=1)[0]}: "))]
     assert code in (0, 10, 20, 21, 22) or len(reasons) == 1, err
+    return [reason.encode(errors="backslashreplace").decode() for reason in reasons]

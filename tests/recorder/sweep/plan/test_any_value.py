@@ -116,43 +116,19 @@ def test_any_bytes_are_no_plan_in_one_line(tmp_path, data):
     assert refusal is None or (refusal.startswith(str(path)) and "\n" not in refusal)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[axes]\nrate = nan\n", "rate is nan; a rate in messages a second must be between 1e-06 and 1000000"),
-        ("[axes]\nrate = inf\n", "rate is inf; "),
-        (
-            "[axes]\nsize = '2GB'\n",
-            "size is 2000000000; the size of a message in bytes must be between 0 and 1073741824",
-        ),
-        (
-            "[axes]\ndepth = 0\n",
-            "depth is 0; the number of messages that keep_last keeps must be between 1 and 2147483647",
-        ),
-        ("[axes]\ndata = 'file:'\n", "--data file:: write file:PATH"),
-        ("[axes]\ndata = 'topic:'\n", "--data topic: '': write a ROS topic's name"),
-        ("[axes]\ndata = 'video'\n", "there is no data type 'video'"),
-        ("[run]\nseconds = inf\n", "seconds is inf; a length in seconds must be between 0 and 31622400"),
-        ("[run]\nsettle_seconds = -1\n", "settle_seconds is -1; a wait in seconds must be between 0 and 31622400"),
-        ("[run]\ncutoff_seconds = nan\n", "cutoff_seconds is nan; "),
-        (
-            "[run]\nmessages = 1000000000000\n",
-            "messages is 1000000000000; the number of messages must be between 0 and 100000000",
-        ),
-        (f"[run]\nmessages = 1{'0' * 400}\n", "messages is a number of about 401 digits; "),
-        (f"[run]\nmessages = 1{'0' * 5000}\n", "Exceeds the limit (4300 digits)"),
-        ("[run]\nseconds = 1e7\n[axes]\nrate = 1000\n", "a run has more than 100000000 messages"),
-        ("[run]\nmessages = 100000000\n[axes]\nrate = 1\n", "a run takes more than a year"),
-        ("[run]\ndomain = 232\n", "domain is 232; a DDS domain id must be between 0 and 231"),
-        ("[search]\nresolution = 1\n", "resolution is 1; a factor must be above 1 and at most 1000"),
-        ("[link]\ndelay_ms = nan\n", "delay_ms is nan; a time in milliseconds must be between 0 and 3600000"),
-        ("[devices.relay]\nbridge_port = 99999\n", "bridge_port is 99999; a port must be between 1 and 65535"),
-        ("name = '../x'\n", "name is '../x'; write a name: not empty, no slash"),
-        ("x = " + "[" * 100_000, "a value is nested deeper than any plan needs"),
-    ],
-)
-def test_what_is_wrong_is_named_with_what_to_write(tmp_path, text, said):
-    assert said in check_plan(tmp_path, text)
+def test_what_is_wrong_is_named_with_what_to_write(tmp_path, sentences):
+    texts = [
+        *("[axes]\nrate = nan\n", "[axes]\nrate = inf\n", "[axes]\nsize = '2GB'\n", "[axes]\ndepth = 0\n"),
+        *("[axes]\ndata = 'file:'\n", "[axes]\ndata = 'topic:'\n", "[axes]\ndata = 'video'\n"),
+        *("[run]\nseconds = inf\n", "[run]\nsettle_seconds = -1\n", "[run]\ncutoff_seconds = nan\n"),
+        *("[run]\nmessages = 1000000000000\n", f"[run]\nmessages = 1{'0' * 400}\n"),
+        "[run]\nseconds = 1e7\n[axes]\nrate = 1000\n",
+        "[run]\nmessages = 100000000\n[axes]\nrate = 1\n",
+        *("[run]\ndomain = 232\n", "[search]\nresolution = 1\n", "[link]\ndelay_ms = nan\n"),
+        *("[devices.relay]\nbridge_port = 99999\n", "name = '../x'\n", "x = " + "[" * 100_000),
+    ]
+    sentences(*(check_plan(tmp_path, text).replace(str(tmp_path), "FOLDER") for text in texts))
+    assert "Exceeds the limit (4300 digits)" in check_plan(tmp_path, f"[run]\nmessages = 1{'0' * 5000}\n")
 
 
 def test_what_is_no_plan_at_all_is_refused(tmp_path):

@@ -146,7 +146,7 @@ def test_a_find_is_one_line_and_a_documented_exit_code(surroundings, monkeypatch
     reasons = check_told(command, ended, err)
     assert ended == code, err
     if code:
-        sentences(*(line.replace(str(surroundings), "FOLDER")[:200] for line in reasons))
+        sentences(*(line.replace(str(surroundings), "FOLDER")[:500] for line in reasons))
 
 
 def run_as_process(folder, command, arguments):

@@ -91,7 +91,12 @@ def test_what_is_not_applied_is_named(asked, read_back, traffic, settings, sente
     ("asked", "read_back", "traffic"),
     [
         pytest.param(UDP, applied(sockets=(udp(7411),), memory=ZENOH), None, id="memory of another middleware"),
-        pytest.param(UDP, applied(memory=(replace(segment(), is_deleted=True),)), None, id="memory of an ended one"),
+        pytest.param(
+            UDP,
+            applied(sockets=(udp(7411),), memory=(replace(segment(), is_deleted=True),)),
+            None,
+            id="memory of an ended one",
+        ),
         pytest.param(LARGE_DATA, applied(sockets=(udp(7411), tcp()), memory=SHARED), None, id="tcp and memory"),
         pytest.param(TUNED, applied(sockets=(SENDING, LARGE), limits=LIMITS), None, id="large buffers"),
         pytest.param(

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from trace_files import Event
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.analyzer.groups.batch import Batch
 
 MESSAGES = 40
 MS = 1_000_000
@@ -107,11 +106,6 @@ def _stamped(message: Message, stage: Stage, **fields: int) -> Event:
     assert came is not None
     wall_ns = WALL_ANCHOR_NS - ping_session().monotonic_anchor_ns
     return event(message.sequence, came, source_ns=wall_ns + sent + 2, received_ns=wall_ns + came - 5, **fields)
-
-
-def payload_sizes(batch: Batch) -> list[int]:
-    """Return the payload sizes in a batch, in bytes, rising: with one for each group, which groups these are."""
-    return sorted({exchange.run.payload_bytes for exchange in batch.exchanges})
 
 
 def assert_same_results(found: Analysis, expected: Analysis) -> None:

@@ -211,13 +211,7 @@ def write_trace(
     *,
     host: Sequence[Mapping[str, Any]] = (),
     wire: Sequence[Mapping[str, Any]] = (),
-    compression: str = "zstd",
-    chunked: bool = True,
-    chunk_bytes: int = 1 << 20,
-    indexed: bool = True,
-    statistics: bool = True,
-    crcs: bool = True,
-    truncate_at: int | None = None,
+    **stored: Any,
 ) -> Path:
     """Write one trace: sessions, runs, host samples, then the events of all stages in order of their time.
 
@@ -228,13 +222,7 @@ def write_trace(
         events: events of each stage, made by `event`, `ping_events`, `relay_events`. Each stage keeps its order.
         host: JSON objects for `/dds_trace/host`, one a second from time 0 of the monotonic clock.
         wire: JSON objects for `/dds_trace/wire`, at time 0.
-        compression: `zstd`, `lz4` or `none`.
-        chunked: False writes bare messages.
-        chunk_bytes: size at which a chunk is closed.
-        indexed: False leaves out chunk index, message index and the repeated schemas and channels.
-        statistics: False leaves out the statistics record.
-        crcs: False leaves out the CRCs of chunks and summary.
-        truncate_at: keep only so many bytes (negative: cut so many off the end).
+        stored: options of `write_messages`.
     """
     sessions = [session] if isinstance(session, Session) else list(session)
     anchor = sessions[0] if sessions else ping_session()
@@ -248,17 +236,7 @@ def write_trace(
     messages = [RawMessage(topic, string_cdr(text), log_time, STRING) for topic, log_time, text in texts]
     for stage, fields in _in_time_order(events or {}):
         messages.append(RawMessage(stage.topic, pack_event(*fields), anchor.wall_ns(fields[2])))
-    return write_messages(
-        path,
-        messages,
-        compression=compression,
-        chunked=chunked,
-        chunk_bytes=chunk_bytes,
-        indexed=indexed,
-        statistics=statistics,
-        crcs=crcs,
-        truncate_at=truncate_at,
-    )
+    return write_messages(path, messages, **stored)
 
 
 @dataclass(frozen=True)
@@ -284,7 +262,19 @@ def write_messages(
     crcs: bool = True,
     truncate_at: int | None = None,
 ) -> Path:
-    """Write any messages, one after the other; the options are those of `write_trace`."""
+    """Write any messages, one after the other.
+
+    Args:
+        path: the `.mcap` file; folders above it are made.
+        messages: in the order of the file.
+        compression: `zstd`, `lz4` or `none`.
+        chunked: False writes bare messages.
+        chunk_bytes: size at which a chunk is closed.
+        indexed: False leaves out chunk index, message index and the repeated schemas and channels.
+        statistics: False leaves out the statistics record.
+        crcs: False leaves out the CRCs of chunks and summary.
+        truncate_at: keep only so many bytes (negative: cut so many off the end).
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as stream:
         writer = Writer(

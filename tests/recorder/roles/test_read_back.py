@@ -31,8 +31,12 @@ class Bench:
         return self.seen if begun is None else applied(begin=counted(lo=(0, 0)), end=counted(lo=(0, 0)))
 
 
-def test_before_it_is_read_the_session_holds_the_wish_alone(monkeypatch):
-    bench = Bench(monkeypatch)
+@pytest.fixture
+def bench(monkeypatch):
+    return Bench(monkeypatch)
+
+
+def test_before_it_is_read_the_session_holds_the_wish_alone(bench):
     bench.read_back.read_end(Traffic(1, 1, 1))  # a relay that was never asked
     assert list(bench.read_back.fields()) == ["asked"]
     assert bench.read_back.fields()["asked"]["transport"] == "udp"
@@ -90,8 +94,7 @@ def test_an_honest_run_tells_nothing(monkeypatch):
     assert fields["applied"]["end"] is None
 
 
-def test_a_difference_is_told_once_and_kept(monkeypatch):
-    bench = Bench(monkeypatch)
+def test_a_difference_is_told_once_and_kept(bench):
     bench.seen = applied(sockets=(udp(8660),), memory=(segment(),))
     bench.read_back.read_begin()
     for _ in range(2):
@@ -102,8 +105,7 @@ def test_a_difference_is_told_once_and_kept(monkeypatch):
     assert note.startswith(f"not applied: {difference['words']}")
 
 
-def test_other_words_for_the_same_setting_at_the_end_are_no_news(monkeypatch):
-    bench = Bench(monkeypatch)
+def test_other_words_for_the_same_setting_at_the_end_are_no_news(bench, monkeypatch):
     bench.seen = applied(memory=(segment(),), begin=counted(lo=(0, 0)))
     bench.read_back.read_begin()
     bench.read_back.report()
@@ -137,15 +139,13 @@ def test_strict_names_the_trace_of_a_setting_that_only_the_end_shows(monkeypatch
         bench.read_back.report(tmp_path / "ping.mcap")
 
 
-def test_the_beginning_is_read_once(monkeypatch):
-    bench = Bench(monkeypatch)
+def test_the_beginning_is_read_once(bench):
     for _ in range(3):  # three pings look for their echo one after the other
         bench.read_back.read_begin()
     assert bench.reads == 1
 
 
-def test_a_setting_may_explain_why_no_echo_comes(monkeypatch):
-    bench = Bench(monkeypatch)
+def test_a_setting_may_explain_why_no_echo_comes(bench):
     assert bench.read_back.explain(Traffic(20, 0, 33_000)) == ()
     bench.seen = applied(memory=(segment(),))
     (difference,) = bench.read_back.explain(Traffic(20, 0, 33_000))

@@ -34,9 +34,13 @@ class Bench:
         return bytes(data)
 
 
+@pytest.fixture
+def bench():
+    return Bench()
+
+
 @pytest.mark.parametrize(("name", "size"), [("binary", 145_000), ("string", 1405), ("imu", 296)])
-def test_every_data_type_is_served_at_once(name, size):
-    bench = Bench()
+def test_every_data_type_is_served_at_once(bench, name, size):
     data_type = data_types()[name]
     message = bench.message(name, 7, 3, size)
     bench.node.deliver(data_type.topic, message, 11, 12)
@@ -74,9 +78,8 @@ def test_the_next_message_of_a_run_is_foreseen(name):
     assert bench.sink.foreseen == (6 if name == "imu" else 5)
 
 
-def test_both_events_are_kept_before_the_reply_leaves():
+def test_both_events_are_kept_before_the_reply_leaves(bench):
     """A relay that is killed while it hands the reply over leaves no T2 without T3 and T4."""
-    bench = Bench()
     kept = []
     bench.node.publishers["imu_data_relay"].on_publish = lambda _: kept.extend(bench.sink.events)
     bench.node.deliver("imu_data", bench.message("imu", 7, 0))
@@ -84,16 +87,14 @@ def test_both_events_are_kept_before_the_reply_leaves():
     assert kept == bench.sink.events
 
 
-def test_probes_are_answered_and_not_recorded():
-    bench = Bench()
+def test_probes_are_answered_and_not_recorded(bench):
     bench.node.deliver("imu_data", bench.message("imu", 0, 99))
     assert len(bench.node.publishers["imu_data_relay"].sent) == 1
     assert bench.sink.events == []
     assert bench.relay.progress().relayed == 0
 
 
-def test_foreign_messages_are_counted_and_left_alone():
-    bench = Bench()
+def test_foreign_messages_are_counted_and_left_alone(bench):
     for message in (b"", b"\0\1\0\0camera", bench.message("imu", 7, 0).replace(b"dt1:", b"cam:")):
         bench.node.deliver("imu_data", message)
     assert bench.node.publishers["imu_data_relay"].sent == []
@@ -101,14 +102,12 @@ def test_foreign_messages_are_counted_and_left_alone():
     assert bench.relay.progress().foreign == 3
 
 
-def test_a_stamp_that_is_damaged_is_no_event():
-    bench = Bench()
+def test_a_stamp_that_is_damaged_is_no_event(bench):
     bench.node.deliver("imu_data", bench.message("imu", 7, 0).replace(b"dt1:0000", b"dt1:zzzz"))
     assert bench.sink.events == []
 
 
-def test_runs_of_two_pings_are_told_apart():
-    bench = Bench()
+def test_runs_of_two_pings_are_told_apart(bench):
     for run_id, sequence in ((7, 0), (8, 0), (7, 1)):
         bench.node.deliver("string_data", bench.message("string", run_id, sequence))
     progress = bench.relay.progress()
@@ -116,8 +115,7 @@ def test_runs_of_two_pings_are_told_apart():
     assert [event[1:3] for event in bench.sink.events if event[0] == 3] == [(7, 0), (8, 0), (7, 1)]
 
 
-def test_endpoints_are_taken_off_at_the_end():
-    bench = Bench()
+def test_endpoints_are_taken_off_at_the_end(bench):
     bench.relay.close()
     assert not any(each.is_open for each in bench.node.publishers.values())
     assert not any(each.is_open for each in bench.node.subscriptions.values())

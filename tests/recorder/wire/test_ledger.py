@@ -1,10 +1,17 @@
 from __future__ import annotations
 
+import pytest
+
 from dds_trace.recorder.payloads.stamp import Stamp
 from dds_trace.recorder.wire.messages import MULTICAST, Copy, SendLedger
 
 A, B = 1, 2
 S = 1_000_000_000
+
+
+@pytest.fixture
+def ledger():
+    return SendLedger()
 
 
 def whole(sequence, time_ns, destination=A):
@@ -15,27 +22,23 @@ def part(sequence, fragment, time_ns, count=1, destination=A):
     return Copy(sequence, fragment, count, destination, time_ns, 5000)
 
 
-def test_a_sample_that_goes_to_two_destinations_is_not_repeated():
-    ledger = SendLedger()
+def test_a_sample_that_goes_to_two_destinations_is_not_repeated(ledger):
     assert not ledger.note("w", whole(1, 10, A))
     assert not ledger.note("w", whole(1, 11, B))
     assert ledger.note("w", whole(1, 30, A))
 
 
-def test_what_went_to_all_is_repeated_when_it_goes_to_one():
-    ledger = SendLedger()
+def test_what_went_to_all_is_repeated_when_it_goes_to_one(ledger):
     assert not ledger.note("w", whole(1, 10, MULTICAST))
     assert ledger.note("w", whole(1, 20, A))
 
 
-def test_writers_number_their_samples_by_themselves():
-    ledger = SendLedger()
+def test_writers_number_their_samples_by_themselves(ledger):
     assert not ledger.note("w", whole(1, 10))
     assert not ledger.note("v", whole(1, 11))
 
 
-def test_a_message_is_repeated_as_often_as_its_most_repeated_fragment():
-    ledger = SendLedger()
+def test_a_message_is_repeated_as_often_as_its_most_repeated_fragment(ledger):
     stamp = Stamp(9, 4, 0)
     assert not ledger.note("w", part(1, 1, 100), stamp)
     assert not ledger.note("w", part(1, 2, 110, count=2))
@@ -49,8 +52,7 @@ def test_a_message_is_repeated_as_often_as_its_most_repeated_fragment():
     assert (sample.first_ns, sample.last_ns, sample.resent_after_ns) == (100, 800, 400 - 110)
 
 
-def test_other_runs_are_left_when_one_is_taken():
-    ledger = SendLedger()
+def test_other_runs_are_left_when_one_is_taken(ledger):
     ledger.note("w", whole(1, 10), Stamp(1, 0, 0))
     ledger.note("w", whole(2, 20), Stamp(2, 0, 0))
     ledger.note("w", whole(3, 30))
@@ -84,8 +86,7 @@ def test_of_too_many_copies_the_oldest_samples_go():
     assert list(ledger.forget(3)) == []
 
 
-def test_a_sample_that_went_out_whole_is_repeated_in_fragments():
-    ledger = SendLedger()
+def test_a_sample_that_went_out_whole_is_repeated_in_fragments(ledger):
     assert not ledger.note("w", whole(1, 10), Stamp(3, 0, 0))
     assert ledger.note("w", part(1, 1, 50))
     assert ledger.note("w", part(1, 2, 60))
@@ -95,8 +96,7 @@ def test_a_sample_that_went_out_whole_is_repeated_in_fragments():
     assert sample.resent_after_ns == 40
 
 
-def test_a_sample_that_went_out_in_fragments_is_repeated_whole():
-    ledger = SendLedger()
+def test_a_sample_that_went_out_in_fragments_is_repeated_whole(ledger):
     assert not ledger.note("w", part(1, 1, 10))
     assert not ledger.note("w", part(1, 2, 20))
     assert ledger.note("w", whole(1, 50))

@@ -114,46 +114,32 @@ def test_installed_middlewares_are_asked_for_when_the_plan_does():
     ]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("[rum]\n", r"there is no 'rum'; did you mean 'run'\?"),
-        ("[run]\nmesages = 1\n", r"\[run\]: there is no 'mesages'; did you mean 'messages'\?"),
-        (RUN + "[axes]\nsizes = 1\n", r"\[axes\]: there is no 'sizes'; did you mean 'size'\?"),
-        (RUN + "[[matrix]]\nrates = 1\n", r"\[matrix\]\]?: there is no 'rates'; did you mean 'rate'\?"),
-        (RUN + "[[exclude]]\nbrigde = 'x'\n", r"there is no 'brigde'; did you mean 'bridge'\?"),
-        (RUN + "[link]\npreset = 'wifi54'\n", r"preset is 'wifi54'; did you mean 'wifi-54'\?"),
-        (RUN + "[link]\ndelay = 1\n", r"did you mean 'delay_ms'\?"),
-        (RUN + "[link]\nloss_percent = 101\n", "loss_percent is 101; a share in percent must be between 0 and 100$"),
-        (RUN + "[link]\noutage_ms = 10\n", "an outage has both"),
-        (RUN + "[axes]\nsize = 'big'\n", r"\[axes\]: size 'big'"),
-        (RUN + "[axes]\nrate = '10'\n", r"rate is '10', not a number"),
-        (RUN + "[axes]\nrate = 0\n", "rate is 0; a rate in messages a second must be between 1e-06 and 1000000$"),
-        (RUN + "[axes]\ntuned = 1\n", "tuned is 1, not true or false"),
-        (RUN + "[axes]\nreliability = 'relaible'\n", r"did you mean 'reliable'\?"),
-        (RUN + "[axes]\ntransport = 'upd'\n", r"did you mean 'udp'\?"),
-        (RUN + "[axes]\ndepth = true\n", "depth is true, not a whole number"),
-        ("[run]\nmessages = 1\norder = 'shufled'\n", r"did you mean 'shuffled'\?"),
-        ("[run]\nmessages = 1\nseconds = 1\n", "either messages or seconds"),
-        ("[run]\nmessages = 0\n[axes]\nrate = 1\n", "either messages or seconds"),
-        ("[run]\nmessages = 1\nrepeats = 0\n", "repeats is 0; the number of repeats must be between 1 and 10000$"),
-        ("[run]\nmessages = 1\ndiscovery = 'here'\n", "choose one of localhost, subnet"),
-        ("[run]\nmessages = 1\ndomain = 5\n[axes]\nbridge = 'builtin'\n", "a bridge joins two"),
-        (RUN + "[devices.realy]\nssh = 'x'\n", r"did you mean 'relay'\?"),
-        (RUN + "[devices.ping]\nssh = 'x'\n", "the ping always runs on this machine"),
-        (RUN + "[devices.relay]\nssh = 'x'\n[network]\nnamespaces = true\n", "both devices on this machine"),
-        (RUN + "[search]\nmin_rate = 100\nmax_rate = 10\n", r"min_rate \(100\) must be below max_rate \(10\)$"),
-        (RUN + "[axes]\nrate = [1, 1]\n", "is there twice"),
-        (RUN + "[axes]\nrate = []\n", "the plan has nothing to record"),
-        ("[run\n", "plan.toml: "),
-        ("run = 1\n", "run is 1, not a table"),
-        ("matrix = [1]\n", "matrix number 1 is 1, not a table"),
-    ],
-)
-def test_wrong_key_or_value_is_named_with_the_nearest_remedy(text, message):
-    with pytest.raises(OptionError, match=message) as raised:
+def test_wrong_key_or_value_is_named_with_the_nearest_remedy(sentences):
+    texts = [
+        *("[rum]\n", "[run]\nmesages = 1\n", "run = 1\n", "matrix = [1]\n"),
+        *(RUN + "[axes]\nsizes = 1\n", RUN + "[[matrix]]\nrates = 1\n", RUN + "[[exclude]]\nbrigde = 'x'\n"),
+        *(RUN + "[link]\npreset = 'wifi54'\n", RUN + "[link]\ndelay = 1\n"),
+        *(RUN + "[link]\nloss_percent = 101\n", RUN + "[link]\noutage_ms = 10\n"),
+        *(RUN + "[axes]\nsize = 'big'\n", RUN + "[axes]\nrate = '10'\n", RUN + "[axes]\nrate = 0\n"),
+        *(RUN + "[axes]\ntuned = 1\n", RUN + "[axes]\ndepth = true\n", RUN + "[axes]\ntransport = 'upd'\n"),
+        *(RUN + "[axes]\nreliability = 'relaible'\n", RUN + '[axes]\nbridge = "bultin"\n'),
+        *(RUN + "[axes]\nrate = [1, 1]\n", RUN + "[axes]\nrate = []\n"),
+        *("[run]\nmessages = 1\norder = 'shufled'\n", "[run]\nmessages = 1\nseconds = 1\n"),
+        *("[run]\nmessages = 0\n[axes]\nrate = 1\n", "[run]\nmessages = 1\nrepeats = 0\n"),
+        "[run]\nmessages = 1\ndiscovery = 'here'\n",
+        "[run]\nmessages = 1\ndomain = 5\n[axes]\nbridge = 'builtin'\n",
+        *(RUN + "[devices.realy]\nssh = 'x'\n", RUN + "[devices.ping]\nssh = 'x'\n"),
+        RUN + "[devices.relay]\nssh = 'x'\n[network]\nnamespaces = true\n",
+        RUN + "[search]\nmin_rate = 100\nmax_rate = 10\n",
+    ]
+    sentences(*map(refusal, texts))
+    assert refusal("[run\n").startswith("plan.toml: ")
+
+
+def refusal(text):
+    with pytest.raises(OptionError, match=r"^plan\.toml") as raised:
         parse(text)
-    assert str(raised.value).startswith("plan.toml")
+    return str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -229,8 +215,6 @@ def test_examples_of_the_documentation_are_plans():
 
 
 def test_bridges_and_backends_of_a_plan_are_those_of_the_tables(monkeypatch):
-    with pytest.raises(OptionError, match=r"\[axes\]: bridge is 'bultin'; did you mean 'builtin'\?"):
-        parse(RUN + '[axes]\nbridge = "bultin"\n')
     with pytest.raises(OptionError, match=r"\[axes\]: relay_backend is 'dds'; choose one of ros2, cyclonedds"):
         parse(RUN + '[axes]\nrelay_backend = "dds"\n')
     monkeypatch.setitem(BRIDGE_MODULES, "added-later", "no_module_is_loaded_for_this")

@@ -1,11 +1,15 @@
-"""The golden file of sentences holds those of tests that exist, and no others."""
+"""Sentences that users read are in one golden file, of tests that exist; asserts hold codes, numbers and single words."""
 
 from __future__ import annotations
 
+import ast
 import json
 from pathlib import Path
 
 TESTS = Path(__file__).parent
+SENTENCE_WORDS = 7
+MOST_QUOTING = 1
+"""The changes of mutants are code."""
 
 
 def test_every_golden_sentence_has_its_test():
@@ -17,3 +21,18 @@ def test_every_golden_sentence_has_its_test():
 def _text_of(file: str) -> str:
     path = TESTS / file
     return path.read_text(encoding="utf-8") if path.is_file() else ""
+
+
+def test_asserts_quote_no_sentences():
+    quoting = [
+        f"{path.relative_to(TESTS)}:{node.lineno}"
+        for path in TESTS.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Assert) and _quotes_a_sentence(node.test)
+    ]
+    assert len(quoting) <= MOST_QUOTING, quoting
+
+
+def _quotes_a_sentence(condition: ast.expr) -> bool:
+    strings = [part.value for part in ast.walk(condition) if isinstance(part, ast.Constant)]
+    return any(isinstance(string, str) and len(string.split()) >= SENTENCE_WORDS for string in strings)

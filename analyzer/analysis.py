@@ -207,7 +207,6 @@ class Presenter(Protocol):
 
 
 PRESENTER_MODULE = "dds_trace.reports.notebook"
-"""The `Presenter`, imported at first use."""
 
 
 def _presenter() -> Presenter:

@@ -162,10 +162,6 @@ def _with_values(info: Faceted, shown: Shown) -> Faceted:
     return Faceted(info.facet, tuple(panels))
 
 
-def _part(title: str) -> str:
-    return title.rpartition(" (")[2] if title.endswith(")") and " of " in title else ""
-
-
 def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
     facet, facets, axis = info.facet, book.facets, AXES[info.facet.x]
     column_keys, row_keys = panel_keys(facet)
@@ -173,7 +169,7 @@ def _figure(book: Book, info: Faceted, shown: Shown) -> Figure:
     for panel in info.panels:
         group = panel.lines[0].groups[0]
         column_key = tuple(facets.label(key, group) for key in column_keys)
-        keys.append(((*(facets.label(key, group) for key in row_keys), _part(panel.title)), column_key))
+        keys.append(((*(facets.label(key, group) for key in row_keys), str(panel.part)), column_key))
     rows, columns = (list(dict.fromkeys(key[side] for key in keys)) for side in (0, 1))
     titles = {key: panel.title for key, panel in zip(keys, info.panels, strict=True)}
     figure = make_subplots(

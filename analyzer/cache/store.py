@@ -51,10 +51,9 @@ MOST_BYTES = 8 << 30
 """Size of the cache after an analysis, or a tenth of its disk if that is less; the least recently used entries go first."""
 
 MOST_TEXT_BYTES = 256 << 20
-"""Largest JSON of a trace; a trace with more descriptions is not cached."""
+"""Largest JSON of a trace; a larger one is not cached."""
 
 SEAL_BYTES = 64
-"""Hexadecimal digits of a seal."""
 
 _OUTDATED = ("json", "events", "table")
 _NAME = re.compile(rf"([0-9a-f]{{64}})\.(trace|details|rows|{'|'.join(_OUTDATED)})(\.[0-9a-f]{{8}}\.part)?")

@@ -48,7 +48,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _CHUNKS_PER_WORKER = 8
-"""Chunks of mapped items for each worker: few to send, none long to wait for."""
+"""Few to send, none long to wait for."""
 
 
 class Workers:

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from ..pairing.roundtrips import RoundTrips
 
 MOST_BYTES = 64 << 20
-"""Largest file of frames that is written."""
 
 _UNUSABLE = (OSError, ValueError, LookupError, TypeError, pl.exceptions.PolarsError, pa.ArrowException)
 """Errors of reading a file that is missing or has other content."""

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     """One path, or several."""
 
 OUTPUT_FOLDER = "analysis"
-"""Default folder of the results, below the analyzed folder."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -179,10 +179,8 @@ BRIDGE_MATCH_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SET
 BRIDGED_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES
 )
-"""Parameters of a row of `Details.bridge_costs`: the matched ones and the bridge."""
 
 SAME_SIDES_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.SETTINGS, KeyPart.DEVICES, KeyPart.LINK)
 """Parameters that groups with different domains and bridges have in common, message by message."""
 
 SIZE_LINE_COLUMNS = tuple(name for name in PARAMETER_NAMES if name != "payload_bytes")
-"""All parameters but the size of the message."""

@@ -33,7 +33,6 @@ _NAMES = {
     "Setting": Mapping[str, str | int | float | None],
     "Source": Source,
 }
-"""Names that the records import for type checkers only."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from ..run_statistics.runs import Values
 
 DISTRIBUTION_LEVELS = (0.0, 0.01, 0.025, *(n / 20 for n in range(1, 20)), 0.975, 0.99, 0.995, 0.999)
-"""Shares of messages at which the distributions of two sides are given."""
 
 
 @dataclass(frozen=True, slots=True)

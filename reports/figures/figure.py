@@ -122,10 +122,11 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One set of axes with its lines, at most `MOST_LINES`."""
+    """One set of axes with its lines, at most `MOST_LINES`; `part` counts panels that have the rest of them."""
 
     title: str
     lines: tuple[Line, ...]
+    part: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +165,7 @@ def facet_panels(book: Book, facet: Facet, drawn: Test = lambda _: True, least: 
         most = -(-len(made) // parts)
         for part in range(parts):
             ending = f" ({part + 1} of {parts})" if parts > 1 else ""
-            panels.append(Panel(f"{title}{ending}", tuple(made[part * most : (part + 1) * most])))
+            panels.append(Panel(f"{title}{ending}", tuple(made[part * most : (part + 1) * most]), part + 1))
     return tuple(panels)
 
 

@@ -96,6 +96,8 @@ class ComparisonInfo:
         sights: which changes the verdicts would have seen.
         unlike: columns in which sides without a common result differ.
         ignore: columns for --ignore, without which such sides can be compared.
+        notes: what makes the sides unlike or unfit.
+        rules: how to read the numbers.
     """
 
     said: str

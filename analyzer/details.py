@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .verdicts.recommend import Recommendation
 
 _BATCH_FRAMES = ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots")
-"""The other frames of batches are for findings."""
+"""Frames of batches that are details; others are for findings."""
 
 
 def collect_details(

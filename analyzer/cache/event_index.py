@@ -111,8 +111,7 @@ def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, in
 def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies, ...]]:
     """Return the events of one stage, run and relay, each once, and the copies that were left out.
 
-    Copies agree in sequence and instant: true of a copied file, of its `ros2 bag convert`, and of a copy taken before the recording
-    ended; never of two recorded events.
+    Copies agree in sequence and instant, as two recorded events never do.
     """
     if not parts:
         return EventColumns.empty(), ()

@@ -1,7 +1,7 @@
 """A Dask cluster as an `Engine`: one worker reads a trace, one worker processes a batch.
 
 Events stay with the workers that read them, and go to the worker whose batch needs them; the scheduler recomputes what
-is lost with a worker. Workers read a folder that all machines see under one path, or object storage.
+is lost with a worker.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _CHUNKS_PER_WORKER = 8
-"""Few to send, none long to wait for."""
+"""Chunks of a worker: few to send, none long to wait for."""
 
 
 class Workers:

@@ -37,8 +37,8 @@ _HALF = 2
 def short_warm_up(evidence: Evidence) -> Iterator[Observation]:
     """The first messages are not like the others.
 
-    MSER-5 proposes the warm-up. Of simulated runs without a warm-up, independent or with correlations up to 0.95, about 1 % at most are reported (6 of 500
-    with 300 messages and 0.9), and 3.1 % where one message in twenty is in a burst (`run_statistics.warm_up`).
+    MSER-5 proposes the warm-up. Of simulated runs without a warm-up, independent or with correlations up to 0.95, about
+    1 % at most are reported, and 3.1 % where one message in twenty is in a burst (`run_statistics.modes`).
     """
     warmups: dict[int, int] = defaultdict(int)
     for exchange, group in evidence.exchanges_by_group():
@@ -66,7 +66,7 @@ def rising_latency(evidence: Evidence) -> Iterator[Observation]:
     """The latency rises during a run.
 
     Of simulated runs without a trend at most 0.5 % are reported (correlations up to 0.95; 1.1 % at 0.99;
-    `run_statistics.trend`).
+    `run_statistics.modes`).
     """
     for group, shapes, runs in _results_with(evidence, "trend_ratio", pl.col("trend_ratio") > 1):
         worst = shapes.sort("trend_ratio").row(-1, named=True)

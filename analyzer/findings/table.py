@@ -1,4 +1,4 @@
-"""The findings of an analysis, worst first; a new one is a function with `@check` and a row of `CHECKS`."""
+"""The findings of an analysis, worst first."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def _remedy(row: _Row) -> str:
 
 
 HEARTBEATS_WAITED = 2
-"""Heartbeat periods after which a repeat came because of the heartbeat, not of an immediate request."""
+"""Heartbeat periods after which a repeat came because of the heartbeat, not of a request."""
 
 
 @check(

@@ -50,7 +50,7 @@ _RELAY_SOURCE, _RELAY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T3]
 _REPLY_SOURCE, _REPLY_RECEIVED = MIDDLEWARE_STAMPS[Stage.T2]
 
 _PART_COLUMNS = ("scheduled_ns", "outbound_ns", "intermediate_ns", "return_ns", "clock_bound_ns")
-"""Only messages with all of these are shown."""
+"""Parts of a response; only messages with all of them are shown."""
 
 _SIDES = 4
 """Deliveries and writes of relay and ping bound an anchor from both sides."""

@@ -1,7 +1,7 @@
 """The table of frames that are computed group by group.
 
 Frames of batches, made on one machine or many, are concatenated. So a row may depend on its own group only (in
-`CAMPAIGN_MAKERS` also on the number of exchanges). A new frame is a function and a line in one of the tables.
+`CAMPAIGN_MAKERS` also on the number of exchanges).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Rows = TypeVar("Rows")
 CAMPAIGN_MAKERS: Mapping[str, RunMaker] = {"timeline": timeline_frame}
 
 MAKERS: Mapping[str, RunMaker] = {"run_times": run_frame, "sending": sending_frame}
-"""An empty frame has its columns, too."""
+"""Makers of the frames of a batch; an empty frame has its columns, too."""
 
 RUN_DETAIL_MAKERS: Mapping[str, RunMaker] = {
     "freshness": freshness_frame,

@@ -94,7 +94,7 @@ _ALL_POINTS = 100_000
 _POINTS_OF_EXCHANGE = (200, 4_000)
 
 _POINTS_PER_STRETCH = 4
-"""Lowest, highest, the first loss, and one of another kind of loss."""
+"""Points of a stretch: lowest, highest, the first loss, one of another kind."""
 
 _MOST_NS = np.iinfo(np.int64).max
 

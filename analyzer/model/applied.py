@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
-"""Not names of interfaces."""
+"""Values of `payload_path` that are no interfaces."""
 
 _HEADERS_BYTES = 512
 """Bytes around a payload in its datagrams, at most: IP, UDP, RTPS submessages, our stamped header."""

@@ -1,7 +1,4 @@
-"""The key of a group: all parameters of an exchange.
-
-A new one is a field of `Parameters` and its value in `parameters_of`.
-"""
+"""The key of a group: all parameters of an exchange."""
 
 from __future__ import annotations
 

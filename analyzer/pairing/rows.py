@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ROUNDTRIP_NAMES = tuple(column.name for column in ROUNDTRIP_COLUMNS)
 
 MOST_ROWS_IN_MEMORY = 1_000_000
-"""Rows of some hundred bytes each."""
+"""Most rows that stay in memory, some hundred bytes each."""
 
 
 class RowStore(ABC):

@@ -44,7 +44,7 @@ def find_relay_session(
 ) -> Session | None:
     """Return the session of the relay in the traces with its events, else any with its relay_id.
 
-    Several candidates become a `Doubt`; `traces` have T3 or T4 of run and relay, the first at `first_ns`.
+    Several candidates become a `Doubt`; `traces` have T3 or T4, the first at `first_ns`.
     """
     if not traces:
         same_relay = [s for s in campaign.sessions.values() if s.role == "relay" and s.relay_id == relay_id]

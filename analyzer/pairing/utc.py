@@ -27,7 +27,7 @@ _SANE_NS = 1 << 61
 """Instants and offsets beyond (73 years) are damaged; the sum of two others fits into an int64."""
 
 _STA_UNSYNC = 0x40
-"""Nothing has synchronized the clock (adjtimex(2))."""
+"""Bit of the clock's status: nothing has synchronized it (adjtimex(2))."""
 
 
 def utc_columns(

@@ -247,7 +247,7 @@ def begins_with_stamp(definition: str) -> bool:
 
 
 _CDR_ORDER = {0: ">", 1: "<", 6: ">", 7: "<"}
-"""By the second byte of the encapsulation: plain CDR, version 1 and 2 (OMG DDS-XTypes 1.3, 7.6.3.1.2)."""
+"""Byte order by the second byte of the encapsulation: plain CDR, version 1 and 2 (OMG DDS-XTypes 1.3, 7.6.3.1.2)."""
 
 
 def _cdr_stamp(data: bytes) -> int | None:

@@ -163,7 +163,7 @@ def _correlation_of_neighbours(series: Float64) -> float:
 
 MODES_MIN_MESSAGES = 200
 LEAST_SHARE = 0.1
-"""Of the smaller mode."""
+"""Least share of the smaller mode."""
 
 DEEPEST_VALLEY = 0.5
 """Density between the modes over the lower one's."""

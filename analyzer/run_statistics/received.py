@@ -1,8 +1,8 @@
 """The received ratio of a group with its interval, and its change between two sides.
 
-The rarer of losses and replies decides. If it came in few episodes, their number is Poisson (F. Garwood, Biometrika 28, 1936); if
-in many, E. B. Wilson's interval (1927) holds for as many independent messages as the variance between the runs, or within one
-or two, implies. A change is tested by run.
+The rarer of losses and replies decides. If it came in few episodes, their number is Poisson (F. Garwood, Biometrika 28,
+1936); if in many, E. B. Wilson's interval (1927) holds for as many independent messages as the variance between the
+runs, or within one or two, implies.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ VERSION = 7
 """Another version is refused."""
 
 _FILE_NAME = re.compile(r"[a-z_]+-[0-9a-f]{8}\.(json|parquet)")
-"""No path leads out of the folder."""
+"""Names of its files: no path leads out of the folder."""
 
 _AT_ONCE_BYTES = 1 << 20
 

@@ -1,8 +1,8 @@
 """Percentiles of a sample: which ones exist, how they are computed, and how many messages each of them takes.
 
-A two-sided interval for the q-quantile by order statistics exists once the sample is unlikely to be wholly on one side of it:
-`q**n <= (1 - confidence) / 2`, and the same for `1 - q` (H. A. David and H. N. Nagaraja, "Order Statistics", 3rd ed. 2003,
-section 7.1). That is 368 independent messages for p99 and 3,688 for p99.9 at 95 %.
+A two-sided interval for the q-quantile by order statistics exists once the sample is unlikely to be wholly on one side
+of it: `q**n <= (1 - confidence) / 2`, and the same for `1 - q` (H. A. David and H. N. Nagaraja, "Order Statistics", 3rd
+ed. 2003, section 7.1).
 """
 
 from __future__ import annotations

@@ -107,8 +107,7 @@ class Comparison:
         rows: one row per matched group, metric and statistic: the match columns, then `ChangeRow`.
         delivery: likewise for each group, with `DeliveryRow`.
         distributions: likewise for each group and metric, with `DistributionRow`.
-        only_base: groups (match columns) that the new side does not have.
-        only_new: groups that the base does not have.
+        only_base: groups (match columns) that the new side does not have; `only_new` likewise.
         changes: of each row of `rows`.
         deliveries: of each row of `delivery`.
         environment: differences between the environments, a sentence each.

@@ -1,16 +1,7 @@
-"""Gates for CI: `--fail-if "latency_p99 > +10%"` against a comparison.
+"""Gates for CI: `--fail-if "latency_p99 > +10%"` against a comparison (grammar: `docs/how-to/ci.md`).
 
-    gate      = metric ws (">" | ">=" | "<" | "<=") ws limit
-    limit     = sign number "%"          change against the base, as a share of it:  latency_p99 > +10%
-              | sign number unit         change against the base:                    rtt_p50 > +2ms
-              | number unit              the new side itself:                        latency_p99_9 > 20ms
-              | number "%"               the new side itself, for ratios:            received_ratio < 99%
-              | sign number "points"     change against the base, for ratios:        received_ratio < -0.5 points
-    metric    = ("latency" | "rtt" | "response" | "intermediate") "_" statistic | "received_ratio"
-    statistic = "mean" | "p50" | "p90" | "p95" | "p99" | "p99_9"
-    unit      = "ns" | "us" | "ms" | "s"
-
-`default` means `DEFAULT_GATES`.
+A limit with a sign is a change against the base (`+10%`, `+2ms`, `-0.5 points` of a ratio), one without is the new
+side's own value (`20ms`, `99%` of a ratio).
 
 A gate fails where the whole confidence interval is beyond the limit, passes where none of it is, and is inconclusive in
 between, where a sample does not support the percentile, and where a requested setting was not applied.
@@ -116,7 +107,7 @@ def parse_gates(texts: Iterable[str]) -> list[Gate]:
 
 
 def parse_gate(text: str) -> Gate:
-    """Read a gate in the grammar of this module.
+    """Read a gate.
 
     Raises:
         OptionError: the text is not a gate.

@@ -33,7 +33,7 @@ class Job:
         deadline_ns: time within which a reply must arrive.
         reliability: share of messages that must arrive within the deadline, between 0 and 1.
         domain_mode: `same` or `different`; None accepts both.
-        metric: time that the deadline is for: `response` (planned send to reply), or another metric.
+        metric: of the deadline: `response` (planned send to reply), or another.
     """
 
     data_type: str

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 DEVICE_COLUMNS = ("ping_device", "relay_device")
 
 RELAY_COLUMNS = ("relay_vendor", "relay_backend", "relay_device", "relay_domain_id")
-"""Null without the relay's trace; then they match any value."""
+"""Columns that are null without the relay's trace, and match any value then."""
 
 SETTING = "setting"
 """Column with, among others, the relay's options that differ from the ping's, and the number of relays."""

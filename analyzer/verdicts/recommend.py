@@ -1,9 +1,9 @@
 """Recommendation: which middleware, bridge and settings meet the deadline of a job.
 
-The job is about messages, so a setting meets the deadline if the share of messages that are late (lost ones included)
-very likely is at most what the job allows, with runs as the unit (`run_statistics.late_share`). It misses it if that
-share, or the `reliability` quantile of a typical run, very likely is beyond. Otherwise it is inconclusive; with fewer
-than three runs or without a measurement it is `likely` at best. A run must have finished at the planned rate.
+A setting meets the deadline if the share of messages that are late (lost ones included) very likely is at most what the
+job allows, with runs as the unit (`run_statistics.late_share`). It misses it if that share, or the `reliability`
+quantile of a typical run, very likely is beyond. Otherwise it is inconclusive; with fewer than three runs or without a
+measurement it is `likely` at best. A run must have finished at the planned rate.
 """
 
 from __future__ import annotations
@@ -75,7 +75,6 @@ class Candidate:
         margin_ns: deadline less upper end; None if that is unknown or infinite.
         messages: published messages of the job's size and rate, 0 for a guess.
         held_out: measurements that a guess's error comes from.
-        metric: the job's metric.
         tied: whether the interval overlaps with the best candidate's on the same device pair and link, under the same
             conditions.
         reason: one sentence: why the fit is not `meets`, or what a guess rests on; empty otherwise.

@@ -95,7 +95,7 @@ VENDORS = {
     "zenoh": "Zenoh",
     "socket": "Socket",
 }
-"""In the order of a report; sessions have other labels."""
+"""Labels in the order of a report; sessions have others."""
 
 BRIDGES = {"builtin": "our built-in bridge", "builtin-zenoh": "our built-in Zenoh bridge"}
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from .recording import OwnCost, RunTime
 
 MOST_LISTED = 12
-"""Most values in one line."""
 
 
 @dataclass(frozen=True, slots=True)

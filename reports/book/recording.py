@@ -38,7 +38,7 @@ class RunTime:
     Attributes:
         group: the first one if several relays answered.
         origin_ns: planned send time of its first counted message, ping's monotonic clock.
-        last_ns: publish time of its last message, same clock.
+        last_ns: publish time of its last message, likewise.
         p50_ns: median of the latency, or of the round trip without a relay's trace.
     """
 
@@ -81,7 +81,6 @@ MOST_ROWS = 200
 """Most rows of a table; the JSON report has all of them."""
 
 FLEETING = "wifi"
-"""Part of a fingerprint that always differs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +263,7 @@ _SECTIONS = {
     "socket_buffers": "Limits of socket buffers (bytes)",
     "mtu": "MTU of interfaces (bytes)",
 }
-"""Other parts are under the machine."""
+"""Headings of parts of a fingerprint; others are under the machine."""
 _NAMES = {
     "cpu_model": "processor",
     "cpu_cores": "processors",

@@ -20,6 +20,8 @@ from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.reports.comparison.info import comparison_info
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import polars as pl
     from simulated import DrawLosses
 
@@ -81,52 +83,77 @@ EQUAL_RESULTS: tuple[tuple[str, DrawLosses | None, float, int, int], ...] = (
 )
 """Losses, their share, runs a side, messages of a run."""
 
+NUMBERS = {1: 1, 6: 2, 50: 5}
+"""Results of a comparison -> part of the samples."""
+
+
+BLOCK = 25
+"""Comparisons with one seed."""
+
+P99_GATE = parse_gates(["latency_p99 > +20%"])
+
+
+def count_equal(
+    results: int, draw: DrawLosses | None, share: float, runs: int, messages: int, number: int
+) -> tuple[int, int, int]:
+    """Compare equal results: of a block how many first sentences say slower or faster, or more is lost, and failed gates."""
+    generator = np.random.default_rng([SEED, results, runs, int(1000 * share), number])
+    said = lost = failed = 0
+    for _ in range(BLOCK):
+        sides = []
+        for _ in range(2):
+            times = draw_values(generator, results * runs, messages, 0.05)
+            if draw is not None:
+                times[draw(generator, results * runs, messages, share)] = math.inf
+            sides.append(Side(round_trips(times.reshape(results, runs, messages))))
+        comparison = compare(*sides)
+        sentence = comparison_info(comparison).said
+        said += "othing is shown to be slower" not in sentence or " faster" in sentence
+        lost += "ore is lost" in sentence
+        outcomes = (result.outcome for result in judge_gates(comparison, P99_GATE, allow_missing=True))
+        failed += GateOutcome.REGRESSED in outcomes
+    return said, lost, failed
+
 
 def results_table(samples: int) -> Table:
     """Count comparisons of equal results, through `compare` and its first sentence, that say something or fail a gate."""
-    gates = parse_gates(["latency_p99 > +20%"])
-    table = Table(
-        "comparisons",
-        (
-            "equal results",
-            "losses",
-            "runs x messages",
-            "slower or faster",
-            "more is lost",
-            "`latency_p99 > +20%` fails",
-        ),
-    )
-    for results, part in ((1, 1), (6, 2), (50, 5)):
-        comparisons = samples // part
-        for name, draw, share, runs, messages in EQUAL_RESULTS:
-            generator = np.random.default_rng([SEED, results])
-            said = lost = failed = 0
-            for _ in range(comparisons):
-                sides = []
-                for _ in range(2):
-                    times = draw_values(generator, results * runs, messages, 0.05)
-                    if draw is not None:
-                        times[draw(generator, results * runs, messages, share)] = math.inf
-                    sides.append(Side(round_trips(times.reshape(results, runs, messages))))
-                comparison = compare(*sides)
-                outcomes = judge_gates(comparison, gates, allow_missing=True)
-                sentence = comparison_info(comparison).said
-                said += "othing is shown to be slower" not in sentence or " faster" in sentence
-                lost += "ore is lost" in sentence
-                failed += any(result.outcome is GateOutcome.REGRESSED for result in outcomes)
-            where = f"{results} results, {name}"
-            table.rows.append(
-                (
-                    str(results),
-                    name,
-                    f"{runs} x {messages}",
-                    str(comparisons),
-                    table.at_most(MOST_FALSE_SENTENCES, said, comparisons, where),
-                    table.at_most(MOST_FALSE_LOSSES, lost, comparisons, f"{where}, losses"),
-                    table.at_most(MOST_FALSE_GATES, failed, comparisons, f"{where}, gate"),
-                )
-            )
+    table = Table("comparisons", COMPARISON_COLUMNS)
+    for results, part in NUMBERS.items():
+        blocks = max(1, samples // part // BLOCK)
+        for name, *design in EQUAL_RESULTS:
+            counts = [count_equal(results, *design, number) for number in range(blocks)]
+            add_comparisons(table, results, name, design[-2:], counts)
     return table
+
+
+COMPARISON_COLUMNS = (
+    "equal results",
+    "losses",
+    "runs x messages",
+    "comparisons",
+    "slower or faster",
+    "more is lost",
+    "`latency_p99 > +20%` fails",
+)
+
+
+def add_comparisons(
+    table: Table, results: int, name: str, size: Sequence[object], counts: Sequence[tuple[int, int, int]]
+) -> None:
+    """Append the row of some blocks."""
+    comparisons, where = BLOCK * len(counts), f"{results} results, {name}"
+    said, lost, failed = (sum(count) for count in zip(*counts, strict=True))
+    table.rows.append(
+        (
+            str(results),
+            name,
+            " x ".join(map(str, size)),
+            str(comparisons),
+            table.at_most(MOST_FALSE_SENTENCES, said, comparisons, where),
+            table.at_most(MOST_FALSE_LOSSES, lost, comparisons, f"{where}, losses"),
+            table.at_most(MOST_FALSE_GATES, failed, comparisons, f"{where}, gate"),
+        )
+    )
 
 
 GATES = (("p50", 0.5, 200, 1.1), ("p90", 0.9, 500, 1.1), ("p99", 0.99, 1000, 1.2))

@@ -113,6 +113,8 @@ def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comme
     job = Job(desk(repeats=1), base="main/plan.toml", new="plan.toml", inconclusive="pass", looks="2")
     done = job.run("compare")
     assert done.returncode == 0, done.stderr
+    first = done.stdout.splitlines()[0]
+    assert re.fullmatch(r"up to 2 looks, each: plan .*: 2 recordings of both sides, about \d+ s", first), first
     # Both sides grow until the gates decide.
     out = job.folder / "dds-trace"
     assert [sorted(look.name for look in (out / side).iterdir()) for side in ("base", "new")] == [["1", "2"]] * 2
@@ -164,6 +166,7 @@ def test_the_example_for_gitlab_ends_with_the_code_that_its_job_allows_and_leave
     }
     done = bash("\n".join(GITLAB["script"]), folder, variables)
     assert done.returncode in GITLAB["allow_failure"]["exit_codes"], done.stderr
+    assert done.stdout.startswith("up to 5 looks, each: plan ")
     for path in (*GITLAB["artifacts"]["paths"], GITLAB["artifacts"]["reports"]["junit"]):
         assert (folder / path).is_file()
     worktree, note = (folder / "calls.log").read_text().splitlines()

@@ -301,10 +301,11 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
         foreign = counts["relay_gaps"] if _is_whole(evidence, relay) else 0
         early = counts["early"] if share_boot(exchange.ping, relay) else counts["negative_latency"]
         if foreign or early:
+            doubts = [f"{foreign} not in the relay's trace"] * bool(foreign)
+            doubts += [f"{early} sooner than the relay can have answered"] * bool(early)
             yield Observation(
                 exchange_name(exchange),
-                f"Of {counted(counts['received'], 'reply', 'replies')} {foreign} are not in the relay's trace, and {early} came "
-                "sooner than the relay can have answered.",
+                f"Of {counted(counts['received'], 'reply', 'replies')}: {', '.join(doubts)}.",
                 (group,),
                 (foreign + early) / max(counts["received"], 1),
             )

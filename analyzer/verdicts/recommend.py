@@ -218,12 +218,12 @@ class _Measurement:
 
     def failure(self, deadline_ns: int) -> str:
         if self.is_slow:
-            return f"sent {(self.rate_share or 0) * self.rate_hz:.4g} Hz where {self.rate_hz:g} Hz were planned"
+            return f"{(self.rate_share or 0) * self.rate_hz:.4g} Hz were sent where {self.rate_hz:g} Hz were planned"
         if self.unfinished:
             return f"{counted(self.unfinished, 'run')} did not finish"
         if self.interval.value is not None and self.interval.value > deadline_ns:
             lost = 1 - (self.received_ratio or 0.0)
-            return "is later than the deadline" + (f" and loses {lost:.2%}" if lost else "")
+            return "the deadline is missed" + (f" and {lost:.2%} are lost" if lost else "")
         return ""
 
 
@@ -340,12 +340,12 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
 def _guessed(setting: Setting, measurements: Mapping[SizeAndRate, _Measurement], job: Job) -> Candidate | None:
     at = (float(job.payload_bytes), float(job.rate_hz))
     failing = [
-        f"{size:g} B at {rate:g} Hz {failure}"
+        f"at {size:g} B and {rate:g} Hz, {failure}"
         for size, rate in _neighbours(measurements, at)
         if (failure := measurements[size, rate].failure(job.deadline_ns))
     ]
     if failing:
-        reason = f"not measured, and not guessed: {'; '.join(failing)}"
+        reason = f"not measured, and no estimate: {'; '.join(failing)}"
         return Candidate(setting, Fit.INCONCLUSIVE, False, None, None, None, None, 0, 0, job.metric, reason=reason)
     values = {
         size_and_rate: value

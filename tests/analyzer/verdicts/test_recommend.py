@@ -220,7 +220,7 @@ def test_400_kb_are_not_guessed_where_502_kb_lose_60_percent():
     job = Job("binary", 400_000, 10.0, 50 * MS, 0.9)
     (candidate,) = recommend_settings(frame, job).candidates
     assert (candidate.fit, candidate.value_ns) == (Fit.INCONCLUSIVE, None)
-    assert candidate.reason.startswith("not measured, and not guessed: ")
+    assert candidate.reason.startswith("not measured, and no estimate: ")
     assert numbers(candidate.reason) == [502_000, 10, 60]
     # Without the losses it would be a guess, and a guess does not meet a deadline, however many runs it rests on.
     healthy = pl.concat(in_runs(noisy(size * 10), payload_bytes=size, rate_hz=10.0, run_id=size) for size in sizes)

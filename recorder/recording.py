@@ -20,7 +20,7 @@ from .backends.qos import warn_of_depth
 from .bridges.requested import open_requested_bridge
 from .domains import check_domain
 from .errors import BridgeError, NoEchoError, NotAppliedError, RelayLostError
-from .host.clock import SystemClock, read_adjtimex
+from .host.clock import SystemClock, measured_step_ns, read_adjtimex
 from .host.process import apply_privileges, tuned_gc
 from .host.sampling import HostSampler
 from .options import side_settings
@@ -111,6 +111,7 @@ class _Recording:
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
         self.costs: dict[str, Json] = {}
         self.correction = read_adjtimex()
+        self.clock_step_ns = measured_step_ns()
         self.environment = dict(os.environ)  # before a node adds what it needs
         self._noted_disk = False
 
@@ -241,13 +242,13 @@ class _Recording:
                 **self.costs,
                 "settings": settings,
                 **read_back.fields(),
-                "clock": {"begin": self.correction},
+                "clock": {"resolution_ns": self.clock_step_ns, "begin": self.correction},
             },
         )
 
     def _clock_at_end(self) -> JsonObject:
         """Return the session's `clock`: the kernel's correction at start and end."""
-        return {"clock": {"begin": self.correction, "end": read_adjtimex()}}
+        return {"clock": {"resolution_ns": self.clock_step_ns, "begin": self.correction, "end": read_adjtimex()}}
 
     def _note_disk(self, sink: TraceSink) -> None:
         if sink.error is not None and not self._noted_disk:
@@ -292,7 +293,7 @@ class _Recording:
         if has_echo and bridge is not None:
             bridge.mark_ready()
         # Others may need a moment more; through a bridge they are not discovered.
-        relays = len(look_for_relays(node, data_type).publishers) if bridge is None else 1
+        relays = len(look_for_relays(node, data_type).publishers) if ping.plan.bridge == "none" else 1
         if has_echo and not ping.wait_for_echo(ALL_RELAYS_S, self.stop, relays):
             self.watch.note(f"{ping.echoing_relays} of {relays} discovered relays answer")
 

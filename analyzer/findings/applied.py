@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
 
-from ..model.applied import kernel_counts, kernel_limits, may_be_cut, socket_drops, words_not_applied
+from ..model.applied import (
+    interface_bytes,
+    is_tuned,
+    kernel_counts,
+    kernel_limits,
+    may_be_cut,
+    socket_drops,
+    words_not_applied,
+)
 from ..model.finding import Severity, Subject
 from .check import check
 from .evidence import SMALLER_DATAGRAMS, Observation
@@ -38,20 +46,21 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
         yield evidence.result(group, f"What was requested is not what was measured. {listed[0].upper()}{listed[1:]}.")
 
 
-@check(
-    "udp_buffer_overflow",
-    Severity.WARNING,
-    Subject.RECORDING,
-    "Expect losses and late large messages: raise net.core.rmem_max and net.core.rmem_default, or record with --tuned.",
-)
+@check("udp_buffer_overflow", Severity.WARNING, Subject.RECORDING, "Expect losses and late large messages: {cure}.")
 def dropped_datagrams(evidence: Evidence) -> Iterator[Observation]:
     """The recording's own sockets ran out of receive buffer."""
     for session in evidence.campaign.sessions.values():
         if count := socket_drops(session):
-            yield evidence.recording(
-                session,
+            yield Observation(
+                evidence.session_name(session),
                 f"The kernel dropped {counted(count, 'datagram')} at its own sockets, whose receive buffer was full.",
+                evidence.groups_of_sessions.get(session.session_id, ()),
+                blanks={"cure": _TUNED_ALREADY if is_tuned(session) else _UNTUNED},
             )
+
+
+_UNTUNED = "raise net.core.rmem_max and net.core.rmem_default, or record with --tuned"
+_TUNED_ALREADY = "its buffers are those of --tuned already, so a lower rate or size may help"
 
 
 @check(
@@ -73,21 +82,63 @@ def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
             continue
         rises = kernel_counts(session)
         failed, late = rises.get("ReasmFails", 0), rises.get("ReasmTimeout", 0)
-        unsent = rises.get("FragFails", 0)
-        counts = []
         if failed:
-            counts.append(
-                f"{counted(failed, 'datagram')} could not be put together from IP fragments ({late} of them for a fragment that "
-                "never came)"
-            )
-        if unsent:
-            counts.append(f"{counted(unsent, 'datagram')} could not be cut into fragments")
-        if counts:
             yield Observation(
                 evidence.session_name(session),
-                f"In its network namespace, all programs together, {' and '.join(counts)}.",
+                f"In its network namespace, all programs together, {counted(failed, 'datagram')} could not be put together from "
+                f"IP fragments ({late} of them for a fragment that never came).",
                 groups,
                 blanks={"limits": _limits(session)},
+            )
+
+
+@check(
+    "fragments_lost",
+    Severity.WARNING,
+    Subject.RECORDING,
+    "The interface's queue was full: leave larger send buffers out (sendBufferSize, net.core.wmem_default), or let the queue take "
+    "a whole burst (tc qdisc, txqueuelen).",
+)
+def unsent_fragments(evidence: Evidence) -> Iterator[Observation]:
+    """A host dropped IP fragments before they were sent."""
+    for session in evidence.campaign.sessions.values():
+        unsent = kernel_counts(session).get("FragFails", 0)
+        groups = evidence.groups_by_session(may_be_cut).get(session.session_id, ())
+        if unsent and groups:
+            yield Observation(
+                evidence.session_name(session),
+                f"In its network namespace, all programs together, {counted(unsent, 'datagram')} could not be sent as IP fragments.",
+                groups,
+            )
+
+
+_SENT_SHARE, _LEAST_PAYLOAD_BYTES = 0.9, 2_000_000
+"""Share of the payload that an interface which carried it has sent, and payload that stands out from discovery."""
+
+
+@check(
+    "several_networks",
+    Severity.WARNING,
+    Subject.RECORDING,
+    "Name one interface on both sides: NetworkInterface in CYCLONEDDS_URI, interfaceWhiteList in a Fast DDS profile.",
+)
+def several_networks(evidence: Evidence) -> Iterator[Observation]:
+    """Messages went over several networks at once.
+
+    Interfaces that are part of each other (a bridge, a bond) count alike.
+    """
+    payload_bytes: dict[int, dict[int, int]] = defaultdict(dict)
+    for exchange, _, counts in evidence.counts_by_exchange():
+        run = exchange.run
+        payload_bytes[exchange.ping.session_id][run.run_id] = counts["with_warmup"] * run.payload_bytes
+        if exchange.relay is not None:
+            payload_bytes[exchange.relay.session_id][run.run_id] = counts["relayed"] * run.payload_bytes
+    for session_id, by_run in payload_bytes.items():
+        session, payload = evidence.campaign.sessions[session_id], sum(by_run.values())
+        names = [name for name, sent in interface_bytes(session).items() if sent >= _SENT_SHARE * payload]
+        if len(names) > 1 and payload >= _LEAST_PAYLOAD_BYTES:
+            yield evidence.recording(
+                session, f"Each of {' and '.join(names)} sent as many bytes as all its messages have ({payload:,} B)."
             )
 
 

@@ -10,6 +10,7 @@ from dds_trace.base.units import counted, format_ms
 
 from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Severity, Subject
+from ..model.foreign import number_of, object_of
 from .check import check
 from .evidence import Observation
 
@@ -94,7 +95,7 @@ def _steps(evidence: Evidence) -> Iterator[_Step]:
     "slewed",
     Severity.WARNING,
     Subject.DEVICE,
-    "Let NTP settle before recording; durations and one-way times of that time are wrong by that share.",
+    "Letting NTP settle before recording may help; durations and one-way times of that time are wrong by that share.",
 )
 def slews(evidence: Evidence) -> Iterator[Observation]:
     """A clock was slewed against the other device's."""
@@ -113,7 +114,7 @@ def slews(evidence: Evidence) -> Iterator[Observation]:
     "slewed",
     Severity.INFO,
     Subject.DEVICE,
-    "Durations of that time are wrong by that share: let NTP settle before recording if that matters.",
+    "Durations of that time are wrong by that share: letting NTP settle before recording may help.",
 )
 def slow_slews(evidence: Evidence) -> Iterator[Observation]:
     """A clock was slewed against CLOCK_MONOTONIC_RAW."""
@@ -138,7 +139,7 @@ def slow_slews(evidence: Evidence) -> Iterator[Observation]:
     "clock_drift",
     Severity.WARNING,
     Subject.DEVICE,
-    "Let NTP settle before recording; durations of one of the devices are wrong by that share.",
+    "Letting NTP settle before recording may help; durations of one of the devices are wrong by that share.",
 )
 def clock_drifts(evidence: Evidence) -> Iterator[Observation]:
     """Two clocks drift apart faster than crystals do."""
@@ -170,7 +171,7 @@ _SATURATED_SECONDS = 2
     "cpu_saturated",
     Severity.WARNING,
     Subject.RECORDING,
-    "Latencies here include waiting for the processor: lower rate or size, or free the device.",
+    "Latencies here include waiting for the processor: a lower rate or size, or a free device, may help.",
 )
 def cpu_saturation(evidence: Evidence) -> Iterator[Observation]:
     """The machine or the recording process ran out of processor time."""
@@ -189,4 +190,35 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Observation]:
                 evidence.campaign.sessions[session_id],
                 f"In {most} of {counted(seconds, 'second')} {words[saturated.index(most)]}.",
                 most / seconds,
+            )
+
+
+_COARSE_STEPS = 20
+"""Steps of a clock in the median round trip below which it is known to no better than 5 %."""
+
+
+@check(
+    "coarse_clock",
+    Severity.WARNING,
+    Subject.RECORDING,
+    "Do not use times of a few steps; another clock source of the kernel may help "
+    "(/sys/devices/system/clocksource/clocksource0/available_clocksource).",
+)
+def coarse_clocks(evidence: Evidence) -> Iterator[Observation]:
+    """A clock advances in steps that are long for these times."""
+    medians_ns = evidence.summary.frame["rtt_p50_ns"].to_list()
+    for session in evidence.campaign.sessions.values():
+        step_ns = number_of(object_of(session.extra.get("clock")).get("resolution_ns")) or 0
+        groups = [
+            group
+            for group in evidence.groups_of_sessions.get(session.session_id, ())
+            if medians_ns[group] is not None and medians_ns[group] < _COARSE_STEPS * step_ns
+        ]
+        if groups:
+            least_ns = min(medians_ns[group] for group in groups)
+            yield Observation(
+                evidence.session_name(session),
+                f"Its clock advances in steps of {format_ms(round(step_ns))} ms, and the median round trip is "
+                f"{format_ms(round(least_ns))} ms: nothing below a step is known.",
+                tuple(groups),
             )

@@ -27,9 +27,7 @@ if TYPE_CHECKING:
     from ..pairing.one_way import DevicePair
     from ..pairing.rows import RowStore
 
-SMALLER_DATAGRAMS = (
-    "send smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize), or raise net.ipv4.ipfrag_high_thresh"
-)
+SMALLER_DATAGRAMS = "smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize) or a larger net.ipv4.ipfrag_high_thresh may help"
 
 _MOST_FILES = 2
 """Files listed in a recording's name, as a long sweep would fill a screen."""

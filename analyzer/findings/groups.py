@@ -1,4 +1,4 @@
-"""Checks of results: losses, order, impossible times, too few samples."""
+"""Checks of results: order, impossible times, too few samples."""
 
 from __future__ import annotations
 
@@ -10,60 +10,15 @@ from dds_trace.base.units import counted, format_ms
 from ..model.environment import environment_differences
 from ..model.finding import Severity, Subject
 from ..model.metrics import METRICS
-from ..pairing.pair import Outcome
 from ..statistics.percentiles import PERCENTILES
 from .check import check
-from .evidence import Observation, exchange_name, percent, some
+from .evidence import Observation, exchange_name, some
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from ..statistics.percentiles import Percentile
     from .evidence import Evidence
-
-_LOST = {
-    Outcome.LOST_OUTBOUND.value: "on the way out",
-    Outcome.LOST_IN_RELAY.value: "in the relay",
-    Outcome.LOST_RETURN.value: "on the way back",
-    Outcome.LOST_UNKNOWN.value: "at an unknown point",
-}
-
-
-def _lost_where(row: Mapping[str, int]) -> str:
-    return ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
-
-
-@check(
-    "nothing_received",
-    Severity.ERROR,
-    Subject.RESULT,
-    "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
-)
-def nothing_received(evidence: Evidence) -> Iterator[Observation]:
-    """No message came back."""
-    for group, row in evidence.rows_by_group("published", "received", *_LOST):
-        if row["published"] and not row["received"]:
-            yield evidence.result(
-                group, f"None of {counted(row['published'], 'message')} came back ({_lost_where(row)})."
-            )
-
-
-@check(
-    "loss",
-    Severity.WARNING,
-    Subject.RESULT,
-    "Percentiles here are of the received messages only; look at reliability, socket buffers and rate.",
-)
-def losses(evidence: Evidence) -> Iterator[Observation]:
-    """Messages were lost."""
-    for group, row in evidence.rows_by_group("published", "received", *_LOST):
-        published, lost = row["published"], row["published"] - row["received"]
-        if row["received"] and (where := _lost_where(row)):
-            yield evidence.result(
-                group,
-                f"{lost} of {counted(published, 'message')} ({percent(lost, published)}) did not come back: {where}.",
-                lost / published,
-            )
 
 
 @check("nothing_counted", Severity.WARNING, Subject.RESULT, "Record more messages than warm-up messages.")
@@ -77,13 +32,19 @@ def unmeasured_groups(evidence: Evidence) -> Iterator[Observation]:
 @check("duplicates", Severity.WARNING, Subject.RESULT, "Look for a second bridge or route between the two sides.")
 def duplicates(evidence: Evidence) -> Iterator[Observation]:
     """Replies came more than once."""
-    for group, row in evidence.rows_by_group("duplicates", "received"):
-        if count := row["duplicates"]:
-            yield evidence.result(
-                group,
-                f"{counted(count, 'reply', 'replies')} came more than once; the first one counts.",
-                min(count / max(row["received"], 1), 1.0),
-            )
+    copies: dict[int, list[tuple[int, int]]] = defaultdict(list)
+    for _, group, counts in evidence.counts_by_exchange():
+        if counts["duplicates"]:
+            copies[group].append((counts["duplicates"], counts["duplicated"]))
+    received = evidence.summary.frame["received"].to_list()
+    for group, pairs in copies.items():
+        extra, several = (sum(column) for column in zip(*pairs, strict=True))
+        yield evidence.result(
+            group,
+            f"{several} of {counted(received[group], 'message')} came back more than once, {counted(extra, 'copy', 'copies')} too "
+            "many; the first one counts.",
+            min(several / max(received[group], 1), 1.0),
+        )
 
 
 @check(
@@ -203,29 +164,6 @@ def few_samples(evidence: Evidence) -> Iterator[Observation]:
         )
 
 
-@check(
-    "outage",
-    Severity.WARNING,
-    Subject.RESULT,
-    "Look at the timeline: a link that drops out, a bridge or relay that restarts, a full buffer.",
-)
-def outages(evidence: Evidence) -> Iterator[Observation]:
-    """Several messages in a row were lost."""
-    published = evidence.summary.frame["published"].to_list()
-    for (key,), rows in evidence.details.outages.group_by(["group"], maintain_order=True):
-        group = int(str(key))
-        lost = rows["messages"].sum()
-        durations_ns = rows["duration_ns"].drop_nulls().to_list()
-        longest = f"; the longest lasted {format_ms(max(durations_ns))} ms" if durations_ns else ""
-        endless = rows.height - len(durations_ns)
-        end = f"; {endless} lasted to the end of the run." if endless else "."
-        yield evidence.result(
-            group,
-            f"{counted(rows.height, 'time')} several messages in a row were lost, {lost} in all{longest}{end}",
-            lost / published[group],
-        )
-
-
 _DELIVERIES = {"relay_delivery_ns": "relay", "ping_delivery_ns": "ping"}
 
 _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
@@ -236,7 +174,7 @@ _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
     "waits_in_reader",
     Severity.WARNING,
     Subject.RESULT,
-    "This is the {role}'s program, not the link: look at its CPU and at --executor, and record again with a fresh process.",
+    "This is the {role}'s program, not the link: a free CPU, another --executor or a fresh process may help.",
 )
 def waits_in_readers(evidence: Evidence) -> Iterator[Observation]:
     """Messages wait for the program that reads them.

@@ -367,7 +367,7 @@ def unlike_payloads(evidence: Evidence) -> Iterator[Observation]:
     "relay_restarted",
     Severity.WARNING,
     Subject.RUN,
-    "Every message has a row for each relay, and is lost with all but one: repeat the run with one relay throughout.",
+    "Repeat the run with one relay throughout; where both its traces are here, a message counts for the one that was there.",
 )
 def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
     """A relay was restarted during a run.

@@ -31,7 +31,7 @@ _LAG_NS = 10_000_000
     "schedule_not_held",
     Severity.WARNING,
     Subject.RESULT,
-    "Do not compare this result with others of the requested rate; lower the rate or free the CPU.",
+    "Do not compare this result with others of the requested rate; a lower rate or a free CPU may help.",
 )
 def schedule_not_held(evidence: Evidence) -> Iterator[Observation]:
     """Messages were published slower than requested."""
@@ -62,7 +62,7 @@ _LATE_MESSAGES = 3
     Severity.WARNING,
     Subject.RESULT,
     "Latency does not include that wait; read response (T2 - T0). A publish that blocks or a busy processor delays the sender: "
-    "lower rate or size, or free the CPU.",
+    "a lower rate or size, or a free CPU, may help.",
 )
 def late_sends(evidence: Evidence) -> Iterator[Observation]:
     """Messages left later than planned."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     "recorder_drops",
     Severity.ERROR,
     Subject.RECORDING,
-    "Do not trust losses here; record to a faster disk, at a lower rate or with a larger ring.",
+    "Do not trust losses here; a faster disk, a lower rate or a larger ring may help.",
 )
 def recorder_drops(evidence: Evidence) -> Iterator[Observation]:
     """The recorder dropped events."""
@@ -180,7 +180,7 @@ _UNSAVED_NS = 1_000_000_000
     "slow_to_disk",
     Severity.INFO,
     Subject.RECORDING,
-    "Nothing is missing here; to be safe the next time, record to a faster disk, or put less load on the machine.",
+    "Nothing is missing here; a faster disk or less load on the machine may help the next time.",
 )
 def slow_disks(evidence: Evidence) -> Iterator[Observation]:
     """Events waited longer for the disk than --fsync promises."""

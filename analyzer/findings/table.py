@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import applied, clocks, groups, left_out, runs, sending, sessions, shapes, sides, sources, wire
+from . import applied, clocks, groups, left_out, losses, runs, sending, sessions, shapes, sides, sources, wire
 
 if TYPE_CHECKING:
     from .check import Check
@@ -36,9 +36,10 @@ CHECKS: tuple[Check, ...] = (
     runs.unpublished_open_runs,
     runs.repeated_publications,
     runs.orphan_events,
-    groups.nothing_received,
-    groups.losses,
-    groups.outages,
+    losses.nothing_received,
+    losses.losses,
+    losses.outages,
+    losses.late_relays,
     groups.waits_in_readers,
     runs.restarted_relays,
     groups.unmeasured_groups,
@@ -71,8 +72,11 @@ CHECKS: tuple[Check, ...] = (
     clocks.slow_slews,
     clocks.clock_drifts,
     clocks.cpu_saturation,
+    clocks.coarse_clocks,
     applied.dropped_datagrams,
     applied.lost_fragments,
+    applied.unsent_fragments,
+    applied.several_networks,
     wire.incomplete_captures,
     wire.shared_counts,
     wire.lost_fragments,

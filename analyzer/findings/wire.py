@@ -32,7 +32,7 @@ def _complete_rows(evidence: Evidence) -> Iterator[_Row]:
     "wire_incomplete",
     Severity.WARNING,
     Subject.RESULT,
-    "Record with fewer bytes a second, or on a machine with a processor to spare.",
+    "Fewer bytes a second, or a machine with a processor to spare, may help.",
 )
 def incomplete_captures(evidence: Evidence) -> Iterator[Observation]:
     """The capture of the wire missed packets."""
@@ -51,7 +51,7 @@ def incomplete_captures(evidence: Evidence) -> Iterator[Observation]:
     "wire_counts_shared",
     Severity.INFO,
     Subject.RESULT,
-    "Leave two seconds without a message between runs, or give each run a relay of its own.",
+    "Two seconds without a message between runs, or a relay for each run, may help.",
 )
 def shared_counts(evidence: Evidence) -> Iterator[Observation]:
     """Counts of the relay's capture are of several results."""
@@ -132,7 +132,7 @@ def _remedy(row: _Row) -> str:
     if row["reassembly_failed"]:
         return f"{_not_joined(row['reassembly_failed'])}, so {SMALLER_DATAGRAMS}"
     return (
-        "neither kernel counted a lost datagram, so look at the link: lower the rate or --depth, or send best effort where a "
+        "neither kernel counted a lost datagram, so look at the link: a lower rate or --depth may help, or best effort where a "
         "lost message may stay lost"
     )
 
@@ -145,7 +145,8 @@ HEARTBEATS_WAITED = 2
     "heartbeat_bound_recovery",
     Severity.WARNING,
     Subject.RESULT,
-    "Shorten the writer's heartbeat period: heartbeat_period in a Fast DDS profile, Internal/HeartbeatInterval of Cyclone DDS.",
+    "A shorter heartbeat period of the writer may help: heartbeat_period in a Fast DDS profile, Internal/HeartbeatInterval of "
+    "Cyclone DDS.",
 )
 def heartbeat_bound_recoveries(evidence: Evidence) -> Iterator[Observation]:
     """Lost messages waited for a heartbeat."""
@@ -171,7 +172,7 @@ a minute that no link feels: 13 kbit/s. A pair of Fast DDS on one machine announ
     "discovery_traffic",
     Severity.WARNING,
     Subject.RESULT,
-    "Use a discovery server, fewer participants (nodes in one process) or a longer lease and announcement period.",
+    "A discovery server, fewer participants (nodes in one process) or a longer lease and announcement period may help.",
 )
 def discovery_traffic(evidence: Evidence) -> Iterator[Observation]:
     """Discovery is a large part of the traffic."""

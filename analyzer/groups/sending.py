@@ -55,7 +55,8 @@ def sending_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         stood = find_stand_stills(due_ns, left_ns)
         waited_ns = left_ns - due_ns
         free_ns = waited_ns[~stood.delayed]
-        elapsed_ns, lag_ns = schedule_lag(sent_ns, exchange.run.rate_hz)
+        is_live = str(exchange.run.extra.get("data_source", "")).startswith("topic:")  # its rate is a guess
+        elapsed_ns, lag_ns = (None, None) if is_live else schedule_lag(sent_ns, exchange.run.rate_hz)
         rows.append(
             {
                 "group": int(batch.group_of_exchange[number]),

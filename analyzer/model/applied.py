@@ -56,13 +56,33 @@ def congestion_controls(session: Session) -> tuple[str, ...]:
 
 
 def socket_drops(session: Session) -> int | None:
-    """Return the datagrams dropped at the process's own sockets; None where unknown."""
+    """Return the datagrams dropped at the process's own UDP sockets; None where unknown."""
     begin, end = (_instant(session, name) for name in ("begin", "end"))
     if not isinstance(begin.get("sockets"), list) or not isinstance(end.get("sockets"), list):
         return None
     before = {socket.get("inode"): _integer(socket, "dropped") or 0 for socket in objects_of(begin.get("sockets"))}
-    drops = [(_integer(socket, "dropped") or 0, socket.get("inode")) for socket in objects_of(end.get("sockets"))]
+    drops = [
+        (_integer(socket, "dropped") or 0, socket.get("inode"))
+        for socket in objects_of(end.get("sockets"))
+        if socket.get("protocol") == "udp"
+    ]
     return sum(max(count - before.get(inode, 0), 0) for count, inode in drops)
+
+
+def is_tuned(session: Session) -> bool:
+    """Return whether the vendor's settings for large messages were requested."""
+    return object_of(session.extra.get("asked")).get("tuned") is True
+
+
+def interface_bytes(session: Session) -> dict[str, int]:
+    """Return the bytes that each interface but loopback has sent during the recording."""
+    begin, end = (object_of(_instant(session, name).get("interfaces")) for name in ("begin", "end"))
+    sent = {
+        name: [_integer(object_of(totals.get(name)), "sent_bytes") for totals in (begin, end)]
+        for name in end
+        if name != "lo"
+    }
+    return {name: now - (then or 0) for name, (then, now) in sent.items() if now is not None}
 
 
 def kernel_counts(session: Session) -> dict[str, int]:

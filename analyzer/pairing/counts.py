@@ -19,6 +19,7 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
     "received": pl.Int64,
     **dict.fromkeys(LOSSES, pl.Int64),
     "duplicates": pl.Int64,
+    "duplicated": pl.Int64,
     "reordered": pl.Int64,
     "relay_gaps": pl.Int64,
     "early": pl.Int64,
@@ -38,22 +39,32 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
     "most_payload_bytes": pl.Int64,
     "unsent": pl.Int64,
     "in_flight": pl.Int64,
+    "absent": pl.Int64,
+    "outlived": pl.Int64,
+    "longest_gap_ns": pl.Int64,
 }
 """Columns of the frame `counts`, one row per exchange; all i64.
 
-`published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary. `relay_gaps`: replies without T3 or T4.
+`published`, `received`, `lost_*`, `duplicates`, `reordered`: as in the summary. `duplicated`: messages with duplicates. `relay_gaps`: replies without T3 or T4.
 `early`: replies whose T2 is below their T4, which one clock cannot read.
 `unscheduled`: messages without T0. `negative_*`: times below zero. `publish_span_ns`, `relay_span_ns`, `reply_span_ns`: first
 to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
 `orphans`: T2, T3 and T4 of counted messages without T1. Of the run: `with_warmup`: messages with a T1, warm-up included;
 `repeated`: T1 beyond the first of their message; `least_payload_bytes`, `most_payload_bytes`: of its T1. `unsent`: messages
 due and never published. `in_flight`: messages without a row: the ping was killed before their fate was known (both
-`unsent.py`).
+`unsent.py`). `absent`: messages without a row as the relay was not there (`presence.py`). `outlived`: lost messages between two
+arrivals that are further apart than a reliable history keeps a message; `longest_gap_ns`: the longest of these times.
 """
 
 
 def count_messages(
-    published: Published, paired: PairedMessages, *, unsent: int = 0, in_flight: int = 0
+    published: Published,
+    paired: PairedMessages,
+    *,
+    unsent: int = 0,
+    in_flight: int = 0,
+    absent: int = 0,
+    history_ns: float | None = None,
 ) -> dict[str, int | None]:
     """Count the messages of one exchange: its row of `COUNT_SCHEMA`."""
     t0, t1, t2 = published.scheduled_ns, published.publish_ns, paired.receive_ns
@@ -62,12 +73,17 @@ def count_messages(
     through = relayed & left
     rtt_ns, intermediate_ns = t2 - t1, t4 - t3
     replies_ns = chosen_of(replied, t2)
+    gaps = [
+        _beyond_history(arrivals_ns, paired.outcome == OUTCOMES.index(loss), history_ns)
+        for arrivals_ns, loss in ((t3, Outcome.LOST_OUTBOUND), (t2, Outcome.LOST_RETURN))
+    ]
     outcomes = dict(zip(OUTCOMES, np.bincount(paired.outcome, minlength=len(OUTCOMES)).tolist(), strict=True))
     return {
         "published": len(published),
         "received": outcomes[Outcome.COMPLETED],
         **{loss: outcomes[Outcome(loss)] for loss in LOSSES},
         "duplicates": int(paired.duplicates.sum()),
+        "duplicated": np.count_nonzero(paired.duplicates),
         "reordered": np.count_nonzero(paired.reordered),
         "relay_gaps": np.count_nonzero(replied & ~through),
         "early": np.count_nonzero(replied & left & (t2 < t4)),
@@ -87,7 +103,23 @@ def count_messages(
         "most_payload_bytes": published.payload_range_bytes[1],
         "unsent": unsent,
         "in_flight": in_flight,
+        "absent": absent,
+        "outlived": sum(lost for lost, _ in gaps),
+        "longest_gap_ns": max(longest_ns for _, longest_ns in gaps),
     }
+
+
+def _beyond_history(
+    arrivals_ns: NDArray[np.int64], is_lost: NDArray[np.bool_], history_ns: float | None
+) -> tuple[int, int]:
+    """Count the lost messages between two arrivals further apart than a history, and return the longest such time."""
+    if history_ns is None or not is_lost.any():
+        return 0, 0
+    arrived = np.flatnonzero(arrivals_ns != MISSING)
+    gaps_ns = np.diff(arrivals_ns[arrived])
+    lost = np.diff(np.cumsum(is_lost)[arrived])
+    beyond = (gaps_ns > history_ns) & (lost > 0)
+    return int(lost[beyond].sum()), int(gaps_ns[beyond].max(initial=0))
 
 
 def _span_ns(starts_ns: NDArray[np.int64], ends_ns: NDArray[np.int64]) -> int | None:

@@ -18,6 +18,7 @@ from ..model.parameters import PARAMETER_COLUMNS
 from .counts import COUNT_SCHEMA, count_messages
 from .one_way import OneWay, fit_exchanges, knots_of
 from .pair import MISSING, OUTCOMES, middleware_stamps, pair_messages, published_messages
+from .presence import present
 from .unsent import count_unsent, settled
 from .utc import utc_columns
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
     from ..cache.event_index import EventKey
     from .exchanges import Exchange
-    from .pair import Scalar
+    from .pair import PairedMessages, Published, Scalar
 
 _STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 
@@ -166,22 +167,39 @@ def pair_exchanges(
         for run_id, exchange in {exchange.run.run_id: exchange for exchange in exchanges}.items()
     }
     messages_of_exchanges = [published[exchange.run.run_id] for exchange in exchanges]
+
+    def pair(exchange: Exchange, messages: Published) -> PairedMessages:
+        return pair_messages(messages, *(events[key] for key in exchange.event_keys()[1:]))
+
+    in_service = present(exchanges, messages_of_exchanges, pair)
     masks = [
-        settled(exchange.run, messages, events[exchange.event_keys()[1]])
-        for exchange, messages in zip(exchanges, messages_of_exchanges, strict=True)
+        settled(exchange.run, messages, events[exchange.event_keys()[1]]) & is_there
+        for exchange, messages, is_there in zip(exchanges, messages_of_exchanges, in_service, strict=True)
     ]
     bounds = np.concatenate([[0], np.cumsum([np.count_nonzero(mask) for mask in masks])]).astype(np.int64)
     rows = int(bounds[-1])
 
     filled, counts = _Filled(rows), []
-    for exchange, every, mask, first in zip(exchanges, messages_of_exchanges, masks, bounds[:-1].tolist(), strict=True):
+    for exchange, every, is_there, mask, first in zip(
+        exchanges, messages_of_exchanges, in_service, masks, bounds[:-1].tolist(), strict=True
+    ):
         events_of_stage = {key[0]: events[key] for key in exchange.event_keys()}
-        paired = pair_messages(every, events_of_stage[Stage.T2], events_of_stage[Stage.T3], events_of_stage[Stage.T4])
+        paired = pair(exchange, every)
         unsent, messages = count_unsent(exchange.run, every, events_of_stage[Stage.T2]), every
         if not mask.all():
             messages, paired = every.take(mask), paired.take(mask)
-        in_flight = len(every) - len(messages)
-        counts.append(pool.submit(count_messages, messages, paired, unsent=unsent, in_flight=in_flight))
+        absent = len(every) - int(np.count_nonzero(is_there))
+        counts.append(
+            pool.submit(
+                count_messages,
+                messages,
+                paired,
+                unsent=unsent,
+                in_flight=len(every) - absent - len(messages),
+                absent=absent,
+                history_ns=exchange.run.history_ns,
+            )
+        )
         filled.put(first, {name: getattr(messages, name) for name in _PUBLISHED})
         filled.put(first, {name: getattr(paired, name) for name in _PAIRED})
         for stage, names in MIDDLEWARE_STAMPS.items() if details else ():

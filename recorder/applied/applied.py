@@ -55,14 +55,16 @@ class Applied:
         return to_json(self)
 
     def socket_drops(self) -> int | None:
-        """Return the datagrams that the kernel dropped at the process's own sockets during the run.
+        """Return the datagrams that the kernel dropped at the process's own UDP sockets during the run.
 
         None before the end, and if the sockets are unknown. A socket that was closed before the end counts nothing.
         """
         if self.end is None or self.end.sockets is None or self.begin.sockets is None:
             return None
         before = {socket.inode: socket.dropped for socket in self.begin.sockets}
-        return sum(socket.dropped - before.get(socket.inode, 0) for socket in self.end.sockets)
+        return sum(
+            socket.dropped - before.get(socket.inode, 0) for socket in self.end.sockets if socket.protocol == "udp"
+        )
 
 
 def read_snapshot(pid: int | None = None) -> Snapshot:

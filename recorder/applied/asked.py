@@ -85,7 +85,6 @@ def asked_settings(
             requested,
             transport=facts.transport if transport == "default" else transport,
             receive_buffer_bytes=facts.receive_bytes,
-            send_buffer_bytes=facts.send_bytes,
         )
     if vendor == "cyclonedds":
         uri = (settings or {}).get("CYCLONEDDS_URI", (environment or {}).get("CYCLONEDDS_URI", ""))

@@ -85,6 +85,7 @@ def _transport(requested: Asked, applied: Applied, traffic: Traffic | None) -> D
 def _contradiction(facts: TransportFacts, requested: Asked, applied: Applied, traffic: Traffic | None) -> str | None:
     """Return in words what the process uses that its transport does not, or lacks; None if nothing."""
     memory, sockets = _memory_of(requested, applied), applied.latest.sockets
+    carrying = [*(sockets or ()), *(applied.begin.sockets or ())]  # a connection may end with the other side
     has_memory = applied.latest.memory is not None
     if facts.shared_memory is False and memory:
         if traffic is not None and payload_path(applied, traffic) == SHARED_MEMORY:
@@ -95,7 +96,7 @@ def _contradiction(facts: TransportFacts, requested: Asked, applied: Applied, tr
     if (
         facts.protocol is not None
         and sockets is not None
-        and not any(read.protocol == facts.protocol for read in sockets)
+        and not any(read.protocol == facts.protocol for read in carrying)
     ):
         return f"no {facts.protocol.upper()} socket is open"
     return None

@@ -120,6 +120,25 @@ def parse_maps(text: str) -> dict[str, _Mapped]:
     return mapped
 
 
+def ports_of_others(ports: range, folder: Path = SHM) -> dict[str, int]:
+    """Return the receivers' queues of RTPS ports that belong to another user: name -> user id.
+
+    Fast DDS makes its files writable by their owner only, so two users discover each other and exchange nothing.
+    """
+    owners: dict[str, int] = {}
+    with suppress(OSError):
+        for path in folder.iterdir():
+            number = _PORT_NUMBER.search(path.name)
+            if memory_owner(path.name) == ("fastdds", PORT) and number and int(number[0]) in ports:
+                with suppress(OSError):  # removed meanwhile
+                    owners[path.name] = path.stat().st_uid
+    return {
+        name: uid
+        for name, uid in sorted(owners.items())
+        if uid != os.geteuid() and _lock_state(folder / (name + _LOCK), _LOCK_TESTS[_LOCK]) is not _Lock.FREE
+    }
+
+
 def _opened_names(process: Path) -> Iterator[str]:
     with suppress(OSError):
         for descriptor in (process / "fd").iterdir():

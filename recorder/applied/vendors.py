@@ -33,10 +33,9 @@ class TransportFacts:
 
 @dataclass(frozen=True, slots=True)
 class TunedFacts:
-    """Socket buffers that `--tuned` sets (0: none), and the transport that it implies if none is requested."""
+    """Receive buffer of sockets that `--tuned` sets (0: none), and the transport that it implies if none is requested."""
 
     receive_bytes: int = 0
-    send_bytes: int = 0
     transport: str = "default"
 
 
@@ -68,7 +67,7 @@ class VendorFacts:
 
 
 BUFFER_BYTES = 4_000_000
-"""Socket buffer of every vendor's `--tuned`."""
+"""Receive buffer of every vendor's `--tuned`."""
 
 UDP = TransportFacts("UDP", "udp", shared_memory=False)
 
@@ -89,7 +88,7 @@ VENDORS: Mapping[str, VendorFacts] = {
                 # On one machine Fast DDS carries its payload through shared memory although TCP is open.
                 "large-data": TransportFacts("LARGE_DATA", "tcp"),
             },
-            tuned=TunedFacts(BUFFER_BYTES, BUFFER_BYTES, transport="udp"),
+            tuned=TunedFacts(BUFFER_BYTES, transport="udp"),
             profile_variables=("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"),
             variables=("FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_PUBLICATION_MODE", "RMW_FASTRTPS_USE_QOS_FROM_XML"),
             files=("DEFAULT_FASTDDS_PROFILES.xml", "DEFAULT_FASTRTPS_PROFILES.xml"),
@@ -98,15 +97,12 @@ VENDORS: Mapping[str, VendorFacts] = {
                 ("udp", False): "UDPv4",
                 ("shm", False): "SHM",
                 ("large-data", False): "LARGE_DATA",
-                ("default", True): "UDPv4?sockets_size=4MB",
-                ("udp", True): "UDPv4?sockets_size=4MB",
             },
         ),
         VendorFacts(
             "cyclonedds",
             memory={SEGMENT: re.compile(r"(iceoryx|iox)\w*")},  # its only shared memory is iceoryx's
             libraries={r"libddsc": "cyclonedds", r"librmw_cyclonedds_cpp\.so": "", r"libiceoryx": ""},
-            # Its send buffer stays the system's: SocketSendBufferSize is not among the tuned settings.
             tuned=TunedFacts(BUFFER_BYTES),
         ),
         VendorFacts(
@@ -127,7 +123,7 @@ VENDORS: Mapping[str, VendorFacts] = {
             "socket",
             transports={"default": TransportFacts("TCP", "tcp"), "udp": UDP},
             # Only buffers of UDP sockets are compared; the kernel sizes TCP buffers itself.
-            tuned=TunedFacts(BUFFER_BYTES, BUFFER_BYTES),
+            tuned=TunedFacts(BUFFER_BYTES),
         ),
     )
 }

@@ -28,10 +28,7 @@ if TYPE_CHECKING:
 
     from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
 
-TUNED_PROPERTIES = {
-    "dds.transport.UDPv4.builtin.recv_socket_buffer_size": "4000000",
-    "dds.transport.UDPv4.builtin.send_socket_buffer_size": "4000000",
-}
+TUNED_PROPERTIES = {"dds.transport.UDPv4.builtin.recv_socket_buffer_size": "4000000"}
 LOCALHOST_PROPERTIES = {"dds.transport.UDPv4.builtin.parent.allow_interfaces_list": "127.0.0.1"}
 LOCALHOST_PEERS = ("builtin.udpv4://127.0.0.1", "builtin.shmem://")
 

@@ -31,13 +31,13 @@ STALL_S = 0.1
 
 
 def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
-    """Return a warning about a history that keeps less than `STALL_S` of messages."""
-    needed = math.ceil(rate_hz * STALL_S)
+    """Return a warning about a history that keeps no more than `STALL_S` of messages."""
+    needed = math.floor(rate_hz * STALL_S) + 1
     if history != History.KEEP_LAST or depth >= needed:
         return None
     return (
         f"--depth {depth} keeps {depth / rate_hz * 1000:.3g} ms of messages at {rate_hz:g} Hz: a side that stalls longer "
-        f"loses some, reliable or not; --depth {needed} on both sides keeps {STALL_S * 1000:g} ms"
+        f"loses some, reliable or not; --depth {needed} on both sides keeps more than {STALL_S * 1000:g} ms"
     )
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 STOP_CHECK_NS = 50_000_000
 """Longest wait between two checks of `stop`."""
 
-_ANCHOR_READINGS, _PAIR_READINGS = 20, 5
+_ANCHOR_READINGS, _PAIR_READINGS, _STEPS = 20, 5, 3
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _FREQUENCY_UNITS_PER_PPM = 1 << 16  # adjtimex(2): `freq` is in parts per million with 16 fractional bits
 
@@ -71,6 +71,18 @@ class SystemClock:
 def sharpen_sleep() -> None:
     """Remove the kernel's 50 us of slack from the calling thread's sleeps."""
     ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def measured_step_ns() -> int:
+    """Return the smallest of a few steps of CLOCK_MONOTONIC, as clock_getres promises steps that the source may not have."""
+    steps_ns: list[int] = []
+    last_ns = time.monotonic_ns()
+    while len(steps_ns) < _STEPS:
+        now_ns = time.monotonic_ns()
+        if now_ns != last_ns:
+            steps_ns.append(now_ns - last_ns)
+        last_ns = now_ns
+    return min(steps_ns)
 
 
 def read_monotonic_pair() -> tuple[int, int]:

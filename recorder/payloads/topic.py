@@ -6,11 +6,12 @@ import queue
 import time
 from collections import deque
 from contextlib import contextmanager, suppress
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units import counted
+from dds_trace.base.units import SECOND_NS, counted
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends.node import ObjectNode
@@ -20,15 +21,17 @@ from .header import recognize_data_type
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from ..backends.node import Endpoint, Node, RosMessage
     from .base import DataType, PayloadContext
 
 MAX_WAITING = 64
 """Most messages that wait; further ones are dropped and counted."""
-RATE_MESSAGES = 10
+RATE_MESSAGES, MOST_RATE_MESSAGES = 10, 1000
 """Messages for the topic's rate; fewer are enough after `RATE_S`."""
+RATE_BATCHES = 3
+"""Batches for the rate of a topic in batches, likewise."""
 RATE_S = 3.0
 CHECK_PERIOD_S = 0.05
 
@@ -74,7 +77,7 @@ class LiveFeed:
         self._own_types = own_types
         self._data_type: DataType | None = None
         self._sample: Message | None = None
-        self._sent_ns: deque[int] = deque(maxlen=RATE_MESSAGES)
+        self._sent_ns: deque[int] = deque(maxlen=MOST_RATE_MESSAGES)
         self._waiting: queue.SimpleQueue[tuple[Message, int]] = queue.SimpleQueue()
         self._has_begun = False
         self._error: OptionError | None = None
@@ -110,7 +113,7 @@ class LiveFeed:
             if arrivals and first_s is None:
                 first_s = time.monotonic()
             is_time = first_s is not None and time.monotonic() - first_s > RATE_S
-            if arrivals >= RATE_MESSAGES or (arrivals > 1 and is_time):
+            if (arrivals > 1 and is_time) or (arrivals >= RATE_MESSAGES and shows_rate(list(self._sent_ns))):
                 break
             time.sleep(CHECK_PERIOD_S)
         if self._error is not None:
@@ -121,7 +124,7 @@ class LiveFeed:
                 f"{self._where}: {counted(len(sent_ns), 'message')} arrived; check its publisher, "
                 "or give a longer --wait"
             )
-        rate_hz = (len(sent_ns) - 1) / max(max(sent_ns) - min(sent_ns), 1) * 1e9
+        rate_hz = rate_of(sent_ns)
         return Payload(
             self._data_type,
             (self._sample,),
@@ -149,6 +152,26 @@ class LiveFeed:
         stamp.make_room(message)
         data = bytearray(self._node.message_to_cdr(message))
         return Message(data, self._data_type.raw.payload_bytes_of(data))
+
+
+def _batch_starts(times_ns: Sequence[int]) -> list[int]:
+    """Return the indices of messages after a long gap: of all but the first message where there are no batches."""
+    gaps_ns = [after - before for before, after in pairwise(times_ns)]
+    return [number for number, gap_ns in enumerate(gaps_ns, 1) if 2 * gap_ns > max(gaps_ns)]
+
+
+def shows_rate(sent_ns: Sequence[int]) -> bool:
+    """Return whether messages come one by one, or in enough batches."""
+    return len(_batch_starts(sorted(sent_ns))) >= RATE_BATCHES
+
+
+def rate_of(sent_ns: Sequence[int]) -> float:
+    """Return the mean rate of messages, Hz; of batches from the first message of one to the first of another."""
+    times_ns = sorted(sent_ns)
+    starts = _batch_starts(times_ns)
+    has_batches = 1 < len(starts) < len(times_ns) - 1
+    first, last = (starts[0], starts[-1]) if has_batches else (0, len(times_ns) - 1)
+    return (last - first) / max(times_ns[last] - times_ns[first], 1) * SECOND_NS
 
 
 def _find_publisher(node: Node, topic: str, where: str, deadline_s: float, stop: threading.Event) -> Endpoint:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units import SECOND_NS, counted
+from dds_trace.base.units import SECOND_NS, counted, spell_duration
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..applied.differences import Setting
+from ..applied.memory import SHM, ports_of_others
 from ..backends import load_backend, load_backends
+from ..backends.qos import requested_durations
+from ..choices import Transport
+from ..domains import domain_port_range
 from ..errors import RelayLostError
 from ..payloads import data_types
 
 if TYPE_CHECKING:
     from ..applied.differences import Difference
-    from ..backends.node import Endpoint, Node
+    from ..backends.node import Endpoint, Node, NodeOptions
     from ..payloads.base import DataType
     from .plan import RunPlan
     from .progress import Silence
@@ -108,10 +114,7 @@ def _advice(view: RelayView, node: Node, plan: RunPlan, not_applied: tuple[Diffe
             "--transport udp"
         )
     if view.subscriptions:
-        return (
-            "a relay is there but messages do not get through: check firewalls between the devices, try a "
-            "smaller --size or a longer --wait"
-        )
+        return _advice_unheard(node)
     options, backend = node.options, node.middleware.backend
     domain_id = options.domain_id if plan.relay_domain_id is None else plan.relay_domain_id
     further = "" if data_type.name in data_types() else f"--type {data_type.type_name} "
@@ -124,8 +127,38 @@ def _advice(view: RelayView, node: Node, plan: RunPlan, not_applied: tuple[Diffe
     )
     return (
         f"start `dds-record --role relay --backend {backend} --domain {domain_id} --discovery {options.discovery.value} "
-        f"{further}--out relay.mcap`; if it runs, check that {meeting}{crossing}"
+        f"{_meeting_options(options)}{further}--out relay.mcap`; if it runs, check that {meeting}{crossing}"
     )
+
+
+def _advice_unheard(node: Node) -> str:
+    others = ports_of_others(domain_port_range(node.options.domain_id))
+    if others and node.middleware.vendor == "fastdds" and node.options.transport is not Transport.UDP:
+        name, uid = next(iter(others.items()))
+        return (
+            f"{SHM / name} belongs to user {uid} and this process to user {os.geteuid()}, and Fast DDS's shared memory is only "
+            "open to its owner: run both as one user, or give both --transport udp"
+        )
+    return (
+        "a relay is there but messages do not get through: check firewalls between the devices, try a "
+        "smaller --size or a longer --wait"
+    )
+
+
+def _meeting_options(options: NodeOptions) -> str:
+    """Return the further options without which a relay never meets the ping, as in a command."""
+    usual, durations = Qos(), requested_durations(options.qos)
+    given = {
+        "rmw": options.rmw or "",
+        "transport": "" if options.transport is Transport.DEFAULT else options.transport.value,
+        **{
+            policy: value
+            for policy in ("reliability", "durability")
+            if (value := str(getattr(options.qos, policy))) != getattr(usual, policy)
+        },
+        "deadline": spell_duration(durations["deadline"], digits=9) if "deadline" in durations else "",
+    }
+    return "".join(f"--{name} {value} " for name, value in given.items() if value)
 
 
 def _listed(endpoints: tuple[Endpoint, ...]) -> str:

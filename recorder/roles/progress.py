@@ -115,7 +115,7 @@ class Replies:
         self.highest = -1
         self.last_ns = 0
         self.longest_rtt_ns = 0
-        self._rtt_ns = array("q", bytes(8 * messages))  # of the first reply, else 0
+        self._rtt_ns = array("q", [-1]) * messages  # of the first reply, which a coarse clock may give 0
         self._answered: dict[int, bytearray] = {}  # relay -> a byte for each message, 1 if answered
         self._counts: dict[int, int] = {}  # relay -> messages that it has answered
 
@@ -129,7 +129,7 @@ class Replies:
             answered[sequence] = 1
             self._counts[relay_id] += 1
             self.last_ns = max(self.last_ns, receive_ns)
-        if not self._rtt_ns[sequence]:
+        if self._rtt_ns[sequence] < 0:
             self._rtt_ns[sequence] = rtt_ns = receive_ns - self.publish_ns[sequence]
             self.longest_rtt_ns = max(self.longest_rtt_ns, rtt_ns)
             self.received += 1
@@ -142,13 +142,13 @@ class Replies:
 
     def received_before(self, sequence: int) -> int:
         """Return how many of the first messages have a reply."""
-        return sum(map(bool, self._rtt_ns[:sequence]))
+        return sum(rtt_ns >= 0 for rtt_ns in self._rtt_ns[:sequence])
 
     def percentiles_ns(self) -> tuple[int | None, int | None]:
         """Return p50 and p99 of the round trips so far, ns."""
         values = np.frombuffer(self._rtt_ns, np.int64)
         values = values[:: len(values) // PERCENTILE_SAMPLES + 1]
-        values = np.sort(values[values > 0])
+        values = np.sort(values[values >= 0])
         if not len(values):
             return None, None
         # The nearest order statistics: np.percentile's first call imports for 0.1 s.

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.descriptions import Session
 
+from ..applied.carried import LOOPBACK
+from ..applied.counters import read_interfaces
 from ..backends import load_backend, load_backends
 from ..choices import Discovery
 from ..host.environment import join_environments
@@ -70,13 +72,16 @@ def strangers_field(strangers: Strangers) -> JsonObject:
 
 
 def default_connectivity(discovery: Discovery, root: Path = Path("/")) -> str:
-    """Return `loopback`, else `wireless` or `wired` by the default route."""
+    """Return `loopback`, also where no interface leads elsewhere; else `wireless` or `wired` by the default route."""
     if discovery is Discovery.LOCALHOST:
         return "loopback"
     try:
         routes = [line.split() for line in (root / "proc/net/route").read_text().splitlines()[1:]]
+        other_interfaces = read_interfaces(root / "proc").keys() - {LOOPBACK}
     except OSError:
-        routes = []
+        routes, other_interfaces = [], {""}
+    if not routes and not other_interfaces:
+        return "loopback"
     interface = next((route[0] for route in routes if route[1] == "00000000"), None)
     is_wireless = interface is not None and (root / "sys/class/net" / interface / "wireless").exists()
     return "wireless" if is_wireless else "wired"

@@ -125,13 +125,18 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
         if median_ns is not None:
             ways.setdefault(domain_label(groups.series_of(group)), []).append(median_ns)
     spans = {
-        way: " to ".join(dict.fromkeys(format_duration(end) for end in (min(medians_ns), max(medians_ns))))
+        way: " to ".join(dict.fromkeys(_median(end) for end in (min(medians_ns), max(medians_ns))))
         for way, medians_ns in ways.items()
     }
     what = f"{vendor}: median {METRIC_LABELS[metric].lower()}{_of_received(groups.groups, values)}"
     if len(spans) == 1:
         return f"{what} {next(iter(spans.values()))}."
     return f"{what} {joined(f'{span} {_IN_WAY.get(way, way)}' for way, span in list(spans.items())[:_MOST_WAYS])}."
+
+
+def _median(time_ns: float) -> str:
+    """Write a median; a clock that did not advance meanwhile shows 0."""
+    return format_duration(time_ns) if time_ns else "below the clock's step"
 
 
 def _of_received(groups: Iterable[Group], values: Values) -> str:
@@ -153,7 +158,7 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
             continue
         name = data_type_label(data_type)
         ends = dict.fromkeys((medians[0], medians[-1]))
-        spans = [f"{format_duration(ns)} ({labels[index].removeprefix(name).strip()})" for ns, index in ends]
+        spans = [f"{_median(ns)} ({labels[index].removeprefix(name).strip()})" for ns, index in ends]
         received = _of_received((groups.groups[index] for _, index in ends), values)
         remarks.append(f"{name}: median {METRIC_LABELS[metric].lower()}{received} {' to '.join(spans)}.")
     return remarks

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.analyzer.model.setting import condition_of
+from dds_trace.analyzer.model.setting import condition_of, parse_setting
 from dds_trace.analyzer.verdicts.answers import Clarity
 from dds_trace.analyzer.verdicts.cases import LOSSY_SHARE
 from dds_trace.base.printable import printable
@@ -88,7 +88,8 @@ def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
         largest[answer.data_type] = max(answer.payload_bytes, largest.get(answer.data_type, 0))
         for setup in answer.contenders:
             lost = setup.lost
-            if lost > LOSSY_SHARE:
+            is_as_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
+            if lost > LOSSY_SHARE and not is_as_requested:
                 setups = lossy.setdefault(place_of(answer), {})
                 key = answer.data_type, labels[setup.name]
                 least, worst = setups.get(key, (answer.payload_bytes, 0.0))

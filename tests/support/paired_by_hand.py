@@ -78,7 +78,7 @@ def _exchange(rows: pl.DataFrame, ping_wall: Mapping[int, int], relay_wall: Mapp
     run_id, relay_id = rows["run_id"][0], rows["relay_id"][0]
     relay = _session(relay_wall[relay_id]) if relay_id in relay_wall else None
     held: Any = SimpleNamespace(
-        run=SimpleNamespace(run_id=run_id, rate_hz=rows["rate_hz"][0]),
+        run=SimpleNamespace(run_id=run_id, rate_hz=rows["rate_hz"][0], extra={}),
         relay_id=relay_id,
         ping=_session(ping_wall.get(run_id, 0)),
         relay=relay,

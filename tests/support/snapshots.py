@@ -15,9 +15,9 @@ def udp(port, receive_buffer_bytes=DEFAULT_BUFFER_BYTES, send_buffer_bytes=DEFAU
     return Socket("udp", "ipv4", "127.0.0.1", port, "0.0.0.0", 0, receive_buffer_bytes, send_buffer_bytes, **more)
 
 
-def tcp(acked_bytes=0, received_bytes=0, *, remote="127.0.0.1", inode=1):
+def tcp(acked_bytes=0, received_bytes=0, *, remote="127.0.0.1", inode=1, dropped=0):
     state = TcpState("cubic", acked_bytes=acked_bytes, received_bytes=received_bytes)
-    return Socket("tcp", "ipv4", "127.0.0.1", 40_000, remote, 10_909, 131_072, 16_384, inode=inode, tcp=state)
+    return Socket("tcp", "ipv4", "127.0.0.1", 40_000, remote, 10_909, 131_072, 16_384, dropped, inode=inode, tcp=state)
 
 
 def segment(name="fastrtps_00000000000000aa", *, vendor="fastdds", is_own=True, **more):

@@ -145,6 +145,12 @@ class Run:
     state: str = "started"
     extra: JsonObject = field(default_factory=dict)
 
+    @property
+    def history_ns(self) -> float | None:
+        """Time for which a reliable history of limited depth keeps a message, None for others."""
+        is_limited = self.qos.reliability == "reliable" and self.qos.history == "keep_last"
+        return self.qos.depth / self.rate_hz * 1e9 if is_limited and self.rate_hz > 0 else None
+
     def finished(self, published: int, **extra: Json) -> Run:
         """Return the run at its end, with `extra` added."""
         return replace(self, state="finished", published=published, extra={**self.extra, **extra})

@@ -1,4 +1,7 @@
-"""A Fast DDS profile for ROS 2's LOCALHOST range, where FASTDDS_BUILTIN_TRANSPORTS changes nothing.
+"""Fast DDS profiles of our own: for `--tuned`, and for ROS 2's LOCALHOST range, where FASTDDS_BUILTIN_TRANSPORTS changes nothing.
+
+`--tuned` enlarges receive buffers only, which that variable cannot do: with a large send buffer a message overflows the queue of
+an interface that is slower than its burst.
 
 In that range rmw_fastrtps adds shared memory and UDP to the default profile
 (rmw_fastrtps_shared_cpp/src/participant.cpp), so nothing removes shared memory. Instead we set the range SYSTEM_DEFAULT
@@ -35,7 +38,7 @@ RANGE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}
 MAX_PEERS = 32
 """Participants of one domain that are looked for on this machine, as in rmw_fastrtps's LOCALHOST range."""
 
-_UDP, _SHM, _TCP = "dds_trace_udp", "dds_trace_shm", "dds_trace_tcp"
+_UDP, _NETWORK_UDP, _SHM, _TCP = "dds_trace_udp", "dds_trace_network_udp", "dds_trace_shm", "dds_trace_tcp"
 
 _WHITELIST = "        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>\n"
 
@@ -54,12 +57,10 @@ _DESCRIPTORS = {
         "        <type>UDPv4</type>\n"
         "{buffers}" + _WHITELIST + f"        <maxInitialPeersRange>{MAX_PEERS}</maxInitialPeersRange>\n"
     ),
+    _NETWORK_UDP: "        <type>UDPv4</type>\n{buffers}",
 }
 
-_BUFFERS = """\
-        <sendBufferSize>{bytes}</sendBufferSize>
-        <receiveBufferSize>{bytes}</receiveBufferSize>
-"""
+_BUFFERS = "        <receiveBufferSize>{bytes}</receiveBufferSize>\n"
 
 # An empty locator is the well-known unicast port, and keeps Fast DDS from opening its multicast one.
 _UNICAST_DISCOVERY = """\
@@ -88,7 +89,7 @@ _LARGE_DATA_DISCOVERY = """\
 
 _PROFILE = """\
 <?xml version="1.0" encoding="UTF-8"?>
-<!-- Written by dds-trace: {transport} on this machine only. -->
+<!-- Written by dds-trace: {title}. -->
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
   <profiles>
     <transport_descriptors>
@@ -120,9 +121,13 @@ def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> 
     if buffer_bytes is not None and transport is not Transport.UDP:
         raise OptionError(NO_TUNING.format(transport.value))
     transports, discovery = _LAYOUTS[transport]
+    return _profile(f"{transport.value} on this machine only", transports, discovery, buffer_bytes)
+
+
+def _profile(title: str, transports: tuple[str, ...], discovery: str, buffer_bytes: int | None) -> str:
     buffers = "" if buffer_bytes is None else _BUFFERS.format(bytes=buffer_bytes)
     return _PROFILE.format(
-        transport=transport.value,
+        title=title,
         descriptors="".join(_descriptor(name, buffers) for name in transports),
         transports="".join(f"          <transport_id>{name}</transport_id>\n" for name in transports),
         discovery=discovery,
@@ -139,17 +144,21 @@ def _descriptor(name: str, buffers: str) -> str:
     )
 
 
-def requested_profile(transport: Transport, *, tuned: bool) -> str | None:
-    """Return the profile for `--transport` and `--tuned` under localhost discovery, if needed."""
+def requested_profile(transport: Transport, *, tuned: bool, is_local: bool = True) -> str | None:
+    """Return the profile for `--transport` and `--tuned`, None if there is nothing to set or the variable can do it."""
+    if not is_local:
+        is_udp = transport in (Transport.DEFAULT, Transport.UDP)
+        return _profile("tuned udp", (_NETWORK_UDP,), "", BUFFER_BYTES) if tuned and is_udp else None
     if transport is Transport.DEFAULT and not tuned:
         return None
     # Tuning enlarges the buffers of UDP sockets.
     chosen = Transport.UDP if transport is Transport.DEFAULT else transport
-    # As `sockets_size=4MB` of FASTDDS_BUILTIN_TRANSPORTS, whose MB is 1,000,000 bytes.
     return localhost_profile(chosen, BUFFER_BYTES if tuned else None)
 
 
-def profile_environment(path: Path, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+def profile_environment(
+    path: Path, environment: Mapping[str, str] = os.environ, *, is_local: bool = True
+) -> dict[str, str]:
     """Return the variables that load the profile at `path`; a profile of the user's is an `OptionError`."""
     for name in PROFILE_VARIABLES:
         if environment.get(name):
@@ -159,7 +168,7 @@ def profile_environment(path: Path, environment: Mapping[str, str] = os.environ)
             )
     # Fast DDS 3 warns of the older variable, and loads the same profile twice.
     variables = PROFILE_VARIABLES if package_version("fastdds") is None else PROFILE_VARIABLES[1:]
-    return {**RANGE, **dict.fromkeys(variables, str(path))}
+    return {**(RANGE if is_local else {}), **dict.fromkeys(variables, str(path))}
 
 
 @contextmanager
@@ -172,10 +181,10 @@ def written_profile(text: str) -> Iterator[Path]:
 
 
 @contextmanager
-def loaded_profile(text: str) -> Iterator[Path]:
+def loaded_profile(text: str, *, is_local: bool = True) -> Iterator[Path]:
     """Have this process's first participant load the profile; no child process inherits it."""
     with written_profile(text) as path:
-        variables = profile_environment(path)
+        variables = profile_environment(path, is_local=is_local)
         previous = {name: os.environ.get(name) for name in variables}
         os.environ.update(variables)
         try:
@@ -189,22 +198,26 @@ def loaded_profile(text: str) -> Iterator[Path]:
 
 
 _loaded: list[str | None] = []
-"""Profile of this process's first Fast DDS node under localhost discovery, None for ROS 2's own."""
+"""Profile of this process's first Fast DDS node, None for ROS 2's own."""
 
 
 @contextmanager
 def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]]:
     """Give the node of the block its transport and tuning; yield settings for the session."""
-    if ros_middleware(rmw).vendor != "fastdds" or options.discovery is not Discovery.LOCALHOST:
+    is_local = options.discovery is Discovery.LOCALHOST
+    is_fastdds = ros_middleware(rmw).vendor == "fastdds"
+    text = requested_profile(options.transport, tuned=options.tuned, is_local=is_local) if is_fastdds else None
+    if not is_fastdds or (text is None and not is_local):
         set_transport(options, rmw)
+    if not is_fastdds:
         yield {}
         return
-    text = requested_profile(options.transport, tuned=options.tuned)
     if _loaded and _loaded[0] != text:
         raise OptionError(
             "Fast DDS sets its transports once in each process, and an earlier node of this one has others: give both "
             "nodes the same transport and tuning, or each a process of its own"
         )
-    with nullcontext() if text is None else loaded_profile(text):
+    where = " for this machine only" if is_local else ""
+    with nullcontext() if text is None else loaded_profile(text, is_local=is_local):
         _loaded[:] = [text]
-        yield {} if text is None else {"profile": "written by dds-trace for this machine only"}
+        yield {} if text is None else {"profile": f"written by dds-trace{where}"}

@@ -83,9 +83,9 @@ def set_transport(options: NodeOptions, rmw: str) -> None:
     """Set the variable of Fast DDS's transports beyond this machine; errors as for `check_vendor`."""
     requested = (options.transport.value, options.tuned)
     builtin = VENDORS["fastdds"].builtin_transports
+    check_vendor(options, rmw)
     if requested not in builtin:
         raise OptionError(NO_TUNING.format(options.transport.value))
-    check_vendor(options, rmw)
     if (value := builtin[requested]) is not None:
         os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = value
 

@@ -83,8 +83,7 @@ class UdpLinks:
         self._receivers = receivers
         self._socket = bound_socket(socket.SOCK_DGRAM, listen or ("", 0))
         if buffer_bytes is not None:
-            for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
-                self._socket.setsockopt(socket.SOL_SOCKET, option, buffer_bytes)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
         # Not `settimeout`, with which Python calls the kernel twice for each datagram.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIME.pack(0, round(ROUND_S * 1e6)))
         self._buffer = memoryview(bytearray(1 << 16))

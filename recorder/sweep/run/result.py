@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CellResult:
-    """One run as its ping recorded it, without the warm-up except in `sent_bytes`.
+    """One run as its ping recorded it, without the warm-up except in the two sums of bytes.
 
     Attributes:
         run_id: 16 hex digits.
         received: published messages with a reply.
-        sent_bytes: application bytes of all published messages.
+        sent_bytes: application bytes of all published messages; `returned_bytes`: of those with a reply.
         achieved_rate_hz: rate of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50` ... `p99.9`) -> T2 - T1, None without replies; likewise `response_ms`, T2 - T0.
         cut_off: whether the run ended before its schedule.
@@ -50,6 +50,7 @@ class CellResult:
     dropped_events: int
     cut_off: bool
     not_applied: str = ""
+    returned_bytes: int = 0
 
     @property
     def loss_percent(self) -> float:
@@ -78,13 +79,16 @@ def read_result(path: Path) -> CellResult:
     answered, first = np.unique(replies.sequence, return_index=True)
     receive_ns = replies.monotonic_ns[first]
     both, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
+    published = trace.events[Stage.T1]
+    returned = np.isin(published.sequence, trace.events[Stage.T2].sequence)
     span_ns = int(sent.monotonic_ns[-1] - sent.monotonic_ns[0]) if len(sent) > 1 else 0
     return CellResult(
         run_id=f"{run.run_id:016x}",
         planned=run.planned_messages,
         published=len(sent),
         received=len(both),
-        sent_bytes=int(trace.events[Stage.T1].payload_bytes.sum(dtype=np.int64)),
+        sent_bytes=int(published.payload_bytes.sum(dtype=np.int64)),
+        returned_bytes=int(published.payload_bytes[returned].sum(dtype=np.int64)),
         achieved_rate_hz=(len(sent) - 1) / (span_ns / 1e9) if span_ns else None,
         rtt_ms=_percentiles_ms(receive_ns[in_answered] - sent.monotonic_ns[in_sent]),
         response_ms=_percentiles_ms(receive_ns[in_answered] - sent.scheduled_ns[in_sent]),

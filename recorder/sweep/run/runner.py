@@ -263,16 +263,20 @@ class Runner:
         if not result.published:
             raise CellFailedError(f"it sent nothing: {program.last_words()}")
         link = self._report_link()
-        if link and link["ping"]["sent_bytes"] < result.sent_bytes:
+        # Only what came back must have crossed: a middleware may drop messages before the link.
+        has_bypassed = link is not None and link["ping"]["sent_bytes"] < result.returned_bytes
+        final = self.ping_path(cell.name)
+        kept = final.with_name(f"{final.name}.bypassed") if has_bypassed else final
+        try:
+            draft.replace(kept)
+        except OSError as err:
+            raise output_error(kept, err) from err
+        if link is not None and has_bypassed:
             raise CellFailedError(
-                f"its messages did not cross the link: "
-                f"{counted(link['ping']['sent_bytes'], 'byte')} of {result.sent_bytes} did",
+                f"its messages did not cross the link: {counted(link['ping']['sent_bytes'], 'byte')} of the "
+                f"{result.returned_bytes} that came back did; the trace is {kept.name}",
                 hopeless=True,
             )
-        try:
-            draft.replace(self.ping_path(cell.name))
-        except OSError as err:
-            raise output_error(self.ping_path(cell.name), err) from err
         self._estimate.measured(cell, time.monotonic() - began_s)
         return result, link
 
@@ -292,7 +296,6 @@ class Runner:
             if device.keeps_traces or counts.get(int(cell.run_id, 16)) or is_silent:
                 self.state[name] = replace(cell, status=Status.COMPLETE, segment="")
             else:
-                remove_files(self.folder, self.ping_path(name).name, ("",))
                 self.state[name] = replace(cell, status=Status.FAILED, segment="", reason="its relay trace is lost")
                 self._progress.note(f"{name}: its relay trace is lost")
         try:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from campaigns import write_run
-from snapshots import applied, counted, segment, udp
+from snapshots import applied, counted, segment, tcp, udp
 from trace_files import evenly, ping_session, relay_session, run, write_pair
 from wording import numbers
 
@@ -118,6 +118,11 @@ def instants(begin_sockets, end_sockets, begin_counters=None, end_counters=None)
     return {"applied": data}
 
 
+def test_drops_of_tcp_sockets_are_no_datagrams(tmp_path):
+    record(tmp_path, "zenoh", relay=instants((tcp(),), (tcp(dropped=4),)))
+    assert of_code(analyze(tmp_path), "udp_buffer_overflow") == []
+
+
 def test_drops_of_the_own_sockets_are_found(tmp_path, sentences):
     begin, end = ((udp(7411, inode=1, dropped=5),), (udp(7411, inode=1, dropped=12), udp(1, inode=2, dropped=2)))
     record(tmp_path, relay=instants(begin, end), ping=instants(begin, begin))
@@ -149,10 +154,12 @@ def test_lost_fragments_are_found(tmp_path, sentences):
         ping=instants((), (), begin, {"ReasmFails": 25, "ReasmTimeout": 5, "FragFails": 4}),
         relay=instants((), (), begin, begin),
     )
-    (finding,) = of_code(analyze(tmp_path), "fragments_lost")
-    assert numbers(finding.what) == [20, 4, 1]
-    assert {30, 4_194_304} <= {*numbers(finding.action)}
-    sentences(finding.what, finding.action)
+    lost, unsent = of_code(analyze(tmp_path), "fragments_lost")
+    assert numbers(lost.what) == [20, 4]
+    assert {30, 4_194_304} <= {*numbers(lost.action)}
+    assert numbers(unsent.what) == [1]
+    assert "ipfrag" not in unsent.action
+    sentences(lost.what, lost.action, unsent.what, unsent.action)
 
 
 @pytest.mark.parametrize(

@@ -75,7 +75,7 @@ def write(folder, files, *, reverse=False, copies=False, names=("ping", "relay")
         ping = where == "ping"
         path = write_trace(
             folder / f"{position if not reverse else 9 - position}{names[not ping]}.mcap",
-            ping_session() if ping else relay_session(session_id=where, relay_id=where),
+            ping_session() if ping else relay_session(session_id=where, relay_id=where, monotonic_anchor_ns=10**6),
             [run(run_id=run_id, warmup_messages=WARMUP[run_id]) for run_id in RUNS] if ping else (),
             {stage: list(reversed(events)) if reverse else events for stage, events in stages.items()},
         )

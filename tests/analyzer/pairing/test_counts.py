@@ -38,6 +38,7 @@ def test_every_kind_of_message_is_counted_once():
         "lost_return": 1,  # 2
         "lost_unknown": 0,
         "duplicates": 1,
+        "duplicated": 1,
         "reordered": 1,  # 5 came after 6
         "relay_gaps": 1,  # 6 came back, but the relay never saw it
         "early": 0,
@@ -57,6 +58,9 @@ def test_every_kind_of_message_is_counted_once():
         "most_payload_bytes": 33_000,
         "unsent": 0,
         "in_flight": 0,
+        "absent": 0,
+        "outlived": 0,
+        "longest_gap_ns": 0,
     }
     assert list(counts) == list(COUNT_SCHEMA)
 

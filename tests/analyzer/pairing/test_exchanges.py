@@ -131,7 +131,7 @@ def test_two_relays_give_two_rows_a_message_each_with_its_own_outcome(tmp_path):
     for relay_id, stamps in ((near, [(0, 50, 60), (1, 80, 100)]), (far, [(0, 7, 9)])):
         write_trace(
             tmp_path / f"relay_{relay_id}.mcap",
-            relay_session(session_id=relay_id, relay_id=relay_id, device=f"pi{relay_id}"),
+            relay_session(session_id=relay_id, relay_id=relay_id, device=f"pi{relay_id}", monotonic_anchor_ns=10**6),
             (),
             {
                 Stage.T3: [event(s, t3, relay_id=relay_id) for s, t3, _ in stamps],
@@ -215,21 +215,32 @@ def test_several_runs_in_one_file_are_rows_by_group_and_runs_by_start(tmp_path):
     assert [described.run_id for described in analysis.runs] == [2, 1]
 
 
-def test_a_restarted_relay_is_another_relay(tmp_path):
-    """A new process draws a new relay_id: each has the outcomes of the messages that it could see."""
-    messages = [Message(0, t0=0, t1=10, t3=500, t4=520, t2=140), Message(1, t0=1000, t1=1010, t3=9, t4=11, t2=1112)]
+@pytest.mark.parametrize("began_ns", [1490, 2000])
+def test_a_restarted_relay_is_another_relay(tmp_path, began_ns):
+    """A new process draws a new relay_id: each has the outcomes of the messages that it could see, by when it began."""
+    expected = FIRST_AND_SECOND if began_ns < 1500 else UNKNOWN_BEGINNING
+    messages = [
+        Message(0, t0=0, t1=10, t3=500, t4=520, t2=140),
+        Message(1, t0=1000, t1=1010, t3=1509, t4=1511, t2=1112),
+    ]
     ping = ping_events(messages)
     ping[Stage.T2] = [event(0, 140, relay_id=1), event(1, 1112, relay_id=2)]
     write_trace(tmp_path / "ping.mcap", ping_session(), [run()], ping)
     for relay_id, message in zip((1, 2), messages, strict=True):
-        session = relay_session(session_id=relay_id, relay_id=relay_id)
+        session = relay_session(
+            session_id=relay_id, relay_id=relay_id, monotonic_anchor_ns=0 if relay_id == 1 else began_ns
+        )
         write_trace(tmp_path / f"relay{relay_id}.mcap", session, (), relay_events([message], relay_id=relay_id))
-    assert values(analyze(tmp_path), "relay_id", "sequence", "outcome", "latency_ns") == [
-        (1, 0, "completed", 55),
-        (1, 1, "lost_outbound", None),
-        (2, 0, "lost_outbound", None),
-        (2, 1, "completed", 50),
-    ]
+    assert values(analyze(tmp_path), "relay_id", "sequence", "outcome", "latency_ns") == expected
+
+
+FIRST_AND_SECOND = [(1, 0, "completed", 55), (2, 1, "completed", 50)]
+UNKNOWN_BEGINNING = [
+    FIRST_AND_SECOND[0],
+    (1, 1, "lost_outbound", None),
+    (2, 0, "lost_outbound", None),
+    FIRST_AND_SECOND[1],
+]
 
 
 def test_a_relay_restarted_under_its_old_id_gets_the_last_session_before_its_events(tmp_path):

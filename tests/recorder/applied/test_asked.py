@@ -57,8 +57,11 @@ def test_what_a_profile_asks_for(text, expected, transport):
 def test_a_profile_of_our_own_is_read_as_what_it_was_written_from():
     text = fastdds_profile.localhost_profile(Transport.UDP, 4_000_000)
     assert read_profile_request(text) == ProfileRequest(
-        ("udp",), 4_000_000, 4_000_000, replaces_builtin=True, interfaces=("127.0.0.1",)
+        ("udp",), 4_000_000, replaces_builtin=True, interfaces=("127.0.0.1",)
     )
+    assert read_profile_request(
+        fastdds_profile.requested_profile(Transport.DEFAULT, tuned=True, is_local=False)
+    ) == ProfileRequest(("udp",), 4_000_000, replaces_builtin=True)
 
 
 @pytest.mark.parametrize(
@@ -66,14 +69,14 @@ def test_a_profile_of_our_own_is_read_as_what_it_was_written_from():
     [
         ("fastdds", {}, Asked("fastdds", 5)),
         ("fastdds", {"transport": "shm"}, Asked("fastdds", 5, "shm")),
-        ("fastdds", {"tuned": True}, Asked("fastdds", 5, "udp", True, "subnet", 4_000_000, 4_000_000)),
+        ("fastdds", {"tuned": True}, Asked("fastdds", 5, "udp", True, "subnet", 4_000_000)),
         ("cyclonedds", {"tuned": True}, Asked("cyclonedds", 5, "default", True, "subnet", 4_000_000)),
         ("zenoh", {"tuned": True}, Asked("zenoh", 5, tuned=True)),
         ("connext", {"tuned": True}, Asked("connext", 5, tuned=True)),
         (
             "socket",
             {"transport": "udp", "tuned": True, "discovery": "localhost"},
-            Asked("socket", 5, "udp", True, "localhost", 4_000_000, 4_000_000),
+            Asked("socket", 5, "udp", True, "localhost", 4_000_000),
         ),
     ],
 )

@@ -200,11 +200,24 @@ def test_a_process_has_one_profile():
 @pytest.mark.usefixtures("fresh")
 def test_the_subnet_leaves_the_transport_to_the_variable(monkeypatch):
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "SHM")
-    subnet = replace(LOCAL, discovery=Discovery.SUBNET, tuned=True)
-    with applied_transport(subnet, "rmw_fastrtps_cpp") as settings:
+    with applied_transport(replace(LOCAL, discovery=Discovery.SUBNET), "rmw_fastrtps_cpp") as settings:
         assert settings == {}
-        assert os.environ["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4?sockets_size=4MB"
+        assert os.environ["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
         assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in os.environ
+
+
+@pytest.mark.usefixtures("fresh")
+@pytest.mark.parametrize("transport", [Transport.DEFAULT, Transport.UDP])
+def test_tuning_beyond_this_machine_enlarges_receive_buffers_only(monkeypatch, transport):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    subnet = replace(LOCAL, discovery=Discovery.SUBNET, transport=transport, tuned=True)
+    with applied_transport(subnet, "rmw_fastrtps_cpp") as settings:
+        text = Path(os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"]).read_text()
+        assert settings == {"profile": "written by dds-trace"}
+        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    assert "<receiveBufferSize>4000000<" in text
+    assert "sendBufferSize" not in text
+    assert "127.0.0.1" not in text
 
 
 @pytest.mark.usefixtures("fresh")

@@ -150,7 +150,8 @@ def test_cells_whose_relay_part_is_lost_are_not_complete(desk):
     desk.script(relay=["lossy"])
     outcome = desk.sweep()
     assert outcome.missing == dict.fromkeys((FIRST, SECOND), "its relay trace is lost")
-    assert desk.traces == []
+    assert all(name.endswith(".ping.mcap") for name in desk.traces)
+    assert len(desk.traces) == 2
     assert desk.sweep().missing == {}
     assert desk.traces == files_of(FIRST, SECOND)
 
@@ -264,6 +265,14 @@ def test_messages_that_went_past_the_link_are_no_measurement_of_it(desk, link, s
     link["ping"]["sent_bytes"] = 2000
     sentences(*(f"{name}: {reason}" for name, reason in desk.sweep().missing.items()))
     assert desk.traces == []
+    assert len(list((desk.folder / "runs/plan").glob("*.bypassed"))) == 2
+
+
+def test_messages_that_are_lost_before_the_link_are_a_result(desk, link):
+    link["ping"]["sent_bytes"] = 4 * 33_000  # of five, one of which never came back
+    desk.script(**{FIRST: ["silent"], SECOND: ["silent"]})
+    assert desk.sweep().missing == {}
+    assert desk.traces == files_of(FIRST, SECOND)
 
 
 def test_ping_that_is_killed_says_so_and_is_tried_again(desk):

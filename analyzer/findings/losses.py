@@ -1,0 +1,172 @@
+"""Checks of lost messages: where they were lost, and the causes that traces show."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from typing import TYPE_CHECKING, NamedTuple
+
+from dds_trace.base.units import counted, format_ms
+
+from ..model.finding import Severity, Subject
+from ..pairing.pair import Outcome
+from .check import check
+from .evidence import Observation, exchange_name, percent
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from ..pairing.exchanges import Exchange
+    from .evidence import Evidence
+
+_LOST = {
+    Outcome.LOST_OUTBOUND.value: "on the way out",
+    Outcome.LOST_IN_RELAY.value: "in the relay",
+    Outcome.LOST_RETURN.value: "on the way back",
+    Outcome.LOST_UNKNOWN.value: "at an unknown point",
+}
+"""Outcome -> where the message was lost, in words."""
+
+
+def _lost_where(row: Mapping[str, int]) -> str:
+    return ", ".join(f"{row[outcome]} {where}" for outcome, where in _LOST.items() if row[outcome])
+
+
+@check(
+    "nothing_received",
+    Severity.ERROR,
+    Subject.RESULT,
+    "Check domain, bridge and middleware of both sides; there is nothing to compare here.",
+)
+def nothing_received(evidence: Evidence) -> Iterator[Observation]:
+    """No message came back."""
+    for group, row in evidence.rows_by_group("published", "received", *_LOST):
+        if row["published"] and not row["received"]:
+            yield evidence.result(
+                group, f"None of {counted(row['published'], 'message')} came back ({_lost_where(row)})."
+            )
+
+
+@check("loss", Severity.WARNING, Subject.RESULT, "Percentiles here are of the received messages only; {cure}.")
+def losses(evidence: Evidence) -> Iterator[Observation]:
+    """Messages were lost."""
+    members: dict[int, list[_Member]] = defaultdict(list)
+    for exchange, group, counts in evidence.counts_by_exchange():
+        members[group].append((exchange, counts))
+    for group, row in evidence.rows_by_group("published", "received", "latency_max_ns", "rtt_max_ns", *_LOST):
+        published, lost = row["published"], row["published"] - row["received"]
+        if row["received"] and (where := _lost_where(row)):
+            cause = next(filter(None, (find(members[group], row) for find in _CAUSES)), None)
+            seen = f"; {cause.seen}" if cause else ""
+            cure = cause.cure if cause else _PERHAPS[members[group][0][0].run.qos.reliability]
+            yield evidence.result(
+                group,
+                f"{lost} of {counted(published, 'message')} ({percent(lost, published)}) did not come back: {where}{seen}.",
+                lost / published,
+                cure=cure,
+            )
+
+
+_Member = tuple["Exchange", dict[str, int]]
+"""An exchange of a group and its counts."""
+
+_PERHAPS = defaultdict(
+    lambda: "a lower rate may help",
+    reliable="a larger --depth, larger buffers (--tuned) or a lower rate may help",
+    best_effort="--reliability reliable, larger buffers (--tuned) or a lower rate may help",
+)
+
+
+class _Cause(NamedTuple):
+    seen: str
+    cure: str
+
+
+def _outlived_history(members: Sequence[_Member], _row: Mapping[str, int]) -> _Cause | None:
+    outlived = sum(counts["outlived"] or 0 for _, counts in members)
+    exchange, counts = max(members, key=lambda member: member[1]["longest_gap_ns"] or 0)
+    run, history_ns = exchange.run, exchange.run.history_ns
+    if not outlived or history_ns is None:
+        return None
+    gap_ns = counts["longest_gap_ns"]
+    return _Cause(
+        f"{outlived} of them left while nothing arrived for up to {format_ms(gap_ns)} ms, and a history keeps "
+        f"{format_ms(round(history_ns))} ms (--depth {run.qos.depth} at {run.rate_hz:g} Hz)",
+        f"give both sides --depth {2 * math.ceil(gap_ns * run.rate_hz / 1e9)}, which keeps them for twice that time",
+    )
+
+
+_OLD_SHARE = 0.5
+"""Longest latency of the received messages, in lifespans, from which on others were too old: both ways share it."""
+
+
+def _outlived_lifespan(members: Sequence[_Member], row: Mapping[str, int]) -> _Cause | None:
+    lifespan_ns = members[0][0].run.qos.extra.get("lifespan_ns")
+    longest_ns = row["latency_max_ns"] or row["rtt_max_ns"]
+    if not isinstance(lifespan_ns, int) or longest_ns is None or longest_ns < _OLD_SHARE * lifespan_ns:
+        return None
+    return _Cause(
+        f"a message older than {format_ms(lifespan_ns)} ms is not delivered (--lifespan), and the others took up to "
+        f"{format_ms(round(longest_ns))} ms",
+        "leave --lifespan out if late messages are of use, or make it longer than the latency",
+    )
+
+
+def _dropped_by_zenoh(members: Sequence[_Member], _row: Mapping[str, int]) -> _Cause | None:
+    exchange, _ = members[0]
+    if exchange.ping.vendor != "zenoh" or exchange.run.qos.reliability != "best_effort":
+        return None
+    return _Cause(
+        "Zenoh drops best-effort messages in the sender when the link is full",
+        "record with --reliability reliable, with which Zenoh waits, or at a lower rate",
+    )
+
+
+_CAUSES = (_outlived_lifespan, _dropped_by_zenoh, _outlived_history)
+"""The first one that the trace shows is named."""
+
+
+@check(
+    "outage",
+    Severity.WARNING,
+    Subject.RESULT,
+    "Look at the timeline: a link that drops out, a relay that stands still, a full buffer; `loss` names what the trace shows.",
+)
+def outages(evidence: Evidence) -> Iterator[Observation]:
+    """Several messages in a row were lost."""
+    published = evidence.summary.frame["published"].to_list()
+    for (key,), rows in evidence.details.outages.group_by(["group"], maintain_order=True):
+        group = int(str(key))
+        lost = rows["messages"].sum()
+        durations_ns = rows["duration_ns"].drop_nulls().to_list()
+        longest = f"; the longest lasted {format_ms(max(durations_ns))} ms" if durations_ns else ""
+        endless = rows.height - len(durations_ns)
+        end = f"; {endless} lasted to the end of the run." if endless else "."
+        yield evidence.result(
+            group,
+            f"{counted(rows.height, 'time')} several messages in a row were lost, {lost} in all{longest}{end}",
+            lost / published[group],
+        )
+
+
+@check(
+    "relay_joined_late",
+    Severity.WARNING,
+    Subject.RELAY,
+    "Start every relay first, and give the ping --relays {relays}, which waits for them.",
+)
+def late_relays(evidence: Evidence) -> Iterator[Observation]:
+    """A relay began when the run was under way."""
+    absences: dict[tuple[int, str], list[tuple[Exchange, int, int]]] = defaultdict(list)
+    for exchange, group, counts in evidence.counts_by_exchange():
+        if counts["absent"] and exchange.relay is not None:
+            absences[exchange.run.run_id, exchange.relay.device].append((exchange, group, counts["absent"]))
+    for (_, device), absent in absences.items():
+        if len(absent) == 1:  # two are one that was restarted
+            exchange, group, messages = absent[0]
+            yield Observation(
+                exchange_name(exchange),
+                f"{counted(messages, 'message')} had left before the relay on {device} was there; they are no losses, and have no row.",
+                (group,),
+                blanks={"relays": exchange.relays},
+            )

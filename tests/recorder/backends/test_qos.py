@@ -62,9 +62,9 @@ def test_pairs_of_ours_are_named_and_others_are_not(sentences):
 @pytest.mark.parametrize(
     ("history", "depth", "rate_hz", "warned"),
     [
-        ("keep_last", 10, 100, False),
+        ("keep_last", 10, 100, True),
         ("keep_last", 10, 101, True),
-        ("keep_last", 100, 1000, False),
+        ("keep_last", 101, 1000, False),
         ("keep_last", 1, 10.5, True),
         ("keep_last", 1, 0.1, False),
         ("keep_all", 1, 1000, False),

@@ -60,7 +60,7 @@ def dropped_datagrams(evidence: Evidence) -> Iterator[Observation]:
 
 
 _UNTUNED = "raise net.core.rmem_max and net.core.rmem_default, or record with --tuned"
-_TUNED_ALREADY = "its buffers are those of --tuned already, so a lower rate or size may help"
+_TUNED_ALREADY = "it has the buffers of --tuned already, so a lower rate or size may help"
 
 
 @check(
@@ -113,7 +113,7 @@ def unsent_fragments(evidence: Evidence) -> Iterator[Observation]:
 
 
 _SENT_SHARE, _LEAST_PAYLOAD_BYTES = 0.9, 2_000_000
-"""Share of the payload that an interface which carried it has sent, and payload that stands out from discovery."""
+"""Share of the payload that an interface which carried it has sent, and payload larger than discovery."""
 
 
 @check(

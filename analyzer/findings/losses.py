@@ -130,7 +130,7 @@ _CAUSES = (_outlived_lifespan, _dropped_by_zenoh, _outlived_history)
     "outage",
     Severity.WARNING,
     Subject.RESULT,
-    "Look at the timeline: a link that drops out, a relay that stands still, a full buffer; `loss` names what the trace shows.",
+    "Look at the timeline: a link that drops out, a relay that pauses, a full buffer; `loss` names what the trace shows.",
 )
 def outages(evidence: Evidence) -> Iterator[Observation]:
     """Several messages in a row were lost."""

@@ -1,4 +1,4 @@
-"""Messages that a relay is not answerable for: it began later, or another one has taken its place."""
+"""Messages that a relay could not get: it started later, or was replaced."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 def present(
     exchanges: Sequence[Exchange], published: Sequence[Published], pair: Callable[[Exchange, Published], PairedMessages]
 ) -> list[NDArray[np.bool_]]:
-    """Return for each exchange which messages its relay is answerable for.
+    """Return for each exchange which messages count for its relay.
 
-    A relay that began within the run starts with the first message that it got after its beginning. With it ends a relay of the same
-    device that got nothing from there on: it was restarted.
+    For a relay that started within the run, those from the first one on that it got; for one that it replaced on its device, those
+    before.
     """
     masks = [np.ones(len(messages), np.bool_) for messages in published]
     by_run: dict[int, list[int]] = defaultdict(list)
@@ -46,9 +46,9 @@ def present(
 
 
 def _first_after_start(exchange: Exchange, published: Published, paired: PairedMessages) -> int | None:
-    """Return the first message that reached a relay which began after some message had left; None for any other relay.
+    """Return the first message that reached a relay which started within the run; None for other relays.
 
-    The clocks need no fit: no message reaches the relay before it leaves, so the least T3 - T1 is at least their offset.
+    The clocks need no fit: the least T3 - T1 is at least their offset.
     """
     arrived = paired.relay_in_ns != MISSING
     if exchange.relay is None or not arrived.any():

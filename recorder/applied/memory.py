@@ -123,7 +123,7 @@ def parse_maps(text: str) -> dict[str, _Mapped]:
 def ports_of_others(ports: range, folder: Path = SHM) -> dict[str, int]:
     """Return the receivers' queues of RTPS ports that belong to another user: name -> user id.
 
-    Fast DDS makes its files writable by their owner only, so two users discover each other and exchange nothing.
+    Only their owner can write to them.
     """
     owners: dict[str, int] = {}
     with suppress(OSError):

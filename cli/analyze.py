@@ -8,13 +8,13 @@ import sys
 from contextlib import ExitStack, contextmanager
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dds_trace.analyzer.engines.gc_tuning import tune_gc
 from dds_trace.base import limits
-from dds_trace.base.errors import MissingEventsError
+from dds_trace.base.errors import MissingEventsError, OptionError
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
@@ -89,7 +89,25 @@ def _complete_commands(incomplete: str) -> list[str]:
 app = command_app(completes=True)
 
 
-@declare_command(app, "analyze")
+_NOT_OF_TOPICS = (
+    *("report", "out", "cluster", "sketch", "deadline", "recommend", "margin", "trust_order", "export"),
+    *("derived_mcap", "open_it"),
+)
+
+
+def _overridden(values: Mapping[str, Any]) -> dict[str, str]:
+    return dict.fromkeys(_NOT_OF_TOPICS, "default: not of --topics") if values.get("topics") else {}
+
+
+def _refuse_with_topics(values: Mapping[str, Any]) -> None:
+    """Refuse options that change nothing."""
+    given = [name for name in _NOT_OF_TOPICS if values[name] and values[name] != ["terminal"]]
+    if given:
+        options = ", ".join(f"--{name.removesuffix('_it').replace('_', '-')}" for name in given)
+        raise OptionError(f"--topics prints a table and writes no file; leave out {options}")
+
+
+@declare_command(app, "analyze", _overridden)
 def main_command(
     paths: Annotated[
         list[str],
@@ -159,7 +177,7 @@ def main_command(
         bool, option("--topics", "For recordings of other tools: show rate, gaps, jitter, size and age of every topic.")
     ] = False,
     open_it: Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")] = False,
-    version: Version = False,  # noqa: ARG001 - its callback does it
+    version: Version = False,
 ) -> None:
     """Analyze traces: latency, losses and rates for every middleware, domain, size and frequency.
 
@@ -174,6 +192,7 @@ def main_command(
 
         dds-analyze watch runs/
     """
+    values = locals()
     from dds_trace.analyzer.exports.tables import export_tables
     from dds_trace.analyzer.model.finding import Severity
     from dds_trace.analyzer.pairing.provenance import read_provenance
@@ -183,6 +202,8 @@ def main_command(
     from dds_trace.recorder.option_values import parse_percentage
     from dds_trace.reports.reporters import write_reports
 
+    if topics:
+        _refuse_with_topics(values)
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
     limits.check(limits.SCHEDULER, cluster, "--cluster")
     traces = expand_paths(paths)
@@ -248,7 +269,6 @@ def _show_page(pages: list[Path], *, open_it: bool) -> None:
 def _parse_deadline(text: str | None) -> tuple[int | None, str]:
     """Return the deadline in ns, None for none, and its metric."""
     from dds_trace.analyzer.groups.batch import DEADLINE_METRIC, DEADLINE_METRICS
-    from dds_trace.base.errors import OptionError
 
     if text is None:
         return None, DEADLINE_METRIC

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 HOW_TO_READ = (
-    "Size: mean. Gaps: intervals longer than two typical ones. Jitter: standard deviation of the "
+    "Size: mean. Gaps: intervals longer than two typical ones; batches and several publishers have them, too. Jitter: standard deviation of the "
     "intervals. Age: median from the header's stamp, or from publishing, to the recording; between two machines it includes the "
     "difference of their clocks."
 )
@@ -40,7 +40,11 @@ def print_topics(report: "TopicReport") -> None:
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    from dds_trace.analyzer.recordings.topics import OTHER_CLOCK_NS
+
     age = "" if row["age_p50_ns"] is None else f"{format_duration(row['age_p50_ns'])} ({row['age_from']})"
+    if age and abs(row["age_p50_ns"]) > OTHER_CLOCK_NS:
+        age = "other clock"
     return (
         printable(row["topic"]),
         f"{row['messages']:,}",

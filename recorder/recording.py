@@ -155,6 +155,8 @@ class _Recording:
         seed = secrets.randbits(32) if ping_options.seed is None else ping_options.seed
         with ExitStack() as stack:
             payload = stack.enter_context(self._open_payload(ping_options, seed))
+            for note in payload.notes:
+                self.watch.note(note)
             plan = plan_run(self.options, ping_options, payload, session_id=self.session_id, seed=seed)
             self._warn_of_depth(plan)
             self._measure_costs(plan.rate_hz)

@@ -24,7 +24,7 @@ from dds_trace.tracefile.mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacke
 from dds_trace.tracefile.mcapfile.chunks import unpack_records
 from dds_trace.tracefile.mcapfile.file import MAX_RECORD_BYTES
 from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking
-from dds_trace.tracefile.reading.recording_files import missing_messages, open_recording
+from dds_trace.tracefile.reading.recording_files import content_hash, missing_messages, open_recording
 from dds_trace.tracefile.reading.source import unpack_message
 
 if TYPE_CHECKING:
@@ -57,13 +57,17 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class RecordedMessage:
-    """One message; times in ns since 1970, or since boot if the recording has such times; None for one it lacks."""
+    """One message; times in ns since 1970, or since boot if the recording has such times; None for one it lacks.
+
+    Messages of unlike `content` are not copies of each other.
+    """
 
     topic: Topic
     log_ns: int
     publish_ns: int | None
     stamp_ns: int | None
     payload_bytes: int
+    content: int
 
 
 def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:
@@ -151,6 +155,7 @@ def _mcap_stream(file: BinaryIO, claims: dict[str, int]) -> Iterator[RecordedMes
                 publish_ns=_checked(record.publish_time),
                 stamp_ns=stamp_of(data) if topic.has_stamp else None,
                 payload_bytes=len(data),
+                content=content_hash(data),
             )
         elif isinstance(record, Statistics):
             for channel_id, count in record.channel_message_counts.items():
@@ -209,7 +214,7 @@ def _bag_messages(path: Path, claims: dict[str, int]) -> Iterator[RecordedMessag
                 data = unpack(packed) if reader.is2 else packed
                 topic = topics[id(connection.owner), connection.id]
                 stamp_ns = _STAMP_READERS[encoding](bytes(data[:24])) if topic.has_stamp else None
-                yield RecordedMessage(topic, _checked(log_ns), None, stamp_ns, len(data))
+                yield RecordedMessage(topic, _checked(log_ns), None, stamp_ns, len(data), content_hash(data))
     except Exception as err:  # so do rosbags and SQLite
         raise TraceFormatError(path, f"the recording cannot be read on: {err}") from err
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from array import array
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,13 +13,15 @@ import polars as pl
 from numpy.typing import NDArray
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.base.units import counted
+from dds_trace.tracefile.reading.recording_files import copied_messages
 
 from ..model.finding import Source
 from ..model.metrics import frame_schema
 from .messages import find_recordings, iter_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
     from pathlib import Path
 
     from .messages import RecordedMessage, Topic
@@ -32,6 +35,9 @@ GAP_PERIODS = 2.0
 """Least length of a gap in median intervals: at least one message is missing."""
 
 _FEWEST_FOR_P99 = 100
+
+OTHER_CLOCK_NS = 86_400 * 1_000_000_000
+"""Median age from which on stamps are of another clock (a simulation's, or of another day)."""
 
 _MOST_NOTES = 10
 
@@ -84,22 +90,25 @@ def analyze_topics(
         columns: dict[Topic, _Columns] = {}
         status, detail = "read", ""
         notes: list[str] = []
+        other_clock: dict[str, float] = {}
         try:
             for message in iter_messages(recording, notes):
                 columns.setdefault(message.topic, _Columns()).add(message)
         except TraceFormatError as err:
             status, detail = ("truncated" if columns else "skipped"), err.what
+        for topic, messages_of_topic in sorted(columns.items(), key=lambda item: (item[0].name, item[0].message_type)):
+            row = _describe(topic, messages_of_topic)
+            rows.append({"recording": str(recording), **row})
+            notes += copied_messages(topic.name, messages_of_topic.copies)
+            age_ns = row.get("age_p50_ns")
+            if isinstance(age_ns, float) and abs(age_ns) > OTHER_CLOCK_NS:
+                other_clock[topic.name] = abs(age_ns)
+        notes += _other_clock(other_clock)
         detail = "; ".join([*([detail] if detail else []), *notes[:_MOST_NOTES]])
         if len(notes) > _MOST_NOTES:
             detail += f"; and {len(notes) - _MOST_NOTES} more"
         messages = sum(len(topic.log_ns) for topic in columns.values())
         sources.append(Source(str(recording), status, detail, messages))
-        rows += (
-            {"recording": str(recording), **_describe(topic, messages_of_topic)}
-            for topic, messages_of_topic in sorted(
-                columns.items(), key=lambda item: (item[0].name, item[0].message_type)
-            )
-        )
     if not any(source.status != "skipped" for source in sources):
         reasons = "; ".join(f"{source.path}: {source.detail}" for source in sources[:3])
         raise MissingEventsError(
@@ -110,18 +119,37 @@ def analyze_topics(
 
 @dataclass(slots=True)
 class _Columns:
-    """The messages of one topic while a recording is read: 32 bytes each."""
+    """The messages of one topic while a recording is read: 40 bytes each."""
 
     log_ns: array[int] = field(default_factory=lambda: array("q"))
     publish_ns: array[int] = field(default_factory=lambda: array("q"))
     stamp_ns: array[int] = field(default_factory=lambda: array("q"))
     payload_bytes: array[int] = field(default_factory=lambda: array("q"))
+    content: array[int] = field(default_factory=lambda: array("q"))
 
     def add(self, message: RecordedMessage) -> None:
         self.log_ns.append(message.log_ns)
         self.publish_ns.append(_NONE if message.publish_ns is None else message.publish_ns)
         self.stamp_ns.append(_NONE if message.stamp_ns is None else message.stamp_ns)
         self.payload_bytes.append(message.payload_bytes)
+        self.content.append(message.content)
+
+    @property
+    def copies(self) -> int:
+        """Messages whose log time and content another one has."""
+        keys = np.array([self.log_ns, self.content])
+        keys = keys[:, np.lexsort(keys)]
+        return int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
+
+
+def _other_clock(ages_ns: dict[str, float]) -> Iterator[str]:
+    """Yield a note on the topics with stamps of another clock."""
+    if ages_ns:
+        topic, age_ns = max(ages_ns.items(), key=itemgetter(1))
+        days = age_ns / OTHER_CLOCK_NS
+        apart = f"{days / 365.25:.0f} years" if days > 365.25 else f"{days:.0f} days"
+        more = f" and {counted(len(ages_ns) - 1, 'more topic')}" if len(ages_ns) > 1 else ""
+        yield f"stamps of {topic}{more} are {apart} from the log times: of another clock (a simulation?), not an age"
 
 
 def _describe(topic: Topic, columns: _Columns) -> Row:

@@ -1,7 +1,7 @@
 """The results of one analysis, which replace the earlier ones in their folder together.
 
 All new files are complete in a folder of drafts, `results.xxxxxxxx.part`, before its name becomes `results.xxxxxxxx.whole`. From then
-on they are the results: a process that dies while it moves them leaves the rest to the next analysis that writes there. Earlier files
+on they are the results: a process that dies while it moves them leaves the rest to the next analysis. Earlier files
 go first, so that old and new ones are never in the folder together.
 """
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
 
 from ..errors import StoppedError
 from .base import DataType, Message, Payload, Source, check_size, check_stop
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
+    from dds_trace.tracefile.reading.recording_files import RecordingFiles
+
 HEADER_TYPE = "std_msgs/msg/Header"
 NAMED_FIELD = 2
 """rosbags' mark of a field that is a message."""
@@ -33,25 +36,35 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
         OptionError: the bag, the topic or its type cannot be used.
         BackendUnavailableError: rosbags is not installed.
     """
+    from dds_trace.tracefile.reading.recording_files import content_hash, copied_messages, missing_messages  # noqa: PLC0415 - SQLite
+
     name, topic = split_topic(where)
     path = Path(name)
     if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for a writer
         raise OptionError(f"--data bag:{where}: {path} is not a file or a folder")
-    with _open_reader(path) as (reader, unpack):
+    with _open_reader(path) as (reader, unpack, recording):
         connections = _connections_of(reader, topic, path)
         type_name = connections[0].msgtype
         stamper = _Stamper(reader, type_name, path, own_types)
         messages, times_ns, size_bytes = [], [], 0
+        contents = set()
         for _, time_ns, data in reader.messages(connections):
             check_stop(stop)
             check_size(size_bytes + len(data), path)
-            message = stamper(unpack(data) if reader.is2 else data)
+            unpacked = unpack(data) if reader.is2 else data
+            contents.add((time_ns, content_hash(unpacked)))
+            message = stamper(unpacked)
             messages.append(message)
             times_ns.append(time_ns)
             size_bytes += len(message.data)
             check_size(size_bytes, path)
     if not messages:
         raise OptionError(f"--data bag:{where}: the bag has no messages of that topic")
+    name = connections[0].topic
+    notes = [*recording.notes]
+    if name in recording.claimed:
+        notes += missing_messages({name: recording.claimed[name]}, {name: len(messages)}, METADATA_NAME)
+    notes += copied_messages(name, len(messages) - len(contents))
     span_ns = times_ns[-1] - times_ns[0]
     return Payload(
         stamper.data_type,
@@ -59,6 +72,7 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
         max(message.payload_bytes for message in messages),
         rate_hz=(len(times_ns) - 1) / span_ns * 1e9 if span_ns > 0 else None,
         source=f"bag:{where}",
+        notes=tuple(notes),
     )
 
 
@@ -71,7 +85,7 @@ def split_topic(where: str) -> tuple[str, str]:
 
 
 @contextmanager
-def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], bytes]]]:
+def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], bytes], RecordingFiles]]:
     """Open a bag, with a function that unpacks a message; a damaged bag's error within the block becomes one line."""
     try:
         from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only bags need it
@@ -90,7 +104,7 @@ def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], byte
             bounded_unpacking(path) as unpack,
             AnyReader(recording.files, default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
         ):
-            yield reader, unpack
+            yield reader, unpack, recording
     except (OptionError, BackendUnavailableError, StoppedError):
         raise
     except FileNotFoundError as err:

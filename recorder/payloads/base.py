@@ -55,6 +55,7 @@ class Payload:
         payload_bytes: application bytes of the largest message.
         rate_hz: recorded rate, None if there is none.
         feed: live source of the messages; then `messages` are for probes.
+        notes: doubts about the source, in words.
     """
 
     data_type: DataType
@@ -63,6 +64,7 @@ class Payload:
     rate_hz: float | None = None
     source: str = ""
     feed: Feed | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

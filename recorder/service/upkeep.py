@@ -126,10 +126,10 @@ class Upkeep:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._manager.close()
-        if error is None or not isinstance(error, Exception):
+        if error is None or isinstance(error, KeyboardInterrupt | SystemExit):
             self.sink.close()
-        else:  # a trace of a recorder that failed says so
-            self.sink.close(error=str(error) or kind.__name__ if kind else "")
+        else:  # also a panic of Rust below zenoh, which is no Exception
+            self.sink.close(error=str(error) or type(error).__name__)
         self._running.close()
 
     def look(self, messages: int, describe: Callable[[], JsonObject]) -> None:

@@ -181,6 +181,35 @@ def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
     assert analyze(tmp_path, "--topics") == 0
 
 
+@pytest.mark.parametrize(
+    "option",
+    [
+        *("--report html", "--report terminal --report json", "--export csv", "--derived-mcap", "--open", "--sketch"),
+        *(
+            "--out here",
+            "--deadline 20ms",
+            "--recommend data=imu",
+            "--margin 5%",
+            "--trust-order",
+            "--cluster tcp://h:1",
+        ),
+    ],
+)
+def test_options_that_do_nothing_with_topics_are_refused(runs, capsys, option):
+    assert analyze(runs, "--topics", *option.split()) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert option.split()[0] in shown.err
+    assert analyze(runs, "--topics", "--report", "terminal", "--no-cache") == 0
+    assert not (runs / "analysis").exists()
+
+
+def test_configured_defaults_do_not_count_for_topics(runs, tmp_path, monkeypatch):
+    (tmp_path / "own.toml").write_text('[analyze]\nreport = ["html"]\nsketch = true\n')
+    monkeypatch.setenv("DDS_TRACE_CONFIG", str(tmp_path / "own.toml"))
+    assert analyze(runs, "--topics") == 0
+
+
 def test_a_named_command_leaves_the_folder_command_alone(runs, monkeypatch, capsys):
     other = typer.Typer()
 

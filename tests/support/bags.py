@@ -21,7 +21,7 @@ PERIOD_NS = 20_000_000
 
 
 def header(store: Any = ROS2, frame_id: str = "lidar_link") -> Any:
-    time = store.types["builtin_interfaces/msg/Time"](sec=5, nanosec=6)
+    time = store.types["builtin_interfaces/msg/Time"](sec=1_700_000_000, nanosec=6)
     more = {"seq": 9} if store is ROS1 else {}
     return store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **more)
 

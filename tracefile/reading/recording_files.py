@@ -65,6 +65,20 @@ def open_recording(path: Path) -> Iterator[RecordingFiles]:
         yield recording
 
 
+_HASHED_BYTES = 4096
+
+
+def content_hash(data: bytes) -> int:
+    """Return a hash, for this process, of the length and both ends of a message."""
+    return hash((len(data), bytes(data[:_HASHED_BYTES]), bytes(data[-_HASHED_BYTES:])))
+
+
+def copied_messages(topic: str, copies: int) -> Iterator[str]:
+    """Yield a note if messages are copies of others."""
+    if copies:
+        yield f"{counted(copies, 'message')} of {topic} {'is' if copies == 1 else 'are'} there twice (same time and bytes): a merged bag?"
+
+
 def missing_messages(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str) -> Iterator[str]:
     """Yield a note for each topic whose messages are not as many as claimed."""
     for topic, count in claimed.items():

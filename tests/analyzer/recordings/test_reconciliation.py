@@ -58,6 +58,7 @@ def test_messages_in_a_log_beside_a_database_are_read(tmp_path, sentences):
     assert re.search(r"/gps has 1 .* 2 ", detail)
     sentences(detail)
     assert len(payload.messages) == 2
+    assert [note.rpartition("metadata.yaml says")[2] in detail for note in payload.notes] == [True, True]
     assert before.keys() >= {"bag.db3", "bag.db3-wal"}
 
 
@@ -82,12 +83,30 @@ def test_a_listed_file_that_is_missing_is_named_and_the_rest_is_read(tmp_path, p
 
 
 @pytest.mark.parametrize("plugin", StoragePlugin)
+def test_messages_that_are_there_twice_are_said(tmp_path, plugin):
+    bag = write_bag2(tmp_path / "bag", {"/imu": [imu(0.1)]}, plugin)
+    ending, merged = SUFFIX[plugin], tmp_path / "merged"
+    merged.mkdir()
+    for name in "ab":
+        shutil.copy(bag / f"bag{ending}", merged / f"{name}{ending}")
+    text = (bag / "metadata.yaml").read_text().replace(f"- bag{ending}", f"- a{ending}\n  - b{ending}")
+    (merged / "metadata.yaml").write_text(text.replace("message_count: 1", "message_count: 2"))
+    topics, detail = topics_of(merged)
+    payload = load_payload(f"{merged}#/imu", {})
+    assert (topics, len(payload.messages)) == ({"/imu": 2}, 2)
+    assert [detail] == list(payload.notes)
+    assert detail.startswith("1 message of /imu is there twice")
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
 def test_a_count_that_differs_is_said(tmp_path, plugin, sentences):
     bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)
     replace_in(bag / "metadata.yaml", "message_count: 2", "message_count: 9")
     topics, detail = topics_of(bag)
     assert topics["/imu"] == 2
     assert "/imu has 9 messages, 2 " in detail
+    assert detail in load_payload(f"{bag}#/imu", {}).notes
+    assert load_payload(f"{bag}#/gps", {}).notes == ()
     sentences(detail)
 
 

@@ -20,6 +20,7 @@ from dds_trace.analyzer.recordings import messages as messages_of_recordings
 from dds_trace.analyzer.recordings.messages import begins_with_stamp, find_recordings, iter_messages
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.cli.analyze_text import print_topics
 from dds_trace.tracefile.mcapfile import blocks
 
 MS = 1_000_000
@@ -154,6 +155,52 @@ def test_stamps_ahead_of_the_log_and_backwards_are_counted(tmp_path):
 )
 def test_first_fields(definition, expected):
     assert begins_with_stamp(definition) is expected
+
+
+@pytest.mark.parametrize(
+    ("logged_ms", "copies"),
+    [
+        ([t + k for t in range(0, 2000, 20) for k in (0, 1)], 0),  # two publishers
+        ([200 * (n // 8) + n % 8 for n in range(160)], 0),  # batches
+        (sorted([*range(0, 10_000, 100)] * 2), 100),
+        ([*range(0, 10_000, 100)] * 2, 100),  # one copy after the other
+        ([0, 0, 0], 2),
+    ],
+)
+def test_messages_that_are_there_twice_are_counted(tmp_path, logged_ms, copies):
+    """And neither two publishers nor batches are copies, nor other content at the same time."""
+    events = [("/a", t * MS, t * MS, b"%d" % t) for t in logged_ms] + [("/b", MS, MS, b"x%d" % n) for n in range(5)]
+    write_mcap(tmp_path / "x.mcap", events)
+    report = analyze_topics(tmp_path)
+    assert report.topics["messages"].to_list() == [len(logged_ms), 5]
+    assert report.sources[0].detail.partition(" ")[0] == (str(copies) if copies else "")
+
+
+NAMED = b"string<=10 name\nstd_msgs/Header header\nuint8[] data\n"
+
+
+@pytest.mark.parametrize(
+    ("age_s", "is_other"), [(0.005, False), (-80_000, False), (90_000, True), (-90_000, True), (1_700_000_000, True)]
+)
+def test_stamps_of_another_clock_are_named(tmp_path, capsys, age_s, is_other):
+    stamps = [START_NS - int(age_s * 1e9) + n * MS for n in range(9)]
+    schema = ("pkg/msg/Odd", "ros2msg", b"std_msgs/Header header\n")
+    data = [("/odd", START_NS + n * MS, 0, stamped(*divmod(stamp, 10**9))) for n, stamp in enumerate(stamps)]
+    write_mcap(tmp_path / "x.mcap", data, encoding="cdr", schema=schema)
+    report = analyze_topics(tmp_path)
+    assert ("another clock" in report.sources[0].detail) is is_other
+    print_topics(report)
+    assert ("other clock" in capsys.readouterr().out) is is_other
+
+
+def test_a_bounded_text_before_the_header_is_a_field(tmp_path):
+    write_mcap(
+        tmp_path / "x.mcap",
+        [("/a", START_NS, START_NS, stamped(6))],
+        encoding="cdr",
+        schema=("my_msgs/msg/Named", "ros2msg", NAMED),
+    )
+    assert analyze_topics(tmp_path).topics["age_from"].to_list() == [None]
 
 
 def test_a_truncated_recording_is_used_up_to_its_end(tmp_path):

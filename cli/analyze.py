@@ -174,7 +174,10 @@ def main_command(
         bool, option("--derived-mcap", "Write the latency of every message as MCAP, and a layout for Foxglove.")
     ] = False,
     topics: Annotated[
-        bool, option("--topics", "For recordings of other tools: show rate, gaps, jitter, size and age of every topic.")
+        bool,
+        option(
+            "--topics", "For recordings of other tools: show rate, long intervals, jitter, size and age of every topic."
+        ),
     ] = False,
     open_it: Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")] = False,
     version: Version = False,

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 HOW_TO_READ = (
-    "Size: mean. Gaps: intervals longer than two typical ones; batches and several publishers have them, too. Jitter: standard deviation of the "
+    "Size: mean. Long: intervals longer than two typical ones, as batches and several publishers have, too. Jitter: standard deviation of the "
     "intervals. Age: median from the header's stamp, or from publishing, to the recording; between two machines it includes the "
     "difference of their clocks."
 )
-_COLUMNS = (("Messages", 8), ("Rate", 8), ("Gaps", 5), ("Jitter", 7), ("Size", 7), ("Age", 15))
+_COLUMNS = (("Messages", 8), ("Rate", 8), ("Long", 5), ("Jitter", 7), ("Size", 7), ("Age", 15))
 
 
 def print_topics(report: "TopicReport") -> None:

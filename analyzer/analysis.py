@@ -12,6 +12,8 @@ import polars as pl
 from polars.exceptions import PolarsError
 
 from dds_trace.base.errors import TraceFormatError
+from dds_trace.base.printable import printable
+from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Run, Session
 
 from .model.columns import SUMMARY_COLUMNS
@@ -29,10 +31,11 @@ if TYPE_CHECKING:
 
     from .model.finding import Finding, Source
     from .verdicts.answers import CaseAnswer
+    from .verdicts.compare import Comparison
     from .verdicts.recommend import Recommendation
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Details:
     """Results that take longer than rows and summary. `group` is the row number in `summary`; times in ns.
 
@@ -76,8 +79,13 @@ class Details:
     requested: bool = True
     deadline_metric: str = "response"
 
+    def __repr__(self) -> str:
+        """Return the frames with their heights."""
+        frames = (f"{name}: {counted(len(getattr(self, name)), 'row')}" for name in DETAIL_FRAMES)
+        return f"<Details: {', '.join(frames)}; answers: {len(self.answers)}>"
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Analysis:
     """Everything that was computed from one folder of traces.
 
@@ -108,6 +116,16 @@ class Analysis:
     details: Details
     outputs: Mapping[str, Path] = field(default_factory=dict)
     unsent: Mapping[int, int] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return one line with counts: notebooks store it next to `_repr_html_`."""
+        counts = (
+            counted(len(self.sources), "file"),
+            counted(len(self.runs), "run"),
+            counted(len(self.summary), "result"),
+            counted(len(self.findings), "finding"),
+        )
+        return f"<Analysis of {printable(self.title, _MOST_TITLE)}: {', '.join(counts)}; .summary, .findings, .show()>"
 
     def load_roundtrips(self) -> pl.DataFrame:
         """Read all round trips into memory, gigabytes of a large campaign: by group, run, relay and sequence."""
@@ -163,7 +181,7 @@ class Analysis:
 
     def _repr_html_(self) -> str:
         """Return the first screen of the report."""
-        return _presenter().first_screen(self)
+        return presenter().first_screen(self)
 
     def plot(
         self, name: str, *, panels: str | None = None, metric: str | None = None, statistic: str = "p50"
@@ -180,7 +198,7 @@ class Analysis:
         Raises:
             OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.
         """
-        return _presenter().plot(self, name, panels=panels, metric=metric, statistic=statistic)
+        return presenter().plot(self, name, panels=panels, metric=metric, statistic=statistic)
 
     def show(self, folder: str | os.PathLike[str] | None = None) -> Path:
         """Write the HTML report, open it in a browser and return its path.
@@ -190,7 +208,7 @@ class Analysis:
         Raises:
             OutputError: the report cannot be written.
         """
-        return _presenter().show(self, None if folder is None else Path(folder))
+        return presenter().show(self, None if folder is None else Path(folder))
 
 
 class Presenter(Protocol):
@@ -198,6 +216,9 @@ class Presenter(Protocol):
 
     def first_screen(self, analysis: Analysis) -> str:
         """Return the first screen as HTML."""
+
+    def comparison_screen(self, comparison: Comparison) -> str:
+        """Return the answer of a comparison and its results as HTML."""
 
     def plot(self, analysis: Analysis, name: str, *, panels: str | None, metric: str | None, statistic: str) -> Figure:
         """Return a figure."""
@@ -209,10 +230,12 @@ class Presenter(Protocol):
 PRESENTER_MODULE = "dds_trace.reports.notebook"
 
 
-def _presenter() -> Presenter:
+def presenter() -> Presenter:
+    """Load the presenter."""
     return cast("Presenter", import_module(PRESENTER_MODULE))
 
 
+_MOST_TITLE = 200
 _CONTENT, _ROUNDTRIPS = "content.json", "roundtrips.parquet"
 _FRAMES, DETAIL_FRAMES = (
     tuple(field.name for field in fields(kind) if field.type == "pl.DataFrame") for kind in (Analysis, Details)

@@ -13,6 +13,9 @@ from dds_trace.base.units import counted
 from .book.book import Book
 from .book.findings import severity_counts
 from .book.sizes import HOW_TO_READ
+from .book.verdicts import received_words
+from .comparison.info import comparison_info
+from .comparison.words import both_words, change_with_interval, statistic_words
 from .plotting import line_figure
 from .reporters import write_reports
 
@@ -22,10 +25,11 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.analyzer.verdicts.compare import Comparison
 
     from .book.sizes import PlaceRows, SizeCell, SizeTable
 
-MOST_CHARACTERS = 12_000
+MOST_CHARACTERS = 11_000
 """Longest first screen, which a notebook saves in its file."""
 
 _BELOW = 700
@@ -98,6 +102,33 @@ def _cell(cell: SizeCell | None) -> str:
         return ""
     times = " / ".join(f"<b>{escape(text)}</b>" if leads else escape(text) for text, leads in cell.times)
     return f"{times} <span style='{_LOST}'>{escape(cell.lost)}</span>" if cell.lost else times
+
+
+def comparison_screen(comparison: Comparison) -> str:
+    """Return the answer and the results, worst first, as HTML, at most `MOST_CHARACTERS`."""
+    info = comparison_info(comparison)
+    top = f"<p><b>{escape(info.said)}</b> {escape(info.seen)}</p>"
+    top += "".join(f"<p style='{_SOFT}'>{escape(note)}</p>" for note in info.notes)
+    if len(top) >= MOST_CHARACTERS // 2:
+        top = f"<p>{escape(info.said[: MOST_CHARACTERS // 8])} ...</p>"
+    if not info.groups:
+        return f"<div>{top}</div>"
+    labels = (f"{info.metric}, {statistic_words(row['statistic'])}" for row in info.groups[0].shown())
+    names = "".join(f"<th style='{_CELL}'>{escape(name)}</th>" for name in (*labels, "Received", "Verdict"))
+    rows: list[str] = []
+    room = MOST_CHARACTERS - len(top) - len(names) - _BELOW
+    for group in info.groups:
+        times = [f"{both_words(row)}<br>{change_with_interval(row)}" for row in group.shown()]
+        verdict = f"<b>{escape(group.verdict)}</b> {escape(group.where)}"
+        rows.append(_row(group.label, [*times, escape(received_words(group.delivery)), verdict]))
+        if sum(map(len, rows)) > room:
+            rows.pop()
+            break
+    left = len(info.groups) - len(rows)
+    more = f"<p style='{_SOFT}'>And {counted(left, 'more result')}.</p>" if left else ""
+    return (
+        f"<div>{top}<table><thead><tr><th></th>{names}</tr></thead><tbody>{''.join(rows)}</tbody></table>{more}</div>"
+    )
 
 
 def plot(

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
 
+from dds_trace.base.units import counted
+
+from ..analysis import presenter
 from ..model.parameters import MATCH_COLUMNS
 from ..model.runs import pass_numbers, passes_of
 from ..run_statistics.between_runs import estimates_of_runs
@@ -99,7 +102,7 @@ class CompareOptions:
     paired: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
     """The groups that two sides have in common, and those that only one side has.
 
@@ -137,6 +140,15 @@ class Comparison:
     unfinished: Mapping[Key, int] = field(default_factory=dict)
     same_recordings: bool = False
     row_keys: Mapping[Key, Key] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """Return the number of results of both sides and of only one."""
+        results = f"{counted(len(self.delivery), 'result')} of both sides"
+        return f"<Comparison: {results}, {len(self.only_base)} only in the base, {len(self.only_new)} only in the new side>"
+
+    def _repr_html_(self) -> str:
+        """Return the answer and a row for each result."""
+        return presenter().comparison_screen(self)
 
     def sights(self) -> tuple[DetectableChange, ...]:
         """Return the smallest change that the verdicts would have detected, for each metric and statistic."""

@@ -1,5 +1,6 @@
 """An analysis in a notebook: short, without a script, readable on any ground; figures; the report opens."""
 
+import json
 import webbrowser
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -8,14 +9,16 @@ import pytest
 from analyses import HOSTILE, Measured, make_analysis
 from four_campaigns import CAMPAIGNS
 
-from dds_trace import OptionError
+from dds_trace import OptionError, compare
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures import drawn_figures
 from dds_trace.reports.figures.figure import Figure
 from dds_trace.reports.notebook import MOST_CHARACTERS, first_screen
 from dds_trace.reports.plotting import NAMES
 
-HARMLESS = {*("div", "p", "b", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")}
+HARMLESS = {
+    *("div", "p", "b", "br", "ul", "li", "table", "caption", "thead", "tbody", "tr", "th", "td", "span", "code")
+}
 
 
 class Screen(HTMLParser):
@@ -28,7 +31,8 @@ class Screen(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.tags.append(tag)
-        self.open.append(tag)
+        if tag != "br":
+            self.open.append(tag)
         self.styles |= {value for name, value in attributes if name == "style"}
 
     def handle_endtag(self, tag):
@@ -47,6 +51,30 @@ def test_the_first_screen_has_the_table_and_takes_the_grounds_own_colours():
     assert not any("background" in style for style in screen.styles)
     assert {style for style in screen.styles if "color" in style} <= {"color:#e5484d"}
     assert "569 µs / 828 µs" in "".join(screen.texts)
+
+
+def test_25_cells_of_the_largest_campaigns_stay_below_300_kb():
+    first, second = CAMPAIGNS["study"](), CAMPAIGNS["500 groups"]()
+    both = compare(first, first), compare(second, second)
+    outputs = [(repr(shown), shown._repr_html_()) for shown in (first, second, *both)]
+    assert max(len(text) for text, _ in outputs) <= 300
+    assert len(repr(first.details)) <= 4000
+    for text, html in outputs:
+        cell = {"data": {"text/plain": [text], "text/html": html.splitlines(keepends=True)}}
+        assert 25 * len(json.dumps(cell, ensure_ascii=False).encode()) < 300_000
+        assert Screen(html).open == []
+
+
+def test_a_comparison_shows_its_answer_a_row_a_result_and_what_is_left_out():
+    campaign = CAMPAIGNS["500 groups"]()
+    html = compare(campaign, campaign)._repr_html_()
+    text = " ".join(Screen(html).texts)
+    assert text.startswith("Both sides are the same recordings.")
+    rows = html.count("<tr ")
+    assert f"And {len(campaign.summary) - rows} more results." in text
+    apart = compare(campaign, make_analysis(Measured([1_000_000] * 3, payload_bytes=77)))
+    assert "no result in common" in apart._repr_html_()
+    assert "<table" not in apart._repr_html_()
 
 
 def test_what_does_not_fit_is_counted():

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, fields
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING
 
 import polars as pl
 from polars.exceptions import PolarsError
@@ -18,6 +17,7 @@ from dds_trace.tracefile.format.descriptions import Run, Session
 
 from .model.columns import SUMMARY_COLUMNS
 from .model.metrics import schema_of
+from .model.presenter import presenter
 from .model.unsent import with_unsent
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from .model.finding import Finding, Source
     from .verdicts.answers import CaseAnswer
-    from .verdicts.compare import Comparison
     from .verdicts.recommend import Recommendation
 
 
@@ -209,30 +208,6 @@ class Analysis:
             OutputError: the report cannot be written.
         """
         return presenter().show(self, None if folder is None else Path(folder))
-
-
-class Presenter(Protocol):
-    """What shows an analysis: the reports, which this room does not import."""
-
-    def first_screen(self, analysis: Analysis) -> str:
-        """Return the first screen as HTML."""
-
-    def comparison_screen(self, comparison: Comparison) -> str:
-        """Return the answer of a comparison and its results as HTML."""
-
-    def plot(self, analysis: Analysis, name: str, *, panels: str | None, metric: str | None, statistic: str) -> Figure:
-        """Return a figure."""
-
-    def show(self, analysis: Analysis, folder: Path | None) -> Path:
-        """Write the report and open it."""
-
-
-PRESENTER_MODULE = "dds_trace.reports.notebook"
-
-
-def presenter() -> Presenter:
-    """Load the presenter."""
-    return cast("Presenter", import_module(PRESENTER_MODULE))
 
 
 _MOST_TITLE = 200

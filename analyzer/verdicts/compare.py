@@ -14,8 +14,8 @@ import polars as pl
 
 from dds_trace.base.units import counted
 
-from ..analysis import presenter
 from ..model.parameters import MATCH_COLUMNS
+from ..model.presenter import presenter
 from ..model.runs import pass_numbers, passes_of
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.change import (

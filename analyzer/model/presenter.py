@@ -1,0 +1,34 @@
+"""What shows an analysis: the reports, which this room does not import."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from plotly.graph_objects import Figure
+
+PRESENTER_MODULE = "dds_trace.reports.notebook"
+
+
+class Presenter(Protocol):
+    """Functions of `PRESENTER_MODULE`."""
+
+    def first_screen(self, analysis: Any) -> str:
+        """Return the first screen as HTML."""
+
+    def comparison_screen(self, comparison: Any) -> str:
+        """Return the answer of a comparison and its results as HTML."""
+
+    def plot(self, analysis: Any, name: str, *, panels: str | None, metric: str | None, statistic: str) -> Figure:
+        """Return a figure."""
+
+    def show(self, analysis: Any, folder: Path | None) -> Path:
+        """Write the report and open it."""
+
+
+def presenter() -> Presenter:
+    """Load the presenter."""
+    return cast("Presenter", import_module(PRESENTER_MODULE))

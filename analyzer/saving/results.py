@@ -11,7 +11,6 @@ import fcntl
 import os
 import re
 import secrets
-import shutil
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -30,13 +29,14 @@ RESULT_NAMES = (
 )
 
 _DRAFTS = re.compile(r"results\.[0-9a-f]{8}\.(part|whole)")
-_DRAFT = re.compile(rf"({'|'.join(map(re.escape, RESULT_NAMES))})(\.[0-9a-f]{{8}}\.part|\.old)?")
+_MARK = ".dds-trace"
+"""Empty file in each folder of drafts, by which a later process knows it as ours."""
 _LOCK_S = 2.0
 
 
 @contextmanager
 def replacing_results(folder: Path) -> Iterator[Path]:
-    """Yield a folder for drafts of `RESULT_NAMES`, which replace earlier results in `folder` once the block ends without an error.
+    """Yield a folder for drafts, which replace earlier results in `folder` once the block ends without an error.
 
     After an error the earlier results are as they were. Files of other names are never touched.
 
@@ -52,9 +52,12 @@ def replacing_results(folder: Path) -> Iterator[Path]:
             with _output_errors(folder):
                 _check_no_folders(folder, drafts)
                 with _finished_results(folder):
-                    _replace(folder, drafts.rename(drafts.with_suffix(".whole")))
+                    whole = drafts.rename(drafts.with_suffix(".whole"))
+                    _move_results(whole)
+                    _remove(whole)
         finally:
-            shutil.rmtree(drafts, ignore_errors=True)
+            with suppress(OSError):  # after an error
+                _remove(drafts)
             for path in missing:
                 with suppress(OSError):  # it has the results
                     path.rmdir()
@@ -81,6 +84,7 @@ def _open_drafts(folder: Path, stack: ExitStack) -> Path:
     with _finished_results(folder):
         drafts = folder / f"results.{secrets.token_hex(4)}.part"
         drafts.mkdir()
+        (drafts / _MARK).touch()
         stack.enter_context(folder_lock(drafts, fcntl.LOCK_SH))
         return drafts
 
@@ -90,31 +94,38 @@ def _finished_results(folder: Path) -> Iterator[None]:
     """Within the block no other process replaces results, and what dead ones left is finished or removed."""
     with folder_lock(folder, fcntl.LOCK_EX, _LOCK_S) as is_ours:
         for left in sorted(folder.iterdir()) if is_ours else ():
-            if _DRAFTS.fullmatch(left.name) and left.is_dir():
+            if _DRAFTS.fullmatch(left.name) and left.is_dir() and not left.is_symlink():
                 with folder_lock(left, fcntl.LOCK_EX) as is_dead, suppress(OSError):
-                    if not is_dead or not all(map(_is_ours, (left, *left.iterdir()))):
-                        continue
-                    if left.suffix == ".whole":
-                        _replace(folder, left)
-                    else:
-                        shutil.rmtree(left)
+                    if is_dead and _is_ours(left):
+                        if left.suffix == ".whole":
+                            _move_results(left)
+                        _remove(left)
         yield
 
 
-def _is_ours(path: Path) -> bool:
-    is_named = _DRAFTS.fullmatch(path.name) or (_DRAFT.fullmatch(path.name) and path.is_file())
-    return bool(is_named) and not path.is_symlink() and path.stat().st_uid == os.geteuid()
+def _is_ours(drafts: Path) -> bool:
+    files = list(drafts.iterdir())
+    is_marked = not files or drafts / _MARK in files
+    is_plain = all(path.is_file() and not path.is_symlink() for path in files)
+    return is_marked and is_plain and {path.lstat().st_uid for path in (drafts, *files)} == {os.geteuid()}
 
 
-def _replace(folder: Path, whole: Path) -> None:
+def _move_results(whole: Path) -> None:
     """Move complete results to their names; wherever this ends, it can be done again.
 
     Earlier files are moved away first: to delete a large one takes a while.
     """
-    names = [name for name in RESULT_NAMES if (whole / name).exists()]
+    folder = whole.parent
+    names = sorted(path.name for path in whole.iterdir() if path.name != _MARK and path.suffix != ".old")
     for name in names[1:]:  # a single one is replaced at once
         with suppress(FileNotFoundError):
             (folder / name).replace(whole / f"{name}.old")
     for name in names:
         (whole / name).replace(folder / name)
-    shutil.rmtree(whole)
+
+
+def _remove(drafts: Path) -> None:
+    """Remove a folder, its mark last."""
+    for path in sorted(drafts.iterdir(), key=lambda path: path.name == _MARK):
+        path.unlink()
+    drafts.rmdir()

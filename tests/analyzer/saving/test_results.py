@@ -19,14 +19,18 @@ FILE_EVENTS = {"open", "fcntl.flock", *(f"os.{name}" for name in ("mkdir", "list
 """Audit events of what a replacement does with files."""
 
 
-def write(folder, text, names=RESULT_NAMES):
+NAMES = (*RESULT_NAMES, "report.toy")
+"""A new kind of report is replaced as the others are."""
+
+
+def write(folder, text, names=NAMES):
     with replacing_results(folder) as drafts:
         for name in names:
             (drafts / name).write_text(text)
 
 
 def results(folder):
-    return {path.name: path.read_text() for path in folder.iterdir() if path.name in RESULT_NAMES}
+    return {path.name: path.read_text() for path in folder.iterdir() if path.name in NAMES}
 
 
 def killed_at(number, act):
@@ -49,7 +53,7 @@ def killed_at(number, act):
 
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 def test_a_process_that_is_killed_anywhere_leaves_results_of_one_analysis(tmp_path):
-    some = RESULT_NAMES[:3]
+    some = NAMES[:3]
     states = set()
     for number in range(10_000):
         folder = tmp_path / str(number)
@@ -61,14 +65,14 @@ def test_a_process_that_is_killed_anywhere_leaves_results_of_one_analysis(tmp_pa
         assert len(set(after.values())) == 1, number
         write(folder, "next", some)
         after = results(folder)
-        assert after.keys() == set(RESULT_NAMES)
+        assert after.keys() == set(NAMES)
         assert {after.pop(name) for name in some} == {"next"}
         assert len(set(after.values())) == 1, number
-        assert {path.name for path in folder.iterdir()} == {*RESULT_NAMES, OWN}
+        assert {path.name for path in folder.iterdir()} == {*NAMES, OWN}
         assert (folder / OWN).read_text() == "mine"
         if not is_killed:
             break
-    assert len(states) == 2 * len(RESULT_NAMES)  # each step of the replacement was met
+    assert len(states) == 2 * len(NAMES)  # each step of the replacement was met
 
 
 def test_an_error_leaves_the_earlier_results_and_no_new_folder(tmp_path):
@@ -83,23 +87,24 @@ def test_an_error_leaves_the_earlier_results_and_no_new_folder(tmp_path):
         with pytest.raises(KeyboardInterrupt):
             fail(folder)
     assert set(results(tmp_path).values()) == {"old"}
-    assert {path.name for path in tmp_path.iterdir()} == set(RESULT_NAMES)
+    assert {path.name for path in tmp_path.iterdir()} == set(NAMES)
 
 
 def test_drafts_of_others_stay(tmp_path):
-    """A living process's, a folder with a file that no analysis writes, another's name, a link."""
-    living, strange, named, target = (
-        tmp_path / name for name in ("results.00000000.part", "results.00000001.whole", "results.0.part", "elsewhere")
-    )
-    for folder in (living, strange, named, target):
+    """A living process's, one without our mark, with a folder, under another name, by a link."""
+    names = ("results.00000000.part", "results.00000001.whole", "results.00000003.whole", "results.0.part", "elsewhere")
+    living, _, deep, named, target = folders = [tmp_path / name for name in names]
+    for folder in folders:
         folder.mkdir()
         (folder / "report.html").write_text("theirs")
-    (strange / OWN).write_text("theirs")
+    for folder in (living, deep, named, target):
+        (folder / ".dds-trace").touch()
+    (deep / "folder").mkdir()
     (tmp_path / "results.00000002.whole").symlink_to(target)
     with folder_lock(living, fcntl.LOCK_SH) as is_locked:
         assert is_locked
         write(tmp_path, "new")
-    for folder in (living, strange, named, target):
+    for folder in folders:
         assert (folder / "report.html").read_text() == "theirs"
     assert (tmp_path / "results.00000002.whole").is_symlink()
 
@@ -112,7 +117,7 @@ def test_a_folder_in_place_of_a_result_is_an_error_before_anything_is_replaced(t
         write(tmp_path, "new")
     (tmp_path / "report.md").rmdir()
     assert set(results(tmp_path).values()) == {"old"}
-    assert not [path for path in tmp_path.iterdir() if path.name not in RESULT_NAMES]
+    assert not [path for path in tmp_path.iterdir() if path.name not in NAMES]
 
 
 def test_a_link_is_replaced_and_its_target_left_alone(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from .header import recognize_data_type
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.reading.recording_files import RecordingFiles
 
 HEADER_TYPE = "std_msgs/msg/Header"
+_UNEVEN = 1.5
+"""Typical rate over mean rate from which on both are named: pauses, batches, a clock that was set."""
 NAMED_FIELD = 2
 """rosbags' mark of a field that is a message."""
 
@@ -65,15 +68,25 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
     if name in recording.claimed:
         notes += missing_messages({name: recording.claimed[name]}, {name: len(messages)}, METADATA_NAME)
     notes += copied_messages(name, len(messages) - len(contents))
-    span_ns = times_ns[-1] - times_ns[0]
+    rate_hz, typical_hz = _rates_hz(times_ns)
+    if rate_hz and typical_hz and typical_hz > _UNEVEN * rate_hz:
+        notes.append(f"{name} has {rate_hz:.3g} Hz in the mean, typically {typical_hz:.3g} Hz: choose with --rate")
     return Payload(
         stamper.data_type,
         tuple(messages),
         max(message.payload_bytes for message in messages),
-        rate_hz=(len(times_ns) - 1) / span_ns * 1e9 if span_ns > 0 else None,
+        rate_hz=rate_hz,
         source=f"bag:{where}",
         notes=tuple(notes),
     )
+
+
+def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None]:
+    """Return the mean rate, and that of the median interval."""
+    intervals_ns = sorted(after - before for before, after in pairwise(times_ns))
+    span_ns = sum(intervals_ns)
+    typical_ns = intervals_ns[len(intervals_ns) // 2] if intervals_ns else 0
+    return len(intervals_ns) / span_ns * 1e9 if span_ns > 0 else None, 1e9 / typical_ns if typical_ns > 0 else None
 
 
 def split_topic(where: str) -> tuple[str, str]:

@@ -98,6 +98,18 @@ def test_messages_that_are_there_twice_are_said(tmp_path, plugin):
     assert detail.startswith("1 message of /imu is there twice")
 
 
+def test_a_mean_rate_that_is_not_typical_is_said(tmp_path):
+    bag = write_bag2(tmp_path / "bag", {"/imu": [imu(0.1)] * 9}, StoragePlugin.SQLITE3)
+    assert load_payload(f"{bag}#/imu", {}).notes == ()
+    with sqlite3.connect(bag / "bag.db3") as database:  # a pause of 30 s
+        database.execute("UPDATE messages SET timestamp = timestamp + 30000000000 WHERE id > 5")
+    payload = load_payload(f"{bag}#/imu", {})
+    assert payload.rate_hz == pytest.approx(8 / 30.16)
+    (note,) = payload.notes
+    assert "0.265 Hz" in note
+    assert "50 Hz" in note
+
+
 @pytest.mark.parametrize("plugin", StoragePlugin)
 def test_a_count_that_differs_is_said(tmp_path, plugin, sentences):
     bag = write_bag2(tmp_path / "bag", MESSAGES, plugin)

@@ -438,3 +438,12 @@ def test_every_threshold_of_a_check_stands_with_its_reason():
     told = dict(thresholds())
     assert len(told) > 20
     assert [name for name, reason in told.items() if len(str(reason).split()) < 8] == []
+
+
+@pytest.mark.parametrize(("step_ns", "is_found"), [(40, False), (10_000, False), (4_000_000, True), ("4 ms", False)])
+def test_a_clock_of_coarse_steps(tmp_path, step_ns, is_found):
+    clock = {"clock": {"resolution_ns": step_ns}}
+    write_pair(tmp_path, drawn(), ping=ping_session(extra=clock), runs=[run(planned_messages=200, published=200)])
+    found = findings(tmp_path)
+    assert ("coarse_clock" in found) is is_found
+    assert not is_found or "4.000 ms" in found["coarse_clock"].what

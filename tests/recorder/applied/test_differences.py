@@ -168,3 +168,8 @@ READ_BACKS = [
 @pytest.mark.parametrize("read_back", READ_BACKS)
 def test_a_default_asks_for_nothing(vendor, read_back):
     assert differences(Asked(vendor), read_back) == ()
+
+
+def test_a_connection_that_ended_with_the_other_side_carried_the_messages():
+    assert differences(Asked("socket"), applied(begin_sockets=(tcp(),), sockets=(), end={})) == ()
+    assert differences(Asked("socket"), applied(begin_sockets=(), sockets=(), end={})) != ()

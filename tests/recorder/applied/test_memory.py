@@ -9,7 +9,7 @@ import os
 import pytest
 from applied_pair import relaying
 
-from dds_trace.recorder.applied.memory import SHM, Library, parse_libraries, parse_maps, read_memory
+from dds_trace.recorder.applied.memory import SHM, Library, parse_libraries, parse_maps, ports_of_others, read_memory
 from dds_trace.recorder.applied.vendors import PORT, SEGMENT, memory_owner
 from dds_trace.recorder.domains import domain_port_range
 
@@ -175,3 +175,14 @@ def test_a_file_of_the_same_name_in_another_dev_shm_is_not_the_mapped_one(segmen
 
 def test_of_a_process_that_is_gone_nothing_is_known():
     assert read_memory(1 << 22) is None
+
+
+def test_queues_of_another_user_in_the_domain_are_found(tmp_path, monkeypatch):
+    for name in ("fastrtps_port8661", "fastrtps_port8661_el", "fastrtps_port7411", "fastrtps_00000000000000aa"):
+        (tmp_path / name).touch()
+    (tmp_path / "fastrtps_port8663").touch()
+    (tmp_path / "fastrtps_port8663_sl").touch()
+    assert ports_of_others(domain_port_range(5), tmp_path) == {}
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    # Of the first, the lock file is there and nobody holds it: its receiver was killed.
+    assert ports_of_others(domain_port_range(5), tmp_path) == {"fastrtps_port8663": os.getuid()}

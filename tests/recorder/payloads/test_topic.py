@@ -10,7 +10,7 @@ import pytest
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.payloads.stamp import stamp_text
-from dds_trace.recorder.payloads.topic import MAX_WAITING, LiveFeed
+from dds_trace.recorder.payloads.topic import MAX_WAITING, LiveFeed, rate_of, shows_rate
 
 NEVER = threading.Event()
 
@@ -84,3 +84,16 @@ def test_a_silent_topic_and_a_type_without_header_are_refused(feed):
     feed.receive(message(fields=("double",)))
     with pytest.raises(OptionError, match="PointCloud2 does not start with a std_msgs/Header"):
         payload_of(feed)
+
+
+@pytest.mark.parametrize(
+    ("batch", "pause_ms", "first", "rate_hz"), [(1, 25, 0, 40), (8, 200, 0, 40), (8, 200, 5, 40), (2, 50, 1, 40)]
+)
+def test_batches_have_the_rate_of_their_messages_wherever_a_look_begins(batch, pause_ms, first, rate_hz):
+    sent_ns = [number // batch * pause_ms * 1_000_000 + number % batch * 200_000 for number in range(40)][first:]
+    assert shows_rate(sent_ns)
+    assert rate_of(sent_ns) == pytest.approx(rate_hz, rel=0.01)
+
+
+def test_a_part_of_a_batch_shows_no_rate():
+    assert not shows_rate([number * 200_000 for number in range(7)] + [200_000_000, 200_200_000])

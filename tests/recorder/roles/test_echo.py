@@ -10,13 +10,15 @@ from fake_node import FakeNode
 from dds_trace.recorder.applied.differences import Difference, Setting
 from dds_trace.recorder.backends import BACKEND_MODULES, load_backend
 from dds_trace.recorder.backends.node import Endpoint, Middleware, NodeOptions, TopicView
-from dds_trace.recorder.choices import Discovery
+from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.recorder.errors import RelayLostError
 from dds_trace.recorder.payloads import BINARY, header_data_type
 from dds_trace.recorder.payloads.base import Message, Payload
+from dds_trace.recorder.roles import echo
 from dds_trace.recorder.roles.echo import explain_silence, find_loss, look_for_relays
 from dds_trace.recorder.roles.plan import RunPlan
 from dds_trace.recorder.roles.progress import Silence
+from dds_trace.tracefile.format.descriptions import Qos
 
 IMAGE = "sensor_msgs/msg/Image"
 
@@ -76,6 +78,24 @@ def test_a_relay_in_sight_that_stays_silent(node, plan):
     assert "2 other nodes" in text
     assert f"relay_1 ({IMAGE}) subscribed to binary_image" in text
     assert "firewalls" in text
+
+
+def test_a_receiver_of_another_user_is_named_and_what_helps(node, plan, monkeypatch):
+    see(node, listening=[Endpoint("relay_1", IMAGE)], answering=[Endpoint("relay_1", IMAGE)])
+    node.middleware = Middleware("ros2", "fastdds", None)
+    monkeypatch.setattr(echo, "ports_of_others", lambda _ports: {"fastrtps_port8661": 1000})
+    assert "fastrtps_port8661 belongs to user 1000" in explain_silence(node, plan, 20)
+    assert "--transport udp" in explain_silence(node, plan, 20)
+    node.options = replace(node.options, transport=Transport.UDP)
+    assert "firewalls" in explain_silence(node, plan, 20)
+
+
+def test_the_printed_command_repeats_what_decides_whether_the_sides_meet(node, plan):
+    see(node)
+    qos = Qos("best_effort", "transient_local", extra={"deadline_ns": 20_000_000, "lifespan_ns": 5})
+    node.options = replace(node.options, qos=qos, transport=Transport.SHM, rmw="rmw_fastrtps_cpp")
+    options = "--rmw rmw_fastrtps_cpp --transport shm --reliability best_effort --durability transient_local --deadline 20ms --out"
+    assert options in explain_silence(node, plan, 20)
 
 
 def test_quality_of_service_that_never_matches_is_named_and_hopeless(node, plan):

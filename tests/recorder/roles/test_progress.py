@@ -63,3 +63,10 @@ def test_a_silence_is_lasting_if_the_losses_before_it_do_not_explain_it(
     messages, seconds, before, answered, is_lasting
 ):
     assert Silence(messages, int(seconds * SECOND_NS), before, answered).is_lasting is is_lasting
+
+
+def test_a_round_trip_within_a_step_of_the_clock_counts_once():
+    replies = sent(1000, 2000)
+    replies.note(0, 7, 1000)
+    replies.note(0, 8, 1004)
+    assert (replies.received, replies.received_before(1), replies.percentiles_ns()) == (1, 1, (0, 0))

@@ -33,3 +33,12 @@ def test_the_interface_of_the_default_route_decides(root):
 
 def test_a_system_without_routes_is_wired(tmp_path):
     assert default_connectivity(Discovery.SUBNET, tmp_path) == "wired"
+
+
+@pytest.mark.parametrize(("interfaces", "connectivity"), [("lo", "loopback"), ("lo eth0", "wired")])
+def test_a_namespace_without_another_interface_is_loopback(root, interfaces, connectivity):
+    (root / "proc/net/route").write_text(ROUTES.splitlines()[0] + "\n")
+    (root / "proc/self/net").mkdir(parents=True)
+    lines = ["", "", *(f"{name}: {'0 ' * 16}" for name in interfaces.split())]
+    (root / "proc/self/net/dev").write_text("\n".join(lines) + "\n")
+    assert default_connectivity(Discovery.SUBNET, root) == connectivity

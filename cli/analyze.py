@@ -63,8 +63,8 @@ def open_page(page: Path) -> None:
     print("no desktop here: open the file below in a browser, here or copied to another machine", file=sys.stderr)
 
 
-HTML = "html"
-"""Kind of report that `--open` opens."""
+HTML, TERMINAL = "html", "terminal"
+"""Kinds of report: `--open` opens a page, and the answer is always printed."""
 
 
 class ExportKind(str, Enum):
@@ -121,10 +121,13 @@ def main_command(
         list[str] | None,
         option(
             "--report KIND",
-            f"Report to write: {', '.join(REPORT_MODULES)}; repeatable. Default: terminal",
+            f"Report to write in addition to the answer: {', '.join(REPORT_MODULES)}; repeatable.",
             callback=_check_kinds,
         ),
     ] = None,
+    shows_all: Annotated[
+        bool, option("--all", "Print findings and tables of all results, too, and the answer last.")
+    ] = False,
     out: Annotated[
         Path | None,
         option("--out FOLDER", "Folder for all files. Default: analysis/ in the common folder of all traces"),
@@ -217,14 +220,17 @@ def main_command(
     if topics:
         _show_topics(traces, target)
         return
-    kinds = report or ["terminal"]
-    if open_it and HTML not in kinds:
-        kinds = [*kinds, HTML]
+    kinds = list(dict.fromkeys([*(report or []), *([HTML] if open_it else [])]))
     written: list[Path] = []
 
     def write_more(analysis: Analysis, folder: Path) -> None:
         bar.close()
-        reports = write_reports(analysis, kinds, folder)
+        for finding in analysis.findings:
+            if finding.severity is Severity.ERROR:
+                say(f"{finding.where}: {finding.what} {finding.action}")
+        # The answer is printed last.
+        files = [kind for kind in kinds if kind != TERMINAL]
+        reports = write_reports(analysis, [*files, TERMINAL], folder, shows_all=shows_all)
         exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
         written.extend(target / path.name for path in (*reports, *exported, *derived) if path is not None)
@@ -245,20 +251,12 @@ def main_command(
             trust_order=trust_order,
             write_more=write_more,
         )
-    if analysis.details.recommendation is not None and "terminal" not in kinds:
-        from dds_trace.reports.book.book import Book
-        from dds_trace.reports.terminal import render_advice
-
-        print(render_advice(Book(analysis)), end="")
     written[:0] = analysis.outputs.values()
     for path in written:
         print(f"Wrote {path}")
     left = [name for name in RESULT_NAMES if target / name not in written and (target / name).is_file()]
     if left and earlier is not None and earlier != read_provenance(target):
         say(f"{target}: {', '.join(left)}: of an earlier analysis of other traces, and not replaced")
-    for finding in analysis.findings:
-        if finding.severity is Severity.ERROR:
-            say(f"{finding.where}: {finding.what} {finding.action}")
     _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
 
 

@@ -47,8 +47,10 @@ def load_reporter(kind: str) -> Reporter:
     return reporter
 
 
-def write_reports(analysis: Analysis, kinds: Iterable[str], folder: str | os.PathLike[str]) -> list[Path | None]:
-    """Write reports of one analysis into a folder, which must exist.
+def write_reports(
+    analysis: Analysis, kinds: Iterable[str], folder: str | os.PathLike[str], *, shows_all: bool = False
+) -> list[Path | None]:
+    """Write reports of one analysis into a folder, which must exist; the terminal's has tables only if it `shows_all`.
 
     Returns:
         The file of each kind, None for a printed report.
@@ -58,7 +60,7 @@ def write_reports(analysis: Analysis, kinds: Iterable[str], folder: str | os.Pat
         OutputError: a file cannot be written.
     """
     reporters = {kind: load_reporter(kind) for kind in kinds}
-    book = _book(analysis)
+    book = _book(analysis, shows_all=shows_all)
     return [_write(reporter, book, kind, Path(folder)) for kind, reporter in reporters.items()]
 
 
@@ -71,10 +73,10 @@ def render_report(analysis: Analysis, kind: str) -> str:
     return load_reporter(kind).render(_book(analysis))
 
 
-def _book(analysis: Analysis) -> Book:
+def _book(analysis: Analysis, *, shows_all: bool = False) -> Book:
     from .book.book import Book  # noqa: PLC0415 - the names of the kinds are read without polars
 
-    return Book(analysis)
+    return Book(analysis, shows_all=shows_all)
 
 
 def _write(reporter: Reporter, book: Book, kind: str, folder: Path) -> Path | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import textwrap
 from typing import TYPE_CHECKING
 
 from rich.console import Group, RenderableType
@@ -14,10 +15,11 @@ from rich.text import Text
 from dds_trace.analyzer.statistics.intervals import MIN_EPISODES, MIN_RUNS
 from dds_trace.base.printable import printable
 from dds_trace.base.streams import plain_console, without_commands
-from dds_trace.base.units import MISSING, format_duration, format_rate, format_size
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .book.groups import METRIC_LABELS, format_ratio
 from .book.sizes import HOW_TO_READ
+from .brief import FAIL, OPEN, PASS, WIDTH, brief_lines
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from .book.book import Book
     from .book.sizes import SizeCell, Threshold
 
-WIDTH = 80
 _FACT_COLUMNS = 20
 SPARK_CELLS = 12
 _BLOCKS = " ▁▂▃▄▅▆▇█"
@@ -39,19 +40,24 @@ _NOTES = (
 
 
 def render(book: Book) -> str:
-    """Return the report as plain text of 80 columns, without colours."""
+    """Return the whole report as plain text of 80 columns, without colours."""
     return _plain(_report(book))
 
 
+def render_brief(book: Book) -> str:
+    """Return the answer, or the recommendation if there is one, as plain text of 80 columns."""
+    return _plain(_brief(book))
+
+
 def write(book: Book, folder: Path) -> None:  # noqa: ARG001 - every reporter has this signature
-    """Print the report to stdout, in colours if stdout is a terminal."""
+    """Print the answer to stdout, after the whole report if `book` shows all; in colours if stdout is a terminal."""
     console = plain_console()
-    console.print(_report(book), width=min(console.width, 120) if console.is_terminal else WIDTH)
+    report = _report(book) if book.shows_all else _brief(book)
+    console.print(report, width=min(console.width, 120) if console.is_terminal else WIDTH)
 
 
-def render_advice(book: Book) -> str:
-    """Return only the recommendation, as plain text of 80 columns; empty without one."""
-    return _plain(Group(*_advice(book))).strip("\n") + "\n" if book.advice else ""
+def _brief(book: Book) -> RenderableType:
+    return Group(*(_advice(book) or brief_lines(book)))
 
 
 def _plain(part: RenderableType) -> str:
@@ -66,7 +72,6 @@ def _report(book: Book) -> RenderableType:
     return Group(
         Text(f"Latency report: {overview.title}", style="bold"),
         Text(),
-        *_advice(book),
         Text(answer.headline, style="bold"),
         _list(answer.points),
         Text(),
@@ -78,22 +83,31 @@ def _report(book: Book) -> RenderableType:
         Text(),
         *_findings(book),
         *_tables(book),
+        _brief(book),
     )
 
 
-_FIT_COLORS = {"meets": "green", "misses": "red"}
+_FIT_MARKS = {"meets": PASS, "misses": FAIL}
+_MOST_ADVICE = 6
+"""Setups of a recommendation without `--all`."""
 
 
 def _advice(book: Book) -> list[RenderableType]:
     advice = book.advice
     if advice is None:
         return []
+    rows = advice.brief_rows if book.shows_all else advice.brief_rows[:_MOST_ADVICE]
     grid = Table.grid(padding=(0, 1, 0, 0))
-    grid.add_column(no_wrap=True)
-    for setting, fit, numbers in advice.brief_rows:
-        grid.add_row(Text(fit, style=_FIT_COLORS.get(fit, "")), Text(setting))
-        grid.add_row(Text(), Text(numbers, style="dim"))
-    return [Text(advice.sentence, style="bold"), Text(f"Job: {advice.job}"), grid, Text()]
+    for number, (setting, fit, numbers) in enumerate(rows, 1):
+        mark, color = _FIT_MARKS.get(fit, OPEN)
+        grid.add_row(f"{number:2}.", Text(mark, style=color), Text.assemble(f"{setting}: {fit}; ", (numbers, "dim")))
+    parts: list[RenderableType] = [Text(f"Job: {advice.job}"), Text(advice.sentence, style="bold"), grid]
+    left = len(advice.rows) - len(rows)
+    parts += [Text(f"and {counted(left, 'more setup')}: --all", style="dim")] if left else []
+    if advice.missing:
+        command = textwrap.wrap(advice.command, WIDTH - 4, break_on_hyphens=False, break_long_words=False)
+        parts += [Text(advice.missing), Text(" \\\n    ".join(["  " + command[0], *command[1:]]))]
+    return parts
 
 
 MOST_CHOICES = 4

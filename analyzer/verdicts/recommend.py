@@ -328,7 +328,7 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
         lacking = "schedule" if job.metric == "response" else "relay trace"
         return f"no {lacking}: these messages have no {job.metric}"
     if interval.samples < needs:
-        return f"{counted(interval.samples, 'message')}; an interval at {job.reliability:g} takes {needs}"
+        return f"to prove {100 * job.reliability:.6g} %, send {needs:,} messages; there are {interval.samples:,}"
     more = messages_to_close(interval, job.reliability)
     if more:
         return f"the tail rests on {counted(interval.episodes or 0, 'burst')}; record about {more} more messages"

@@ -23,7 +23,7 @@ from .groups import (
     joined,
     way_words,
 )
-from .headline import avoid_sentence, bridge_sentence, loss_sentence, where_sentence, winner_sentences
+from .headline import avoid_sentence, bridge_sentence, loss_sentence, tail_sentence, where_sentence, winner_sentences
 from .numbers import finite
 from .outcomes import outcome_of
 from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, place_label, verdicts_info
@@ -86,7 +86,7 @@ def _who_is_fastest(
     verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
 ) -> tuple[str, ...]:
     if any(outcome_of(answer).is_decided for answer in answers):
-        return winner_sentences(answers, groups.vendors)
+        return *winner_sentences(answers, groups.vendors), tail_sentence(answers)
     if verdicts:
         return (_no_winner(verdicts, answers),)
     vendors = sorted({series.vendor_label for series in groups.series})

@@ -33,10 +33,11 @@ if TYPE_CHECKING:
 
 
 class Book:
-    """Parts of a report; each is computed at its first use."""
+    """Parts of a report; each is computed at its first use. `shows_all` is of the terminal."""
 
-    def __init__(self, analysis: Analysis) -> None:
+    def __init__(self, analysis: Analysis, *, shows_all: bool = False) -> None:
         self.analysis = analysis
+        self.shows_all = shows_all
 
     @cached_property
     def groups(self) -> Groups:

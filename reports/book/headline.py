@@ -154,11 +154,16 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
         left = len(by_pair) - sum(map(len, shown))
         if left:
             sentences[-1] += f" For the others see the table ({counted(left, 'pair')} of devices and links)."
-    if sentences and not any(answer.leader_p99 for answer in answers):
-        is_tested = any(setup.letters_p99 for answer in answers for setup in answer.contenders)
-        what = "No difference at p99 can be shown" if is_tested else "Too few messages to judge p99"
-        sentences.append(f"{what}; record longer or more runs.")
     return tuple(sentences)
+
+
+def tail_sentence(answers: Sequence[CaseAnswer]) -> str:
+    """Say that nothing is decided at p99; empty otherwise."""
+    if any(answer.leader_p99 for answer in answers):
+        return ""
+    is_tested = any(setup.letters_p99 for answer in answers for setup in answer.contenders)
+    what = "No difference at p99 can be shown" if is_tested else "Too few messages to judge p99"
+    return f"{what}; record longer or more runs."
 
 
 def _pairs(pairs: Sequence[str], count: int) -> str:
@@ -170,8 +175,8 @@ def _pairs(pairs: Sequence[str], count: int) -> str:
 def _outcomes(cut: Sequence[Stretch], labels: Mapping[str, str]) -> str:
     sizes = [size for stretch in cut for size in stretch.sizes]
     parts = []
-    for stretch in _by_outcome(cut) if len(cut) > MOST_NAMED else cut:
-        where, outcome = _span(stretch.sizes, sizes), stretch.outcome
+    for stretch in by_outcome(cut) if len(cut) > MOST_NAMED else cut:
+        where, outcome = size_span(stretch.sizes, sizes), stretch.outcome
         if outcome is None:
             parts.append(f"{where} it depends on the rate ({_wins(stretch.cases, labels)})")
         elif outcome.p50 or outcome.p99:
@@ -192,7 +197,7 @@ def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
     return ", ".join([lead, *(f"{labels[name]} in {wins}" for name, wins in others)])
 
 
-def _by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
+def by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
     joined_of: dict[Outcome | None, Stretch] = {}
     for stretch in cut:
         own = joined_of.get(stretch.outcome, Stretch(stretch.outcome, (), ()))
@@ -205,7 +210,7 @@ def _by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
     return sorted(joined_of.values(), key=order)
 
 
-def _span(own: Sequence[int], every: Sequence[int]) -> str:
+def size_span(own: Sequence[int], every: Sequence[int]) -> str:
     """Name sizes among all: `up to 33 KB`, `from 1 MB on`, `at every size`, `at 33 KB and 1 MB`."""
     if len(own) < sum(own[0] <= size <= own[-1] for size in every):
         return f"at {joined(map(format_size, own))}"
@@ -240,10 +245,29 @@ def _leader_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str])
 
 
 def _lead_words(stretch: Stretch, percentile: str) -> str:
-    won = [case for case in stretch.cases if getattr(case, f"leader_{percentile}")]
-    factors = [factor for case in won if (factor := _factor(case, percentile)) is not None]
+    won, factors = _leads(stretch, percentile)
     within = f" in {len(won)} of {len(stretch.cases)} comparisons" if len(won) < len(stretch.cases) else ""
     return f"{_factors(factors)} as long{within}" if factors else f"longer, as its messages were lost{within}"
+
+
+def _leads(stretch: Stretch, percentile: str) -> tuple[list[CaseAnswer], list[float]]:
+    won = [case for case in stretch.cases if getattr(case, f"leader_{percentile}")]
+    return won, [factor for case in won if (factor := _factor(case, percentile)) is not None]
+
+
+def _lead_factors(stretch: Stretch, percentile: str) -> str:
+    factors = _leads(stretch, percentile)[1]
+    return _factors(factors) if factors else "longer, as its messages were lost"
+
+
+def _slower_factors(stretch: Stretch, outcome: Outcome, name: str) -> str:
+    """Return how many times as long as the best one a slower setup takes; empty if its messages were lost."""
+    ratios = []
+    for case in stretch.cases:
+        times = {setup.name: getattr(setup, f"{outcome.percentile}_ns") for setup in case.contenders}
+        if outcome_of(case) == outcome and times[name] != float("inf"):
+            ratios.append(times[name] / times[outcome.best[0]])
+    return _factors(ratios) if ratios else ""
 
 
 def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
@@ -255,12 +279,8 @@ def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -
         best = f"of setups that lose little, {labels[first]} is fastest {label}"
     parts = []
     for name in outcome.slower:
-        ratios = []
-        for case in stretch.cases:
-            times = {setup.name: getattr(setup, f"{outcome.percentile}_ns") for setup in case.contenders}
-            if outcome_of(case) == outcome and times[name] != float("inf"):
-                ratios.append(times[name] / times[first])
-        takes = f"{_factors(ratios)} as long as {labels[first]}" if ratios else "longer, as messages were lost"
+        factors = _slower_factors(stretch, outcome, name)
+        takes = f"{factors} as long as {labels[first]}" if factors else "longer, as messages were lost"
         parts.append(f"{labels[name]} takes {takes}")
     shown = parts[:MOST_NAMED] + ([f"{len(parts) - MOST_NAMED} more take longer"] if parts[MOST_NAMED:] else [])
     return f"{best}, while {joined(shown)}{_repeats_words(stretch.cases, ' the rest')}"
@@ -285,6 +305,15 @@ def _factors(factors: Sequence[float]) -> str:
 
 def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:
     """Say for each bridge and middleware how many times as long as in the same domain a message takes."""
+    facts = bridge_facts(costs, vendors)
+    return f"{COMPARED}: {'; '.join(facts)}." if facts else ""
+
+
+COMPARED = "A message takes, compared with the same domain"
+
+
+def bridge_facts(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, ...]:
+    """Return the parts of `bridge_sentence` after `COMPARED`."""
     latencies = costs.filter(metric="latency")
     several = latencies["vendor"].n_unique() > 1
     ways = latencies.group_by("bridge", "vendor", "relay_vendor", maintain_order=True)
@@ -294,7 +323,7 @@ def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:
         if factors:
             pair = vendors.of_pair(str(vendor), None if relay_vendor is None else str(relay_vendor))
             parts.append(f"{way_words(str(bridge))}{f' with {pair}' if several else ''} {factors}")
-    return f"A message takes, compared with the same domain: {'; '.join(parts)}." if parts else ""
+    return tuple(parts)
 
 
 def _cost_words(rows: pl.DataFrame) -> str:
@@ -351,3 +380,26 @@ def _busy(analysis: Analysis) -> str:
 def _some(parts: Sequence[str], rest: str) -> str:
     left = len(parts) - MOST_NAMED
     return "; ".join([*parts[:MOST_NAMED], *([f"and {left} {rest}"] if left > 0 else [])])
+
+
+def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:
+    """Return who is fastest, in few words: `Zenoh, next 1.2 to 1.94 times`."""
+    outcome = stretch.outcome
+    if outcome is None:
+        return f"it depends on the rate ({_wins(stretch.cases, labels)})"
+    if outcome.p50 or outcome.p99:
+        leads = [
+            f"{'' if percentile == 'p50' else 'at p99 '}{labels[name]}, next {_lead_factors(stretch, percentile)}"
+            for percentile, _ in PERCENTILES
+            if (name := getattr(outcome, percentile))
+        ]
+        if outcome.p50 == outcome.p99:
+            leads = [f"{leads[0]}, at p99 {_lead_factors(stretch, 'p99')}"]
+        return "; ".join(leads) + (" (all setups lose too much)" if outcome.is_lossy else "")
+    repeats = _repeats_words(stretch.cases, "").replace("about ", "")
+    if not outcome.slower:
+        return f"no clear winner{repeats}"
+    slower = {labels[name]: _slower_factors(stretch, outcome, name) for name in outcome.slower}
+    parts = [f"{name} {factors}" for name, factors in [*slower.items()][:MOST_NAMED]]
+    at_tail = "at p99 " if outcome.percentile == "p99" else ""
+    return f"{at_tail}{joined([labels[name] for name in outcome.best], 'or')}; {joined(parts)}{repeats}"

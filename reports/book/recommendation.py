@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+from dds_trace.analyzer.statistics.percentiles import planned_messages
 from dds_trace.analyzer.verdicts.recommend import Fit, place_of
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_duration, format_rate, format_size
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size, spell_size
 
 from .groups import METRIC_LABELS, data_type_label, format_ratio, joined, setting_labels
 from .verdicts import place_label
@@ -28,6 +30,9 @@ COLUMNS = ("Setting", "Meets it", "Time", "95 % interval", "Received", "Of recei
 """`Of received` is the time over the received messages only."""
 
 
+UNKNOWN = "unknown"
+
+
 @dataclass(frozen=True, slots=True)
 class Advice:
     """A recommendation as text.
@@ -35,11 +40,15 @@ class Advice:
     Attributes:
         job: the job in words, with its deadline.
         rows: one per candidate, columns of `COLUMNS`.
+        missing: what would decide the unclear ones, in words; empty where all is decided.
+        command: what records it.
     """
 
     job: str
     sentence: str
     rows: tuple[tuple[str, ...], ...]
+    missing: str = ""
+    command: str = ""
 
     @property
     def brief_rows(self) -> tuple[tuple[str, str, str], ...]:
@@ -50,10 +59,10 @@ class Advice:
 def _brief(
     setting: str, fit: str, time: str, interval: str, share: str, received_time: str, basis: str, why: str
 ) -> tuple[str, str, str]:
-    numbers = f"{time} (95 %: {interval}), received {share}"
-    if time == "lost":
-        numbers += f" (those in {received_time})"
-    return setting, fit, f"{numbers}; {basis}. {why}".strip()
+    numbers = [] if time == UNKNOWN else [time if UNKNOWN in interval else f"{time} (95 %: {interval})"]
+    if share != MISSING:
+        numbers.append(f"received {share}" + (f" (those in {received_time})" if time == "lost" else ""))
+    return setting, fit, "; ".join([", ".join(numbers), basis, why]).removeprefix("; ").removesuffix("; ")
 
 
 def recommendation_info(recommendation: Recommendation | None, vendors: VendorLabels) -> Advice | None:
@@ -77,7 +86,32 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
         job=_job_words(recommendation.job),
         sentence=" ".join([*sentences, *_unseen(recommendation.best)]) or _NOTHING,
         rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, full_names, strict=True)),
+        missing=(missing := _missing_words(recommendation)),
+        command=_command(recommendation) if missing else "",
     )
+
+
+def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
+    """Return runs and messages of each that give an interval, or double what there is."""
+    unclear = [candidate for candidate in recommendation.candidates if candidate.fit in (Fit.LIKELY, Fit.INCONCLUSIVE)]
+    runs = max(MIN_RUNS, *(candidate.runs for candidate in unclear))
+    needed = planned_messages(recommendation.job.reliability)
+    enough = [candidate.messages for candidate in unclear if candidate.messages >= needed and candidate.runs >= MIN_RUNS]
+    return runs, math.ceil(max([needed, *(2 * messages for messages in enough)]) / runs)
+
+
+def _missing_words(recommendation: Recommendation) -> str:
+    if all(candidate.fit in (Fit.MEETS, Fit.MISSES) for candidate in recommendation.candidates):
+        return ""
+    runs, messages = _messages_of_run(recommendation)
+    return f"To decide the unclear ones, record about {runs} runs of {messages:,} messages with each setup:"
+
+
+def _command(recommendation: Recommendation) -> str:
+    job, messages = recommendation.job, _messages_of_run(recommendation)[1]
+    size = spell_size(job.payload_bytes)
+    what = f"--data {job.data_type} --size {size} --rate {job.rate_hz:g} --messages {messages}"
+    return f"dds-record --role ping {what} --out ping.mcap"
 
 
 def _choice(setting: Setting) -> Setting:
@@ -156,5 +190,5 @@ def _row(candidate: Candidate, name: str) -> tuple[str, ...]:
 
 def _time(value_ns: float | None) -> str:
     if value_ns is None:
-        return "unknown"
+        return UNKNOWN
     return "lost" if math.isinf(value_ns) else format_duration(value_ns)

@@ -19,10 +19,12 @@ from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.details import details_not_requested
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
 from dds_trace.base.errors import OptionError, OutputError
-from dds_trace.reports import document
+from dds_trace.reports import document, terminal
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import LATENCY_MEANING
 from dds_trace.reports.book.numbers import intervals_info
+from dds_trace.reports.book.sizes import Threshold
+from dds_trace.reports.brief import INLINE_BAR, MOST_LINES
 from dds_trace.reports.figures import FIGURES
 from dds_trace.reports.figures.figure import Figure
 from dds_trace.reports.html.packing import unpacked
@@ -51,12 +53,49 @@ def test_files_are_written_where_asked(tmp_path, kind, file_name):
     assert path.read_bytes().decode("utf-8") == rendered("ping without relay", kind)
 
 
-def test_the_terminal_report_is_printed(tmp_path, capsys):
+def test_the_terminal_prints_the_answer_or_all_of_it_with_the_answer_last(tmp_path, capsys):
     analysis = EVERY_ANALYSIS["ping without relay"]()
-    assert write_reports(analysis, ["terminal"], tmp_path) == [None]
-    printed = "\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines())
-    assert printed == load_reporter("terminal").render(Book(analysis)).rstrip("\n")
+    printed = []
+    for shows_all in (False, True):
+        assert write_reports(analysis, ["terminal"], tmp_path, shows_all=shows_all) == [None]
+        printed.append("\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines()))
+    brief, whole = printed
+    assert brief == terminal.render_brief(Book(analysis)).rstrip("\n")
+    assert whole == terminal.render(Book(analysis)).rstrip("\n")
+    assert whole.endswith(f"\n{brief}")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_answer_is_at_most_18_lines_of_80_columns(name):
+    lines = terminal.render_brief(Book(EVERY_ANALYSIS[name]())).splitlines()
+    assert len(lines) <= MOST_LINES
+    assert max(map(len, lines)) <= 80
+
+
+def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():
+    lines = terminal.render_brief(Book(EVERY_ANALYSIS["small campaign"]())).splitlines()
+    binary = lines.index("Fastest in the same domain (Binary)")
+    fact, bars = lines[binary + 1 : binary + 3]
+    assert fact.startswith("✓ at every size: Zenoh, next ")
+    short, long = (part.count("▇") for part in bars.split("   ")[:2])
+    assert 1 <= short < long == INLINE_BAR
+    assert bars.endswith("1 MB at 10 Hz")
+    lossy = next(line for line in lines if line.startswith("✗"))
+    assert "0.03 % of the messages were lost" in lossy
+
+
+def test_a_deadline_has_a_mark_for_each_setup():
+    analysis = EVERY_ANALYSIS["small campaign"]()
+    book = Book(analysis)
+    rows = tuple(replace(place, thresholds=(*OUTCOMES, *[None] * (len(book.sizes.choices) - 2))) for place in book.sizes.places)
+    book.sizes = replace(book.sizes, deadline="latency within 20 ms", places=rows)
+    text = terminal.render_brief(book)
+    passed, failed = book.sizes.choices[:2]
+    assert f"✓ {passed}" in text
+    assert f"✗ {failed}: 1 of 3 results" in text
+
+
+OUTCOMES = (Threshold("pass", ""), Threshold("fail", "1 of 3 results"))
 
 
 def test_an_unknown_kind_is_an_option_error(tmp_path):

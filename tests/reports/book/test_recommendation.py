@@ -15,7 +15,7 @@ from dds_trace.reports.book.recommendation import recommendation_info
 from dds_trace.reports.html.page import render as render_html
 from dds_trace.reports.markdown import render as render_markdown
 from dds_trace.reports.terminal import render as render_terminal
-from dds_trace.reports.terminal import render_advice
+from dds_trace.reports.terminal import render_brief
 
 JOB = Job("binary", 33_000, 10.0, 50 * MS, 0.99, metric="latency")
 MIXED = [MS + (n * 37 % 101) * 1000 for n in range(1500)]
@@ -87,16 +87,18 @@ def test_each_pair_of_devices_and_link_has_a_recommendation_of_its_own(sentences
     assert advice.rows[0][0] == "Fast DDS, on laptop, wired"
 
 
-def test_the_terminal_tells_it_first_and_within_80_columns():
+def test_the_terminal_has_a_numbered_line_for_each_setup_within_80_columns():
     analysis = make_analysis(Measured([MS, MS]))
     frame = pl.concat([in_runs(MIXED), in_runs([None, MS] * 500, vendor="zenoh", run_id=2, spread=0.0)])
     recommendation = recommend_settings(frame, replace(JOB, metric="response"))
     book = Book(replace(analysis, details=replace(analysis.details, recommendation=recommendation)))
-    alone, whole = render_advice(book), render_terminal(book)
-    assert alone.strip("\n") in whole
-    assert whole.index("meets the deadline of 50 ms") < whole.index(book.answer.headline[:10])
+    alone, whole = render_brief(book), render_terminal(book)
+    assert whole.endswith(alone)
     assert max(map(len, alone.splitlines())) <= 80
-    assert "from planned send to reply" in " ".join(alone.split())
+    words = " ".join(alone.split())
+    assert "from planned send to reply" in words
     assert "vendor=" not in alone
-    assert "received 50 %" in alone
-    assert render_advice(Book(analysis)) == ""
+    assert " 1. ✓ Fast DDS" in alone
+    assert " 2. ✗ Zenoh" in alone
+    assert "received 50 %" in words
+    assert "To decide" not in alone

@@ -1,0 +1,180 @@
+"""The answer in at most `MOST_LINES` lines of 80 columns: proven facts, a picture of bars, thresholds."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.base.printable import printable
+from dds_trace.base.units import counted, format_duration, format_rate, format_size
+
+from .book.findings import severity_counts
+from .book.groups import data_type_label
+from .book.headline import (
+    COMPARED,
+    MOST_NAMED,
+    avoid_sentence,
+    bridge_facts,
+    bridge_sentence,
+    by_outcome,
+    fastest_words,
+    loss_sentence,
+    size_span,
+    winner_sentences,
+)
+from .book.outcomes import outcome_of, stretches
+from .book.verdicts import contender_labels, place_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from dds_trace.analyzer.verdicts.answers import CaseAnswer
+
+    from .book.book import Book
+
+WIDTH = 80
+MOST_LINES = 18
+"""Lines of the answer; with the lines of the written files it is a screen of 20."""
+MOST_SETUPS = 4
+INLINE_BAR, BAR = 5, 30
+"""Cells of the longest bar in a line of all setups, and in a line of its own."""
+
+PASS, FAIL, OPEN = ("✓", "green"), ("✗", "red"), ("·", "dim")
+
+
+def brief_lines(book: Book) -> list[Text]:
+    """Return the answer; what exceeds `MOST_LINES` is named in the last line."""
+    answer = book.answer
+    answers = book.analysis.details.answers if answer.verdicts else ()
+    facts = next((fact.value for fact in book.overview.facts if fact.label == "Messages"), "")
+    title = f"{book.overview.title}: {facts.replace(' in ', ' messages in ', 1)}" if facts else book.overview.title
+    parts = [_wrapped(title, "", "bold")]
+    vendors = book.groups.vendors
+    losses = {loss_sentence(book.groups, book.values), avoid_sentence(answers, vendors)}
+    sentences = (answer.headline, *answer.points)
+    parts += [_marked(FAIL, sentence) for sentence in sentences if sentence in losses]
+    thresholds = _thresholds(book)
+    parts += [thresholds] if thresholds else []
+    winners: set[str] = set()
+    if any(outcome_of(case).is_decided for case in answers):
+        winners = set(winner_sentences(answers, vendors))
+        parts += _winners(answers, contender_labels(answers, vendors))
+    costs = book.analysis.details.bridge_costs
+    bridges = bridge_sentence(costs, vendors)
+    for sentence in sentences:
+        if sentence == bridges:
+            facts = [words.replace(" as long", "") for words in bridge_facts(costs, vendors)]
+            parts.append([*_wrapped(COMPARED, "", "bold"), *(line for fact in facts for line in _marked(PASS, fact))])
+        elif sentence not in losses | winners:
+            parts.append(_marked(OPEN, sentence))
+    return _fitted(parts, _more(book))
+
+
+def _fitted(parts: Sequence[list[Text]], more: str) -> list[Text]:
+    lines: list[Text] = []
+    left = 0
+    for part in parts:
+        if left or len(lines) + len(part) > MOST_LINES - 1:
+            left += 1
+        else:
+            lines += part
+    rest = f"{counted(left, 'more fact')}, {more}" if left else more
+    return [*lines, Text(f"--all shows {rest}", style="dim")]
+
+
+def _more(book: Book) -> str:
+    findings = [words for _, words in severity_counts(book.findings)]
+    return ", ".join([*findings, f"tables of {counted(len(book.groups.groups), 'result')}"])
+
+
+def _wrapped(text: str, indent: str, style: str = "") -> list[Text]:
+    lines = textwrap.wrap(text, WIDTH - 1, subsequent_indent=indent, break_on_hyphens=False)
+    return [Text(line, style=style) for line in lines]
+
+
+def _marked(mark: tuple[str, str], text: str) -> list[Text]:
+    first, *others = _wrapped(f"{mark[0]} {text}", "  ")
+    first.stylize(mark[1], 0, 1)
+    return [first, *others]
+
+
+def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterator[list[Text]]:
+    """Yield for each kind of data a heading, its facts and its bars; of several places those with the commonest outcome."""
+    several, is_drawn = len({answer.data_type for answer in answers}) > 1, False
+    kinds: dict[tuple[str, str], dict[str, list[CaseAnswer]]] = {}
+    for answer in answers:
+        if answer.clarity is not Clarity.ONLY_ONE:
+            kinds.setdefault((answer.domain_mode, answer.data_type), {}).setdefault(place_of(answer), []).append(answer)
+    for (mode, data_type), places in sorted(kinds.items(), key=lambda item: item[0][0] != "same"):
+        alike: dict[object, list[str]] = {}
+        for place, cases in places.items():
+            alike.setdefault(tuple((one.outcome, one.sizes) for one in stretches(cases)), []).append(place)
+        shown = max(alike.values(), key=len)
+        heading = ["Fastest", "in the same domain" if mode == "same" else f"across {printable(mode)} domains"]
+        heading += [f"({data_type_label(data_type)})"] if several else []
+        if len(places) > 1:
+            of = f"{len(shown)} of {len(places)}" if len(shown) < len(places) else f"each of {len(places)}"
+            heading.append(f"on {of} pairs of devices and links")
+        cut = stretches(case for place in shown for case in places[place])
+        sizes = [size for stretch in cut for size in stretch.sizes]
+        lines = _wrapped(" ".join(heading), "", "bold")
+        for stretch in by_outcome(cut) if len(cut) > MOST_NAMED else cut:
+            span = "at every size" if {*stretch.sizes} == {*sizes} else size_span(stretch.sizes, sizes)
+            words = f"{span}: {fastest_words(stretch, labels)}"
+            is_decided = stretch.outcome is not None and stretch.outcome.is_decided
+            lines += _marked(PASS if is_decided else OPEN, words)
+        if not is_drawn and (bars := _bars(places[shown[0]], labels, place=shown[0] if len(places) > 1 else "")):
+            is_drawn, lines = True, [*lines, *bars]
+        yield lines
+
+
+def _bars(cases: Sequence[CaseAnswer], labels: Mapping[str, str], place: str) -> list[Text]:
+    """Draw the medians of the largest decided message."""
+    decided = [case for case in cases if outcome_of(case).is_decided]
+    if not decided:
+        return []
+    largest = max(case.payload_bytes for case in decided)
+    rates = sorted(case.rate_hz for case in decided if case.payload_bytes == largest)
+    case = next(
+        case for case in decided if (case.payload_bytes, case.rate_hz) == (largest, rates[(len(rates) - 1) // 2])
+    )
+    times = sorted(
+        (setup.p50_ns, labels[setup.name])
+        for setup in case.contenders
+        if setup.p50_ns is not None and math.isfinite(setup.p50_ns)
+    )[:MOST_SETUPS]
+    size, longest_ns = format_size(largest), max((ns for ns, _ in times), default=1)
+    line = "  " + "   ".join(f"{name} {_bar(ns, longest_ns, INLINE_BAR)} {format_duration(ns)}" for ns, name in times)
+    where = ", ".join(filter(None, (place, f"{size} at {format_rate(case.rate_hz)}")))
+    for end in (where, size):
+        if len(f"{line}   {end}") < WIDTH and not place:
+            return [Text(f"{line}   {end}")]
+    width = max(len(name) for _, name in times)
+    rows = [f"  {name:<{width}}  {_bar(ns, longest_ns, BAR):<{BAR}}  {format_duration(ns)}" for ns, name in times]
+    return [Text(f"  median at {where}:", style="dim"), *(Text(row) for row in rows)]
+
+
+def _bar(value: float, longest: float, cells: int) -> str:
+    return "▇" * max(1, round(cells * value / longest))
+
+
+def _thresholds(book: Book) -> list[Text]:
+    """Return the deadline's outcome for each setup, over all places the worst."""
+    sizes = book.sizes
+    if sizes is None or not sizes.deadline:
+        return []
+    lines = _wrapped(f"{sizes.deadline[:1].upper()}{sizes.deadline[1:]}", "", "bold")
+    order, passed = ["fail", "not known", "pass"], []
+    for index, choice in enumerate(sizes.choices):
+        judged = [(one, rows.place) for rows in sizes.places if rows.thresholds and (one := rows.thresholds[index])]
+        worst, place = min(judged, key=lambda pair: order.index(pair[0].outcome), default=(None, ""))
+        if worst is None or worst.outcome == "pass":
+            passed += [choice] if worst else []
+            continue
+        on = f" on {place}" if len(sizes.places) > 1 else ""
+        lines += _marked(FAIL if worst.outcome == "fail" else OPEN, f"{choice}{on}: {worst.why}")
+    return [*lines, *(_marked(PASS, ", ".join(passed)) if passed else [])]

@@ -50,8 +50,9 @@ def brief_lines(book: Book) -> list[Text]:
     """Return the answer; what exceeds `MOST_LINES` is named in the last line."""
     answer = book.answer
     answers = book.analysis.details.answers if answer.verdicts else ()
-    facts = next((fact.value for fact in book.overview.facts if fact.label == "Messages"), "")
-    title = f"{book.overview.title}: {facts.replace(' in ', ' messages in ', 1)}" if facts else book.overview.title
+    measured = next((fact.value for fact in book.overview.facts if fact.label == "Messages"), "")
+    noun = "message" if measured.startswith("1 ") else "messages"
+    title = book.overview.title + (f": {measured.replace(' in ', f' {noun} in ', 1)}" if measured else "")
     parts = [_wrapped(title, "", "bold")]
     vendors = book.groups.vendors
     losses = {loss_sentence(book.groups, book.values), avoid_sentence(answers, vendors)}

@@ -198,6 +198,7 @@ def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
 
 
 def by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
+    """Join stretches with the same outcome, the decided and longest first."""
     joined_of: dict[Outcome | None, Stretch] = {}
     for stretch in cut:
         own = joined_of.get(stretch.outcome, Stretch(stretch.outcome, (), ()))

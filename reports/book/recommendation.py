@@ -96,7 +96,9 @@ def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
     unclear = [candidate for candidate in recommendation.candidates if candidate.fit in (Fit.LIKELY, Fit.INCONCLUSIVE)]
     runs = max(MIN_RUNS, *(candidate.runs for candidate in unclear))
     needed = planned_messages(recommendation.job.reliability)
-    enough = [candidate.messages for candidate in unclear if candidate.messages >= needed and candidate.runs >= MIN_RUNS]
+    enough = [
+        candidate.messages for candidate in unclear if candidate.messages >= needed and candidate.runs >= MIN_RUNS
+    ]
     return runs, math.ceil(max([needed, *(2 * messages for messages in enough)]) / runs)
 
 

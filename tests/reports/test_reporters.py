@@ -87,7 +87,9 @@ def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():
 def test_a_deadline_has_a_mark_for_each_setup():
     analysis = EVERY_ANALYSIS["small campaign"]()
     book = Book(analysis)
-    rows = tuple(replace(place, thresholds=(*OUTCOMES, *[None] * (len(book.sizes.choices) - 2))) for place in book.sizes.places)
+    rows = tuple(
+        replace(place, thresholds=(*OUTCOMES, *[None] * (len(book.sizes.choices) - 2))) for place in book.sizes.places
+    )
     book.sizes = replace(book.sizes, deadline="latency within 20 ms", places=rows)
     text = terminal.render_brief(book)
     passed, failed = book.sizes.choices[:2]

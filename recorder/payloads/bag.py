@@ -82,7 +82,7 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
 
 
 def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None]:
-    """Return the mean rate, and that of the median interval."""
+    """Return the mean rate, and one from the median interval."""
     intervals_ns = sorted(after - before for before, after in pairwise(times_ns))
     span_ns = sum(intervals_ns)
     typical_ns = intervals_ns[len(intervals_ns) // 2] if intervals_ns else 0

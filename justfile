@@ -143,6 +143,14 @@ mutants *args: setup
 release-check *args: setup
     {{bin}}/python scripts/check_release.py {{args}}
 
+# Write the report of docs/results/loopback/ again from the traces that it keeps
+loopback-report: setup
+    rm -rf out/kept && mkdir -p out/kept/loopback
+    for traces in docs/results/loopback/*.tar.xz; do tar -xJf $traces -C out/kept/loopback; done
+    {{bin}}/dds-analyze out/kept/loopback --report md --report html --out out/kept/report
+    cp out/kept/report/report.md out/kept/report/summary.parquet docs/results/loopback/
+    {{bin}}/python scripts/stored_report.py keep out/kept/report/report.html docs/results/loopback/report.html.gz
+
 # Draw the stored reports of docs/results/ with their figures again: out/results/*.html
 results: setup
     {{bin}}/python scripts/stored_report.py open docs/results/*/report.html.gz --out out/results

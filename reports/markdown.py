@@ -35,9 +35,9 @@ MOST_GROUPS = 150
 """Most results in a table."""
 COST_STATISTICS = ("p50", "p90", "p99")
 HOW_TO_READ_COSTS = (
-    "Latency through the bridge less the latency in the same domain, its 95 % interval, and the ratio of the two, with the runs and the "
-    "shares received of the same domain and of the bridge; a lost message is infinitely late. Without an interval the samples show no "
-    "more than the difference; with fewer than three runs a side the interval holds within one run."
+    "Latency of a typical run through the bridge less the one in the same domain, its 95 % interval, and the ratio of the two, with "
+    "the runs and the shares received of the same domain and of the bridge; a lost message is infinitely late. Without an interval the "
+    "samples show no more than the difference; with fewer than three runs a side all is within one run."
 )
 SHOWN_STATISTICS = ("p50", "p90", "p99", "max")
 
@@ -93,7 +93,7 @@ def _sizes(book: Book) -> Iterator[str]:
             outcomes = ("" if threshold is None else markdown(threshold.text) for threshold in place.thresholds)
             rows.insert(0, (markdown(table.deadline), *outcomes))
         heads = ("Size", *map(markdown, table.choices))
-        yield f"Latency {markdown(table.rates)}, median / p99, on {markdown(place.place)}:"
+        yield f"{markdown(table.caption)}, on {markdown(place.place)}:"
         yield "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, ("---",) * len(heads), *rows))
     yield HOW_TO_READ
 
@@ -126,7 +126,7 @@ OWN_SHARE_NOTE = (
     "before it started; a dash where a side measured none."
 )
 _INTERVAL_NOTE = (
-    "In brackets: 95 % confidence intervals, from the runs where there are three or more, else within one run; a dash is "
+    "In brackets: 95 % confidence intervals, of a typical run where there are three or more, else within one run; a dash is "
     "an end that the sample does not support. A tail of fewer than ten bursts has no end."
 )
 
@@ -164,13 +164,13 @@ def _groups(book: Book) -> str:
     left = len(groups) - len(rows)
     has_own_share = any(share is not None for share in values.plain["own_share"])
     notes = (
-        "Times are of the received messages.",
         _INTERVAL_NOTE if any(ends) else "",
         OWN_SHARE_NOTE if has_own_share else "",
         f"{counted(left, 'more result is', 'more results are')} in `summary.parquet`." if left else "",
     )
     table = _table((*_MESSAGE_COLUMNS, "Own share", "Received", "Runs", *names), rows)
-    return "\n\n".join([table, *filter(None, notes)])
+    title = f"{METRIC_LABELS[metric]} of all messages that were received:"
+    return "\n\n".join([title, table, *filter(None, notes)])
 
 
 def _received(values: Values, group: int) -> str:

@@ -64,7 +64,7 @@ def _table(sizes: SizeTable, room: int) -> str:
     span = len(sizes.choices) + 1
     names = "".join(f"<th style='{_CELL}'>{escape(choice)}</th>" for choice in sizes.choices)
     start = (
-        f"<table><caption style='{_CELL}'>Latency {escape(sizes.rates)}, median / p99</caption>"
+        f"<table><caption style='{_CELL}'>{escape(sizes.caption)}</caption>"
         f"<thead><tr><th style='{_CELL}'>Size</th>{names}</tr></thead>"
     )
     bodies: list[str] = []

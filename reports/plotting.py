@@ -46,7 +46,7 @@ NAMES = (*LINE_FIGURES, RUN_SPREAD)
 
 def _shown(book: Book, value: str, metric: str, statistic: str) -> Shown:
     if value == "statistic":
-        title = f"{METRIC_LABELS[metric]}, {STATISTIC_LABELS[statistic]} (ms)"
+        title = f"{METRIC_LABELS[metric]}, {STATISTIC_LABELS[statistic]} of all messages (ms)"
         times = book.values.times_ns[metric][statistic]
         return Shown(title, _positive(times, _MS), lambda ms: format_duration(ms * _MS))
     if value == "transfer":

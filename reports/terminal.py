@@ -110,7 +110,7 @@ def _advice(book: Book) -> list[RenderableType]:
     return parts
 
 
-MOST_CHOICES = 4
+MOST_CHOICES = 3
 """Setups side by side in 80 columns."""
 
 _OUTCOME_COLORS = {"pass": "green", "fail": "red"}
@@ -122,13 +122,13 @@ def _sizes(book: Book) -> list[RenderableType]:
         return []
     parts: list[RenderableType] = []
     for place in sizes.places:
-        parts.append(Text(f"Latency {sizes.rates}, median / p99, on {place.place}", style="bold"))
+        parts.append(Text(f"{sizes.caption}, on {place.place}", style="bold"))
         for start in range(0, len(sizes.choices), MOST_CHOICES):
             shown = slice(start, start + MOST_CHOICES)
             table = _new_table()
             table.add_column("Size", width=15)
             for choice in sizes.choices[shown]:
-                table.add_column(Text(choice), width=15)
+                table.add_column(Text(choice), width=20)
             if place.thresholds:
                 table.add_row(Text(sizes.deadline), *map(_threshold, place.thresholds[shown]))
             for row in place.rows:
@@ -176,12 +176,13 @@ def _tables(book: Book) -> list[RenderableType]:
     metric = book.values.default_metric
     values = [value for curve in book.curves.values_ns[metric] for value in curve if value > 0]
     ends_ns = (min(values, default=1), max(values, default=1))
-    tables: list[RenderableType] = []
+    title = f"{METRIC_LABELS[metric]} of all messages that were received"
+    tables: list[RenderableType] = [Text(title, style="bold"), Text()] if values else []
     for series, label in enumerate(book.groups.labels):
         tables += [Text(label, style="bold"), _table(book, series, ends_ns), Text()]
     if values:
         low, high = map(format_duration, ends_ns)
-        note = f"{METRIC_LABELS[metric]} of the received messages. Each sparkline spans {low} to {high} (log scale)."
+        note = f"Each sparkline spans {low} to {high} (log scale)."
         tables += [Text(note, style="dim"), Text(_NOTES, style="dim")]
     return tables
 

@@ -22,11 +22,9 @@ STAND_IN = '<p class="note" data-policy="{hash}">Kept without plotly.js {version
 STAND_IN_PATTERN = re.compile(r'<p class="note" data-policy="(?P<hash>sha256-[^"]+)">Kept without plotly\.js .*?</p>')
 
 
-def script(page: str) -> str:
-    """Return the element that holds plotly.js in a page; those of 2026-11-21 and before held it as it is."""
-    if 'data-packed="data"' in page:
-        return f'<script type="text/plain" data-packed="plotly">{packed_script(get_plotlyjs())}</script>'
-    return f"<script>{get_plotlyjs()}</script>"
+def script() -> str:
+    """Return the element that holds plotly.js in a page."""
+    return f'<script type="text/plain" data-packed="plotly">{packed_script(get_plotlyjs())}</script>'
 
 
 def keep(page: str) -> str:
@@ -35,10 +33,10 @@ def keep(page: str) -> str:
     Raises:
         ValueError: the page does not hold the installed plotly.js once.
     """
-    if page.count(script(page)) != 1:
+    if page.count(script()) != 1:
         raise ValueError(f"no page of `dds-analyze --report html` with plotly.js {get_plotlyjs_version()}")
     stand_in = STAND_IN.format(hash=policy_hash(get_plotlyjs()), version=get_plotlyjs_version())
-    return page.replace(script(page), stand_in)
+    return page.replace(script(), stand_in)
 
 
 def put_back(stored: str) -> str:
@@ -51,7 +49,7 @@ def put_back(stored: str) -> str:
     if found is None:
         raise ValueError("no page that `keep` has written")
     before, after = stored[: found.start()], stored[found.end() :]
-    return before.replace(found["hash"], policy_hash(get_plotlyjs())) + script(stored) + after
+    return before.replace(found["hash"], policy_hash(get_plotlyjs())) + script() + after
 
 
 def main() -> int:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import polars as pl
 
-from dds_trace.base.units import counted, format_ms
+from dds_trace.base.units import counted, format_duration
 
 from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Severity, Subject
@@ -46,7 +46,7 @@ def suspends(evidence: Evidence) -> Iterator[Observation]:
         if step.asleep is not None:
             yield Observation(
                 f"{step.asleep} ({step.relay_device} against {step.ping_device})",
-                f"Its clock stood still for {abs(step.size_ns) / 1e9:.3f} s (within {step.bound_ns / 1e9:.3f} s) before "
+                f"Its clock stood still for {format_duration(abs(step.size_ns))} (within {format_duration(step.bound_ns)}) before "
                 f"{step.before_ns / 1e9:.1f} s of the ping's clock, and the relay ran on: the device, or its virtual machine, "
                 "was suspended.",
             )
@@ -65,7 +65,7 @@ def clock_steps(evidence: Evidence) -> Iterator[Observation]:
         if step.asleep is None:
             yield Observation(
                 f"{step.relay_device} against {step.ping_device}",
-                f"The clock jumped by {format_ms(step.size_ns)} ms (within {format_ms(step.bound_ns)} ms) "
+                f"The clock jumped by {format_duration(step.size_ns)} (within {format_duration(step.bound_ns)}) "
                 f"before {step.before_ns / 1e9:.1f} s of the ping's clock.",
             )
 
@@ -218,7 +218,7 @@ def coarse_clocks(evidence: Evidence) -> Iterator[Observation]:
             least_ns = min(medians_ns[group] for group in groups)
             yield Observation(
                 evidence.session_name(session),
-                f"Its clock advances in steps of {format_ms(round(step_ns))} ms, and the median round trip is "
-                f"{format_ms(round(least_ns))} ms: nothing below a step is known.",
+                f"Its clock advances in steps of {format_duration(step_ns)}, and the median round trip is "
+                f"{format_duration(least_ns)}: nothing below a step is known.",
                 tuple(groups),
             )

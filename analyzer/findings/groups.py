@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units import counted, format_ms
+from dds_trace.base.units import counted, format_duration, three_digits
 
 from ..model.environment import environment_differences
 from ..model.finding import Severity, Subject
@@ -195,8 +195,8 @@ def waits_in_readers(evidence: Evidence) -> Iterator[Observation]:
             continue
         yield evidence.result(
             group,
-            f"{words} waited {format_ms(waited_ns)} ms or longer between the middleware of the {role} and its "
-            f"callback, {waited_ns * rate_hz / 1e9:.1f} periods.",
+            f"{words} waited {format_duration(waited_ns)} or longer between the middleware of the {role} and its "
+            f"callback, {three_digits(waited_ns * rate_hz / 1e9)} periods.",
             share,
             role=role,
         )

@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
-from dds_trace.base.units import counted, format_ms
+from dds_trace.base.units import counted, format_duration
 
 from ..model.finding import Severity, Subject
 from ..pairing.pair import Outcome
@@ -90,8 +90,8 @@ def _outlived_history(members: Sequence[_Member], _row: Mapping[str, int]) -> _C
         return None
     gap_ns = counts["longest_gap_ns"]
     return _Cause(
-        f"{outlived} of them left while nothing arrived for up to {format_ms(gap_ns)} ms, and a history keeps "
-        f"{format_ms(round(history_ns))} ms (--depth {run.qos.depth} at {run.rate_hz:g} Hz)",
+        f"{outlived} of them left while nothing arrived for up to {format_duration(gap_ns)}, and a history keeps "
+        f"{format_duration(history_ns)} (--depth {run.qos.depth} at {run.rate_hz:g} Hz)",
         f"give both sides --depth {2 * math.ceil(gap_ns * run.rate_hz / 1e9)}, which keeps them for twice that time",
     )
 
@@ -106,8 +106,8 @@ def _outlived_lifespan(members: Sequence[_Member], row: Mapping[str, int]) -> _C
     if not isinstance(lifespan_ns, int) or longest_ns is None or longest_ns < _OLD_SHARE * lifespan_ns:
         return None
     return _Cause(
-        f"a message older than {format_ms(lifespan_ns)} ms is not delivered (--lifespan), and the others took up to "
-        f"{format_ms(round(longest_ns))} ms",
+        f"a message older than {format_duration(lifespan_ns)} is not delivered (--lifespan), and the others took up to "
+        f"{format_duration(longest_ns)}",
         "leave --lifespan out if late messages are of use, or make it longer than the latency",
     )
 
@@ -139,7 +139,7 @@ def outages(evidence: Evidence) -> Iterator[Observation]:
         group = int(str(key))
         lost = rows["messages"].sum()
         durations_ns = rows["duration_ns"].drop_nulls().to_list()
-        longest = f"; the longest lasted {format_ms(max(durations_ns))} ms" if durations_ns else ""
+        longest = f"; the longest lasted {format_duration(max(durations_ns))}" if durations_ns else ""
         endless = rows.height - len(durations_ns)
         end = f"; {endless} lasted to the end of the run." if endless else "."
         yield evidence.result(

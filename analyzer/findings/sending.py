@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.base.units import counted, format_ms
+from dds_trace.base.units import counted, format_duration, format_rate
 
 from ..clocks.boots import machine_of
 from ..groups.sending import LATE_NS
@@ -46,7 +46,9 @@ def schedule_not_held(evidence: Evidence) -> Iterator[Observation]:
         share = elapsed_ns / (elapsed_ns + lag_ns) if elapsed_ns + lag_ns > 0 else 1.0
         if lag_ns >= _LAG_NS and share < 1 - _RATE_TOLERANCE:
             yield evidence.result(
-                group, f"Published at {rates[group] * share:.4g} Hz, requested {rates[group]:g} Hz.", 1 - share
+                group,
+                f"Published at {format_rate(rates[group] * share)}, requested {format_rate(rates[group])}.",
+                1 - share,
             )
 
 
@@ -78,7 +80,7 @@ def late_sends(evidence: Evidence) -> Iterator[Observation]:
             yield evidence.result(
                 group,
                 f"{late} of {counted(messages, 'message')} ({percent(late, messages)}) left more than "
-                f"{format_ms(LATE_NS)} ms later than planned (T1 - T0), the latest {format_ms(late_max_ns)} ms.",
+                f"{format_duration(LATE_NS)} later than planned (T1 - T0), the latest {format_duration(late_max_ns)}.",
                 late / messages,
             )
 
@@ -107,9 +109,9 @@ def stand_stills(evidence: Evidence) -> Iterator[Observation]:
         meanwhile = _host_meanwhile(samples, ping.session_id, row["still_ns"], row["still_end_ns"])
         yield evidence.run(
             row["run_id"],
-            f"The ping sent nothing for {row['still_ns'] / 1e9:.1f} s though messages were due, until "
+            f"The ping sent nothing for {format_duration(row['still_ns'])} though messages were due, until "
             f"{row['still_end_ns'] / 1e9:.1f} s of its clock{times}; 99 % of all left at most "
-            f"{format_ms(row['late_p99_ns'])} ms late{meanwhile}.",
+            f"{format_duration(row['late_p99_ns'])} late{meanwhile}.",
             (row["group"],),
             min(row["still_ns"] / max(row["elapsed_ns"] or 0, row["still_ns"]), 1.0),
         )
@@ -138,7 +140,7 @@ def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: 
     elif still_ns >= _SAMPLES_NS:
         events.append("no recording on its machine took a sample of the host either: the machine stood still")
     if stolen_ns > 0:
-        events.append(f"the hypervisor gave {stolen_ns / 1e9:.2g} s of processor time to others")
+        events.append(f"the hypervisor gave {format_duration(stolen_ns)} of processor time to others")
     if waited_us > 0:
         share = percent(min(waited_us * 1000, lasted_ns), lasted_ns)
         events.append(f"some task waited for a processor in {share} of that time")

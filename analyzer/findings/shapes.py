@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import polars as pl
 
-from dds_trace.base.units import counted, format_ms
+from dds_trace.base.units import counted, format_duration, format_size
 
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
 from ..model.finding import Severity, Subject
@@ -96,8 +96,8 @@ def two_modes(evidence: Evidence) -> Iterator[Observation]:
         share = _median(shapes, "modes_share")
         yield evidence.result(
             group,
-            f"In {shapes.height} of {counted(runs, 'run')} the latency is mostly one of two values, about {format_ms(low_ns)} ms "
-            f"and {format_ms(high_ns)} ms; {100 * share:.2g} % of the messages have the smaller one.",
+            f"In {shapes.height} of {counted(runs, 'run')} the latency is mostly one of two values, about {format_duration(low_ns)} "
+            f"and {format_duration(high_ns)}; {100 * share:.2g} % of the messages have the smaller one.",
             share,
         )
 
@@ -172,8 +172,8 @@ class _Sizes(NamedTuple):
         cause = _cause(evidence, group, self.small_bytes, self.large_bytes)
         return evidence.result(
             group,
-            f"p50 latency {verb} from {format_ms(self.small['estimate_ns'])} ms at {self.small_bytes} B to "
-            f"{format_ms(self.large['estimate_ns'])} ms at {self.large_bytes} B{cause}.",
+            f"p50 latency {verb} from {format_duration(self.small['estimate_ns'])} at {format_size(self.small_bytes)} to "
+            f"{format_duration(self.large['estimate_ns'])} at {format_size(self.large_bytes)}{cause}.",
         )
 
 
@@ -203,12 +203,12 @@ def _cause(evidence: Evidence, group: int, small_bytes: int, large_bytes: int) -
         and _may_use_memory(ping)
         and _may_use_memory(relay)
     ):
-        return f"; between them is Fast DDS's shared-memory segment of {_SEGMENT_BYTES} B"
+        return f"; between them is Fast DDS's shared-memory segment of {format_size(_SEGMENT_BYTES)}"
     for session in (relay, ping):
         if session is not None:
             name, buffer = _receive_buffer(session)
             if buffer is not None and small_bytes < buffer <= large_bytes:
-                return f"; between them is the socket buffer of {session.device} ({name} {buffer} B)"
+                return f"; between them is the socket buffer of {session.device} ({name} {format_size(buffer)})"
     return "; the recorded environment shows no cause"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.base.units import counted, format_ms
+from dds_trace.base.units import counted, format_duration, three_digits
 
 from ..model.applied import may_be_cut
 from ..model.finding import Severity, Subject
@@ -158,7 +158,7 @@ def heartbeat_bound_recoveries(evidence: Evidence) -> Iterator[Observation]:
             yield evidence.result(
                 row["group"],
                 f"{row['again_messages']} of {counted(row['messages'], 'message')} were sent again; half of them waited for "
-                f"{waited:g} heartbeat periods, {format_ms(delay_ns)} ms, or longer.",
+                f"{three_digits(waited)} heartbeat periods, {format_duration(delay_ns)}, or longer.",
                 row["again_messages"] / row["messages"],
             )
 
@@ -186,6 +186,6 @@ def discovery_traffic(evidence: Evidence) -> Iterator[Observation]:
         if is_large and discovery_bytes > DISCOVERY_BYTES * minutes:
             yield evidence.result(
                 row["group"],
-                f"Discovery took {percent(share, 1)} of the bytes on the wire, {rate / 1000:.0f} KB a minute.",
+                f"Discovery took {percent(share, 1)} of the bytes on the wire, {three_digits(rate / 1000)} KB a minute.",
                 share,
             )

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, format_number
 
 from ..model.names import group_words, varying_parameters
 from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
@@ -227,7 +227,7 @@ def _advice(gate: Gate, change: Change) -> str:
     if statistic.quantile is not None:
         more = [messages_to_close(side, statistic.quantile) for side in sides if not side.is_two_sided]
         if any(more):
-            return f"the tail rests on too few bursts; record about {max(m or 0 for m in more)} more messages a side"
+            return f"the tail rests on too few bursts; record about {format_number(max(m or 0 for m in more))} more messages a side"
     runs = None
     if gate.against is Against.RATIO and gate.limit > 0:
         runs = runs_to_settle_ratio(change, gate.limit)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from dds_trace.base.units import SECOND_NS, counted
+from dds_trace.base.units import SECOND_NS, counted, format_number, format_rate, format_size
 
 from ..model.parameters import SETTING_COLUMNS, SITE_COLUMNS
 from ..model.setting import condition_of
@@ -218,12 +218,12 @@ class _Measurement:
 
     def failure(self, deadline_ns: int) -> str:
         if self.is_slow:
-            return f"{(self.rate_share or 0) * self.rate_hz:.4g} Hz were sent where {self.rate_hz:g} Hz were planned"
+            return f"{format_rate((self.rate_share or 0) * self.rate_hz)} were sent where {format_rate(self.rate_hz)} were planned"
         if self.unfinished:
             return f"{counted(self.unfinished, 'run')} did not finish"
         if self.interval.value is not None and self.interval.value > deadline_ns:
             lost = 1 - (self.received_ratio or 0.0)
-            return "the deadline is missed" + (f" and {lost:.2%} are lost" if lost else "")
+            return "the deadline is missed" + (f" and {100 * lost:.3g} % are lost" if lost else "")
         return ""
 
 
@@ -305,7 +305,8 @@ def _fit_of_measurement(measurement: _Measurement, request: _Request) -> tuple[F
     if is_late or fit is Fit.MISSES or (late.upper or 0.0) > allowed:
         return Fit.INCONCLUSIVE, _why_late(late, request)
     if interval.basis is Basis.WITHIN_RUN:
-        return Fit.LIKELY, f"{interval.basis.value}: it takes {MIN_RUNS} runs, there are {interval.runs}"
+        verb = "is" if interval.runs == 1 else "are"
+        return Fit.LIKELY, f"{interval.basis.value}: it takes {MIN_RUNS} runs, there {verb} {interval.runs}"
     return fit, ""
 
 
@@ -331,7 +332,7 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
         return f"to prove {100 * job.reliability:.6g} %, send {needs:,} messages; there are {interval.samples:,}"
     more = messages_to_close(interval, job.reliability)
     if more:
-        return f"the tail rests on {counted(interval.episodes or 0, 'burst')}; record about {more} more messages"
+        return f"the tail rests on {counted(interval.episodes or 0, 'burst')}; record about {format_number(more)} more messages"
     runs = runs_to_settle_value(interval, job.deadline_ns)
     advice = "record more runs" if runs is None else f"about {max(runs, interval.runs + 1)} runs would decide"
     return f"the deadline is within the interval; {advice}"
@@ -340,7 +341,7 @@ def _why_inconclusive(interval: Interval, request: _Request) -> str:
 def _guessed(setting: Setting, measurements: Mapping[SizeAndRate, _Measurement], job: Job) -> Candidate | None:
     at = (float(job.payload_bytes), float(job.rate_hz))
     failing = [
-        f"at {size:g} B and {rate:g} Hz, {failure}"
+        f"at {format_size(round(size))} and {format_rate(rate)}, {failure}"
         for size, rate in _neighbours(measurements, at)
         if (failure := measurements[size, rate].failure(job.deadline_ns))
     ]
@@ -370,7 +371,7 @@ def _guessed(setting: Setting, measurements: Mapping[SizeAndRate, _Measurement],
         metric=job.metric,
         reason=(
             f"not measured: interpolated between measured sizes and rates; {omitted} off by a factor of up to "
-            f"{guess.error_factor:.2f}"
+            f"{format_number(guess.error_factor)}"
         ),
         latency_ns=guess.value_ns,
     )

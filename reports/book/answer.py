@@ -128,7 +128,7 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
         way: " to ".join(dict.fromkeys(_median(end) for end in (min(medians_ns), max(medians_ns))))
         for way, medians_ns in ways.items()
     }
-    what = f"{vendor}: median {METRIC_LABELS[metric].lower()}{_of_received(groups.groups, values)}"
+    what = f"{vendor}: median {METRIC_LABELS[metric].lower()} of all {_messages(groups.groups, values)}"
     if len(spans) == 1:
         return f"{what} {next(iter(spans.values()))}."
     return f"{what} {joined(f'{span} {_IN_WAY.get(way, way)}' for way, span in list(spans.items())[:_MOST_WAYS])}."
@@ -139,10 +139,10 @@ def _median(time_ns: float) -> str:
     return format_duration(time_ns) if time_ns else "below the clock's step"
 
 
-def _of_received(groups: Iterable[Group], values: Values) -> str:
+def _messages(groups: Iterable[Group], values: Values) -> str:
     unsent = values.plain["unsent"]
     is_whole = all(group.received == group.published and not unsent[group.index] for group in groups)
-    return "" if is_whole else " of the received messages"
+    return "messages" if is_whole else "received messages"
 
 
 def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
@@ -159,8 +159,8 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
         name = data_type_label(data_type)
         ends = dict.fromkeys((medians[0], medians[-1]))
         spans = [f"{_median(ns)} ({labels[index].removeprefix(name).strip()})" for ns, index in ends]
-        received = _of_received((groups.groups[index] for _, index in ends), values)
-        remarks.append(f"{name}: median {METRIC_LABELS[metric].lower()}{received} {' to '.join(spans)}.")
+        whose = _messages((groups.groups[index] for _, index in ends), values)
+        remarks.append(f"{name}: median {METRIC_LABELS[metric].lower()} of all {whose} {' to '.join(spans)}.")
     return remarks
 
 
@@ -205,6 +205,8 @@ def _bridge_remark(rows: list[dict[str, Any]]) -> str:
 
 def _added_words(rows: list[dict[str, Any]]) -> str:
     added = sorted(row["difference_ns"] for row in rows)
+    is_typical = all(row["basis"] == Basis.BETWEEN_RUNS.value for row in rows)
+    median = "median of a typical run" if is_typical else "median"
     if len(rows) == 1:
         low, high = rows[0]["difference_low_ns"], rows[0]["difference_high_ns"]
         between = (
@@ -213,12 +215,12 @@ def _added_words(rows: list[dict[str, Any]]) -> str:
             else f" (95 %{_within(rows[0])}: {format_added_ns(low)} to {format_added_ns(high)})"
         )
         verdict = _BRIDGE_VERDICTS[rows[0]["verdict"]]
-        return f"median {format_added_ns(added[0])}{between} against the same domain for the one message compared; {verdict}."
+        return f"{median} {format_added_ns(added[0])}{between} against the same domain for the one message compared; {verdict}."
     verdicts = Counter(row["verdict"] for row in rows)
     counts = [f"{words} in {verdicts[name]}" for name, words in _BRIDGE_VERDICTS.items() if verdicts[name]]
     counts[0] += f" of {counted(len(rows), 'result')}"
     ends = f"{format_added_ns(added[0])} to {format_added_ns(added[-1])}"
-    return f"median {ends} against the same domain; {', '.join(counts)}."
+    return f"{median} {ends} against the same domain; {', '.join(counts)}."
 
 
 def _within(row: Mapping[str, Any]) -> str:

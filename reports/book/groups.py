@@ -15,7 +15,7 @@ from dds_trace.analyzer.model.names import tell_apart, where_it_helps, where_it_
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import MISSING, format_duration, format_rate, format_size
+from dds_trace.base.units import MISSING, format_duration, format_rate, format_size, three_digits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -50,7 +50,7 @@ def format_added_ns(value_ns: float) -> str:
 
 
 def format_ratio(value: float | None) -> str:
-    """Format a share, as in `99.99 %`; only exact values are `100 %` and `0 %`."""
+    """Format a share to three digits, from 99 % on to two decimals; only exact values are `100 %` and `0 %`."""
     if value is None or not math.isfinite(value):
         return MISSING
     percent = 100.0 * value
@@ -58,7 +58,7 @@ def format_ratio(value: float | None) -> str:
         return "< 0.01 %"
     if 99.99 < percent < 100.0:
         return "> 99.99 %"
-    return f"{percent:.2f}".rstrip("0").rstrip(".") + " %"
+    return (three_digits(percent) if percent < 99 else f"{percent:.2f}".rstrip("0").rstrip(".")) + " %"
 
 
 def format_count(value: float | None) -> str:

@@ -14,7 +14,7 @@ from dds_trace.analyzer.model.setting import condition_of, parse_setting
 from dds_trace.analyzer.verdicts.answers import Clarity
 from dds_trace.analyzer.verdicts.cases import LOSSY_SHARE
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_size
+from dds_trace.base.units import counted, format_number, format_size
 
 from .groups import data_type_label, device_pair, domain_label, format_count, format_ratio, joined, way_words
 from .outcomes import PERCENTILES, Stretch, outcome_of, stretches
@@ -162,7 +162,7 @@ def tail_sentence(answers: Sequence[CaseAnswer]) -> str:
     if any(answer.leader_p99 for answer in answers):
         return ""
     is_tested = any(setup.letters_p99 for answer in answers for setup in answer.contenders)
-    what = "No difference at p99 can be shown" if is_tested else "Too few messages to judge p99"
+    what = "No difference at p99 can be shown" if is_tested else "Too few messages to judge who is fastest at p99"
     return f"{what}; record longer or more runs."
 
 
@@ -295,13 +295,16 @@ def _repeats_words(cases: Sequence[CaseAnswer], what: str) -> str:
 def _factor(case: CaseAnswer, percentile: str) -> float | None:
     times = {setup.name: getattr(setup, f"{percentile}_ns") for setup in case.contenders}
     own = times.pop(getattr(case, f"leader_{percentile}"))
-    others = [value for value in times.values() if value is not None and value != float("inf")]
+    # What is faster than the leader loses too much to be the next.
+    others = [value for value in times.values() if value is not None and own <= value != float("inf")]
     return min(others) / own if others and own else None
 
 
 def _factors(factors: Sequence[float]) -> str:
-    ends = (f"{end:.3g}" if end < 1000 else f"{end:,.0f}" for end in (min(factors), max(factors)))
-    return f"{' to '.join(dict.fromkeys(ends))} times"
+    low, high = (format_number(end) for end in (min(factors), max(factors)))
+    if high == "1":
+        return "less than 1.01 times"
+    return f"{high if low == high else f'up to {high}' if low == '1' else f'{low} to {high}'} times"
 
 
 def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:

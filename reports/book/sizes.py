@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from dds_trace.analyzer.model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
+from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.cases import CONDITIONS, with_conditions
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
@@ -29,9 +30,12 @@ if TYPE_CHECKING:
     Key = tuple[object, ...]
     """Values of `CASE_COLUMNS`, the conditions, then values of `CONTENDER_COLUMNS`: one setup with one message."""
 
+TYPICAL_RUN, ALL_MESSAGES = "a typical run", "all messages"
+
 HOW_TO_READ = (
-    "Latency, median / p99, of a typical run where there are three or more; a lost message is infinitely late. Bold: clearly the "
-    "lowest of its row and domain, by a test of the runs. A dash: too few messages for this percentile."
+    "Of a typical run where there are three or more, each with enough messages for the percentile, else of all messages; a lost "
+    "message is infinitely late. Bold: clearly the lowest of its row and domain, by a test of the runs. A dash: too few messages for "
+    "this percentile."
 )
 
 
@@ -99,6 +103,7 @@ class SizeTable:
     Attributes:
         modes: domain modes and how many columns each has.
         rates: as in `at 10 Hz`.
+        whose: what the times are of: `a typical run` or `all messages`.
     """
 
     modes: tuple[tuple[str, int], ...]
@@ -106,6 +111,12 @@ class SizeTable:
     deadline: str
     rates: str
     places: tuple[PlaceRows, ...]
+    whose: str
+
+    @property
+    def caption(self) -> str:
+        """What the rows show: `Latency of a typical run at 10 Hz, median / p99`."""
+        return f"Latency of {self.whose} {self.rates}, median / p99"
 
     @property
     def has_further(self) -> bool:
@@ -132,6 +143,7 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
         deadline=_deadline_words(analysis.details),
         rates=_rates_words(rates),
         places=tuple(_place_rows(name, cases, columns, rates, late, groups) for name, cases in answers_at.items()),
+        whose=TYPICAL_RUN if any(answer.fewest_runs >= MIN_RUNS for answer in answers) else ALL_MESSAGES,
     )
 
 

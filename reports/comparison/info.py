@@ -21,7 +21,7 @@ from dds_trace.base.units import counted
 
 from ..book.groups import VENDORS, VendorLabels, group_labels, groups_of
 from ..book.verdicts import received_words
-from .words import Gated, change_words, metric_words, statistic_words
+from .words import MOST_RATIO, Gated, change_words, metric_words, statistic_words, unjudged_words, with_article
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.run_statistics.change import DetectableChange
     from dds_trace.analyzer.verdicts.compare import Comparison
     from dds_trace.analyzer.verdicts.gates import GateResult
-
-MOST_RATIO = 10.0
-"""A smallest visible change beyond which the messages are too few to judge the statistic."""
 
 SHOWN_STATISTICS = ("p50", "p99")
 """Statistics in the row of a result; its details have all of them."""
@@ -255,31 +252,23 @@ def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -
     shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
     own = [sight for sight in sights if (sight.metric, sight.statistic) in shown]
     parts = [
-        f"of {_with_article(sight.statistic)} below {change_words(sight.smallest_ratio).removeprefix('+')}"
+        f"of {with_article(sight.statistic)} below {change_words(sight.smallest_ratio).removeprefix('+')}"
         for sight in own
         if sight.smallest_ratio is not None and sight.smallest_ratio <= MOST_RATIO
     ]
     unclear = [
-        f"the {statistic_words(sight.statistic)} in {sight.groups - sight.told} of {counted(sight.groups, 'result')}"
+        f"{with_article(sight.statistic)} in {sight.groups - sight.told} of {counted(sight.groups, 'result')}"
         for sight in own
         if sight.told < sight.groups
     ]
     unjudged = [
-        f"the {statistic_words(sight.statistic)}"
-        for sight in own
-        if sight.smallest_ratio is not None and sight.smallest_ratio > MOST_RATIO
+        sight.statistic for sight in own if sight.smallest_ratio is not None and sight.smallest_ratio > MOST_RATIO
     ]
     sentences = [f"Changes {' and '.join(parts)} would not be seen"] if parts else []
     if parts and unclear:
         sentences[0] += f"; there is no verdict on {' and '.join(unclear)}"
-    if unjudged:
-        sentences.append(f"There are too few messages to judge {' and '.join(unjudged)}")
-    return "".join(f"{sentence}. " for sentence in sentences).rstrip()
-
-
-def _with_article(statistic: str) -> str:
-    label = statistic_words(statistic)
-    return f"the {label}" if label.isalpha() else label
+    sentences += unjudged_words(unjudged)
+    return "".join(f"{sentence[0].upper()}{sentence[1:]}. " for sentence in sentences).rstrip()
 
 
 def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from .words import (
     VERDICTS,
     both_words,
     change_with_interval,
-    change_words,
+    found_from_words,
     gate_cells,
     statistic_cells,
     statistic_words,
@@ -78,7 +78,7 @@ def _statistics(groups: Sequence[ComparedGroup]) -> list[str]:
             *statistic_cells(row),
             "" if row["superiority"] is None else f"{row['superiority']:.0%}",
             runs_words(row),
-            "" if row["smallest_ratio"] is None else change_words(row["smallest_ratio"]),
+            found_from_words(row["smallest_ratio"]),
             VERDICTS[row["verdict"]],
         )
         for group in groups

@@ -15,7 +15,7 @@ from dds_trace.base.streams import plain_console, without_commands
 from dds_trace.base.units import counted
 
 from ..book.verdicts import received_words
-from .words import both_words, change_with_interval, statistic_words
+from .words import both_words, change_lines, statistic_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 MOST_GROUPS = 10
+COLUMN_WIDTHS = 21, 18, 8, 11
+"""Result, each of two statistics, received, verdict: with the space between columns they fill `WIDTH`."""
 
 _COLORS = {"no reply came back": "red", "loses more": "red", "slower": "red", "loses less": "green", "faster": "green"}
 _OUTCOME_COLORS = {GateOutcome.REGRESSED: "red", GateOutcome.PASSED: "green"}
@@ -60,16 +62,17 @@ def _report(info: ComparisonInfo, shows_all: bool) -> RenderableType:
 
 def _table(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> Table:
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
-    table.add_column(Text(info.metric), width=25)
+    label, cell, received, verdict = COLUMN_WIDTHS
+    table.add_column(Text(info.metric), width=label)
     for row in groups[0].shown():
-        table.add_column(Text(statistic_words(row["statistic"])), width=18)
-    table.add_column("Received", width=8)
-    table.add_column("Verdict", width=10)
+        table.add_column(Text(statistic_words(row["statistic"])), width=cell)
+    table.add_column("Received", width=received)
+    table.add_column("Verdict", width=verdict)
     for group in groups:
-        label = Text.assemble(group.label, (f"\n{group.unlike}", "dim") if group.unlike else "")
+        name = Text.assemble(group.label, (f"\n{group.unlike}", "dim") if group.unlike else "")
         table.add_row(
-            label,
-            *(Text(f"{both_words(row)}\n{change_with_interval(row)}") for row in group.shown()),
+            name,
+            *(Text(f"{both_words(row)}\n{change_lines(row, cell)}") for row in group.shown()),
             Text(received_words(group.delivery).replace(" → ", "\n→ ")),
             Text.assemble(
                 (group.verdict, _COLORS.get(group.verdict, "")), (f"\n{group.where}", "dim") if group.where else ""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.verdicts.gate import Against
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import MISSING, format_duration
+from dds_trace.base.units import MISSING, format_duration, format_number, three_digits
 
-from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
+from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio, joined
 from ..book.verdicts import episodes_words
 
 if TYPE_CHECKING:
@@ -32,6 +32,27 @@ def metric_words(metric: str) -> str:
 def statistic_words(statistic: str) -> str:
     """Return the label of a statistic, or the statistic itself."""
     return STATISTIC_LABELS.get(statistic, statistic)
+
+
+def with_article(statistic: str) -> str:
+    """Return the label of a statistic in a sentence: `the median`, `p99`."""
+    label = statistic_words(statistic)
+    return f"the {label}" if label.isalpha() else label
+
+
+def unjudged_words(statistics: Sequence[str]) -> list[str]:
+    """Return why statistics cannot be judged: tails by their messages, the others by their runs."""
+    tails = [with_article(name) for name in statistics if name.startswith("p9")]
+    others = [with_article(name) for name in statistics if not name.startswith("p9")]
+    reasons = (("the runs differ too much", others), ("there are too few messages", tails))
+    return [f"{reason} to judge {joined(names)}" for reason, names in reasons if names]
+
+
+def found_from_words(ratio: float | None) -> str:
+    """Format the smallest change that would have been shown, or why there is none."""
+    if ratio is None:
+        return ""
+    return change_words(ratio) if ratio <= MOST_RATIO else WIDE
 
 
 def time_words(value_ns: float | None) -> str:
@@ -57,6 +78,15 @@ def side_words(row: Mapping[str, Any], side: str) -> str:
 MOST_PERCENT = 1000
 """Change from which on a factor is written."""
 
+MOST_RATIO = 10.0
+"""A smallest visible change beyond which a statistic cannot be judged."""
+
+TOO_WIDE = 100.0
+"""Upper by lower end of an interval that says nothing."""
+
+WIDE = "uncertain"
+"""Replaces such an interval."""
+
 
 def change_words(ratio: float | None) -> str:
     """Format a ratio as a change of three digits, as in `+20 %` or `-0.352 %`, or as in `31.2 times`."""
@@ -67,13 +97,20 @@ def change_words(ratio: float | None) -> str:
     percent = 100 * (ratio - 1)
     if abs(percent) < 0.005:
         return "0 %"
-    return f"{percent:+.3g} %" if percent < MOST_PERCENT - 0.5 else f"{float(f'{ratio:.3g}'):,.0f} times"
+    return f"{percent:+.3g} %" if percent < MOST_PERCENT - 0.5 else f"{format_number(ratio)} times"
 
 
 def interval_words(row: Mapping[str, Any]) -> str:
     """Format the interval of a ratio, as in `+12 to +25 %`."""
-    low, high = (change_words(row[end]) for end in ("ratio_low", "ratio_high"))
-    return MISSING if MISSING in (low, high) or low == high == LOST else f"{low.removesuffix(' %')} to {high}"
+    ends = row["ratio_low"], row["ratio_high"]
+    low, high = map(change_words, ends)
+    if MISSING in (low, high) or low == high == LOST:
+        return MISSING
+    return WIDE if _is_wide(*ends) else f"{low.removesuffix(' %')} to {high}"
+
+
+def _is_wide(low: float, high: float) -> bool:
+    return math.isfinite(high) and high > TOO_WIDE * low
 
 
 def change_with_interval(row: Mapping[str, Any]) -> str:
@@ -81,6 +118,12 @@ def change_with_interval(row: Mapping[str, Any]) -> str:
     interval = interval_words(row)
     short = interval.replace("+", "").removesuffix(" %")
     return change_words(row["ratio"]) + (f" ({short})" if interval != MISSING else "")
+
+
+def change_lines(row: Mapping[str, Any], width: int) -> str:
+    """Format a change with its interval, in two lines where it is wider."""
+    words = change_with_interval(row)
+    return words if len(words) <= width else f"{change_words(row['ratio'])}\n{interval_words(row)}"
 
 
 def statistic_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
@@ -98,12 +141,18 @@ def measured_words(result: GateResult, value: float | None) -> str:
         return change_words(value)
     if result.gate.statistic:
         return time_words(value)
-    return f"{value * 100:+.2f} points" if result.gate.against is Against.DIFFERENCE else format_ratio(value)
+    if result.gate.against is Against.DIFFERENCE:
+        return f"{'+' if value > 0 else ''}{three_digits(100 * value)} points"
+    return format_ratio(value)
 
 
 def gate_interval_words(result: GateResult) -> str:
     """Format the interval of what a gate judges."""
-    return f"{measured_words(result, result.low)} to {measured_words(result, result.high)}"
+    low, high = result.low, result.high
+    is_ratio = result.gate.against is Against.RATIO or (result.gate.statistic and result.gate.against is Against.NEW)
+    if is_ratio and low is not None and high is not None and _is_wide(low, high):
+        return WIDE
+    return f"{measured_words(result, low)} to {measured_words(result, high)}"
 
 
 def why_words(result: GateResult) -> str:
@@ -111,6 +160,8 @@ def why_words(result: GateResult) -> str:
     smallest = ""
     if result.smallest_ratio is not None:
         smallest = f"changes from {change_words(result.smallest_ratio)} on are found with a probability of 80 %"
+        if result.smallest_ratio > MOST_RATIO:
+            smallest = unjudged_words([result.gate.statistic])[0]
     elif result.smallest_drop is not None:
         smallest = f"drops from {100 * result.smallest_drop:.3g} points on are found with a probability of 80 %"
     return printable("; ".join(text for text in (result.reason, smallest) if text), MAX_FINDING_CHARACTERS)

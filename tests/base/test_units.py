@@ -12,7 +12,6 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import (
     counted,
     format_duration,
-    format_ms,
     format_rate,
     format_size,
     parse_duration,
@@ -101,10 +100,6 @@ def test_durations_have_three_digits_and_a_unit(value_ns, shown):
 )
 def test_a_column_may_keep_to_one_unit(value_ns, unit, shown):
     assert format_duration(value_ns, unit) == shown
-
-
-def test_milliseconds_have_three_decimals():
-    assert [format_ms(ns) for ns in (1_250_000, 0, -499, 1.5e9)] == ["1.250", "0.000", "-0.000", "1500.000"]
 
 
 @pytest.mark.parametrize(("text", "rate_hz"), [("20", 20.0), ("2.5Hz", 2.5), ("1 kHz", 1000.0), (".5hz", 0.5)])

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from processes import counts_in
 
-from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.base.version import __version__
 from dds_trace.recorder.sweep.plan.cells import Cell
 from dds_trace.recorder.sweep.plan.plan import Order
@@ -90,20 +89,17 @@ def test_every_plan_that_we_ship_can_be_read(path):
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
 def test_every_plan_that_we_ship_has_passes_in_alternating_order_five_where_nothing_hurries(path):
     asked = read_plan(path, installed).run
-    assert (asked.repeats, asked.order) == (
-        3 if path.stem in ("demo", "emulated-link", "gallery") else 5,
-        Order.ALTERNATING,
-    )
+    assert (asked.repeats, asked.order) == (3 if path.stem in ("emulated-link", "gallery") else 5, Order.ALTERNATING)
 
 
-def test_plan_of_the_results_takes_90_minutes_at_most_with_what_runs_on_one_machine():
+def test_plan_of_the_results_takes_half_an_hour_at_most_with_what_runs_on_one_machine():
     middlewares = [(name, None) for name in ("ros2", "cyclonedds", "zenoh", "socket")]
     asked = read_plan(ROOT / "plans/loopback.toml", lambda: middlewares)
-    # five sizes: four middlewares in one domain, and ROS 2 over four bridges
-    assert len(asked.cells) == 5 * (4 + 4)
+    # five sizes: four middlewares in one domain, and ROS 2 over two bridges
+    assert len(asked.cells) == 5 * (4 + 2)
     assert {cell.rate for cell in asked.cells} == {20}
     assert sorted({cell.size for cell in asked.cells}) == [33_000, 145_000, 502_000, 1_000_000, 4_000_000]
-    assert plan_seconds(asked).seconds <= 90 * 60
+    assert plan_seconds(asked).seconds <= 30 * 60
 
 
 def test_demo_allows_verdicts_on_all_that_pip_brings_within_three_minutes():
@@ -113,8 +109,8 @@ def test_demo_allows_verdicts_on_all_that_pip_brings_within_three_minutes():
         *((name, "none") for name, _ in middlewares),
         *(("ros2", bridge) for bridge in ("builtin", "builtin-zenoh")),
     }
-    assert sorted({cell.size for cell in asked.cells}) == [33_000, 145_000, 502_000]
-    assert (asked.run.repeats, asked.run.order, len(asked.cells)) == (MIN_RUNS, Order.ALTERNATING, 18)
+    assert sorted({cell.size for cell in asked.cells}) == [33_000, 502_000]
+    assert (asked.run.repeats, asked.run.order, len(asked.cells)) == (5, Order.ALTERNATING, 12)
     assert asked.run.repeats * asked.run.messages >= 100  # p99 takes 100
     assert plan_seconds(asked).seconds <= 3 * 60
 

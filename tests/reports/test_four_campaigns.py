@@ -5,6 +5,7 @@ import re
 
 import pytest
 from four_campaigns import CAMPAIGNS
+from visible_text import visible_text
 
 from dds_trace.analyzer.verdicts.answers import Clarity
 from dds_trace.analyzer.verdicts.compare import compare_roundtrips
@@ -55,13 +56,6 @@ def test_a_campaign_has_its_groups_places_runs_and_losses(name):
         assert ("the paper's intermediate-process time" in shown) == (kind == "html")
         old = [shown[max(0, found.start() - 60) : found.end() + 30] for found in OLD_WORDS.finditer(shown)]
         assert old == [], f"{kind} of {name}"
-
-
-def visible_text(report):
-    """What a reader meets of a report, a page's labels for the blind included; its scripts and data draw the rest."""
-    kept = re.sub(r"<(script|style)\b.*?</\1>", " ", report, flags=re.DOTALL)
-    labels = " ".join(re.findall(r'(?:aria-label|title)="([^"]*)"', kept))
-    return html.unescape(f"{re.sub(r'<[^>]+>', ' ', kept)} {labels}")
 
 
 def test_a_comparison_is_in_the_words_of_a_report():

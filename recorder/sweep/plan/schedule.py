@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from .cells import Cell
     from .plan import Plan
 
-RUN_OVERHEAD_S = 1.5
-"""Start, discovery, drain and close of a ping, measured on two slow cores."""
+RUN_OVERHEAD_S = 1.0
+"""Start, discovery, drain and close of a ping, measured on two busy cores."""
 
 OWN_COST_S = 1.0
 """Measurement of a session's own cost (`own_cost_passes`)."""
@@ -23,7 +23,7 @@ OWN_COST_S = 1.0
 BRIDGE_OVERHEAD_S = 2.0
 """Start and discovery of a bridge."""
 
-RELAY_OVERHEAD_S = 1.5
+RELAY_OVERHEAD_S = 1.0
 """End of one relay and start of the next."""
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, three_digits
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -60,7 +60,9 @@ class CellResult:
     def __str__(self) -> str:
         loss = f", {self.loss_percent:.2g} % lost" if self.received < self.published else ""
         cut = f", cut off after {self.published} of {self.planned}" if self.cut_off else ""
-        rtt = f"RTT p50 {self.rtt_ms['p50']:.2f} p99 {self.rtt_ms['p99']:.2f} ms" if self.rtt_ms else "no reply"
+        rtt = "no reply"
+        if self.rtt_ms:
+            rtt = f"RTT p50 {three_digits(self.rtt_ms['p50'])} p99 {three_digits(self.rtt_ms['p99'])} ms"
         not_applied = f"; not applied: {self.not_applied}" if self.not_applied else ""
         return f"{rtt}, {self.received}/{counted(self.published, 'message')}{loss}{cut}{not_applied}"
 

@@ -41,7 +41,7 @@ function formatRatio(value) {
   const percent = 100 * value;
   if (percent > 0 && percent < 0.01) return "< 0.01 %";
   if (percent > 99.99 && percent < 100) return "> 99.99 %";
-  return `${percent.toFixed(2).replace(/0+$/, "").replace(/\.$/, "")} %`;
+  return `${percent < 99 ? digits(percent) : percent.toFixed(2).replace(/\.?0+$/, "")} %`;
 }
 
 const COUNTS = new Intl.NumberFormat("en-US");

@@ -52,16 +52,22 @@ def format_quantity(value: float | None, units: Mapping[str, float]) -> str:
         return MISSING
     # 999.96 would be written as 1000: the larger unit takes it.
     unit = next((unit for unit, factor in units.items() if abs(value) >= 0.9995 * factor), [*units][-1])
-    return f"{_three_digits(value / units[unit])} {unit}"
+    return f"{three_digits(value / units[unit])} {unit}"
 
 
-def _three_digits(value: float) -> str:
+def three_digits(value: float) -> str:
     """Write three significant digits without exponent or trailing zeros; whole numbers stay whole."""
     if value == 0:
         return "0"
     decimals = max(0, 2 - math.floor(math.log10(abs(value)) + 1e-12))
     digits = f"{value:.{min(decimals, 9)}f}"
     return digits.rstrip("0").rstrip(".") if "." in digits else digits
+
+
+def format_number(value: float) -> str:
+    """Write a number to three digits: `1.25`, `12,300`."""
+    rounded = float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if abs(rounded) >= 1000 else three_digits(rounded)
 
 
 def parse_duration(text: str, what: str = "duration") -> int:
@@ -80,11 +86,6 @@ def parse_duration(text: str, what: str = "duration") -> int:
 def format_duration(value_ns: float | None, unit: str | None = None) -> str:
     """Write a duration to three digits: `812 ns`, `1.25 ms`; in `unit` of `UNIT_NS` if given."""
     return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit: UNIT_NS[unit]})
-
-
-def format_ms(value_ns: float) -> str:
-    """Write a duration in ms without the unit: `1.250`."""
-    return f"{value_ns / 1e6:.3f}"
 
 
 def spell_duration(duration_ns: int, digits: int = 15) -> str:
@@ -122,7 +123,7 @@ def parse_size(text: str, what: str = "size") -> int:
         raise OptionError(
             f"{what} {shown(text)} is not understood; write bytes, or 33KB, 4MB (1000), 1KiB, 2MiB (1024)"
         )
-    size_bytes = value * UNIT_BYTES[unit]
+    size_bytes = round(value * UNIT_BYTES[unit], 3)  # 529469.7 KB is 529469699.99999994 B in floats
     if size_bytes != int(size_bytes):
         raise OptionError(f"{what} {shown(text)} is not a whole number of bytes")
     return int(size_bytes)

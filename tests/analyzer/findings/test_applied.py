@@ -218,13 +218,13 @@ def of_path(path, *, memory=(), sockets=()):
 @pytest.mark.parametrize(
     ("fields", "cause"),
     [
-        (of_path("shm"), "segment of 524288 B"),
+        (of_path("shm"), "segment of 512 KiB"),
         (of_path("lo"), "no cause"),
         (of_path("unknown"), "no cause"),
-        (of_path("unknown", memory=(segment(),)), "segment of 524288 B"),
+        (of_path("unknown", memory=(segment(),)), "segment of 512 KiB"),
         (of_path("lo", sockets=(udp(7411, 300_000), udp(9))), "no cause"),
-        (of_path("lo", sockets=(udp(7411, 600_000), udp(9))), "alpha (SO_RCVBUF of its UDP sockets 600000 B)"),
-        ({}, "segment of 524288 B"),
+        (of_path("lo", sockets=(udp(7411, 600_000), udp(9))), "alpha (SO_RCVBUF of its UDP sockets 600 KB)"),
+        ({}, "segment of 512 KiB"),
     ],
 )
 def test_the_cause_of_a_jump_looks_at_what_was_applied(tmp_path, fields, cause, sentences):

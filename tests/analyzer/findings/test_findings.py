@@ -244,7 +244,7 @@ def test_one_late_last_message_does_not_break_a_schedule(tmp_path):
     write_pair(tmp_path, sent_late(lambda s: 300 * MS if s == 29 else 50, 30))
     assert set(findings(tmp_path)) == {"few_samples"}
     write_pair(tmp_path, sent_late(lambda s: s * 10 * MS, 30))  # a tenth of a period more each time
-    assert numbers(findings(tmp_path)["schedule_not_held"].what) == [9.091, 10]
+    assert numbers(findings(tmp_path)["schedule_not_held"].what) == [9.09, 10]
 
 
 def test_a_sender_that_is_held_up_again_and_again_sends_late(tmp_path, sentences):
@@ -271,7 +271,7 @@ def test_a_ping_that_stood_still_is_a_finding_of_its_own(tmp_path, sentences):
     write_pair(tmp_path, sent_late(lambda s: 35_000 * MS - s * PERIOD + 10 * s if 300 <= s <= 350 else 50))
     found = findings(tmp_path)
     assert set(found) == {"stood_still"}
-    assert numbers(found["stood_still"].what) == [5, 35, 99, 4001.003]
+    assert numbers(found["stood_still"].what) == [5, 35, 99, 4]
     sentences(found["stood_still"].what)
     assert (found["stood_still"].groups, found["stood_still"].where) == ((0,), f"run {RUN_ID:016x} (ping.mcap)")
     assert found["stood_still"].effect == pytest.approx(5 / 94.95, rel=1e-3)  # to the middle of the last tenth
@@ -295,7 +295,7 @@ STOPPED = [*range(30), *range(36, 40)]
         (STOPPED, [], "sample of the host was taken."),
         (STOPPED, range(40), "on its machine went on."),
         (STOPPED, [*range(32), *range(36, 40)], "the machine stood still."),
-        (range(30), [], " ms late."),
+        (range(30), [], "at most 4 s late."),
     ],
     ids=["sender alone", "process", "process beside others", "machine", "no sample behind it"],
 )

@@ -26,6 +26,7 @@ from wording import numbers
 import dds_trace.analyzer.findings
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.units import parse_duration
 from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
@@ -62,8 +63,10 @@ def test_a_suspended_relay_is_named_as_such(tmp_path):
     found = findings(tmp_path)
     assert "clock_step" not in found
     assert found["suspend"].where == "beta (beta against alpha)"
-    stood_s, within_s = map(float, re.search(r"for ([\d.]+) s \(within ([\d.]+) s\)", found["suspend"].what).groups())
-    assert abs(stood_s - 20) <= within_s < 0.1
+    stood_ns, within_ns = map(
+        parse_duration, re.search(r"for (\S+ \S+) \(within (\S+ \S+)\)", found["suspend"].what).groups()
+    )
+    assert abs(stood_ns - 20 * 10**9) <= within_ns < 10**8
     assert "suspend" not in findings(tmp_path, details=False)
 
 
@@ -219,8 +222,8 @@ def test_latency_that_falls_with_size_beyond_the_segment_of_one_machine(tmp_path
     write_sizes(tmp_path, {502_000: 8 * MS, 1_000_000: 3 * MS}, relay=relay_session(device="alpha"))
     found = findings(tmp_path)["latency_falls_with_size"]
     assert found.severity is Severity.INFO
-    assert re.findall(r"([\d.]+) ms at (\d+) B", found.what) == [("8.000", "502000"), ("3.000", "1000000")]
-    assert "shared-memory segment of 524288 B" in found.what
+    assert re.findall(r"(\d+) ms at (\d+ .B)", found.what) == [("8", "502 KB"), ("3", "1 MB")]
+    assert "shared-memory segment of 512 KiB" in found.what
     sentences(found.what)
 
 
@@ -228,7 +231,7 @@ def test_latency_that_jumps_beyond_the_socket_buffer(tmp_path, sentences):
     host = {"socket_buffers": {"rmem_default": 212_992}}
     write_sizes(tmp_path, {145_000: MS, 290_000: 10 * MS}, relay=relay_session(host=host))
     found = findings(tmp_path)["latency_jumps_with_size"]
-    assert "beta (net.core.rmem_default 212992 B)" in found.what
+    assert "beta (net.core.rmem_default 208 KiB)" in found.what
     sentences(found.what)
 
 

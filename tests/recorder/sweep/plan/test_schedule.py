@@ -134,8 +134,8 @@ def test_relays_address_is_that_of_ssh_or_has_to_be_given():
 
 
 def test_estimate_is_schedules_plus_overheads():
-    # 24 runs of 10 s and 1 s to settle are 264 s; 2.5 s each to start, own cost included, 2 s for each of 12 bridged; 4 relays at 1.5 s
-    assert plan_seconds(plan()).seconds == 24 * 11 + 24 * 2.5 + 12 * 2 + 4 * 1.5
+    # 24 runs of 10 s and 1 s to settle are 264 s; 2 s each to start, own cost included, 2 s for each of 12 bridged; 4 relays at 1 s
+    assert plan_seconds(plan()).seconds == 24 * 11 + 24 * 2 + 12 * 2 + 4 * 1
 
 
 def test_remaining_time_in_words():
@@ -152,7 +152,7 @@ def test_estimate_learns_what_a_run_costs_beside_its_schedule():
     plan = parse_plan("[run]\nmessages = 90\nwarmup = 10\nsettle_seconds = 1\n[axes]\nrate = [10, 100]\n", "p", "p")
     estimate = Estimate(plan)
     slow, fast = plan.cells
-    assert estimate.cell_seconds(slow) == 10 + 2.5 + 1
+    assert estimate.cell_seconds(slow) == 10 + 2 + 1
     estimate.measured(slow, 12.0)
     estimate.measured(fast, 5.0)
     # overheads of 2 and 4 s

@@ -1,0 +1,62 @@
+"""docs/results/loopback: its report follows from the traces that it keeps, and its sentences do not contradict its table."""
+
+import re
+import tarfile
+from pathlib import Path
+
+import polars as pl
+import pytest
+from polars.testing import assert_frame_equal
+
+from dds_trace.analyzer.pipeline import analyze
+
+FOLDER = Path(__file__).parents[2] / "docs" / "results" / "loopback"
+REPORT = (FOLDER / "report.md").read_text(encoding="utf-8")
+SIZES = ("33 KB", "145 KB", "502 KB", "1 MB", "4 MB")
+
+
+def test_every_file_is_small():
+    assert max(path.stat().st_size for path in FOLDER.iterdir()) <= 1_000_000
+
+
+def test_the_numbers_are_those_of_the_kept_traces(tmp_path):
+    for archive in FOLDER.glob("*.tar.xz"):
+        with tarfile.open(archive) as traces:
+            traces.extractall(tmp_path / "loopback", filter="data")
+    analysis = analyze(tmp_path / "loopback")
+    assert len(analysis.runs) == 150
+    stored = pl.read_parquet(FOLDER / "summary.parquet")
+    assert_frame_equal(analysis.summary.select(stored.columns), stored)
+
+
+def sizes_of(span):
+    """The sizes that a stretch of a sentence is about: `from 502 KB on`, `at 33 KB and 1 MB`, `at every size (...)`."""
+    named = [SIZES.index(size) for size in re.findall(r"\d+ [KM]B", span)]
+    if span.startswith("at every"):
+        return set(SIZES)
+    if span.startswith("up to"):
+        return set(SIZES[: named[0] + 1])
+    if span.startswith("from"):
+        return set(SIZES[named[0] : named[1] + 1 if len(named) > 1 else None])
+    return {SIZES[index] for index in named}
+
+
+@pytest.mark.parametrize(("start", "bridged"), [("In the same domain", False), ("Across different domains", True)])
+def test_a_median_is_bold_exactly_where_a_sentence_calls_it_fastest(start, bridged):
+    heads, _, *rows = (line.strip("| ").split(" | ") for line in re.findall(r"^\|.*$", REPORT, re.MULTILINE)[:7])
+    bold = {
+        (row[0].removeprefix("Binary "), head)
+        for row in rows
+        for head, cell in zip(heads, row, strict=True)
+        if cell.startswith("**") and ("through" in head) is bridged
+    }
+    (sentence,) = re.findall(rf"{start}: (.*)\.\**$", REPORT, re.MULTILINE)
+    said = {
+        (size, setup)
+        for span, setup in re.findall(
+            r"((?:at|up to|from) [\w ,()]*?(?:[KM]B|\)|on)) ([A-Z][\w -]*?) is fastest at the median", sentence
+        )
+        for size in sizes_of(span)
+    }
+    assert bold
+    assert said == bold

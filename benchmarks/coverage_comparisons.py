@@ -5,14 +5,24 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
-from simulated import LOSSES, Table, draw_values, outages, percent, round_trips, single_losses, unlike_losses
+from simulated import (
+    LOSSES,
+    Table,
+    draw_values,
+    estimate_of,
+    outages,
+    percent,
+    round_trips,
+    single_losses,
+    unlike_losses,
+)
 
-from dds_trace.analyzer.run_statistics.change import Verdict, change_of_runs
+from dds_trace.analyzer.run_statistics.change import Verdict, change_of_estimates
 from dds_trace.analyzer.run_statistics.received import change_of_received
-from dds_trace.analyzer.run_statistics.runs import Run, Statistic
 from dds_trace.analyzer.statistics.power import confidence_at_each
 from dds_trace.analyzer.verdicts.compare import compare
 from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
@@ -177,6 +187,7 @@ def looks_table(samples: int) -> Table:
         ),
     )
     for percentile, quantile, messages, limit in GATES:
+        density = NormalDist().pdf(NormalDist().inv_cdf(quantile))
         minutes_a_run = 2 * (messages / RATE_HZ + PAUSE_SECONDS) / 60
         for change, spread, looks in (
             (limit, 0.1, 1),
@@ -188,13 +199,12 @@ def looks_table(samples: int) -> Table:
         ):
             generator = np.random.default_rng([SEED, messages, int(100 * change), int(100 * spread)])
             regressed = passed = runs_in_all = 0
+            deviation = math.hypot(spread, 0.5 * math.sqrt(quantile * (1 - quantile) / messages) / density)
             for _ in range(samples):
-                base, new = (
-                    [Run(run) for run in factor * draw_values(generator, LOOKS * RUNS_A_LOOK, messages, spread)]
-                    for factor in (1.0, change)
-                )
+                base, new = np.exp(deviation * generator.standard_normal((2, LOOKS * RUNS_A_LOOK)))
                 for runs in range(RUNS_A_LOOK, len(base) + 1, RUNS_A_LOOK):
-                    result = change_of_runs(base[:runs], new[:runs], Statistic(quantile), confidence_at_each(looks))
+                    sides = (estimate_of(side[:runs], confidence_at_each(looks)) for side in (base, change * new))
+                    result = change_of_estimates(*sides)
                     is_over = result.ratio_low is not None and result.ratio_low > limit
                     is_under = result.ratio_high is not None and result.ratio_high <= limit
                     if is_over or is_under:

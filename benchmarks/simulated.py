@@ -127,11 +127,21 @@ def round_trips(times: Float64, **parameters: str) -> pl.DataFrame:
     )
 
 
-def estimate_of(values: Float64) -> Estimate:
+def estimate_of(values: Float64, confidence: float = 0.95) -> Estimate:
     """Return the estimate of a statistic whose values in the runs are these."""
-    value, lower, upper, spread = ends_of_units(values, 0.95)
+    value, lower, upper, spread = ends_of_units(values, confidence)
     runs, messages = len(values), 1000 * len(values)
     interval = Interval(
-        value, lower, upper, 0.95, messages, messages, Basis.BETWEEN_RUNS, runs, runs, messages, unit_spread=spread
+        value,
+        lower,
+        upper,
+        confidence,
+        messages,
+        messages,
+        Basis.BETWEEN_RUNS,
+        runs,
+        runs,
+        messages,
+        unit_spread=spread,
     )
     return Estimate(interval, Units(values, messages, messages, runs, messages))

@@ -72,8 +72,8 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
     roots = np.exp(logs / 2)
 
     def missing(shift: float) -> float:
-        powers = [_NORMAL.cdf(shift - threshold * root) for root in roots.tolist()]
-        return float(np.dot(weights, powers)) - power
+        powers = list(map(math.erf, ((shift - threshold * roots) / math.sqrt(2)).tolist()))
+        return (1 + float(np.dot(weights, powers))) / 2 - power
 
     high = 2.0
     while missing(high) < 0:

@@ -3,7 +3,7 @@
     python benchmarks/coverage.py --quick               200 samples a cell: a look, with errors of 2 to 3 points
     python benchmarks/coverage.py                       1000 samples a cell, hours
     python benchmarks/coverage.py leaders losers        some of the tables
-    python benchmarks/coverage.py --write docs/results  write the tables as CSV, too
+    python benchmarks/coverage.py --write docs/results  write them, too: coverage-TABLE.csv, and the tables of coverage.md
 
 The exit code is 1 if a bar is missed by more than two standard errors of the simulation.
 """
@@ -11,8 +11,11 @@ The exit code is 1 if a bar is missed by more than two standard errors of the si
 from __future__ import annotations
 
 import argparse
+import csv
+import re
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,11 +29,10 @@ from coverage_campaigns import (
 )
 from coverage_comparisons import looks_table, losses_table, results_table
 from coverage_intervals import interval_tables
+from simulated import Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from simulated import Table
 
 TABLES: dict[str, Callable[[int], Table]] = {
     "losses": losses_table,
@@ -46,12 +48,25 @@ TABLES: dict[str, Callable[[int], Table]] = {
 INTERVALS = "intervals"
 
 
+MARK = re.compile(r"<!-- coverage-(?P<table>[\w-]+)(?:, (?P<where>.*))? -->\n\n(?:\|.*\n)*")
+"""`<!-- coverage-TABLE, COLUMN=VALUE, ... -->`, and the table after it: the rows of the file with these values."""
+
+
+def _table(mark: re.Match[str], folder: Path) -> str:
+    rows = list(csv.DictReader((folder / f"coverage-{mark['table']}.csv").read_text().splitlines()))
+    where = dict(part.split("=") for part in (mark["where"] or "").split(", ") if part)
+    shown = Table(mark["table"], tuple(name for name in rows[0] if name not in where))
+    shown.rows += [tuple(row[name] for name in shown.columns) for row in rows if where.items() <= row.items()]
+    comment = mark[0].split("\n", 1)[0]
+    return "\n".join([comment, "", *shown.markdown(), ""])
+
+
 def main() -> int:
     """Simulate, print the tables and the bars that are missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tables", nargs="*", choices=[[], INTERVALS, *TABLES], help="which; all without any")
     parser.add_argument("--quick", action="store_true", help="200 samples a cell")
-    parser.add_argument("--write", type=Path, metavar="FOLDER", help="write coverage-TABLE.csv")
+    parser.add_argument("--write", type=Path, metavar="FOLDER", help="write coverage-TABLE.csv and coverage.md")
     options = parser.parse_args()
     samples = 200 if options.quick else 1000
     missed: list[str] = []
@@ -63,6 +78,9 @@ def main() -> int:
             if options.write is not None:
                 table.write(options.write)
         print(f"{time.perf_counter() - started:.0f} s  {name}", file=sys.stderr)
+    if options.write is not None:
+        page = options.write / "coverage.md"
+        page.write_text(MARK.sub(partial(_table, folder=options.write), page.read_text()))
     print("\n".join(["missed bars:", *missed] if missed else ["every bar holds"]))
     return 1 if missed else 0
 

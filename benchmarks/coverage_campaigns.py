@@ -110,7 +110,7 @@ MANY = 100
 def leaders_table(samples: int) -> Table:
     """Count campaigns of equal setups in which any of them is called the fastest, at the median or at p99."""
     counts = (1, 6, 20)
-    table = Table("leaders", ("runs vary by 20 %", "repeats", "setups", *(f"{kinds} kinds" for kinds in counts)))
+    table = Table("leaders", ("runs vary by 20 %", "repeats", "setups", *(f"kinds: {kinds}" for kinds in counts)))
     for name, draw in DESIGNS.items():
         for repeats in (3, 5):
             for setups in (2, 3, 6):
@@ -134,7 +134,7 @@ MESSAGES, POOL = 1000, 4
 def message_leaders_table(samples: int) -> Table:
     """Count the same with messages, five repeats and three setups; the setups of all campaigns are drawn from a pool of them."""
     counts = (1, 6, 20)
-    table = Table("leaders-messages", ("messages of runs", *(f"{kinds} kinds" for kinds in counts)))
+    table = Table("leaders-messages", ("messages of runs", *(f"kinds: {kinds}" for kinds in counts)))
     for scenario in SCENARIOS:
         generator = np.random.default_rng([SEED, 5])
         pool = []
@@ -176,7 +176,7 @@ def found_leaders_table(samples: int) -> Table:
     """Count kinds of message in which the setup that is faster than all others is called the fastest."""
     counts = (1, 3, 6)
     table = Table(
-        "leaders-found", ("repeats", "setups", "the others take", *(f"called, {kinds} kinds" for kinds in counts))
+        "leaders-found", ("repeats", "setups", "the others take", *(f"called, kinds: {kinds}" for kinds in counts))
     )
     for repeats, setups, ratio, bar in LEADS:
         cells = []
@@ -220,9 +220,9 @@ def losers_table(samples: int) -> Table:
         (
             "2 % lost, 5 x 300",
             "setups",
-            *(f"{kinds} kinds" for kinds in counts),
+            *(f"kinds: {kinds}" for kinds in counts),
             "0.5 % against 5 %, 1 kind",
-            "6 kinds",
+            "0.5 % against 5 %, 6 kinds",
         ),
     )
     for name, draw in LOSSES.items():

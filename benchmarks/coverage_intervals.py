@@ -312,7 +312,15 @@ def interval_tables(samples: int, only: str = "") -> Iterator[Table]:
     cells = [measure(scenario, *size, samples) for scenario in SCENARIOS if only in scenario.name for size in SIZES]
     intervals = Table("intervals", ("scenario", "runs x messages", "bursts", "p50", "p90", "p99", "received ratio"))
     verdicts = Table(
-        "verdicts", ("scenario", "runs x messages", "A/A false", "gates false", "+10 % found", "+20 % found")
+        "verdicts",
+        (
+            "scenario",
+            "runs x messages",
+            "false verdicts, equal sides",
+            "false gates `> +10%`",
+            "+10 % found",
+            "+20 % found",
+        ),
     )
     for cell in cells:
         name = (cell.scenario.name, f"{cell.runs} x {cell.messages}")

@@ -295,7 +295,6 @@ def _repeats_words(cases: Sequence[CaseAnswer], what: str) -> str:
 def _factor(case: CaseAnswer, percentile: str) -> float | None:
     times = {setup.name: getattr(setup, f"{percentile}_ns") for setup in case.contenders}
     own = times.pop(getattr(case, f"leader_{percentile}"))
-    # What is faster than the leader loses too much to be the next.
     others = [value for value in times.values() if value is not None and own <= value != float("inf")]
     return min(others) / own if others and own else None
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 WIDTH = 80
 MOST_GROUPS = 10
 COLUMN_WIDTHS = 21, 18, 8, 11
-"""Result, each of two statistics, received, verdict: with the space between columns they fill `WIDTH`."""
+"""Result, each statistic, received, verdict."""
 
 _COLORS = {"no reply came back": "red", "loses more": "red", "slower": "red", "loses less": "green", "faster": "green"}
 _OUTCOME_COLORS = {GateOutcome.REGRESSED: "red", GateOutcome.PASSED: "green"}

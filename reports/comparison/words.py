@@ -41,7 +41,7 @@ def with_article(statistic: str) -> str:
 
 
 def unjudged_words(statistics: Sequence[str]) -> list[str]:
-    """Return why statistics cannot be judged: tails by their messages, the others by their runs."""
+    """Return why statistics cannot be judged."""
     tails = [with_article(name) for name in statistics if name.startswith("p9")]
     others = [with_article(name) for name in statistics if not name.startswith("p9")]
     reasons = (("the runs differ too much", others), ("there are too few messages", tails))
@@ -49,7 +49,7 @@ def unjudged_words(statistics: Sequence[str]) -> list[str]:
 
 
 def found_from_words(ratio: float | None) -> str:
-    """Format the smallest change that would have been shown, or why there is none."""
+    """Format the smallest change that would have been shown."""
     if ratio is None:
         return ""
     return change_words(ratio) if ratio <= MOST_RATIO else WIDE
@@ -121,7 +121,7 @@ def change_with_interval(row: Mapping[str, Any]) -> str:
 
 
 def change_lines(row: Mapping[str, Any], width: int) -> str:
-    """Format a change with its interval, in two lines where it is wider."""
+    """Format a change with its interval in at most two lines."""
     words = change_with_interval(row)
     return words if len(words) <= width else f"{change_words(row['ratio'])}\n{interval_words(row)}"
 

@@ -216,13 +216,11 @@ def test_without_a_larger_send_buffer_the_own_queue_takes_the_burst(tmp_path, do
             folders.append(
                 record_over(devices, tmp_path / name, domain_id, size=1_400_000, rate=10, messages=40, **profile)
             )
-            if name == "both":
-                (unsent, *_) = [
-                    each for each in found(folders[0], "fragments_lost") if "could not be sent" in each.what
-                ]
-                assert quoted("leave larger send buffers out", unsent)
-    assert found(folders[1], "fragments_lost") == []
-    assert received(folders[1]) > received(folders[0])
+    unsent = [
+        [each for each in found(folder, "fragments_lost") if "could not be sent" in each.what] for folder in folders
+    ]
+    assert quoted("leave larger send buffers out", unsent[0][0])
+    assert unsent[1] == []
 
 
 @needs_devices

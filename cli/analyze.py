@@ -309,11 +309,13 @@ def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
 COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.app}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(
+    arguments: Sequence[str] | None = None, *, name: str = "dds-analyze", adapt: Callable[[Any], object] | None = None
+) -> None:
     """Run `dds-analyze` with these arguments, by default the process's."""
     tune_gc()
     avoid_slow_sorts()
-    run_program("dds-analyze", app, COMMANDS, arguments)
+    run_program(name, app, COMMANDS, arguments, adapt=adapt)
 
 
 @contextmanager

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.choices import Role  # noqa: TC001 - typer reads the annotation
 
-from .program import run_command
-from .quick_help import Version, argument, command_app, declare_command, option
+from .program import run_program
+from .quick_help import Version, argument, command_app, declare_command, option, starting
 from .table_options import given_values, read_record, with_options
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from dds_trace.recorder.bridges.base import Bridge, BridgeOptions
     from dds_trace.recorder.bridges.process.running import RunningBridge
 
@@ -28,12 +30,16 @@ _SHARED = ("discovery", "reliability", "durability", "depth", "deadline", "lifes
 @declare_command(app, "bridge")
 @with_options(_SHARED, in_panels=False)
 def main_command(
-    name: Annotated[str | None, argument("[NAME]", f"{', '.join(BRIDGE_MODULES)}.")] = None,
+    name: Annotated[
+        str | None, argument("[NAME]", f"{', '.join(BRIDGE_MODULES)}.", autocompletion=starting(BRIDGE_MODULES))
+    ] = None,
     list_them: Annotated[
         bool, option("--list", "Show which bridges are installed, and how to get the others.")
     ] = False,
     as_json: Annotated[bool, option("--json", "Print the --list as JSON.")] = False,
-    print_config: Annotated[bool, option("--print-config", "Print the configuration and run nothing.")] = False,
+    print_config: Annotated[
+        bool, option("--config", "Print the bridge's configuration and run nothing.", also="--print-config")
+    ] = False,
     check: Annotated[
         bool, option("--check", "Check that the program is here and takes these options; run nothing.")
     ] = False,
@@ -162,9 +168,11 @@ def _describe(bridge: RunningBridge) -> str:
     return "; ".join(parts)
 
 
-def main() -> None:
-    """Run `dds-bridge`."""
-    run_command(app)
+def main(
+    arguments: Sequence[str] | None = None, *, name: str = "dds-bridge", adapt: Callable[[Any], object] | None = None
+) -> None:
+    """Run `dds-bridge` with these arguments, by default the process's."""
+    run_program(name, app, {}, arguments, adapt=adapt)
 
 
 if __name__ == "__main__":

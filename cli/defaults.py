@@ -36,6 +36,7 @@ _WITHOUT_DEFAULT = frozenset(
         "rehearse",
         "print",
         "print-config",
+        "config",
         "version",
         "help",
         "list",

@@ -7,9 +7,8 @@ import os
 import re
 import sys
 from difflib import get_close_matches
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
@@ -26,32 +25,51 @@ CLOSE_ENOUGH = 0.7
 """From this similarity (`difflib`: 1 is equal) a word is a misspelt command."""
 
 
+class Adapt(Protocol):
+    """Changes a command in place before it runs."""
+
+    def __call__(self, command: Any, /) -> object:
+        """Change it."""
+
+
 def run_program(
-    name: str, app: typer.Typer, commands: Mapping[str, typer.Typer], arguments: Sequence[str] | None
+    name: str,
+    app: typer.Typer,
+    commands: Mapping[str, typer.Typer],
+    arguments: Sequence[str] | None,
+    *,
+    adapt: Adapt | None = None,
+    needs_stdout: bool = True,
 ) -> None:
     """Run the command that the first word names, or the one without a name."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    needs_stdout = name != "dds-record"  # its product is the trace
-    completed = _take_completed_command(name, app, commands)
-    if completed is not None:
-        run_command(partial(commands[completed], [], prog_name=name), needs_stdout=needs_stdout)
-    elif given and given[0] in commands:
-        run_command(partial(commands[given[0]], given[1:], prog_name=f"{name} {given[0]}"), needs_stdout=needs_stdout)
-    else:
-        run_command(partial(_run_nameless, name, app, commands, given), needs_stdout=needs_stdout)
+    completed = take_completed_command(name, app, commands)
+
+    def run() -> None:
+        chosen = completed or (given[0] if given and given[0] in commands else None)
+        if chosen is None:
+            _refuse_misspelt(name, commands, given)
+        command = typer.main.get_command(app if chosen is None else commands[chosen])
+        if adapt is not None:
+            adapt(command)
+        if completed is not None or chosen is None:
+            command(given, prog_name=name)
+        else:
+            command(given[1:], prog_name=f"{name} {chosen}")
+
+    run_command(run, needs_stdout=needs_stdout)
 
 
-def _run_nameless(name: str, app: typer.Typer, commands: Collection[str], given: list[str]) -> None:
-    """Run the command without a name, unless the first word is no path and nearly a command."""
+def _refuse_misspelt(name: str, commands: Collection[str], given: Sequence[str]) -> None:
+    """Raise an `OptionError` if the first word is no path and nearly a command."""
     word = given[0] if given else "-"
     meant = get_close_matches(word, commands, n=1, cutoff=CLOSE_ENOUGH)
     if meant and not word.startswith("-") and not Path(word).exists():
         raise OptionError(f"there is no file or folder {word}; did you mean `{name} {meant[0]}`?")
-    app(given, prog_name=name)
 
 
-def _take_completed_command(program: str, app: typer.Typer, commands: Collection[str]) -> str | None:
-    """Return the command of the words to complete, None if there is none."""
+def take_completed_command(program: str, app: typer.Typer, commands: Collection[str]) -> str | None:
+    """Take the command from the words to complete; None if there is none."""
     if f"_{program}_COMPLETE".replace("-", "_").upper() not in os.environ:
         return None
     variable = BASH_WORDS if BASH_WORDS in os.environ else OTHER_WORDS

@@ -13,7 +13,7 @@ from dds_trace.base.version import __version__
 from .defaults import DefaultedCommand
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from typer.models import ArgumentInfo, OptionInfo
 
@@ -24,7 +24,13 @@ WIDEST_NAME = 30
 
 
 class QuickHelpCommand(DefaultedCommand):
-    """A command whose help has a section for each panel of options."""
+    """A command whose help has a section for each panel of options.
+
+    Attributes:
+        commands: commands of its program -> what they do.
+    """
+
+    commands: Mapping[str, str] = {}
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write usage, text, arguments and options."""
@@ -47,7 +53,7 @@ class QuickHelpCommand(DefaultedCommand):
 
     def _panels(self, ctx: Any) -> dict[str, list[tuple[str, str]]]:
         """Return title -> (name, help) of each parameter, arguments first."""
-        panels: dict[str, list[tuple[str, str]]] = {"Arguments": []}
+        panels: dict[str, list[tuple[str, str]]] = {"Commands": [*self.commands.items()], "Arguments": []}
         general: list[tuple[str, str]] = []
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
@@ -72,10 +78,11 @@ def _filled(text: str, indent: str, width: int) -> str:
     return "\n".join(lines or [""]) + "\n"
 
 
-def option(name: str, help: str, *, show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
-    """Return an option; `name` has the metavar after a space."""
+def option(name: str, help: str, *, also: str = "", show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
+    """Return an option; `name` has the metavar after a space, `also` is another name."""
     flag, _, metavar = name.partition(" ")
-    info: OptionInfo = typer.Option(flag, metavar=metavar or None, help=help, show_default=show_default, **more)
+    flags = (flag, also) if also else (flag,)
+    info: OptionInfo = typer.Option(*flags, metavar=metavar or None, help=help, show_default=show_default, **more)
     return info
 
 
@@ -83,6 +90,15 @@ def argument(metavar: str, help: str, **more: Any) -> ArgumentInfo:  # noqa: A00
     """Return an argument."""
     info: ArgumentInfo = typer.Argument(metavar=metavar, help=help, show_default=False, **more)
     return info
+
+
+def starting(names: Iterable[str]) -> Callable[[str], list[str]]:
+    """Return the completion of a word that is one of these."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in names if name.startswith(incomplete)]
+
+    return complete
 
 
 def command_app(*, completes: bool = False) -> typer.Typer:
@@ -95,9 +111,10 @@ def declare_command(
     table: str = "",
     overridden: Callable[[Mapping[str, Any]], Mapping[str, str]] | None = None,
     defaults: Mapping[str, object] | None = None,
+    commands: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the decorator that makes a function the command of an app; for the others see `DefaultedCommand`."""
-    own: dict[str, Any] = {"table": table, "defaults": defaults or {}}
+    """Return the decorator that makes a function the command of an app; for the others see `QuickHelpCommand`."""
+    own: dict[str, Any] = {"table": table, "defaults": defaults or {}, "commands": commands or {}}
     if overridden is not None:
         own["overridden"] = staticmethod(overridden)
     command = type("Command", (QuickHelpCommand,), own)

@@ -4,23 +4,38 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import fields
+from enum import Enum
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from dds_trace.recorder.option import Panel
-from dds_trace.recorder.option_table import OPTIONS, help_of
+from dds_trace.recorder.option_table import OPTIONS, choices_of, help_of
+
+from .quick_help import starting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
 _Record = TypeVar("_Record")
 
+_COMMON = (
+    *("--role", "--out", "--data", "--size", "--rate", "--messages", "--duration", "--backend", "--rmw", "--bridge"),
+    *("--domain", "--peer", "--discovery", "--device", "--force", "--json"),
+)
+"""Options that come first in a help with panels, in this order."""
+
 
 def with_options(names: Iterable[str], *, in_panels: bool) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return the decorator that makes rows parameters of a command that takes `**values`."""
     order = list(Panel)
-    options = [_parameter(name, in_panels) for name in sorted(names, key=lambda n: order.index(OPTIONS[n].panel))]
+
+    def rank(name: str) -> tuple[int, int]:
+        row = OPTIONS[name]
+        is_first = in_panels and row.name in _COMMON
+        return (_COMMON.index(row.name) if is_first else len(_COMMON)), order.index(row.panel)
+
+    options = [_parameter(name, in_panels) for name in sorted(names, key=rank)]
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         own = list(inspect.signature(function, eval_str=True).parameters.values())[:-1]
@@ -36,12 +51,15 @@ def with_options(names: Iterable[str], *, in_panels: bool) -> Callable[[Callable
 def _parameter(name: str, in_panels: bool) -> inspect.Parameter:
     row = OPTIONS[name]
     kind: Any = list[row.kind] if row.is_repeatable else row.kind  # type: ignore[name-defined]
+    panel = "Common options" if row.name in _COMMON else row.panel.value
+    values = [] if issubclass(row.kind, Enum) else choices_of(row)
     option = typer.Option(
         row.name,
         metavar=row.metavar,
         help=help_of(row),
-        rich_help_panel=row.panel.value if in_panels else None,
+        rich_help_panel=panel if in_panels else None,
         show_default=False,
+        autocompletion=starting(values) if values else None,
     )
     return inspect.Parameter(
         name,

@@ -17,7 +17,7 @@ from . import status
 from .precedence import default_discovery, default_domain, overridden
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from dds_trace.recorder.options import RecordOptions
 
@@ -132,9 +132,11 @@ COMMANDS: Mapping[str, typer.Typer] = {"status": status.app}
 """Any other first argument belongs to the command without a name."""
 
 
-def main() -> None:
-    """Run `dds-record`."""
-    run_program("dds-record", app, COMMANDS, None)
+def main(
+    arguments: Sequence[str] | None = None, *, name: str = "dds-record", adapt: Callable[[Any], object] | None = None
+) -> None:
+    """Run `dds-record` with these arguments, by default the process's; its product is the trace, not stdout."""
+    run_program(name, app, COMMANDS, arguments, adapt=adapt, needs_stdout=False)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import signal
 import sys
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,7 +22,7 @@ from ..quick_help import Version, argument, command_app, declare_command, option
 from . import new
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from dds_trace.recorder.sweep.plan.plan import Plan
     from dds_trace.recorder.sweep.sweep import Until
@@ -211,9 +211,11 @@ COMMANDS: Mapping[str, typer.Typer] = {"new": new.app}
 """Name -> command; a plan of that name is written `./new`."""
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(
+    arguments: Sequence[str] | None = None, *, name: str = "dds-sweep", adapt: Callable[[Any], object] | None = None
+) -> None:
     """Run `dds-sweep` with these arguments, by default the process's."""
-    run_program("dds-sweep", app, COMMANDS, arguments)
+    run_program(name, app, COMMANDS, arguments, adapt=adapt)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from dds_trace.cli import analyze, bridge
+from dds_trace.cli import analyze, bridge, trace
 from dds_trace.cli.record import command as record
 from dds_trace.cli.sweep import command as sweep
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 def _apps() -> Iterator[tuple[str, typer.Typer]]:
     """Yield name and app of every command, in the order of a measurement."""
+    yield trace.PROGRAM, trace.app
     yield "dds-record", record.app
     for name, app in record.COMMANDS.items():
         yield f"dds-record {name}", app
@@ -48,6 +49,8 @@ def _command(name: str, app: typer.Typer) -> Iterator[str]:
 def _panels(command: Any, context: Any) -> dict[str, list[list[str]]]:
     """Return title -> rows of each panel of the help, arguments first, in the order in which they are declared."""
     panels: dict[str, list[list[str]]] = {"Arguments": [], "Options": []}
+    if command.commands:
+        panels = {"Commands": [[code(name), _prose(text)] for name, text in command.commands.items()], **panels}
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
         if record is not None:

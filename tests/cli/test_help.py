@@ -20,6 +20,7 @@ import dds_trace.cli.record.command
 import dds_trace.cli.record.status
 import dds_trace.cli.sweep.command
 import dds_trace.cli.sweep.new
+import dds_trace.cli.trace
 import dds_trace.cli.watch
 from dds_trace.base.version import __version__
 
@@ -34,6 +35,7 @@ NOT_FOR_A_TABLE = {
 }
 NOT_FOR_A_PING = {*HEAVY} - {"numpy", "rich", "mcap", "cramjam", "zstandard", "isal", "psutil", "asyncio", "ssl"}
 COMMANDS = {
+    "dds-trace": ("dds_trace.cli.trace", []),
     "dds-record": ("dds_trace.cli.record", []),
     "dds-record status": ("dds_trace.cli.record", ["status"]),
     "dds-sweep": ("dds_trace.cli.sweep", []),
@@ -68,6 +70,7 @@ def called(module: str, *words: object, name: str = "command") -> tuple[list[str
 
 
 APPS = {
+    "dds-trace": dds_trace.cli.trace.app,
     "dds-record": dds_trace.cli.record.command.app,
     "dds-record status": dds_trace.cli.record.status.app,
     "dds-sweep": dds_trace.cli.sweep.command.app,
@@ -113,7 +116,12 @@ def goes_on(line, following):
     if not line.strip() or not following.strip() or not line.startswith("  "):
         return False
     indent, next_indent = (len(each) - len(each.lstrip()) for each in (line, following))
-    is_paragraph = indent == next_indent == 2 and not line.strip().startswith(("-", "[", *"ABCDEFGHIJKLMNOPQRSTUVWXYZ"))
+    is_row = "  " in line.strip()
+    is_paragraph = (
+        indent == next_indent == 2
+        and not is_row
+        and not line.strip().startswith(("-", "[", *"ABCDEFGHIJKLMNOPQRSTUVWXYZ"))
+    )
     return next_indent > 2 or (is_paragraph and not following.strip().startswith("-"))
 
 
@@ -134,6 +142,18 @@ def test_every_program_tells_its_version(program):
         ("dds-analyze", "comp", {"compare"}),
         ("dds-analyze", "compare --report j", {"json", "junit"}),
         ("dds-analyze", "watch --ho", {"--host"}),
+        ("dds-record", "--backend ", {"cyclonedds", "socket"}),
+        ("dds-record", "--bridge zen", {"zenoh-bridge-dds"}),
+        ("dds-bridge", "built", {"builtin", "builtin-zenoh"}),
+        ("dds-trace", "", {"record", "sweep", "bridge", "analyze", "compare", "watch"}),
+        ("dds-trace", "record ", {"ping", "relay", "status"}),
+        ("dds-trace", "record ping --backend zen", {"zenoh"}),
+        ("dds-trace", "record ping --si", {"--size"}),
+        ("dds-trace", "record status --j", {"--json"}),
+        ("dds-trace", "bridge built", {"builtin", "builtin-zenoh"}),
+        ("dds-trace", "analyze --derived", {"--derived-mcap"}),
+        ("dds-trace", "compare --report j", {"json", "junit"}),
+        ("dds-trace", "watch --ho", {"--host"}),
     ],
 )
 def test_the_shell_is_told_how_a_line_may_go_on(program, line, completions, monkeypatch, capsys):
@@ -150,6 +170,85 @@ def test_the_shell_is_told_how_a_line_may_go_on(program, line, completions, monk
                 main()
         assert ended.value.code == 0
         assert completions <= set(re.findall(r"[\w-]+", capsys.readouterr().out))
+
+
+ONE_PROGRAM = {
+    "record": ("dds-record", []),
+    "record ping": ("dds-record", ["--role", "ping"]),
+    "record relay": ("dds-record", ["--role", "relay"]),
+    "record status": ("dds-record", ["status"]),
+    "sweep": ("dds-sweep", []),
+    "sweep new": ("dds-sweep", ["new"]),
+    "bridge": ("dds-bridge", []),
+    "analyze": ("dds-analyze", []),
+    "analyze compare": ("dds-analyze", ["compare"]),
+    "compare": ("dds-analyze", ["compare"]),
+    "watch": ("dds-analyze", ["watch"]),
+}
+"""Command of `dds-trace` -> the program that it is, and its words."""
+
+
+@pytest.mark.parametrize("command", ONE_PROGRAM)
+def test_a_command_of_the_one_program_has_the_options_of_the_program_that_it_is(command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    program, words = ONE_PROGRAM[command]
+    shown, code, loaded = called("dds_trace.cli.trace", *command.split(), "--help", name="dds-trace")
+    assert (code, loaded) == (0, set())
+    check_usage(shown[0], f"dds-trace {command}")
+    assert max(map(len, shown)) <= 80
+    other, _, _ = called(COMMANDS[program][0], *words, "--help", name=program)
+    options, others = (
+        {line.split()[0].strip(",") for line in lines if re.match("  -", line)} for lines in (shown, other)
+    )
+    not_here = {"--install-completion", "--show-completion"} | ({"--role"} if "p" in command[6:] else set())
+    assert not re.search(r"dds-(record|sweep|bridge|analyze)\b", " ".join(shown))
+    if command in ("record ping", "record relay"):
+        of_other = {"record ping": {"--relay-id", "--rotate"}, "record relay": {"--rate", "--bridge"}}[command]
+        assert options < others - not_here
+        assert not of_other & options
+    else:
+        assert options - {"--config", "--print-config"} == others - not_here - {"--config", "--print-config"}
+
+
+def test_the_15_common_options_of_a_ping_come_first():
+    shown, _, _ = called("dds_trace.cli.trace", "record", "ping", "--help", name="dds-trace")
+    panels = re.split(r"^(\w.*):$", "\n".join(shown), flags=re.MULTILINE)
+    assert panels[1] == "Common options"
+    assert len(re.findall(r"^  --", panels[2], re.MULTILINE)) == 15
+    assert re.findall(r"^  (--[a-z]+)", panels[2], re.MULTILINE)[:4] == ["--out", "--data", "--size", "--rate"]
+
+
+def test_one_program_runs_what_the_four_run(tmp_path, monkeypatch, capsys):
+    def ends(*words):
+        monkeypatch.setattr(sys, "argv", ["dds-trace", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            dds_trace.cli.trace.main()
+        return ended.value.code, *capsys.readouterr()
+
+    code, out, _ = ends("analyze", SAMPLES / "losses", "--out", tmp_path, "--no-cache")
+    assert (code, (tmp_path / "summary.parquet").is_file()) == (0, True)
+    assert f"Wrote {tmp_path / 'summary.parquet'}" in out
+    same = ends("compare", SAMPLES / "losses", SAMPLES / "losses")
+    assert same == ends("analyze", "compare", SAMPLES / "losses", SAMPLES / "losses")
+    assert same[0] == 0
+    assert ends("record", "ping", "--rotate", "1GB", "--out", tmp_path / "x.mcap")[0] == 2
+    assert ends("record", "ping") == (
+        2,
+        "",
+        "dds-trace: give --role ping or --role relay, and --out PATH for its trace (see --help)\n",
+    )
+    assert ends("compair", "a")[::2] == (
+        2,
+        "dds-trace: there is no command compair; did you mean `dds-trace compare`?\n",
+    )
+    assert ends("bridge", "builtin", "--print-config")[1].startswith("--list")
+    assert "domain" in ends("bridge", "builtin", "--config")[1]
+    assert ends()[1] == ends("--help")[1]
+
+
+def test_python_m_is_the_one_program():
+    ran = subprocess.run([sys.executable, "-m", "dds_trace", "compair"], capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stderr.split(":")[0]) == (2, "dds-trace")
 
 
 def test_a_usage_error_loads_no_heavy_library():

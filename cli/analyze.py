@@ -20,7 +20,7 @@ from dds_trace.base.units import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
 
 from . import compare, watch
-from .program import run_program
+from .program import ask_about_folder, run_program
 from .quick_help import Version, argument, command_app, declare_command, option
 from .vector_sorts import avoid_slow_sorts
 
@@ -214,6 +214,7 @@ def main_command(
     limits.check(limits.SCHEDULER, cluster, "--cluster")
     traces = expand_paths(paths)
     target = default_output(traces) if out is None else out
+    ask_about_folder(target, "for all files")
     deadline_ns, deadline_metric = _parse_deadline(deadline)
     job = None if recommend is None else parse_job(recommend)
     least_lead = 0.05 if margin is None else parse_percentage("--margin", margin)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import textwrap
 from typing import TYPE_CHECKING, Annotated, Any
 
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
@@ -121,7 +122,12 @@ def _list(*, as_json: bool) -> None:
     for row in rows:
         state = "installed" if row["installed"] else "not installed"
         detail = (row["version"] or row["program"]) if row["installed"] else row["install"]
-        print(f"{row['name']:<{width}}  {state:<13}  {detail}")
+        line = f"{row['name']:<{width}}  {state:<13}  {detail}"
+        lines = textwrap.wrap(line, 80, break_on_hyphens=False, break_long_words=False)
+        if len(lines) > 1:  # the detail below its name
+            lines = textwrap.wrap(str(detail), 76, break_on_hyphens=False, break_long_words=False)
+            lines = [f"{row['name']:<{width}}  {state}", *(f"    {line}" for line in lines)]
+        print("\n".join(lines))
 
 
 def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import typer
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
-from dds_trace.base.streams import plain_streams
+from dds_trace.base.streams import plain_streams, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -86,6 +86,21 @@ def take_completed_command(program: str, app: typer.Typer, commands: Collection[
     return name
 
 
+def ask_about_folder(path: Path, what: str) -> None:
+    """Ask whether a new folder is meant by a name that looks like a file's; without a terminal, print that it is one.
+
+    Raises:
+        OptionError: it is not meant.
+    """
+    if not path.suffix[1:].isalpha() or path.exists():
+        return
+    text = f"{path.name} becomes a folder, {what}"
+    if not (os.isatty(0) and os.isatty(2)):
+        say(text)
+    elif not typer.confirm(f"{text}; continue?", err=True, default=True):
+        raise OptionError("give another --out")
+
+
 _EXTRA = re.compile(r"""(?P<package>[\w-]+).*\bextra == ['"](?P<extra>\w+)['"]""")
 """As in `polars<3,>=1.30; extra == 'analyze'`."""
 
@@ -125,7 +140,8 @@ def _run(command: Callable[[], object]) -> None:
         extra = _extra_with(error.name or "")
         if extra is None:
             raise
-        _print_error(f" needs {error.name}, which is not installed: pip install 'dds-trace[{extra}]'")
+        cure = f"pip install 'dds-trace[{extra}]', in a clone '.[{extra}]'"
+        _print_error(f" needs {error.name}, which is not installed: {cure}")
         sys.exit(BackendUnavailableError.exit_code)
     except TraceError as error:
         _print_error(f": {error}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,8 @@ from mcap.writer import CompressionType, Writer
 
 from dds_trace.base.errors import OutputError, OutputExistsError
 from dds_trace.base.files import replacing
+from dds_trace.base.printable import printable
+from dds_trace.base.units import format_size
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.encoding import CDR_HEADER
 
@@ -98,7 +101,7 @@ def write_derived(
         with replacing(path) as draft, draft.open("wb") as file:
             _write_messages(Writer(file, compression=CompressionType.ZSTD), rows, topics)
         with replacing(layout) as draft:
-            draft.write_text(json.dumps(foxglove_layout(topics), indent=2) + "\n")
+            draft.write_text(json.dumps(foxglove_layout(topic_words(rows)), indent=2) + "\n")
     except OSError as err:
         raise OutputError(
             f"{path}: cannot be written ({err.strerror or err}); check disk space and permissions"
@@ -134,10 +137,24 @@ def topic_name(row: Mapping[str, ParameterValue]) -> str:
     return "/latency/" + "/".join(re.sub(r"[^A-Za-z0-9_]+", "_", str(word)) for word in words)
 
 
+def topic_words(rows: pl.DataFrame) -> dict[str, str]:
+    """Return topic -> its name in words, `fastdds, builtin, binary 33 KB, 10 Hz, run 2`; runs are counted by their start."""
+    counts: dict[str, int] = defaultdict(int)
+    words = {}
+    for row in rows.unique("topic", maintain_order=True).iter_rows(named=True):
+        ways = [row["vendor"]] if row["bridge"] == "none" else [row["vendor"], row["bridge"]]
+        message = f"{row['data_type']} {format_size(row['payload_bytes'])}"
+        name = printable(", ".join((*ways, message, f"{row['rate_hz']:g} Hz")))
+        counts[name] += 1
+        words[row["topic"]] = f"{name}, run {counts[name]}"
+    return words
+
+
 def _write_messages(writer: Writer, rows: pl.DataFrame, topics: Sequence[str]) -> None:
     writer.start(profile="ros2", library=f"dds-trace {__version__}")
     schema = writer.register_schema(SCHEMA_NAME, "ros2msg", SCHEMA.encode())
-    channels = {topic: writer.register_channel(topic, "cdr", schema) for topic in topics}
+    words = topic_words(rows)
+    channels = {topic: writer.register_channel(topic, "cdr", schema, {"name": words[topic]}) for topic in topics}
     records = np.zeros(len(rows), _RECORD)
     records["cdr"] = np.void(CDR_HEADER)
     records["sequence"] = rows["sequence"].to_numpy()
@@ -154,8 +171,8 @@ def _write_messages(writer: Writer, rows: pl.DataFrame, topics: Sequence[str]) -
     writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves this one untyped
 
 
-def foxglove_layout(topics: Sequence[str]) -> dict[str, object]:
-    """Lay out four plots of the first `PLOTTED_TOPICS` topics: latency, response, one way each, losses."""
+def foxglove_layout(topics: Mapping[str, str]) -> dict[str, object]:
+    """Lay out four plots of the first `PLOTTED_TOPICS` of topic -> its name: latency, response, one way each, losses."""
     plots = {
         "Plot!latency": ("Latency (ms)", ("latency_ms",)),
         "Plot!response": ("Response: planned sending to reply (ms)", ("response_ms",)),
@@ -165,20 +182,20 @@ def foxglove_layout(topics: Sequence[str]) -> dict[str, object]:
         ),
         "Plot!lost": ("Lost", ("lost",)),
     }
-    shown = topics[:PLOTTED_TOPICS]
+    shown = list(topics.items())[:PLOTTED_TOPICS]
     return {
         "configById": {
             panel: {
                 "title": title,
                 "paths": [
                     {
-                        "value": f"{topic}.{name}",
+                        "value": f"{topic}.{field}",
                         "enabled": True,
                         "timestampMethod": "receiveTime",
-                        "label": topic.removeprefix("/latency/") + (f" {name}" if len(fields) > 1 else ""),
+                        "label": words + (f", {field.removesuffix('_ms')}" if len(fields) > 1 else ""),
                     }
-                    for topic in shown
-                    for name in fields
+                    for topic, words in shown
+                    for field in fields
                 ],
                 "showLegend": True,
                 "legendDisplay": "left",

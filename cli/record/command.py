@@ -10,7 +10,7 @@ import typer  # noqa: TC002 - it reads the annotation
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OPTIONS, CommandOptions
 
-from ..program import run_program
+from ..program import ask_about_folder, run_program
 from ..quick_help import Version, command_app, declare_command
 from ..table_options import given_values, read_record, with_options
 from . import status
@@ -86,6 +86,8 @@ def main_command(
     elif command.check:
         check_start(options)
     else:
+        if command.out.suffix != ".mcap":
+            ask_about_folder(command.out, "a rosbag2 recording; one file is NAME.mcap")
         print_result(record_until_stopped(options), as_json=command.as_json, fail_if_lost=command.fail_if_lost)
 
 

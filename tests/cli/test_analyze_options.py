@@ -1,5 +1,6 @@
 """Options of `dds-analyze` beside the reports."""
 
+import io
 import json
 import shlex
 from pathlib import Path
@@ -37,6 +38,18 @@ def test_exports_hold_the_same_rows(runs, capsys):
     assert pl.read_ipc(folder / "roundtrips.arrow")["latency_ns"].to_list() == expected
     assert pl.read_csv(folder / "summary.csv").height == 1
     assert {kind.value for kind in ExportKind} == set(EXPORTERS)
+
+
+@pytest.mark.parametrize(("is_terminal", "answer", "code"), [(False, "", 0), (True, "y\n", 0), (True, "n\n", 2)])
+def test_a_folder_named_as_a_file_is_asked_about(is_terminal, answer, code, runs, monkeypatch, capsys):
+    monkeypatch.setattr("os.isatty", lambda _: is_terminal)
+    monkeypatch.setattr("sys.stdin", io.StringIO(answer))
+    assert run_main(runs, "--out", runs / "a.txt") == code
+    assert "a.txt becomes a folder, for all files" in capsys.readouterr().err
+    assert (runs / "a.txt").is_dir() is (code == 0)
+    if code == 0:
+        assert run_main(runs, "--out", runs / "a.txt") == 0
+        assert "becomes" not in capsys.readouterr().err
 
 
 def test_a_derived_trace_and_its_layout(runs):

@@ -70,6 +70,11 @@ def test_the_layout_plots_topics_that_are_in_the_file(tmp_path):
     values = [path["value"] for panel in layout["configById"].values() for path in panel["paths"]]
     assert {value.rsplit(".", 1)[0] for value in values} == set(made.topics)
     fields = {value.rsplit(".", 1)[1] for value in values}
+    labels = {path["label"] for path in layout["configById"]["Plot!latency"]["paths"]}
+    assert labels == {"fastdds, binary 33 KB, 10 Hz, run 1", "zenoh, imu 33 KB, 2.5 Hz, run 1"}
+    with made.path.open("rb") as file:
+        channels = make_reader(file).get_summary().channels.values()
+    assert {channel.metadata["name"] for channel in channels} == labels
     assert fields == {"latency_ms", "response_ms", "outbound_ms", "return_ms", "clock_bound_ms", "lost"}
 
     def panels(node):
@@ -79,7 +84,7 @@ def test_the_layout_plots_topics_that_are_in_the_file(tmp_path):
 
 
 def test_a_large_campaign_is_plotted_in_part():
-    layout = foxglove_layout([f"/latency/{i}" for i in range(500)])
+    layout = foxglove_layout({f"/latency/{i}": str(i) for i in range(500)})
     assert len(layout["configById"]["Plot!latency"]["paths"]) == PLOTTED_TOPICS
 
 

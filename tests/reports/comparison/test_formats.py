@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from xml.etree import ElementTree as ET
@@ -11,6 +12,7 @@ from xml.etree import ElementTree as ET
 import polars as pl
 import pytest
 from jsonschema import Draft202012Validator
+from page_reader import open_browser
 from report_schemas import COMPARISON, closed
 from roundtrip_frames import MS, in_runs, steady
 from wording import numbers
@@ -193,6 +195,29 @@ def test_the_page_draws_both_sides_of_every_group_and_loads_nothing():
     assert joined.index(info.said) < joined.index("Gates") < joined.index("Results, worst first")
     assert "Binary 7 B at 10 Hz" in joined
     assert page.render(info, "main → branch") == text
+
+
+@pytest.mark.browser
+def test_a_long_page_shows_50_results_then_more_and_paper_gets_all(tmp_path):
+    _, info = many()
+    longer = replace(info, groups=info.groups * 4)
+    path = tmp_path / "comparison.html"
+    path.write_text(page.render(longer, "main → branch"), encoding="utf-8")
+    with open_browser() as browser:
+        tab = browser.new_page()
+        complaints = []
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.goto(path.as_uri())
+        shown = "[...document.querySelectorAll('.groups > tbody > tr')].filter(row => !row.hidden).length / 2"
+        button = tab.locator("#more")
+        assert (tab.evaluate(shown), button.inner_text()) == (50, "Show 50 more of 70")
+        button.click()
+        assert (tab.evaluate(shown), button.inner_text()) == (100, "Show 20 more of 20")
+        tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+        assert tab.evaluate(shown) == 120
+        tab.evaluate("dispatchEvent(new Event('afterprint'))")
+        button.click()
+        assert (tab.evaluate(shown), button.is_visible(), complaints) == (120, False, [])
 
 
 def test_hostile_strings_stay_strings():

@@ -18,15 +18,22 @@ from dds_trace.recorder.sweep.plan.plan_file import read_plan
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-LINE = re.compile(r"^ {4}(?P<block>(?:dds-|pip|just).+)$|`(?P<inline>(?:dds-|pip |just )[^`\n]+)`", re.MULTILINE)
+LINE = re.compile(
+    r"^ {4}(?P<block>(?:dds-|pip|just).+)$|`(?P<inline>(?:dds-trace |pipx? |just )[^`\n]+)`", re.MULTILINE
+)
 LINES = [re.sub(r"\s{2,}#.*$", "", found["block"] or found["inline"]) for found in LINE.finditer(README)]
 SAMPLES = ROOT / "sample_traces"
 
+TOOLS = 'pip install --target .tools uv rust-just && PATH="$PWD/.tools/bin:$PATH"'
+
 NOT_RUN = {
-    "pip install uv rust-just && just demo": "minutes; tests/cli/test_sweep.py holds its plan, tests/cli its two commands",
-    "pip install uv rust-just && just test": "runs this test",
-    "dds-record --self-test": "four seconds of measuring; tests/cli/record/test_command.py has it with a cost given",
-    "dds-sweep plans/quick.toml --out runs/quick": "minutes; its plan is read here, and tests/recorder/sweep runs sweeps",
+    f"{TOOLS} just demo": "minutes; tests/cli/test_sweep.py holds its plan, tests/cli its two commands",
+    f"{TOOLS} just test": "runs this test",
+    "just demo": "the same, with pipx",
+    "pipx install uv": "needs the index",
+    "pipx install rust-just": "needs the index",
+    "dds-trace record --self-test": "four seconds of measuring; tests/cli/record/test_command.py has it with a cost given",
+    "dds-trace sweep plans/quick.toml --out runs/quick": "minutes; its plan is read here, and tests/recorder/sweep runs sweeps",
     "pip install '.[ros2]'": "needs the index: scripts/check_release.py installs each extra alone",
     "pip install '.[analyze]'": "needs the index: scripts/check_release.py installs each extra alone",
     "just docs": "tests/docs/test_site.py builds the site",
@@ -37,11 +44,17 @@ SHORT = ["--messages", "5", "--warmup", "1", "--rate", "100", "--no-own-cost", "
 """Behind the line of a ping: few messages, and over sockets, since those over ROS 2 are the business of other tests."""
 
 
+def test_the_readme_has_at_most_ten_links_and_installs_beside_an_externally_managed_python():
+    assert len(re.findall(r"\]\(", README)) <= 10
+    assert "git clone" in README
+    assert not re.search(r"pip install (?!--target)(?!'\.\[)", README)
+
+
 def test_what_is_not_run_stands_in_the_readme():
     assert [line for line in NOT_RUN if line not in LINES] == []
     assert len([line for line in LINES if line not in NOT_RUN]) >= 10
-    for line in (line for line in NOT_RUN if line.startswith("dds-sweep")):
-        assert read_plan(ROOT / shlex.split(line)[1]).cells
+    for line in (line for line in NOT_RUN if line.startswith("dds-trace sweep")):
+        assert read_plan(ROOT / shlex.split(line)[2]).cells
 
 
 @pytest.mark.middleware
@@ -54,7 +67,7 @@ def test_every_command_line_of_the_readme_runs(tmp_path, monkeypatch, domain_id,
         relay = None
         for line in (line for line in LINES if line not in NOT_RUN):
             program, *words = shlex.split(line)
-            if program == "dds-record":
+            if words[0] == "record":
                 more = (
                     ["--check"] if "--bridge" in words else []
                 )  # ROS 2 on both sides of a bridge, up to the first message

@@ -42,4 +42,8 @@ CORE = {
         ("tests/tracefile/writing",),
     ),
     "gates": Part(("analyzer/verdicts/gate.py", "analyzer/verdicts/gates.py"), ("tests/analyzer/verdicts",)),
+    "answers": Part(("analyzer/verdicts/answers.py", "analyzer/verdicts/ranking.py"), ("tests/analyzer/verdicts",)),
+    "headline": Part(("reports/book/answer.py", "reports/book/headline.py"), ("tests/reports/book",)),
+    "applied": Part(("recorder/applied/differences.py",), ("tests/recorder/applied",)),
+    "wire": Part(("recorder/wire", "recorder/wire/packets"), ("tests/recorder/wire",)),
 }

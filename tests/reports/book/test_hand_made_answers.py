@@ -1,0 +1,280 @@
+"""The first sentences of answers, costs and losses that are made by hand, so that each of their cases is met."""
+
+from dataclasses import replace
+from math import inf
+
+import polars as pl
+import pytest
+from analyses import BRIDGED, MS, ZENOH, Measured, around, make_analysis
+from wording import numbers
+
+from dds_trace import Finding, Severity
+from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
+from dds_trace.analyzer.statistics.intervals import Basis, Interval
+from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
+from dds_trace.analyzer.verdicts.cases import Contender
+from dds_trace.reports.book.book import Book
+from dds_trace.reports.book.groups import VendorLabels
+from dds_trace.reports.book.headline import avoid_sentence, bridge_sentence, winner_sentences
+
+UNKNOWN = Interval(None, None, None, 0.95, 60, 60, Basis.BETWEEN_RUNS, 3, 3, None)
+VENDORS = VendorLabels({})
+FAST = around(MS)
+SLOW = around(10 * MS)
+
+
+def setup(name, p50_ms=1.0, p99_ms=None, lost=0.0, tiers=("", ""), *, loses_more=False):
+    setting = dict.fromkeys(CONTENDER_COLUMNS, "") | {"vendor": name, "relay_vendor": name, "bridge": "none"}
+    return Contender(
+        name,
+        setting,
+        UNKNOWN,
+        replace(UNKNOWN, value=1 - lost),
+        loses_more=loses_more,
+        p50_ns=None if p50_ms is None else p50_ms * MS,
+        p99_ns=None if p99_ms is None else p99_ms * MS,
+        letters_p50=tiers[0],
+        letters_p99=tiers[1],
+    )
+
+
+def case(*setups, size=1000, p50="", p99="", mode="same", data_type="binary", rate_hz=10.0, device="d", **more):
+    clarity = Clarity.ONLY_ONE if len(setups) == 1 else Clarity.INCONCLUSIVE
+    return CaseAnswer(
+        *("wired", mode, data_type, size, rate_hz, "p50", clarity, setups, ()),
+        **({"ping_device": device, "relay_device": device, "leader_p50": p50, "leader_p99": p99} | more),
+    )
+
+
+A, B, C = setup("a", 2.0), setup("b", 4.0), setup("c", 10.0)
+TESTED = tuple(replace(one, letters_p99="a") for one in (A, B))
+TAILS = setup("a", 2.0, 30.0, tiers=("a", "b")), setup("b", 4.0, 10.0, tiers=("b", "a"))
+TIERS = setup("a", 2.0, tiers=("a", "")), setup("b", 2.2, tiers=("a", "")), setup("c", 10.0, tiers=("b", ""))
+
+
+def by_size(won, **more):
+    """A kind of message for each letter: who has the lower median at it, `-` if nobody."""
+    setups = {"a": (A, B), "b": (setup("a", 6.0), setup("b", 2.0)), "-": (A, B)}
+    return [case(*setups[one], size=place * 1000, p50=one.strip("-"), **more) for place, one in enumerate(won, 1)]
+
+
+def on_devices(won):
+    return [one for place, each in enumerate(won) for one in by_size(each, device=f"d{place}")]
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        pytest.param(
+            [case(A, B, p50="a", mode="different"), *by_size("b", data_type="string")],
+            [1, 3, 1, 2],
+            id="same domain first, each data type by name",
+        ),
+        pytest.param(on_devices("aa"), [2, 1, 2], id="two pairs alike"),
+        pytest.param(on_devices("aabab"), [1, 2, 2], id="three of five pairs alike"),
+        pytest.param(
+            [case(setup("a", 2.0, 3.0), setup("b", 4.0, 12.0), p50="a", p99="a")], [1, 2, 4], id="both percentiles"
+        ),
+        pytest.param([case(*TAILS, p50="a", p99="b")], [1, 2, 3], id="a leader for each percentile"),
+        pytest.param([case(*TESTED, p50="a")], [1, 2], id="no difference at p99"),
+        pytest.param(by_size("aba"), [1, 2, 2, 3, 3, 2], id="three stretches stay apart"),
+        pytest.param(by_size("-ba-a"), [3, 5, 2, 2, 3, 1, 4], id="five stretches are joined, undecided ones last"),
+        pytest.param(by_size("baaa"), [1, 3, 2, 2], id="from a size on"),
+        pytest.param(by_size("aaab"), [3, 2, 4, 3], id="up to a size"),
+        pytest.param(by_size("baab"), [1, 3, 2, 3, 2, 4, 3], id="sizes between"),
+        pytest.param(
+            [*by_size("aa", rate_hz=10.0), *by_size("ab", rate_hz=20.0)], [1, 2, 2, 1, 2, 1], id="depends on the rate"
+        ),
+        pytest.param([case(*TIERS)], [1, 5], id="one is slower than two"),
+        pytest.param(
+            [case(*TIERS), case(A, B, setup("c", 20.0), rate_hz=20.0)], [1, 5], id="slower at one rate, open at another"
+        ),
+        pytest.param(
+            [case(TIERS[0], replace(TIERS[1], loses_more=True), TIERS[2])], [1, 5], id="one is slower, one loses more"
+        ),
+        pytest.param([case(*TIERS[:2], replace(TIERS[2], p50_ns=inf))], [1], id="slower as it lost messages"),
+        pytest.param([case(A, replace(B, p50_ns=None), C, p50="a")], [1, 5], id="one without a median"),
+        pytest.param([case(A, replace(B, p50_ns=inf), p50="a")], [1], id="the other lost its messages"),
+        pytest.param([case(setup("a", 1.0), setup("b", 1000.0), p50="a")], [1, 1000], id="a thousand times"),
+    ],
+)
+def test_who_is_fastest(answers, said, sentences):
+    found = winner_sentences(answers, VENDORS)
+    sentences(*found)
+    assert numbers(" ".join(found)) == said
+
+
+def lossy(*shares, size=1000, device="d"):
+    return case(
+        *(setup(name, lost=lost) for name, lost in zip("abcdef", shares, strict=False)), size=size, device=device
+    )
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        pytest.param([lossy(0.25, 0.5)], [1, 50], id="both"),
+        pytest.param([lossy(0.25, 0.5, 0.125, 0)], [1, 50], id="three of four"),
+        pytest.param([lossy(0.25, 0.5, 0.125, 0.125, 0)], [1, 1, 50], id="four of five"),
+        pytest.param([lossy(0.125, 0), lossy(0.125, 0.5, size=2000)], [2, 50, 1, 12.5], id="the worst first"),
+        pytest.param(
+            [lossy(0.125, 0, 0), lossy(0, 0.5, 0, size=2000), lossy(0, 0, 0.25, size=3000)],
+            [2, 50, 3, 25, 1, 12.5],
+            id="three parts",
+        ),
+        pytest.param(
+            [
+                lossy(*(0.5 if place == size else 0.0 for place in range(4)), size=1000 * size + 1000)
+                for size in range(4)
+            ],
+            [1, 50, 2, 50, 3, 50, 1],
+            id="four parts",
+        ),
+        pytest.param([lossy(0.5, 0, device="d1"), lossy(0.25, 0, device="d2")], [1, 2, 50], id="on both pairs"),
+        pytest.param([lossy(0.0078125, 0)], [], id="hardly a loss"),
+    ],
+)
+def test_what_is_not_to_be_used(answers, said, sentences):
+    found = avoid_sentence(answers, VENDORS)
+    sentences(found)
+    assert numbers(found) == said
+
+
+COST = {
+    "bridge": pl.String, "vendor": pl.String, "relay_vendor": pl.String, "metric": pl.String,
+    "statistic": pl.String, "verdict": pl.String, "ratio": pl.Float64,
+}  # fmt: skip
+
+
+def costs(*rows):
+    """Costs of bridges: bridge, vendor, vendor of the relay, statistic, verdict, ratio."""
+    return pl.DataFrame([(*row[:3], "latency", *row[3:]) for row in rows], COST, orient="row")
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        pytest.param(costs(("b", "v", "v", "p50", "worse", 2.0)), [2], id="one"),
+        pytest.param(
+            costs(*(("b", "v", "v", "p50", *each) for each in (("worse", 2.0), ("worse", None), ("same", 1.0)))),
+            [2, 1, 1, 3],
+            id="one lost, one the same",
+        ),
+        pytest.param(
+            costs(*(("b", "v", "v", name, "worse", 3.0) for name in ("p50", "p99"))), [3, 3], id="both percentiles"
+        ),
+        pytest.param(
+            costs(*(("b", vendor, None, "p50", "worse", float(place)) for place, vendor in enumerate("zaybxcwd", 2))),
+            [2, 3, 4, 5, 6, 7, 8, 9],
+            id="vendors in the order of the rows",
+        ),
+        pytest.param(
+            costs(("b", "v", "w", "p50", "worse", 2.0), ("b", "w", "w", "p50", "worse", 3.0)), [2, 3], id="two vendors"
+        ),
+        pytest.param(costs(("b", "v", "v", "p50", "same", 1.0)), [], id="no cost"),
+    ],
+)
+def test_what_a_bridge_costs(rows, said, sentences):
+    found = bridge_sentence(rows, VENDORS)
+    sentences(found)
+    assert numbers(found) == said
+
+
+HALF = [*FAST[10:], *["lost_return"] * 10]
+
+
+@pytest.mark.parametrize(
+    ("measured", "said"),
+    [
+        pytest.param([Measured(FAST), Measured(HALF, **ZENOH)], [25, 10, 40], id="by one of two"),
+        pytest.param(
+            [Measured(HALF), Measured(FAST, bridge="builtin", domain_mode="different", **ZENOH)],
+            [25, 10, 40],
+            id="one way",
+        ),
+        pytest.param(
+            [Measured(FAST, connectivity="a"), *(Measured(HALF, connectivity=link) for link in "bcd")],
+            [37.5, 30, 80],
+            id="over three of four links",
+        ),
+    ],
+)
+def test_where_messages_were_lost(measured, said, sentences):
+    found = Book(make_analysis(*measured)).answer.headline
+    sentences(found)
+    assert numbers(found) == said
+
+
+@pytest.mark.parametrize(("recordings", "is_said"), [(4, True), (5, False)])
+def test_one_full_recording_of_four_makes_a_busy_machine(recordings, is_said):
+    analysis = make_analysis(Measured(FAST))
+    full = Finding(Severity.WARNING, "cpu_saturated", "session", "It was full.", "Free it.")
+    busy = replace(analysis, sessions=analysis.sessions[:1] * recordings, findings=(full,))
+    assert ("busy" in Book(busy).answer.points[-1]) is is_said
+
+
+WITHIN = {"basis": Basis.WITHIN_RUN.value, "interleaved": False}
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        pytest.param([case(A, B, fewest_runs=2, **WITHIN), case(A, fewest_runs=1, size=2000)], [3, 2], id="two runs"),
+        pytest.param([case(A, B), case(A, B, size=2000)], [2], id="enough runs"),
+        pytest.param([case(A, B), case(A, B, size=2000, fewest_runs=2, **WITHIN)], [2, 1, 3], id="enough of some"),
+        pytest.param([case(A, B, interleaved=False), case(A, size=2000)], [], id="one after the other"),
+    ],
+)
+def test_why_nobody_is_fastest(answers, said, sentences):
+    analysis = make_analysis(Measured(FAST), Measured(FAST, **ZENOH))
+    details = replace(analysis.details, answers=tuple(answers))
+    found = Book(replace(analysis, details=details)).answer.headline
+    sentences(found)
+    assert numbers(found) == said
+
+
+def test_unsent_messages_are_in_no_time_and_in_the_losses(sentences):
+    answer = Book(make_analysis(Measured(FAST, unsent=20))).answer
+    assert numbers(answer.remarks[-1]) == [20, 1, 1]
+    sentences(answer.points[0], answer.remarks[-1])
+
+
+def test_a_bridge_has_its_price_on_each_of_two_links_and_without_an_end_no_interval(sentences):
+    measured = [
+        Measured(times, connectivity=link, **way)
+        for link in ("wired", "wlan")
+        for times, way in ((FAST, {}), (SLOW, BRIDGED))
+    ]
+    analysis = make_analysis(*measured)
+    open_ended = analysis.details.bridge_costs.with_columns(difference_high_ns=pl.lit(None, pl.Float64))
+    for details in (analysis.details, replace(analysis.details, bridge_costs=open_ended)):
+        prices = [
+            one
+            for one in Book(replace(analysis, details=details)).answer.remarks
+            if one.startswith("Fast DDS, through")
+        ]
+        assert len(prices) == 2
+        sentences_of = [numbers(one) for one in prices]
+        assert sentences_of == ([[9, 95, 8.52, 9.5]] * 2 if details is analysis.details else [[9]] * 2)
+    sentences(*prices)
+
+
+@pytest.mark.parametrize(
+    ("missed", "judged", "unsure", "said"),
+    [
+        pytest.param([1], [4], [0], [10, 1, 4, 25], id="one result"),
+        pytest.param([0, 0], [4, 4], [0, 0], [10, 0, 8], id="none missed"),
+        pytest.param([1, 2], [1, 4], [0, 0], [10, 3, 5, 60, 1, 10, 100], id="the only message of a result"),
+        pytest.param([3, 2], [6, 4], [9, 0], [10, 5, 10, 50, 33, 10, 50, 9], id="unsure ones are of the messages"),
+    ],
+)
+def test_the_deadline_in_numbers(missed, judged, unsure, said, sentences):
+    analysis = make_analysis(Measured(FAST), Measured(FAST, payload_bytes=1000))
+    freshness = pl.DataFrame(
+        {"group": range(len(missed)), "missed": missed, "judged": judged, "unsure": unsure},
+        dict.fromkeys(("group", "missed", "judged", "unsure"), pl.UInt32),
+    )
+    details = replace(analysis.details, freshness=freshness, deadline_ns=10 * MS)
+    found = Book(replace(analysis, details=details)).answer.remarks[0]
+    sentences(found)
+    assert numbers(found) == said

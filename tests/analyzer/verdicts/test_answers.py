@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -63,6 +64,17 @@ def test_the_median_and_the_p99_may_have_leaders_of_their_own():
     # The late ones take 40 ms, 10 % more or less: the p99 lies among the upper two thirds of them.
     times = {one.name: (round(one.p50_ns / MS), round(one.p99_ns / MS)) for one in answer.contenders}
     assert times == {"fastdds": (10, 11), "zenoh": (5, 42)}
+
+
+def test_setups_are_sorted_by_p99_unless_only_the_median_has_a_leader():
+    alike = in_runs(noisy(10 * MS, 1000, seed=9), vendor="zenoh", run_id=2)
+    (open_,) = find_answers(rows_by_group(pl.concat([in_runs(noisy(10 * MS, 1000)), alike])))
+    assert (open_.leader_p50, open_.leader_p99, open_.percentile) == ("", "", "p99")
+    # Half as long, and the latest messages as long: one in thirty takes twice as long.
+    late = [2 * ns if i % 30 == 7 else ns for i, ns in enumerate(noisy(5 * MS, 1000))]
+    frame = pl.concat([in_runs(noisy(10 * MS, 1000)), in_runs(late, vendor="zenoh", relay_vendor="zenoh", run_id=2)])
+    (median,) = find_answers(rows_by_group(frame))
+    assert (median.leader_p50, median.leader_p99, median.percentile) == ("zenoh", "", "p50")
 
 
 def test_few_messages_have_no_leader_at_p99():
@@ -161,6 +173,21 @@ def test_tiers_name_who_is_slower_where_nobody_leads():
     assert 4 < answer.repeats_p50 < 100
 
 
+def test_who_is_not_shown_to_be_slower_than_the_best_is_among_the_leaders():
+    times = {"fastdds": 10.0, "zenoh": 10.9, "cyclonedds": 12.1}
+    frame = pl.concat(
+        in_runs(noisy(ms * MS), spread=0.05, vendor=vendor, relay_vendor=vendor, run_id=place)
+        for place, (vendor, ms) in enumerate(times.items(), 1)
+    )
+    (answer,) = find_answers(rows_by_group(frame))
+    assert {one.name: one.letters_p50 for one in answer.contenders} == {
+        "fastdds": "a",
+        "zenoh": "ab",
+        "cyclonedds": "b",
+    }
+    assert [one.name for one in answer.leaders] == ["fastdds", "zenoh"]
+
+
 def test_setups_recorded_one_after_the_other_have_no_verdict_unless_their_order_is_trusted():
     frame = pl.concat([in_runs(noisy(10 * MS)), in_runs(noisy(5 * MS), vendor="zenoh", relay_vendor="zenoh", run_id=2)])
     apart = {100 + i: i * S for i in range(3)} | {200 + i: (3 + i) * S for i in range(3)}
@@ -175,6 +202,11 @@ def test_setups_recorded_one_after_the_other_have_no_verdict_unless_their_order_
     assert (mixed.leader_p50, mixed.interleaved, mixed.drift_ratio) == ("zenoh", True, None)
     (at_once,) = find_answers(rows, wall_offsets_ns=dict.fromkeys(apart, 0))
     assert (at_once.leader_p50, at_once.interleaved) == ("zenoh", True)
+    # The clock of one device stands 1000 s later.
+    later = frame.with_columns(publish_ns=pl.col("publish_ns") + 1000 * S * (pl.col("run_id") >= 200))
+    offsets = {run_id: start - 1000 * S * (run_id >= 200) for run_id, start in in_turn.items()}
+    (by_wall,) = find_answers(rows_by_group(later), wall_offsets_ns=offsets)
+    assert (by_wall.leader_p50, by_wall.interleaved) == ("zenoh", True)
 
 
 def test_the_order_of_setups_with_fewer_than_three_runs_is_not_to_blame():
@@ -218,6 +250,14 @@ def test_headlines_count_cases():
         Headline("wired", "same", "binary", 3, (Lead("cyclonedds", 2),), inconclusive=1, only_one=0, **devices),
         Headline("wired", "same", "imu", 0, (), inconclusive=0, only_one=1, **devices),
     )
+
+
+def test_leads_are_sorted_by_their_cases_and_then_by_name():
+    frame = pl.concat([in_runs(noisy(10 * MS)), in_runs(noisy(5 * MS), vendor="a", relay_vendor="a", run_id=2)])
+    (answer,) = find_answers(rows_by_group(frame))
+    first, second = (replace(answer, leaders=(one,)) for one in answer.contenders)
+    assert find_headlines([second, first])[0].leads == (Lead("a", 1), Lead("fastdds", 1))
+    assert find_headlines([first, second, second])[0].leads == (Lead("fastdds", 2), Lead("a", 1))
 
 
 def test_contenders_have_names_that_tell_them_apart():

@@ -35,6 +35,7 @@ UNSERVED = applied(sockets=(udp(7411),), memory=(segment(), port(), port(7413, i
 UDP, PROFILE = Asked("fastdds", transport="udp"), Asked("fastdds", transport="udp", profile="mine.xml")
 SHM, LARGE_DATA = Asked("fastdds", transport="shm"), Asked("fastdds", transport="large-data")
 ETH1 = Asked("cyclonedds", interface="eth1")
+BBR = Asked("socket", domain_id=14, congestion_control="bbr")
 # Domain 115 has the ports from 36150 on, which the kernel gives to anybody.
 IN_115, SOCKETS_OF_115 = replace(TUNED, domain_id=115), (udp(36_160, 8_000_000), replace(SENDING, local_port=36_342))
 FAR = {"net.ipv4.ip_local_port_range.min": 40_000}
@@ -50,6 +51,8 @@ def carried(lo, eth1, **more):
     [
         pytest.param(UDP, applied(sockets=(udp(7411),), memory=SHARED), None, "transport", id="udp is memory"),
         pytest.param(UDP, applied(memory=SHARED, **LOOPBACK), TRAFFIC, "transport", id="udp was memory"),
+        pytest.param(UDP, carried(20 * MB, 0, memory=SHARED), TRAFFIC, "transport", id="memory is open beside udp"),
+        pytest.param(BBR, applied(sockets=(tcp(),)), None, "congestion_control", id="another congestion control"),
         pytest.param(SHM, applied(sockets=(udp(7411),)), None, "transport", id="no memory"),
         pytest.param(Asked("socket"), applied(sockets=(udp(8908),)), None, "transport", id="default of sockets is tcp"),
         pytest.param(LARGE_DATA, applied(sockets=(udp(7411),), memory=SHARED), None, "large_data", id="no tcp"),

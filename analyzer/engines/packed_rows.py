@@ -42,7 +42,7 @@ def pack_rows(rows: RoundTrips, sink: pa.NativeFile) -> int:
 def _frames_with_stamps(rows: RoundTrips) -> Iterator[pl.DataFrame]:
     first = 0
     for frame in rows.frames():
-        yield frame.drop(_FORMULAS).hstack([stamps.slice(first, len(frame)) for stamps in rows.stamps])
+        yield frame.drop(*_FORMULAS).hstack([stamps.slice(first, len(frame)) for stamps in rows.stamps])
         first += len(frame)
 
 

@@ -26,6 +26,7 @@ from .groups import (
 from .headline import avoid_sentence, bridge_sentence, loss_sentence, tail_sentence, where_sentence, winner_sentences
 from .numbers import finite
 from .outcomes import outcome_of
+from .places import place_sentence
 from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, place_label, verdicts_info
 
 if TYPE_CHECKING:
@@ -35,12 +36,15 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
     from .groups import Group, Groups, VendorLabels
-    from .numbers import Values
+    from .numbers import Intervals, Values
 
 
 @dataclass(frozen=True, slots=True)
 class Conclusion:
-    """Headline and sentences of a report; `points` follow the headline, `remarks` are numbers, `rule` defines `clearly`."""
+    """Headline and sentences of a report; `points` follow the headline, `remarks` are numbers, `rule` defines `clearly`.
+
+    `outcome` is `decided`, `open`, or `lossy` where a report advises against a setup; empty where the headline is of few losses.
+    """
 
     headline: str
     metric: str
@@ -48,9 +52,10 @@ class Conclusion:
     remarks: tuple[str, ...]
     rule: str
     points: tuple[str, ...] = ()
+    outcome: str = ""
 
 
-def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusion:
+def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: Intervals) -> Conclusion:
     """Derive headline, verdicts and remarks from `analysis.details`."""
     metric = values.default_metric
     if not groups.groups:
@@ -71,15 +76,20 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values) -> Conclusio
         _losses(values),
     )
     rule = CLEARLY if any(one.within_one_run < one.cells for one in verdicts) else WITHIN_ONE_RUN
+    first, *others = _who_is_fastest(verdicts, groups, values, answers)
     sentences = (
         loss_sentence(groups, values),
         avoid_sentence(answers, groups.vendors),
-        *_who_is_fastest(verdicts, groups, values, answers),
+        first,
+        place_sentence(groups, values, intervals) if has_latency else "",
+        *others,
         bridge_sentence(costs, groups.vendors),
         where_sentence(analysis, groups, values),
     )
     headline, *points = filter(None, sentences)
-    return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points))
+    is_decided = any(outcome_of(answer).is_decided for answer in answers)
+    outcome = "lossy" if sentences[1] else "" if sentences[0] else "decided" if is_decided else "open"
+    return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points), outcome)
 
 
 def _who_is_fastest(

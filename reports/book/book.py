@@ -10,6 +10,7 @@ from dds_trace.analyzer.groups.report_values import RunSpan, bridge_loads
 from .answer import Conclusion, answer_info
 from .facets import Facets, facets_info
 from .findings import FindingKind, findings_info
+from .glance import Glance, glance_info
 from .groups import Groups, groups_info
 from .numbers import Curves, Intervals, Values, curves_info, intervals_info, values_info
 from .overview import Overview, overview_info
@@ -92,12 +93,17 @@ class Book:
     @cached_property
     def answer(self) -> Conclusion:
         """Headline, verdicts and remarks."""
-        return answer_info(self.analysis, self.groups, self.values)
+        return answer_info(self.analysis, self.groups, self.values, self.intervals)
 
     @cached_property
     def sizes(self) -> SizeTable | None:
         """Table of sizes by setup, if anything was judged."""
         return size_table(self.analysis, self.groups.vendors)
+
+    @cached_property
+    def glance(self) -> Glance | None:
+        """Medians of the setups as a picture."""
+        return glance_info(self.sizes, self.intervals, self.facets)
 
     @cached_property
     def advice(self) -> Advice | None:

@@ -248,7 +248,7 @@ def _leader_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str])
 def _lead_words(stretch: Stretch, percentile: str) -> str:
     won, factors = _leads(stretch, percentile)
     within = f" in {len(won)} of {len(stretch.cases)} comparisons" if len(won) < len(stretch.cases) else ""
-    return f"{_factors(factors)} as long{within}" if factors else f"longer, as its messages were lost{within}"
+    return f"{factor_words(factors)} as long{within}" if factors else f"longer, as its messages were lost{within}"
 
 
 def _leads(stretch: Stretch, percentile: str) -> tuple[list[CaseAnswer], list[float]]:
@@ -258,7 +258,7 @@ def _leads(stretch: Stretch, percentile: str) -> tuple[list[CaseAnswer], list[fl
 
 def _lead_factors(stretch: Stretch, percentile: str) -> str:
     factors = _leads(stretch, percentile)[1]
-    return _factors(factors) if factors else "longer, as its messages were lost"
+    return factor_words(factors) if factors else "longer, as its messages were lost"
 
 
 def _slower_factors(stretch: Stretch, outcome: Outcome, name: str) -> str:
@@ -268,7 +268,7 @@ def _slower_factors(stretch: Stretch, outcome: Outcome, name: str) -> str:
         times = {setup.name: getattr(setup, f"{outcome.percentile}_ns") for setup in case.contenders}
         if outcome_of(case) == outcome and times[name] != float("inf"):
             ratios.append(times[name] / times[outcome.best[0]])
-    return _factors(ratios) if ratios else ""
+    return factor_words(ratios) if ratios else ""
 
 
 def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
@@ -299,7 +299,8 @@ def _factor(case: CaseAnswer, percentile: str) -> float | None:
     return min(others) / own if others and own else None
 
 
-def _factors(factors: Sequence[float]) -> str:
+def factor_words(factors: Sequence[float]) -> str:
+    """Return `1.2 to 3 times`."""
     low, high = (format_number(end) for end in (min(factors), max(factors)))
     if high == "1":
         return "less than 1.01 times"
@@ -336,7 +337,7 @@ def _cost_words(rows: pl.DataFrame) -> str:
         own = rows.filter(statistic=name)
         slower = own.filter((pl.col("verdict") == "worse") & is_finite)
         if not slower.is_empty():
-            parts.append(f"{_factors(slower['ratio'].to_list())} as long {label}")
+            parts.append(f"{factor_words(slower['ratio'].to_list())} as long {label}")
             lost = max(lost, own.filter(~is_finite).height)
             others = max(others, own.filter((pl.col("verdict") != "worse") & is_finite).height)
             compared = max(compared, own.height)

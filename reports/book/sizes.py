@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -15,7 +15,7 @@ from dds_trace.analyzer.verdicts.cases import CONDITIONS, with_conditions
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
-from .groups import METRIC_LABELS, data_type_label, format_ratio
+from .groups import METRIC_LABELS, data_type_label, device_pair, format_ratio
 from .verdicts import MODES, contender_labels, data_type_rank, place_of
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ class SizeCell:
         leads_p50: whether the median is clearly the lowest; `leads_p99` likewise.
         lost: as in `14 % lost`.
         group: None where several groups share the cell.
+        p50_ns: as a number, infinite if lost; `p99_ns` likewise.
     """
 
     p50: str
@@ -57,6 +58,8 @@ class SizeCell:
     leads_p99: bool
     lost: str
     group: int | None = None
+    p50_ns: float | None = field(default=None, compare=False)
+    p99_ns: float | None = field(default=None, compare=False)
 
     @property
     def times(self) -> tuple[tuple[str, bool], tuple[str, bool]]:
@@ -94,6 +97,8 @@ class PlaceRows:
     thresholds: tuple[Threshold | None, ...]
     rows: tuple[SizeRow, ...]
     further: tuple[SizeRow, ...]
+    devices: str = ""
+    link: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +199,8 @@ def _place_rows(
         )
         (rows if rate_hz == rates[data_type] else further).append(row)
     thresholds = tuple(_threshold(cases, column, late) for column in columns) if late else ()
-    return PlaceRows(name, thresholds, tuple(rows), tuple(further))
+    devices = device_pair(cases[0].ping_device, cases[0].relay_device)
+    return PlaceRows(name, thresholds, tuple(rows), tuple(further), devices, name.removeprefix(f"{devices}, "))
 
 
 def _keys(analysis: Analysis) -> list[Key]:
@@ -224,6 +230,8 @@ def _cell(case: CaseAnswer, setup: Contender, groups: Mapping[Key, int | None]) 
         leads_p99=case.leader_p99 == setup.name,
         lost=f"{format_ratio(lost)} lost" if lost > 0 else "",
         group=groups.get(_key(case, setup)),
+        p50_ns=setup.p50_ns,
+        p99_ns=setup.p99_ns,
     )
 
 

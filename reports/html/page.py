@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import base64
+import math
+from bisect import bisect_right
 from dataclasses import asdict
+from functools import partial
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
@@ -14,7 +17,7 @@ from plotly.offline import get_plotlyjs
 from dds_trace.analyzer.exports.tables import summary_parquet
 from dds_trace.base.files import replacing
 from dds_trace.base.printable import printable
-from dds_trace.base.units import format_rate, format_size
+from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
 
 from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
@@ -30,8 +33,10 @@ from .styles import line_styles
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
+    from typing import TypeGuard
 
     from ..book.book import Book
+    from ..book.sizes import SizeCell, SizeRow, SizeTable
 
 FILE_NAME = "report.html"
 MOST_LINKED = 40
@@ -84,6 +89,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
     made = drawn_figures(book)
     drawn = [(maker, figure) for maker, figure in made if isinstance(figure, Figure)]
     unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
+    unit = _common_unit(book.sizes)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(_asset("report.html.j2")).render(
         policy=_policy(unpack, plotly, script, connect="'self'" if version else ""),
@@ -97,6 +103,12 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         formula=LATENCY_MEANING,
         answer=book.answer,
         sizes=book.sizes,
+        unit=unit.replace("us", "µs"),
+        aligned=partial(_aligned, unit),
+        decimals=_decimals(unit, book.sizes),
+        tint=_tint,
+        glance=book.glance,
+        styles=line_styles(book.facets)["choice"],
         how_to_read_sizes=HOW_TO_READ,
         advice=book.advice,
         findings=book.findings,
@@ -118,6 +130,45 @@ def write(book: Book, folder: Path) -> Path:
     with replacing(path) as draft:
         draft.write_text(render(book), encoding="utf-8", newline="\n")
     return path
+
+
+TINTS = (1.05, 1.25, 1.6, 2.5)
+"""Factors over the lowest median of a row from which on a cell is shaded more."""
+
+
+def _common_unit(table: SizeTable | None) -> str:
+    """Choose the unit in which every median has at most four digits before the point, if there is one, and the least at least one."""
+    reached = _medians_ns(table)
+    low, high = min(reached, default=1.0), max(reached, default=1.0)
+    fitting = [unit for unit, factor in UNIT_NS.items() if high < 10_000 * factor]
+    return next((unit for unit in fitting if low >= UNIT_NS[unit]), fitting[-1] if fitting else "s")
+
+
+def _medians_ns(table: SizeTable | None) -> list[float]:
+    rows = [row for place in (table.places if table else ()) for row in (*place.rows, *place.further)]
+    return [cell.p50_ns for row in rows for cell in row.cells if cell and _is_time(cell.p50_ns)]
+
+
+def _decimals(unit: str, table: SizeTable | None) -> int:
+    """Count the characters of the longest fraction with its point."""
+    return max((len(_aligned(unit, median, "")[1]) for median in _medians_ns(table)), default=0)
+
+
+def _is_time(value_ns: float | None) -> TypeGuard[float]:
+    return value_ns is not None and math.isfinite(value_ns)
+
+
+def _aligned(unit: str, value_ns: float | None, text: str) -> tuple[str, str]:
+    """Return a time before and from the decimal point on; `text` where there is none."""
+    if not _is_time(value_ns):
+        return text, ""
+    whole, point, fraction = format_duration(value_ns, unit).split()[0].partition(".")
+    return f"{int(whole):,}", point + fraction
+
+
+def _tint(cell: SizeCell, row: SizeRow) -> int:
+    times = [one.p50_ns for one in row.cells if one and _is_time(one.p50_ns) and one.p50_ns > 0]
+    return bisect_right(TINTS, cell.p50_ns / min(times)) if times and cell.p50_ns is not None else 0
 
 
 def _asset(name: str) -> str:

@@ -22,7 +22,7 @@ function axisStyle(colors) {
     gridcolor: colors.grid,
     linecolor: colors.line,
     zerolinecolor: colors.line,
-    tickfont: { color: colors.soft, size: 11 },
+    tickfont: { color: colors.soft, size: 12 },
     ticks: "",
     automargin: false,
     exponentformat: "none",
@@ -33,7 +33,7 @@ function axisStyle(colors) {
 const isNarrow = (width) => width < 600;
 
 const MOST_PANELS = 24; // of one figure, until the reader asks for all
-const END_STEP = 12; // px between two labels at line ends
+const END_STEP = 13; // px between two labels at line ends
 
 /**
  * Panels {title, traces, x, y, height?, share?, shapes?, notes?, ends?} as one plotly figure. Panels of one `share`
@@ -132,7 +132,7 @@ function gridOf(
     };
     if (column === 0 && yTitle) {
       const from = startsAt ? `${yTitle}<br><b>axis starts at ${startsAt}</b>` : plain(yTitle);
-      layout[`yaxis${suffix}`].title = { text: from, font: { size: 11, color: colors.soft }, standoff: 6 };
+      layout[`yaxis${suffix}`].title = { text: from, font: { size: 12, color: colors.soft }, standoff: 6 };
     }
     annotations.push({
       text: `<b>${plain(shorten(panel.title, panelWidth / 6.4))}</b>`,
@@ -184,7 +184,7 @@ function besideMarks({ beside, y }, x, width, height, suffix) {
       y: one.at / height,
       yanchor: "middle",
       showarrow: false,
-      font: { size: 9.5, color: one.color },
+      font: { size: 12, color: one.color },
       bgcolor: theme().ground,
       borderpad: 0,
       opacity: 0.9,
@@ -215,7 +215,7 @@ function endLabels({ ends, y }, height, suffix) {
     xanchor: "left",
     yanchor: "middle",
     showarrow: false,
-    font: { size: 10.5, color: end.color },
+    font: { size: 12, color: end.color },
   }));
 }
 
@@ -249,7 +249,7 @@ function tickedAxis(positions, labels, { log = true, room = 34, title = "" } = {
       tickvals: kept.map((place) => positions[place]),
       ticktext: kept.map((place) => plain(labels[place])),
       tickangle: 0,
-      title: { text: plain(title), font: { size: 11, color: theme().soft }, standoff: 4 },
+      title: { text: plain(title), font: { size: 12, color: theme().soft }, standoff: 4 },
       zeroline: false,
     };
   };
@@ -273,7 +273,7 @@ function loadAxis(values, title = "") {
     zeroline: false,
     tickangle: 0,
     range: [Math.log10(low) - 0.12, Math.log10(high) + 0.12],
-    title: { text: plain(title), font: { size: 11, color: theme().soft }, standoff: 4 },
+    title: { text: plain(title), font: { size: 12, color: theme().soft }, standoff: 4 },
   };
 }
 
@@ -335,7 +335,7 @@ function cellAxis(cells) {
     xanchor: "center",
     yanchor: "top",
     yshift: -18,
-    font: { size: 11, color: colors.ink },
+    font: { size: 12, color: colors.ink },
   }));
   const shapes = sizes.slice(1).map((size) => (colors) => ({
     type: "line",

@@ -39,7 +39,7 @@ def test_links_land_where_they_say_and_nothing_shifts(new_tab, pages, name):
 def test_the_table_of_sizes_begins_on_the_first_screen(reader, pages, name):
     tab = reader.open(pages(name))
     assert tab.evaluate("document.querySelector('table.sizes').getBoundingClientRect().top") < 1000
-    assert tab.locator(".measured a[href='#recording']").count() == 1
+    assert tab.locator(".first a[href='#recording']").count() == 1
 
 
 def test_back_undoes_a_filter_and_closes_a_group(reader, pages):
@@ -191,3 +191,38 @@ def test_a_browser_that_cannot_unpack_says_so(new_tab, pages):
     said.wait_for()
     assert "browser of 2023 or later" in said.inner_text()
     assert one.tab.locator(".sizes").count() == 1, "the answer and its table need no script"
+
+
+@pytest.mark.parametrize(("width", "height"), [(1360, 900), (390, 844)])
+def test_verdict_picture_and_best_setup_are_on_the_first_screen(read_with, pages, width, height):
+    tab = read_with(viewport={"width": width, "height": height}).open(pages("small campaign"))
+    for part in (".headline", ".glance .dot >> nth=0", ".glance .value.leads >> nth=0"):
+        box = tab.locator(part).bounding_box()
+        assert box["y"] + box["height"] <= height, part
+        assert box["x"] + box["width"] <= width, part
+    if width > 1000:
+        assert tab.locator("table.sizes").first.bounding_box()["y"] < height / 2
+
+
+def test_p99_is_beside_the_median_by_a_switch_and_decimals_are_aligned(reader, pages):
+    tab = reader.open(pages("study"))
+    assert not tab.locator(".p99").first.is_visible()
+    tab.get_by_label("p99 beside the median").check()
+    assert tab.locator(".p99").first.is_visible()
+    points = tab.evaluate(
+        """() => [...document.querySelector("table.sizes").querySelectorAll("tbody tr")].map(row =>
+            row.querySelector("td .time > :last-child")?.getBoundingClientRect().left).filter(Boolean)"""
+    )
+    assert len(points) > 10
+    assert max(points) - min(points) < 1
+
+
+def test_the_page_has_five_sizes_of_type(reader, pages):
+    tab = reader.open(pages("small campaign"))
+    reader.draw_all()
+    sizes = tab.evaluate(
+        """() => [...new Set([...document.querySelectorAll("body *")]
+            .filter(part => [...part.childNodes].some(node => node.nodeType === 3 && node.data.trim()) && part.checkVisibility())
+            .map(part => getComputedStyle(part).fontSize))]"""
+    )
+    assert sorted(map(float, (size.removesuffix("px") for size in sizes))) == [12, 14, 16, 20, 24]

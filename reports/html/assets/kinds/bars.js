@@ -69,14 +69,14 @@ KINDS.bars = function bars(plan, width, all) {
           text: line.points.map((point, place) =>
             isLossy(point.group)
               ? `${shareText(point.group)} received`
-              : thick > 9 && base.has(point.group) && !lost[place]
+              : thick > 12 && base.has(point.group) && !lost[place]
                 ? differenceText(plannedTime(plan, base.get(point.group)), point.value)
                 : "",
           ),
           textposition: lost.map((is) => (is ? "inside" : "outside")),
           insidetextanchor: "start",
-          insidetextfont: { size: 9, color: theme().ink },
-          outsidetextfont: { size: 9, color: theme().ink },
+          insidetextfont: { size: 12, color: theme().ink },
+          outsidetextfont: { size: 12, color: theme().ink },
           textangle: -90,
           cliponaxis: false,
           constraintext: "none",

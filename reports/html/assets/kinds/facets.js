@@ -291,4 +291,4 @@ function logRange(least, most) {
   return [low - wide, high + wide];
 }
 const timeTitle = (label) => (view.scale === "log" ? `${label} (log scale)` : label);
-const axisTitle = (text) => ({ text: plain(text), font: { size: 11, color: theme().soft }, standoff: 4 });
+const axisTitle = (text) => ({ text: plain(text), font: { size: 12, color: theme().soft }, standoff: 4 });

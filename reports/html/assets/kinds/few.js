@@ -14,7 +14,7 @@ KINDS.dots = function dots(plan, width) {
     ].filter(Boolean);
     return plain(shorten(parts.join(", "), phone ? 26 : 60));
   };
-  const left = Math.min(phone ? 165 : 390, 20 + 6 * Math.max(...passing.map((group) => name(group).length)));
+  const left = Math.min(phone ? 165 : 390, 20 + 6.6 * Math.max(...passing.map((group) => name(group).length)));
   const rows = {
     type: "linear",
     range: [-0.6, passing.length - 0.4],
@@ -62,7 +62,7 @@ KINDS.dots = function dots(plan, width) {
     text: passing.map((group) => formatRatio(shareOf(group))),
     textposition: "inside",
     insidetextanchor: "start",
-    textfont: { size: 10, color: theme().ink },
+    textfont: { size: 12, color: theme().ink },
     marker: {
       color: passing.map((group) => (isLossy(group) ? theme().error : theme().grid)),
       opacity: passing.map((group) => (isLossy(group) ? 0.5 : 1)),
@@ -114,7 +114,7 @@ KINDS.dots = function dots(plan, width) {
           y: row(group),
           yshift: 0,
           yanchor: "middle",
-          font: { size: 11, color: theme().soft },
+          font: { size: 12, color: theme().soft },
         });
     }
   }

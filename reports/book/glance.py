@@ -1,0 +1,118 @@
+"""The picture beside the answer: one dot with its interval for each setup, at one message on every device pair or at every size."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .facets import Facets
+    from .numbers import Intervals
+    from .sizes import PlaceRows, SizeCell, SizeRow, SizeTable
+
+MOST_BLOCKS, MOST_ROWS = 6, 18
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """One median: `cell` has it as text, the others are percent of the width."""
+
+    cell: SizeCell
+    at: float | None
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class DotRow:
+    """The dots of one setup, one for each column; `choice` is its option among the dimension's, None where it has no group."""
+
+    setup: str
+    choice: int | None
+    dots: tuple[Dot | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Glance:
+    """Blocks of rows, by device pair or by size; `columns` are the links, `left_out` counts blocks that the table has."""
+
+    message: str
+    columns: tuple[str, ...]
+    blocks: tuple[tuple[str, tuple[DotRow, ...]], ...]
+    left_out: int
+
+
+def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -> Glance | None:
+    """Choose the message and place the dots; None without a median."""
+    if table is None:
+        return None
+    blocks: dict[str, dict[str, SizeRow]]
+    if len(table.places) > 1:
+        counts = Counter((row.size, row.rate) for place in table.places for row in place.rows)
+        alike = [message for message, count in counts.items() if count == max(counts.values())]
+        size, rate = alike[(len(alike) - 1) // 2]
+        blocks = _by_place(table.places, size, rate)
+        message = f"{size} at {rate}"
+    else:
+        blocks = {row.size: {"": row} for place in table.places for row in place.rows}
+        message = table.rates
+    most = max(1, min(MOST_BLOCKS, MOST_ROWS // len(table.choices)))
+    shown = dict([*blocks.items()][:most])
+    columns = tuple(dict.fromkeys(link for rows in shown.values() for link in rows))
+    reached = [
+        ns
+        for rows in shown.values()
+        for row in rows.values()
+        for cell in row.cells
+        if cell
+        for ns in _ends(cell, intervals)
+    ]
+    if not reached:
+        return None
+    low, high = math.log(min(reached)), math.log(max(reached))
+
+    def percent(ns: float) -> float:
+        return round(2 + 96 * (math.log(ns) - low) / (high - low or 1), 1)
+
+    def dot(cell: SizeCell | None) -> Dot | None:
+        if cell is None:
+            return None
+        ends = _ends(cell, intervals)
+        return Dot(cell, *map(percent, ends)) if ends else Dot(cell, None, 0.0, 0.0)
+
+    made = []
+    for name, rows in shown.items():
+        own = []
+        for place, setup in enumerate(table.choices):
+            cells = [rows[link].cells[place] if link in rows else None for link in columns]
+            groups = [cell.group for cell in cells if cell and cell.group is not None]
+            if any(cells):
+                choice = facets.option("choice", groups[0]) if groups else None
+                own.append(DotRow(setup, choice, tuple(map(dot, cells))))
+        made.append((name, tuple(own)))
+    return Glance(message, columns, tuple(made), len(blocks) - len(shown))
+
+
+def _by_place(places: Sequence[PlaceRows], size: str, rate: str) -> dict[str, dict[str, SizeRow]]:
+    blocks: dict[str, dict[str, SizeRow]] = {}
+    for place in places:
+        for row in place.rows:
+            if (row.size, row.rate) == (size, rate):
+                blocks.setdefault(place.devices, {})[place.link] = row
+    return blocks
+
+
+def _ends(cell: SizeCell, intervals: Intervals) -> tuple[float, ...]:
+    """Return median and the ends of its interval; nothing where the median is lost."""
+    at = cell.p50_ns
+    if at is None or not math.isfinite(at) or at <= 0:
+        return ()
+    low, high = (
+        own[cell.group] if cell.group is not None and own else None
+        for own in (side.get("latency", {}).get("p50", ()) for side in (intervals.low_ns, intervals.high_ns))
+    )
+    return at, min(low or at, at), max(high or at, at)

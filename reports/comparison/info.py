@@ -19,7 +19,7 @@ from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 
-from ..book.groups import VENDORS, VendorLabels, group_labels, groups_of
+from ..book.groups import VENDORS, Cell, VendorLabels, group_labels, groups_of
 from ..book.verdicts import received_words
 from .words import MOST_RATIO, Gated, change_words, metric_words, statistic_words, unjudged_words, with_article
 
@@ -58,6 +58,16 @@ class ComparedGroup:
     changes: tuple[Mapping[str, Any], ...]
     distributions: tuple[Mapping[str, Any], ...]
     unlike: str
+
+    @property
+    def message(self) -> str:
+        """Data type, size and rate."""
+        return Cell(**{name: self.delivery[name] for name in Cell.__dataclass_fields__}).label
+
+    @property
+    def setup(self) -> str:
+        """What the label has besides the message; empty where all results share it."""
+        return self.label.removeprefix(self.message).removeprefix(", ")
 
     def shown(self) -> tuple[Mapping[str, Any], ...]:
         """Return the changes in the row of the result: median and p99 of the first metric."""
@@ -126,7 +136,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
         said=("Both sides are the same recordings. " if comparison.same_recordings else "") + _answer(groups)
         if groups
         else "The two sides have no result in common: there is nothing to compare.",
-        seen=_seen(sights, groups) if groups else _unlike_words(unlike, ignore),
+        seen=("" if comparison.same_recordings else _seen(sights, groups)) if groups else _unlike_words(unlike, ignore),
         groups=groups,
         metric=metric_words(comparison.options.metrics[0]),
         only_base=only_base,
@@ -250,7 +260,10 @@ def _is_slower(row: Mapping[str, Any]) -> bool:
 
 def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -> str:
     shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
-    own = [sight for sight in sights if (sight.metric, sight.statistic) in shown]
+    # Where each result is slower or faster, no change was missed.
+    proven = ("worse", "better")
+    open_ones = {row["statistic"] for group in groups for row in group.shown() if row["verdict"] not in proven}
+    own = [one for one in sights if (one.metric, one.statistic) in shown and one.statistic in open_ones]
     parts = [
         f"of {with_article(sight.statistic)} below {change_words(sight.smallest_ratio).removeprefix('+')}"
         for sight in own
@@ -269,6 +282,13 @@ def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -
         sentences[0] += f"; there is no verdict on {' and '.join(unclear)}"
     sentences += unjudged_words(unjudged)
     return "".join(f"{sentence[0].upper()}{sentence[1:]}. " for sentence in sentences).rstrip()
+
+
+def mean_change(groups: Sequence[ComparedGroup], statistic: str) -> float | None:
+    """Return the geometric mean of the ratios of a shown statistic, None without one."""
+    rows = [row for group in groups for row in group.shown() if row["statistic"] == statistic]
+    ratios = [row["ratio"] for row in rows if row["ratio"] is not None and 0 < row["ratio"] < math.inf]
+    return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None
 
 
 def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:

@@ -14,8 +14,9 @@ from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.streams import plain_console, without_commands
 from dds_trace.base.units import counted
 
-from ..book.verdicts import received_words
-from .words import both_words, change_lines, statistic_words
+from ..book.groups import format_ratio
+from .info import mean_change
+from .words import both_words, change_words, statistic_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,8 +26,11 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 MOST_GROUPS = 10
-COLUMN_WIDTHS = 21, 18, 8, 11
-"""Result, each statistic, received, verdict."""
+COLUMN_WIDTHS = 23, 17, 9, 18
+"""Message, times, each change, verdict."""
+JUDGED = ("worse", "better", "same")
+
+NOT_PROVEN = "In parentheses: no proven change. Intervals: --report md."
 
 _COLORS = {"no reply came back": "red", "loses more": "red", "slower": "red", "loses less": "green", "faster": "green"}
 _OUTCOME_COLORS = {GateOutcome.REGRESSED: "red", GateOutcome.PASSED: "green"}
@@ -52,33 +56,55 @@ def _report(info: ComparisonInfo, shows_all: bool) -> RenderableType:
     parts += [Text(), *_gates(info.gates, shows_all)] if info.gates else [Text()]
     if info.groups:
         shown = info.groups if shows_all else info.groups[:MOST_GROUPS]
-        parts += [_table(info, shown), *_rest(info.groups[len(shown) :]), Text()]
+        parts += [*_tables(info, shown), *_rest(info.groups[len(shown) :]), Text()]
     for title, names in (("Only in the base", info.only_base), ("Only in the new side", info.only_new)):
         parts += _named(title, names, shows_all)
     parts += [Text(note) for note in info.notes]
-    parts += [Text(" ".join(info.rules), style="dim")] if info.groups else []
+    parts += [Text(" ".join([NOT_PROVEN, *info.rules]), style="dim")] if info.groups else []
     return Group(*parts)
 
 
-def _table(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> Table:
-    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
-    label, cell, received, verdict = COLUMN_WIDTHS
-    table.add_column(Text(info.metric), width=label)
-    for row in groups[0].shown():
-        table.add_column(Text(statistic_words(row["statistic"])), width=cell)
-    table.add_column("Received", width=received)
-    table.add_column("Verdict", width=verdict)
-    for group in groups:
-        name = Text.assemble(group.label, (f"\n{group.unlike}", "dim") if group.unlike else "")
-        table.add_row(
-            name,
-            *(Text(f"{both_words(row)}\n{change_lines(row, cell)}") for row in group.shown()),
-            Text(received_words(group.delivery).replace(" → ", "\n→ ")),
-            Text.assemble(
-                (group.verdict, _COLORS.get(group.verdict, "")), (f"\n{group.where}", "dim") if group.where else ""
-            ),
-        )
+def _tables(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> list[RenderableType]:
+    """Return a row for each result below the name of its setup, and one for the mean of all."""
+    statistics = [row["statistic"] for row in groups[0].shown()]
+    names = [statistic_words(name) for name in statistics]
+    titles = (info.metric, names[0], "change", *names[1:], "verdict")
+    parts: list[RenderableType] = [_rows([[Text(title, style="dim") for title in titles]])]
+    for setup in dict.fromkeys(group.setup for group in groups):
+        parts += [Text(setup, style="bold")] if setup else []
+        parts.append(_rows([[Text(one.message), *_cells(one)] for one in groups if one.setup == setup]))
+    if len(info.groups) > 1:
+        means = [Text(_change(mean_change(info.groups, name)), style="bold") for name in statistics]
+        total = [Text("Geometric mean", style="bold"), Text(f"of {len(info.groups)} results"), *means, Text()]
+        parts.append(_rows([total]))
+    return parts
+
+
+def _rows(rows: Sequence[Sequence[Text]]) -> Table:
+    table = Table.grid(padding=(0, 1, 0, 0))
+    message, times, change, verdict = COLUMN_WIDTHS
+    for width in (message, times, *[change] * (len(rows[0]) - 3), verdict):
+        table.add_column(width=width, justify="right" if width == change else "left")
+    for row in rows:
+        table.add_row(*row)
     return table
+
+
+def _cells(group: ComparedGroup) -> list[Text]:
+    """Return the times, the changes, those without a verdict in parentheses, and the verdict with where or how much."""
+    rows = group.shown()
+    changes = [_change(row["ratio"], is_judged=row["verdict"] in JUDGED) for row in rows]
+    verdict = Text(group.verdict, style=_COLORS.get(group.verdict, ""))
+    if group.verdict.startswith("loses"):
+        verdict.append(f" {format_ratio(abs(group.delivery['difference'] or 0.0))}")
+    elif group.where and len(f"{group.verdict}, {group.where}") <= COLUMN_WIDTHS[3]:
+        verdict.append(f", {group.where}", style="dim")
+    return [Text(both_words(rows[0])), *map(Text, changes), verdict]
+
+
+def _change(ratio: float | None, *, is_judged: bool = True) -> str:
+    words = change_words(ratio).replace(" times", "x")
+    return words if is_judged or ratio is None else f"({words})"
 
 
 def _rest(groups: Sequence[ComparedGroup]) -> list[Text]:

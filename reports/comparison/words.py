@@ -120,12 +120,6 @@ def change_with_interval(row: Mapping[str, Any]) -> str:
     return change_words(row["ratio"]) + (f" ({short})" if interval != MISSING else "")
 
 
-def change_lines(row: Mapping[str, Any], width: int) -> str:
-    """Format a change with its interval in at most two lines."""
-    words = change_with_interval(row)
-    return words if len(words) <= width else f"{change_words(row['ratio'])}\n{interval_words(row)}"
-
-
 def statistic_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
     """Return statistic, both sides, change and interval of a row."""
     name = f"{metric_words(row['metric'])} {statistic_words(row['statistic'])}"

@@ -12,7 +12,7 @@ from wording import numbers
 from dds_trace.analyzer.verdicts.compare import CompareOptions, compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates
-from dds_trace.reports.comparison.info import comparison_info
+from dds_trace.reports.comparison.info import comparison_info, mean_change
 
 OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50",))
 BRIDGED = {"bridge": "builtin", "domain_mode": "different"}
@@ -73,6 +73,13 @@ def test_the_second_sentence_says_which_changes_would_not_be_seen(sentences):
     assert numbers(info.seen) == [4.84]
     assert numbers(slower) == [1, 1, 20]
     sentences(info.said, info.seen, slower)
+
+
+def test_what_is_slower_everywhere_needs_no_smallest_change():
+    info = comparison_info(compared_at(6))
+    assert [group.verdict for group in info.groups] == ["slower"]
+    assert "median" not in info.seen
+    assert mean_change(info.groups, "p50") == pytest.approx(1.2, abs=0.01)
 
 
 def test_too_few_runs_do_not_reassure(sentences):

@@ -1,6 +1,7 @@
 """`dds-analyze compare BASE NEW`: two folders of traces, as a table or as a gate for CI."""
 
 import sys
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,6 +33,8 @@ class ComparisonReport(str, Enum):
     MD = "md"
     JSON = "json"
     JUNIT = "junit"
+    GITHUB = "github"
+    BADGE = "badge"
     HTML = "html"
 
 
@@ -41,7 +44,9 @@ app = command_app()
 @declare_command(app, "compare")
 def compare_command(
     base: Annotated[Path, argument("BASE", "Traces before the change.")],
-    new: Annotated[Path, argument("NEW", "Traces after the change.")],
+    new: Annotated[
+        Path | None, argument("[NEW]", "Traces after the change. Without it, BASE is judged by limits of its own.")
+    ] = None,
     fail_if: Annotated[
         list[str] | None,
         option(
@@ -73,7 +78,11 @@ def compare_command(
     ] = 1,
     report: Annotated[
         ComparisonReport,
-        option("--report KIND", "Report to write: terminal, md, json, junit or html.", show_default=True),
+        option(
+            "--report KIND",
+            "Report to write: terminal, md, json, junit, html, github (annotations of a job) or badge (shields.io).",
+            show_default=True,
+        ),
     ] = ComparisonReport.TERMINAL,
     shows_all: Annotated[
         bool, option("--all", "Show every result and gate in terminal and md, not only the first.")
@@ -100,21 +109,26 @@ def compare_command(
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.statistics.power import confidence_at_each
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
-    from dds_trace.analyzer.verdicts.gate import GateOutcome, parse_gates
+    from dds_trace.analyzer.verdicts.gate import Against, GateOutcome, parse_gates
     from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
     from dds_trace.analyzer.verdicts.ignoring import match_without
+    from dds_trace.base.errors import OptionError
+    from dds_trace.base.units import counted
     from dds_trace.reports.comparison import terminal
     from dds_trace.reports.comparison.info import comparison_info
 
     for path, where, limit in ((base, "BASE", limits.INPUT), (new, "NEW", limits.INPUT), (out, "--out", limits.PATH)):
         limits.check(limit, None if path is None else str(path), where)
     gates = parse_gates(fail_if or [])  # before anything is read
+    if new is None and (not gates or any(gate.against is not Against.NEW for gate in gates)):
+        raise OptionError("without NEW give limits of one side, such as --fail-if 'latency_p99 > 20ms', or name NEW")
     match = match_without(filter(None, map(str.strip, ignore.split(","))))
-    before, after = (analyze(folder, details=False) for folder in (base, new))
+    before = analyze(base, details=False)
+    after = before if new is None else analyze(new, details=False)
     options = CompareOptions(match=match, paired=paired, confidence=confidence_at_each(looks))
     comparison = compare(before, after, options_for(gates, options))
     results = judge_gates(comparison, gates, allow_missing=allow_missing)
-    for folder, side in ((base, before), (new, after)):
+    for folder, side in ((base, before), *([] if new is None else [(new, after)])):
         for finding in side.findings:
             if finding.code == "not_applied":
                 say(f"{folder}: {finding.where}: {finding.what}")
@@ -123,10 +137,14 @@ def compare_command(
     else:
         outcome = overall_outcome(results) if results else GateOutcome.PASSED
     info = comparison_info(comparison, results)
+    if new is None:
+        info = replace(
+            info, said=f"{counted(len(info.groups), 'result')} against limits.", seen="", groups=(), rules=()
+        )
     if report is ComparisonReport.TERMINAL and out is None:
         terminal.write(info, shows_all=shows_all)
     else:
-        title = f"{base.name or base} → {new.name or new}"
+        title = " → ".join(side.name or str(side) for side in (base, new) if side is not None)
         _print_or_write(_text(report, info, comparison, title, shows_all), out)
     _print_outcome(outcome, gated=bool(results))
     is_let_pass = outcome is GateOutcome.INCONCLUSIVE and inconclusive is Unsure.PASS
@@ -136,14 +154,19 @@ def compare_command(
 def _text(
     report: ComparisonReport, info: "ComparisonInfo", comparison: "Comparison", title: str, shows_all: bool
 ) -> str:
-    from dds_trace.reports.comparison import document, junit, markdown, page, terminal
+    from dds_trace.reports.comparison import document, github, junit, markdown, page, terminal
 
     if report is ComparisonReport.TERMINAL:
         return terminal.render(info, shows_all=shows_all)
     if report is ComparisonReport.MD:
         return markdown.render(info, shows_all=shows_all)
-    if report is ComparisonReport.JUNIT:
-        return junit.render(info)
+    renders = {
+        ComparisonReport.JUNIT: junit.render,
+        ComparisonReport.GITHUB: github.render,
+        ComparisonReport.BADGE: github.render_badge,
+    }
+    if report in renders:
+        return renders[report](info)
     return document.render(info, comparison) if report is ComparisonReport.JSON else page.render(info, title)
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
+from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
 from ..book.groups import markdown
@@ -13,10 +17,13 @@ from .words import (
     VERDICTS,
     both_words,
     change_with_interval,
+    change_words,
     found_from_words,
     gate_cells,
+    metric_words,
     statistic_cells,
     statistic_words,
+    time_words,
 )
 
 if TYPE_CHECKING:
@@ -26,28 +33,73 @@ if TYPE_CHECKING:
 
 MOST_GROUPS = 50
 """Results and gates without `--all`, for a comment of a pull request."""
+MOST_DRAWN = 5
+MOST_LABEL = 40
+
+_MARKS = {
+    GateOutcome.PASSED: "✅",
+    GateOutcome.REGRESSED: "❌",
+    GateOutcome.INCONCLUSIVE: "❔",
+    GateOutcome.NOTHING_TO_COMPARE: "❔",
+}
 
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
-    """Return the answer, the outcome of the gates, and a row for each result, worst first."""
+    """Return three lines, a picture of the worst results, and everything else folded: gates, and a row for each result."""
     most = None if shows_all else MOST_GROUPS
-    lines = ["# Comparison of latency", "", f"**{markdown(info.said)}** {markdown(info.seen)}".rstrip(), ""]
-    if info.outcome is not None:
-        lines += [f"**{info.outcome.value.capitalize()}**", ""]
-        lines += [*_table(GATE_COLUMNS, gate_cells(info.gates[:most]), right=(2, 3)), ""]
-        lines += _more(len(info.gates), "gate", shows_all=shows_all)
+    mark = "" if info.outcome is None else f"{_MARKS[info.outcome]} {info.outcome.value.capitalize()}: "
     shown = info.groups[:most]
+    lines = ["# Comparison of latency", "", f"**{mark}{markdown(info.said)}**", ""]
+    lines += [markdown(info.seen), ""] if info.seen else []
+    lines += [*_counted_gates(info), *_picture(info.groups)]
+    folded: list[str] = []
+    if info.gates:
+        folded += [*_table(GATE_COLUMNS, gate_cells(info.gates[:most]), right=(2, 3)), ""]
+        folded += _more(len(info.gates), "gate", shows_all=shows_all)
     if shown:
-        lines += [*_groups(info, shown), *_more(len(info.groups), "result", shows_all=shows_all)]
-    if info.notes:
-        lines += [*(f"- {markdown(note)}" for note in info.notes), ""]
+        folded += [*_groups(info, shown), *_more(len(info.groups), "result", shows_all=shows_all), *_statistics(shown)]
+    folded += [*(f"- {markdown(note)}" for note in info.notes), ""] if info.notes else []
     for title, names in (("Only in the base", info.only_base), ("Only in the new side", info.only_new)):
         if names:
-            lines += [f"{title}:", "", *(f"- {markdown(name)}" for name in names[:most]), ""]
-            lines += _more(len(names), "result", shows_all=shows_all)
-    if shown:
-        lines += [*_statistics(shown), *(f"{markdown(rule)}\n" for rule in info.rules)]
-    return "\n".join(lines)
+            folded += [f"{title}:", "", *(f"- {markdown(name)}" for name in names[:most]), ""]
+            folded += _more(len(names), "result", shows_all=shows_all)
+    folded += [f"{markdown(rule)}\n" for rule in info.rules] if shown else []
+    if not folded:
+        return "\n".join(lines)
+    counts = ((len(info.groups), "result"), (len(info.gates), "gate"), (len(info.notes), "note"))
+    title = ", ".join(counted(count, noun) for count, noun in counts if count) or "what only one side has"
+    return "\n".join([*lines, f"<details><summary>{title}</summary>", "", *folded, "</details>", ""])
+
+
+def _counted_gates(info: ComparisonInfo) -> list[str]:
+    counts = Counter(gated.result.outcome.value for gated in info.gates)
+    words = ", ".join(f"{count} {outcome}" for outcome, count in counts.items())
+    return [f"{counted(len(info.gates), 'gate')}: {words}.", ""] if words else []
+
+
+def _picture(groups: Sequence[ComparedGroup]) -> list[str]:
+    """Return the first statistic of the worst results as bars, in a block that Markdown leaves alone."""
+    rows = [(group, group.shown()[0]) for group in groups[:MOST_DRAWN] if group.changes]
+    rows = [
+        (group, row) for group, row in rows if all(math.isfinite(row[end] or math.inf) for end in ("base_ns", "new_ns"))
+    ]
+    if not rows:
+        return []
+    width = min(max(len(group.label) for group, _ in rows), MOST_LABEL)
+    lines = []
+    for group, row in rows:
+        longest = max(row["base_ns"], row["new_ns"], 1)
+        base, new = (
+            f"{'▇' * max(1, round(20 * row[end] / longest))} {time_words(row[end])}" for end in ("base_ns", "new_ns")
+        )
+        lines += [
+            f"{printable(group.label, width):{width}}  base {base}",
+            f"{'':{width}}  new  {new}  {change_words(row['ratio'])}, {group.verdict}",
+        ]
+    statistic = statistic_words(rows[0][1]["statistic"])
+    left = f" of {len(groups)}, worst first" if len(groups) > len(rows) else ""
+    title = f"{metric_words(rows[0][1]['metric'])}, {statistic}: {counted(len(rows), 'result')}{left}"
+    return ["<pre>", title, *(markdown(line) for line in lines), "</pre>", ""]
 
 
 def _groups(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> list[str]:

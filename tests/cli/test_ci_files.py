@@ -108,6 +108,24 @@ def test_every_expression_of_the_action_names_something_that_is_there():
             assert room == "github"
 
 
+@pytest.mark.parametrize(("has_ros", "extras"), [(False, "analyze,ros2"), (True, "analyze")])
+def test_a_stock_runner_gets_ros_2_and_one_that_has_it_does_not(desk, has_ros, extras):
+    folder = desk(repeats=1)
+    python = folder / "bin/python3"
+    python.write_text(
+        f'#!/bin/bash\n[ "$1" = -c ] && exit {int(not has_ros)}\n'
+        'mkdir -p "$4/bin" && ln -sf "$(readlink -f bin/gh)" "$4/bin/python"\n'
+    )
+    python.chmod(0o755)
+    (folder / "bin/uname").write_text("#!/bin/bash\necho x86_64\n")
+    (folder / "bin/uname").chmod(0o755)
+    job = Job(folder)
+    job._values |= {"github.action_path": "/action"}
+    done = job.run("install", RUNNER_TEMP=str(folder), GITHUB_PATH=str(folder / "path"))
+    assert done.returncode == 0, done.stderr
+    assert (folder / "calls.log").read_text().rstrip().endswith(f"/action[{extras}]")
+
+
 @pytest.mark.middleware
 def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comment_anew(desk):
     job = Job(desk(repeats=1), base="main/plan.toml", new="plan.toml", inconclusive="pass", looks="2")
@@ -121,6 +139,8 @@ def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comme
     assert (job.folder / "summary.md").read_text().startswith("# Comparison of latency\n")
     suites = ET.parse(job.folder / "dds-trace/gates.xml").getroot()
     assert (suites.get("tests"), suites.get("skipped")) == ("3", "3")
+    assert len(re.findall("^::warning title=", done.stdout, re.MULTILINE)) == 3
+    assert '"message": "inconclusive"' in (job.folder / "dds-trace/badge.json").read_text()
 
     verdict = job.run("verdict")
     assert (verdict.returncode, "::warning::" in verdict.stdout) == (0, True)

@@ -231,6 +231,22 @@ def test_junit_into_a_file(folders, capsys):
     assert (root.get("tests"), root.get("failures")) == ("2", "1")
 
 
+def test_one_side_is_judged_by_its_own_limits(folders, capsys):
+    gates = ("--fail-if", "latency_p50 < 1ns", "--fail-if", "received_ratio < 99%")
+    out = folders / "gates.xml"
+    assert run_main("compare", folders / "base", *gates, "--report", "junit", "--out", out) == 0
+    root = ET.parse(out).getroot()
+    assert (root.get("tests"), root.get("failures"), root.get("skipped")) == ("2", "0", "0")
+    late = ("--fail-if", "latency_p50 > 1us")
+    assert run_main("compare", folders / "base", *late, "--report", "github", "--out", out) == 20
+    assert out.read_text().startswith("::error title=latency_p50 > 1us::")
+    assert run_main("compare", folders / "base", *late, "--report", "badge") == 20
+    assert '"message": "regressed"' in capsys.readouterr().out
+    for wrong in ((), ("--fail-if", "latency_p50 > +10%")):
+        assert run_main("compare", folders / "base", *wrong) == 2
+        assert "without NEW give limits of one side" in capsys.readouterr().err
+
+
 def test_markdown_on_stdout(folders, capsys):
     assert run_main("compare", folders / "base", folders / "same", "--report", "md") == 0
     assert capsys.readouterr().out.startswith("# Comparison of latency\n")

@@ -22,7 +22,7 @@ from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
 from dds_trace.analyzer.verdicts.gate import parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.ignoring import match_without
-from dds_trace.reports.comparison import document, junit, markdown, page, terminal
+from dds_trace.reports.comparison import document, github, junit, markdown, page, terminal
 from dds_trace.reports.comparison.info import comparison_info
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
@@ -81,8 +81,15 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first(sentenc
 
 def test_markdown_says_the_answer_first_then_gates_then_groups(sentences):
     text = markdown.render(compared()[1])
-    assert text.index("**Slower in 1 of 1 result") < text.index("**Regressed**") < text.index("| Gate |")
-    assert text.index("| Gate |") < text.index("| Latency | Median |") < text.index("<details>")
+    title, answer, gates, picture, folded, *_ = text.split("\n\n")
+    assert title == "# Comparison of latency"
+    assert answer.startswith("**❌ Regressed: Slower in 1 of 1 result")
+    assert numbers(gates) == [4, 1, 1, 2]
+    assert picture.startswith("<pre>\nLatency, median: 1 result\n")
+    base, new = (html.unescape(line) for line in picture.splitlines()[2:4])
+    assert (base.count("▇"), new.count("▇")) == (17, 20), "5 ms and 6 ms"
+    assert folded == "<details><summary>1 result, 4 gates</summary>"
+    assert text.index("| Gate |") < text.index("| Latency | Median |") < text.index("Every statistic")
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")]
         for line in text.splitlines()
@@ -104,6 +111,24 @@ def test_markdown_of_nothing():
     assert "--ignore vendor compares them" in text
     assert "Only in the base" in text
     assert "Only in the new" in text
+
+
+def test_annotations_are_commands_of_one_line_and_the_badge_is_an_endpoint():
+    _, info = compared(bridge=HOSTILE)
+    *lines, notice = github.render(info).splitlines()
+    assert [line.partition(" ")[0] for line in lines] == ["::error", "::warning"]
+    assert lines[0].startswith("::error title=latency_p50 > +10%25::")
+    assert "+20 %25" in lines[0]
+    assert notice == f"::notice title=latency::{info.said}".replace(" %", " %25")
+    assert json.loads(github.render_badge(info)) == {
+        "schemaVersion": 1,
+        "label": "latency",
+        "message": "regressed",
+        "color": "red",
+    }
+    many_gates = replace(info, gates=info.gates * 30)
+    assert len(github.render(many_gates).splitlines()) == github.MOST_ANNOTATIONS
+    assert json.loads(github.render_badge(replace(info, outcome=None)))["color"] == "lightgrey"
 
 
 def test_junit_counts_and_names(sentences):

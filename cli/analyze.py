@@ -91,7 +91,7 @@ app = command_app(completes=True)
 
 _NOT_OF_TOPICS = (
     *("report", "out", "cluster", "sketch", "deadline", "recommend", "margin", "trust_order", "export"),
-    *("derived_mcap", "open_it"),
+    *("derived_mcap", "card", "open_it"),
 )
 
 
@@ -182,6 +182,10 @@ def main_command(
             "--topics", "For recordings of other tools: show rate, long intervals, jitter, size and age of every topic."
         ),
     ] = False,
+    card: Annotated[
+        bool,
+        option("--card", "Write the verdict as a picture for a README: card.svg, and card.png with the extra card."),
+    ] = False,
     open_it: Annotated[bool, option("--open", "Write the HTML report and open it in a browser.")] = False,
     version: Version = False,
 ) -> None:
@@ -234,7 +238,8 @@ def main_command(
         reports = write_reports(analysis, [*files, TERMINAL], folder, shows_all=shows_all)
         exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
-        written.extend(target / path.name for path in (*reports, *exported, *derived) if path is not None)
+        cards = _write_card(analysis, folder) if card else []
+        written.extend(target / path.name for path in (*reports, *exported, *derived, *cards) if path is not None)
 
     earlier = read_provenance(target)
     with ExitStack() as bar:
@@ -296,6 +301,13 @@ def _show_topics(paths: list[Path], target: Path) -> None:
     for source in report.sources:
         if source.status != "read" or source.detail:
             say(f"{source.path}: {source.status}: {source.detail}")
+
+
+def _write_card(analysis: Analysis, folder: Path) -> list[Path]:
+    from dds_trace.reports.book.book import Book
+    from dds_trace.reports.card import write_card
+
+    return write_card(Book(analysis), folder, say)
 
 
 def _write_derived(analysis: Analysis, target: Path) -> list[Path]:

@@ -26,7 +26,7 @@ from .book.headline import (
     size_span,
     winner_sentences,
 )
-from .book.outcomes import outcome_of, stretches
+from .book.outcomes import commonest_places, outcome_of, shown_case, stretches
 from .book.verdicts import contender_labels, place_of
 
 if TYPE_CHECKING:
@@ -111,10 +111,7 @@ def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterat
         if answer.clarity is not Clarity.ONLY_ONE:
             kinds.setdefault((answer.domain_mode, answer.data_type), {}).setdefault(place_of(answer), []).append(answer)
     for (mode, data_type), places in sorted(kinds.items(), key=lambda item: item[0][0] != "same"):
-        alike: dict[object, list[str]] = {}
-        for place, cases in places.items():
-            alike.setdefault(tuple((one.outcome, one.sizes) for one in stretches(cases)), []).append(place)
-        shown = max(alike.values(), key=len)
+        shown = commonest_places(places)
         heading = ["Fastest", "in the same domain" if mode == "same" else f"across {printable(mode)} domains"]
         heading += [f"({data_type_label(data_type)})"] if several else []
         if len(places) > 1:
@@ -135,20 +132,15 @@ def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterat
 
 def _bars(cases: Sequence[CaseAnswer], labels: Mapping[str, str], place: str) -> list[Text]:
     """Draw the medians of the largest decided message."""
-    decided = [case for case in cases if outcome_of(case).is_decided]
-    if not decided:
+    if not any(outcome_of(case).is_decided for case in cases):
         return []
-    largest = max(case.payload_bytes for case in decided)
-    rates = sorted(case.rate_hz for case in decided if case.payload_bytes == largest)
-    case = next(
-        case for case in decided if (case.payload_bytes, case.rate_hz) == (largest, rates[(len(rates) - 1) // 2])
-    )
+    case = shown_case(cases)
     times = sorted(
         (setup.p50_ns, labels[setup.name])
         for setup in case.contenders
         if setup.p50_ns is not None and math.isfinite(setup.p50_ns)
     )[:MOST_SETUPS]
-    size, longest_ns = format_size(largest), max((ns for ns, _ in times), default=1)
+    size, longest_ns = format_size(case.payload_bytes), max((ns for ns, _ in times), default=1)
     line = "  " + "   ".join(f"{name} {_bar(ns, longest_ns, INLINE_BAR)} {format_duration(ns)}" for ns, name in times)
     where = ", ".join(filter(None, (place, f"{size} at {format_rate(case.rate_hz)}")))
     for end in (where, size):

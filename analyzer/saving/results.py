@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 RESULT_NAMES = (
     *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
     *(f"report.{kind}" for kind in ("html", "md", "json")),
+    *("card.svg", "card.png"),
     "latency.derived.mcap",
     "latency.derived.foxglove.json",
 )

@@ -9,7 +9,7 @@ from dds_trace.analyzer.verdicts.answers import Clarity
 from dds_trace.analyzer.verdicts.cases import LOSSY_SHARE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
@@ -84,6 +84,22 @@ def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
         before = cut.pop() if cut and cut[-1].outcome == outcome else Stretch(outcome, (), ())
         cut.append(Stretch(outcome, (*before.sizes, size), (*before.cases, *own)))
     return tuple(cut)
+
+
+def commonest_places(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[str]:
+    """Return the places that share the outcome of most places."""
+    alike: dict[object, list[str]] = {}
+    for place, cases in by_place.items():
+        alike.setdefault(tuple((one.outcome, one.sizes) for one in stretches(cases)), []).append(place)
+    return max(alike.values(), key=len)
+
+
+def shown_case(cases: Sequence[CaseAnswer]) -> CaseAnswer:
+    """Return the largest decided message, else the largest, at the middle rate."""
+    usable = [case for case in cases if outcome_of(case).is_decided] or cases
+    largest = max(case.payload_bytes for case in usable)
+    by_rate = sorted((case for case in usable if case.payload_bytes == largest), key=lambda case: case.rate_hz)
+    return by_rate[(len(by_rate) - 1) // 2]
 
 
 def _common_outcome(cases: Sequence[CaseAnswer]) -> Outcome | None:

@@ -73,7 +73,7 @@ def test_a_second_analysis_replaces_the_first(runs):
 
 
 def test_an_error_of_a_report_leaves_all_earlier_files(runs, monkeypatch, capsys):
-    every = ("--report", "html", "--report", "md", "--export", "csv", "--derived-mcap")
+    every = ("--report", "html", "--report", "md", "--export", "csv", "--derived-mcap", "--card")
     assert analyze(runs, *every) == 0
     before = {path.name: path.read_bytes() for path in (runs / "analysis").iterdir()}
     write_pair(runs / "more", TIMELINE, runs=[run(run_id=0xB2)])
@@ -186,8 +186,9 @@ def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
 @pytest.mark.parametrize(
     "option",
     [
-        *("--report html", "--report terminal --report json", "--export csv", "--derived-mcap", "--open", "--sketch"),
+        *("--report html", "--report terminal --report json", "--export csv", "--derived-mcap", "--card", "--open"),
         *(
+            "--sketch",
             "--out here",
             "--deadline 20ms",
             "--recommend data=imu",

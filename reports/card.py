@@ -1,0 +1,299 @@
+"""The verdict as a picture of 1200 x 630 for a README or a pull request: SVG, and PNG where matplotlib is installed."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, TypeAlias
+
+from dds_trace import __version__
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
+
+from .book.groups import data_type_label
+from .book.headline import loss_sentence, winner_sentences
+from .book.outcomes import commonest_places, outcome_of, shown_case
+from .book.verdicts import MODES, contender_labels, place_of
+from .html.styles import choice_styles
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from dds_trace.analyzer.verdicts.answers import CaseAnswer
+
+    from .book.book import Book
+
+WIDTH, HEIGHT, EDGE = 1200, 630, 56
+LABELS, TIMES = 440, 150
+"""Widths of the columns on both sides of the dots."""
+MOST_ROWS = 6
+INK, SOFT, GRID, BAD, GREY = "#16202c", "#5a6675", "#d5dae0", "#b3261e", "#5f6670"
+FAMILY = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif"
+CHARACTER, BOLD_CHARACTER = 0.6, 0.66
+"""Mean width of a character of DejaVu Sans, the widest of the family, in its size."""
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """Text on a base line; `anchor` is `start` or `end`."""
+
+    x: float
+    y: float
+    size: float
+    text: str
+    color: str = INK
+    is_bold: bool = False
+    anchor: str = "start"
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A straight line."""
+
+    ends: tuple[float, float, float, float]
+    color: str
+    width: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A filled circle."""
+
+    x: float
+    y: float
+    radius: float
+    color: str
+
+
+Mark: TypeAlias = Words | Bar | Spot
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The median of a setup, ns, with the ends of its interval."""
+
+    setup: str
+    color: str
+    median_ns: float | None
+    low_ns: float
+    high_ns: float
+    leads: bool
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether it has a dot."""
+        return self.median_ns is not None and math.isfinite(self.median_ns)
+
+
+def render(book: Book) -> str:
+    """Return the card as SVG."""
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}" viewBox="0 0 {WIDTH} {HEIGHT}"'
+        f' role="img" font-family="{FAMILY}">\n<title>{escape(_verdict(book)[0])}</title>\n'
+        f'<rect width="{WIDTH}" height="{HEIGHT}" fill="#ffffff"/>\n'
+    )
+    return head + "".join(f"{_svg(mark)}\n" for mark in card_marks(book)) + "</svg>\n"
+
+
+def write_card(book: Book, folder: Path, say: Callable[[str], None]) -> list[Path]:
+    """Write card.svg and card.png; without matplotlib say how to get it, and write only the first."""
+    svg, png = folder / "card.svg", folder / "card.png"
+    svg.write_text(render(book), encoding="utf-8")
+    try:
+        _draw_png(card_marks(book), png)
+    except ModuleNotFoundError:
+        say("card.png needs matplotlib: pip install 'dds-trace[card]'; card.svg is written")
+        return [svg]
+    return [svg, png]
+
+
+def card_marks(book: Book) -> list[Mark]:
+    """Lay the card out: what and when, the sentence, losses, dots, place and versions."""
+    facts = {fact.label: fact.value for fact in book.overview.facts}
+    sentence, cases = _verdict(book)
+    case = shown_case(cases) if cases else None
+    compared = _compared(book, case, cases) if case else []
+    is_one = len({_message(answer) for answer in compared}) == 1
+    rows = [row for answer in compared for row in _measured(book, answer, names_message=not is_one)]
+    rows = sorted(rows, key=lambda row: (math.inf if row.median_ns is None else row.median_ns, row.setup))[:MOST_ROWS]
+    when = facts.get("When", "")
+    wide = WIDTH - 2 * EDGE
+    marks: list[Mark] = [
+        _line(EDGE, 66, 20, f"dds-trace: {book.overview.title}", wide - 20 * CHARACTER * (len(when) + 2), SOFT),
+        Words(WIDTH - EDGE, 66, 20, when, SOFT, anchor="end"),
+    ]
+    losses = loss_sentence(book.groups, book.values)
+    losses = "" if losses == sentence else losses
+    pitch = min(56, 230 / max(1, len(rows)))
+    bottom = 546 - pitch * len(rows) - (50 if rows else 0) - (38 if losses else 0)
+    size, lines = _fitted(sentence, bottom - 84)
+    y = 84.0
+    for line in lines:
+        y += 1.25 * size
+        marks.append(Words(EDGE, y, size, line, INK, is_bold=True))
+    if losses:
+        marks.append(_line(EDGE, y + 42, 22, losses, wide, BAD))
+    if case and rows:
+        message = _message_words(case) if is_one else "each message"
+        marks += _dots(message, rows, 546 - pitch * len(rows), pitch)
+    where = f"Measured on {place_of(case) if case else facts['Devices']}" if case or "Devices" in facts else ""
+    others = len({place_of(answer) for answer in book.analysis.details.answers}) - 1
+    more = f"; {counted(others, 'more pair')} of devices and links in the report" if others > 0 and case else ""
+    versions = ", ".join(filter(None, (f"dds-trace {__version__}", facts.get("Versions", ""))))
+    marks.append(Bar((EDGE, 558, WIDTH - EDGE, 558), GRID, 1))
+    marks.append(_line(EDGE, 586, 20, where + more, wide))
+    marks.append(_line(EDGE, 612, 16, versions, wide, SOFT))
+    return marks
+
+
+def _verdict(book: Book) -> tuple[str, Sequence[CaseAnswer]]:
+    """Return the sentence, and the answers that it is about."""
+    kinds: dict[tuple[bool, str, str], dict[str, list[CaseAnswer]]] = {}
+    answers = book.analysis.details.answers if book.answer.metric == "latency" else ()
+    for answer in answers:
+        key = answer.domain_mode != "same", answer.domain_mode, answer.data_type
+        kinds.setdefault(key, {}).setdefault(place_of(answer), []).append(answer)
+    ordered = [by_place for _, by_place in sorted(kinds.items(), key=lambda item: item[0])]
+    for by_place in ordered:
+        shown = commonest_places(by_place)
+        cases = by_place[shown[0]]
+        if any(outcome_of(case).is_decided for case in cases):
+            every = [case for own in by_place.values() for case in own]
+            return winner_sentences(every, book.groups.vendors)[0], cases
+    losses = loss_sentence(book.groups, book.values)
+    sentence = next(words for words in (book.answer.headline, *book.answer.points, "") if words != losses)
+    return sentence or losses, ordered[0][commonest_places(ordered[0])[0]] if ordered else ()
+
+
+def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:
+    """Return the answers in both domain modes; those of all messages where only one setup has this one."""
+    alike = [answer for answer in book.analysis.details.answers if _message(answer) == _message(case)]
+    return cases if sum(len(answer.contenders) for answer in alike) == 1 else alike
+
+
+def _measured(book: Book, answer: CaseAnswer, *, names_message: bool) -> Iterator[Measured]:
+    groups = _groups_of_row(book, answer)
+    labels = contender_labels(book.analysis.details.answers, book.groups.vendors)
+    styles = choice_styles(book.facets)
+    low, high = (ends.get("latency", {}).get("p50", ()) for ends in (book.intervals.low_ns, book.intervals.high_ns))
+    for setup in answer.contenders:
+        label, at = labels[setup.name], setup.p50_ns
+        group = groups.get((MODES.get(answer.domain_mode, answer.domain_mode), label))
+        color = GREY if group is None else styles[book.facets.option("choice", group)].light
+        ends = [side[group] if side and group is not None else None for side in (low, high)]
+        bottom, top = ((at or 0) if end is None else end for end in ends)
+        name = f"{_message_words(answer)}, {label}" if names_message else label
+        leads = answer.domain_mode == "same" and answer.leader_p50 == setup.name
+        yield Measured(name, color, at, min(bottom, at or 0), max(top, at or 0), leads)
+
+
+def _message(answer: CaseAnswer) -> tuple[object, ...]:
+    return place_of(answer), answer.data_type, answer.payload_bytes, answer.rate_hz
+
+
+def _message_words(answer: CaseAnswer) -> str:
+    return f"{data_type_label(answer.data_type)} {format_size(answer.payload_bytes)} at {format_rate(answer.rate_hz)}"
+
+
+def _groups_of_row(book: Book, case: CaseAnswer) -> Mapping[tuple[str, str], int]:
+    if book.sizes is None:
+        return {}
+    modes = [mode for mode, count in book.sizes.modes for _ in range(count)]
+    size, rate = f"{data_type_label(case.data_type)} {format_size(case.payload_bytes)}", format_rate(case.rate_hz)
+    return {
+        (mode, choice): cell.group
+        for shown in book.sizes.places
+        for row in (*shown.rows, *shown.further)
+        if (shown.place, row.size, row.rate) == (place_of(case), size, rate)
+        for mode, choice, cell in zip(modes, book.sizes.choices, row.cells, strict=True)
+        if cell and cell.group is not None
+    }
+
+
+def _dots(message: str, rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
+    left, right = EDGE + LABELS, WIDTH - EDGE - TIMES
+    finite = [row for row in rows if row.is_finite]
+    least = min((row.low_ns for row in finite if row.low_ns > 0), default=1.0)
+    most = max((row.high_ns for row in finite), default=1.0)
+    is_log = most > 10 * least
+    scale = "log scale" if is_log else "from 0"
+    caption = f"Median latency of {message}, with its 95 % interval ({scale})"
+    yield _line(EDGE, top - 14, 18, caption, WIDTH - 2 * EDGE, SOFT)
+    yield Bar((left, top, left, top + pitch * len(rows)), GRID, 2)
+
+    def at(ns: float) -> float:
+        share = math.log(max(ns, least) / least) / math.log(most / least) if is_log else ns / most
+        return left + (12 if is_log else 0) + (right - left - 12) * share
+
+    for index, row in enumerate(rows):
+        y = top + pitch * (index + 0.5)
+        yield _line(EDGE, y + 7, 20, row.setup, LABELS - 12, is_bold=row.leads)
+        if row.is_finite and row.median_ns is not None:
+            yield Bar((left, y, right, y), "#eef0f3", 1)
+            yield Bar((at(row.low_ns), y, at(row.high_ns), y), row.color, 4)
+            yield Spot(at(row.median_ns), y, 9, row.color)
+        time = MISSING if row.median_ns is None else format_duration(row.median_ns) if row.is_finite else "lost"
+        yield Words(WIDTH - EDGE, y + 7, 20, time, INK, row.leads, "end")
+
+
+def _fitted(sentence: str, height: float) -> tuple[float, list[str]]:
+    """Return the largest size at which the sentence fits; what does not fit at the smallest is left to the report."""
+    for size in (44, 38, 33, 28, 24):
+        lines = textwrap.wrap(sentence, int((WIDTH - 2 * EDGE) / (size * BOLD_CHARACTER)))
+        if 1.25 * size * len(lines) <= height:
+            return size, lines
+    parts = sentence.removesuffix("; more in the report.").rsplit("; ", 1)
+    return _fitted(f"{parts[0]}; more in the report.", height) if len(parts) > 1 else (24, lines[: int(height / 30)])
+
+
+def _line(
+    x: float, y: float, size: float, text: str, width: float, color: str = INK, *, is_bold: bool = False
+) -> Words:
+    """Return one line, smaller by up to a quarter where it is long; what exceeds that is cut."""
+    mean = BOLD_CHARACTER if is_bold else CHARACTER
+    fitted = max(0.75 * size, min(size, width / (mean * max(1, len(text)))))
+    most = int(width / (mean * fitted) + 1e-9)
+    return Words(x, y, fitted, text if len(text) <= most else f"{text[: most - 1].rstrip(' ,;')}…", color, is_bold)
+
+
+def _svg(mark: Mark) -> str:
+    if isinstance(mark, Words):
+        weight = ' font-weight="700"' if mark.is_bold else ""
+        where = f'x="{mark.x:g}" y="{mark.y:g}" text-anchor="{mark.anchor}"'
+        return f'<text {where} font-size="{mark.size:g}"{weight} fill="{mark.color}">{escape(mark.text)}</text>'
+    if isinstance(mark, Bar):
+        x1, y1, x2, y2 = (f"{end:.1f}" for end in mark.ends)
+        return f'<path d="M{x1} {y1}L{x2} {y2}" stroke="{mark.color}" stroke-width="{mark.width:g}"/>'
+    return f'<circle cx="{mark.x:.1f}" cy="{mark.y:.1f}" r="{mark.radius:g}" fill="{mark.color}"/>'
+
+
+def _draw_png(marks: Sequence[Mark], path: Path) -> None:
+    from matplotlib.figure import Figure  # noqa: PLC0415 - the extra `card`
+    from matplotlib.lines import Line2D  # noqa: PLC0415
+    from matplotlib.patches import Circle  # noqa: PLC0415
+
+    figure = Figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100)
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, WIDTH), ylim=(HEIGHT, 0))
+    axes.set_axis_off()
+    for mark in marks:
+        if isinstance(mark, Words):
+            axes.text(
+                mark.x,
+                mark.y,
+                mark.text,
+                size=mark.size * 0.72,
+                color=mark.color,
+                weight="bold" if mark.is_bold else "normal",
+                family="DejaVu Sans",
+                ha="right" if mark.anchor == "end" else "left",
+                va="baseline",
+                parse_math=False,
+            )
+        elif isinstance(mark, Bar):
+            x1, y1, x2, y2 = mark.ends
+            axes.add_line(Line2D((x1, x2), (y1, y2), color=mark.color, linewidth=mark.width * 0.72))
+        else:
+            axes.add_patch(Circle((mark.x, mark.y), mark.radius, color=mark.color, zorder=3))
+    figure.savefig(path, format="png", metadata={"Software": None})

@@ -31,7 +31,7 @@ LABELS, TIMES = 440, 150
 MOST_ROWS = 6
 INK, SOFT, GRID, BAD, GREY = "#16202c", "#5a6675", "#d5dae0", "#b3261e", "#5f6670"
 FAMILY = "DejaVu Sans, Verdana, Helvetica, Arial, sans-serif"
-CHARACTER, BOLD_CHARACTER = 0.6, 0.66
+CHARACTER, BOLD_CHARACTER = 0.56, 0.62
 """Mean width of a character of DejaVu Sans, the widest of the family, in its size."""
 
 
@@ -75,6 +75,7 @@ class Measured:
     """The median of a setup, ns, with the ends of its interval."""
 
     setup: str
+    message: str
     color: str
     median_ns: float | None
     low_ns: float
@@ -115,8 +116,7 @@ def card_marks(book: Book) -> list[Mark]:
     sentence, cases = _verdict(book)
     case = shown_case(cases) if cases else None
     compared = _compared(book, case, cases) if case else []
-    is_one = len({_message(answer) for answer in compared}) == 1
-    rows = [row for answer in compared for row in _measured(book, answer, names_message=not is_one)]
+    rows = [row for answer in compared for row in _measured(book, answer)]
     rows = sorted(rows, key=lambda row: (math.inf if row.median_ns is None else row.median_ns, row.setup))[:MOST_ROWS]
     when = facts.get("When", "")
     wide = WIDTH - 2 * EDGE
@@ -134,10 +134,11 @@ def card_marks(book: Book) -> list[Mark]:
         y += 1.25 * size
         marks.append(Words(EDGE, y, size, line, INK, is_bold=True))
     if losses:
-        marks.append(_line(EDGE, y + 42, 22, losses, wide, BAD))
-    if case and rows:
-        message = _message_words(case) if is_one else "each message"
-        marks += _dots(message, rows, 546 - pitch * len(rows), pitch)
+        line = _line(EDGE, y + 42, 22, losses, wide, BAD)
+        shortest = f"{losses.partition(', all of them')[0]}."
+        marks.append(line if line.text == losses else _line(EDGE, y + 42, 22, shortest, wide, BAD))
+    if rows:
+        marks += _dots(rows, 546 - pitch * len(rows), pitch)
     where = f"Measured on {place_of(case) if case else facts['Devices']}" if case or "Devices" in facts else ""
     others = len({place_of(answer) for answer in book.analysis.details.answers}) - 1
     more = f"; {counted(others, 'more pair')} of devices and links in the report" if others > 0 and case else ""
@@ -173,7 +174,7 @@ def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequ
     return cases if sum(len(answer.contenders) for answer in alike) == 1 else alike
 
 
-def _measured(book: Book, answer: CaseAnswer, *, names_message: bool) -> Iterator[Measured]:
+def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:
     groups = _groups_of_row(book, answer)
     labels = contender_labels(book.analysis.details.answers, book.groups.vendors)
     styles = choice_styles(book.facets)
@@ -184,9 +185,8 @@ def _measured(book: Book, answer: CaseAnswer, *, names_message: bool) -> Iterato
         color = GREY if group is None else styles[book.facets.option("choice", group)].light
         ends = [side[group] if side and group is not None else None for side in (low, high)]
         bottom, top = ((at or 0) if end is None else end for end in ends)
-        name = f"{_message_words(answer)}, {label}" if names_message else label
         leads = answer.domain_mode == "same" and answer.leader_p50 == setup.name
-        yield Measured(name, color, at, min(bottom, at or 0), max(top, at or 0), leads)
+        yield Measured(label, _message_words(answer), color, at, min(bottom, at or 0), max(top, at or 0), leads)
 
 
 def _message(answer: CaseAnswer) -> tuple[object, ...]:
@@ -212,14 +212,17 @@ def _groups_of_row(book: Book, case: CaseAnswer) -> Mapping[tuple[str, str], int
     }
 
 
-def _dots(message: str, rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
+def _dots(rows: Sequence[Measured], top: float, pitch: float) -> Iterator[Mark]:
     left, right = EDGE + LABELS, WIDTH - EDGE - TIMES
     finite = [row for row in rows if row.is_finite]
     least = min((row.low_ns for row in finite if row.low_ns > 0), default=1.0)
     most = max((row.high_ns for row in finite), default=1.0)
     is_log = most > 10 * least
     scale = "log scale" if is_log else "from 0"
-    caption = f"Median latency of {message}, with its 95 % interval ({scale})"
+    first, names = rows[0], ("message", "setup")
+    varying = [name for name in names if len({getattr(row, name) for row in rows}) > 1] or ["setup"]
+    what = first.message if "message" not in varying else "each message" if "setup" in varying else first.setup
+    caption = f"Median latency of {what}, with its 95 % interval ({scale})"
     yield _line(EDGE, top - 14, 18, caption, WIDTH - 2 * EDGE, SOFT)
     yield Bar((left, top, left, top + pitch * len(rows)), GRID, 2)
 
@@ -228,8 +231,8 @@ def _dots(message: str, rows: Sequence[Measured], top: float, pitch: float) -> I
         return left + (12 if is_log else 0) + (right - left - 12) * share
 
     for index, row in enumerate(rows):
-        y = top + pitch * (index + 0.5)
-        yield _line(EDGE, y + 7, 20, row.setup, LABELS - 12, is_bold=row.leads)
+        y, label = top + pitch * (index + 0.5), ", ".join(getattr(row, name) for name in varying)
+        yield _line(EDGE, y + 7, 20, label, LABELS - 12, is_bold=row.leads)
         if row.is_finite and row.median_ns is not None:
             yield Bar((left, y, right, y), "#eef0f3", 1)
             yield Bar((at(row.low_ns), y, at(row.high_ns), y), row.color, 4)

@@ -134,9 +134,9 @@ def card_marks(book: Book) -> list[Mark]:
         y += 1.25 * size
         marks.append(Words(EDGE, y, size, line, INK, is_bold=True))
     if losses:
-        line = _line(EDGE, y + 42, 22, losses, wide, BAD)
+        whole = _line(EDGE, y + 42, 22, losses, wide, BAD)
         shortest = f"{losses.partition(', all of them')[0]}."
-        marks.append(line if line.text == losses else _line(EDGE, y + 42, 22, shortest, wide, BAD))
+        marks.append(whole if whole.text == losses else _line(EDGE, y + 42, 22, shortest, wide, BAD))
     if rows:
         marks += _dots(rows, 546 - pitch * len(rows), pitch)
     where = f"Measured on {place_of(case) if case else facts['Devices']}" if case or "Devices" in facts else ""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, TypeAlias
 
-from dds_trace import __version__
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
+from dds_trace.base.version import __version__
 
 from .book.groups import data_type_label
 from .book.headline import loss_sentence, winner_sentences

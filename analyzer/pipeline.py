@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Iterable, Iterator
 
+    Step = Callable[[str, float], None]
+
     from dds_trace.tracefile.format.descriptions import Run
 
     from .engines.local import Engine
@@ -42,6 +44,10 @@ if TYPE_CHECKING:
     from .loading.place import Paths
     from .pairing.exchanges import Exchanges
     from .verdicts.job import Job
+
+
+PAIRING, JUDGING, WRITING = STEPS = ("pairing", "judging", "writing")
+"""What follows the reading of the traces; a caller that writes reports calls the last."""
 
 
 def default_output(path: Paths) -> Path:
@@ -54,6 +60,7 @@ def analyze(
     *,
     out: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
+    step: Step | None = None,
     cache: bool = False,
     cluster: str | None = None,
     sketch: bool = False,
@@ -91,6 +98,7 @@ def analyze(
         trust_order: compare setups that were recorded one after the other, too.
         write_more: writes further files into the folder of drafts, to be replaced with the tables.
         progress: called before each trace is read: number done, number of all, path.
+        step: called after the reading, with one of `STEPS` and the share of it that is done.
 
     Raises:
         MissingEventsError: there is no trace, or no published message in any.
@@ -114,7 +122,7 @@ def analyze(
         with closing(engine):
             campaign = engine.load(location, location.own_folders | ({target} if target else set()), progress)
             drafts = stack.enter_context(replacing_results(target)) if target else None
-            analysis = _analyze(engine, campaign, location, target, drafts, options)
+            analysis = _analyze(engine, campaign, location, target, drafts, options, step or _no_step)
         if drafts is not None and write_more is not None:
             write_more(analysis, drafts)
     if "roundtrips" in analysis.outputs:
@@ -123,7 +131,13 @@ def analyze(
 
 
 def _analyze(
-    engine: Engine, campaign: Campaign, location: Place, out: Path | None, drafts: Path | None, options: AnalysisOptions
+    engine: Engine,
+    campaign: Campaign,
+    location: Place,
+    out: Path | None,
+    drafts: Path | None,
+    options: AnalysisOptions,
+    step: Step,
 ) -> Analysis:
     outputs = {kind: out / f"{kind}.parquet" for kind in ("roundtrips", "summary")} if out else {}
     stale_rows = None if options.rows else outputs.pop("roundtrips", None)
@@ -133,8 +147,11 @@ def _analyze(
     batches = plan_batches(grouping, options)
     origin = provenance(campaign, exchanges)
     with RowWriter(drafted.get("roundtrips"), origin) as writer:
-        results = _write_rows(engine.process(batches, campaign.events), writer)
+        results = _write_rows(
+            engine.process(batches, campaign.events), writer, lambda done: step(PAIRING, done / len(batches))
+        )
         merged = merge_results(results, grouping, sketch=not options.rows)
+    step(JUDGING, 0.0)
     rows = writer.store()
     rows.locate(merged.summary.frame)
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
@@ -178,9 +195,16 @@ def _analyze(
     )
 
 
-def _write_rows(outputs: Iterable[BatchOutput], writer: RowWriter) -> Iterator[BatchResult]:
+def _no_step(name: str, share: float) -> None:
+    pass
+
+
+def _write_rows(
+    outputs: Iterable[BatchOutput], writer: RowWriter, done: Callable[[int], None]
+) -> Iterator[BatchResult]:
     """Write the rows of every batch, and then wait for its result: a large batch is measured meanwhile."""
-    for output in outputs:
+    for number, output in enumerate(outputs):
+        done(number)
         writer.write(output.tables())
         result = output.result()
         del output  # its rows are written

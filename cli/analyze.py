@@ -5,7 +5,6 @@ from __future__ import annotations
 import glob
 import os
 import sys
-from contextlib import ExitStack, contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,17 +14,18 @@ import typer
 from dds_trace.analyzer.engines.gc_tuning import tune_gc
 from dds_trace.base import limits
 from dds_trace.base.errors import MissingEventsError, OptionError
-from dds_trace.base.streams import plain_console, say
+from dds_trace.base.streams import say
 from dds_trace.base.units import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
 
 from . import compare, watch
+from .analysis_bar import AnalysisBar
 from .program import ask_about_folder, run_program
 from .quick_help import Version, argument, command_app, declare_command, option
 from .vector_sorts import avoid_slow_sorts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
 
@@ -206,7 +206,7 @@ def main_command(
     from dds_trace.analyzer.exports.tables import export_tables
     from dds_trace.analyzer.model.finding import Severity
     from dds_trace.analyzer.pairing.provenance import read_provenance
-    from dds_trace.analyzer.pipeline import analyze, default_output
+    from dds_trace.analyzer.pipeline import WRITING, analyze, default_output
     from dds_trace.analyzer.saving.results import RESULT_NAMES
     from dds_trace.analyzer.verdicts.job import parse_job
     from dds_trace.recorder.option_values import parse_percentage
@@ -229,24 +229,20 @@ def main_command(
     written: list[Path] = []
 
     def write_more(analysis: Analysis, folder: Path) -> None:
-        bar.close()
-        for finding in analysis.findings:
-            if finding.severity is Severity.ERROR:
-                say(f"{finding.where}: {finding.what} {finding.action}")
-        # The answer is printed last.
-        files = [kind for kind in kinds if kind != TERMINAL]
-        reports = write_reports(analysis, [*files, TERMINAL], folder, shows_all=shows_all)
+        bar.step(WRITING, 0.0)
+        reports = write_reports(analysis, [kind for kind in kinds if kind != TERMINAL], folder)
         exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
         cards = _write_card(analysis, folder) if card else []
         written.extend(target / path.name for path in (*reports, *exported, *derived, *cards) if path is not None)
 
     earlier = read_provenance(target)
-    with ExitStack() as bar:
+    with AnalysisBar() as bar:
         analysis = analyze(
             traces,
             out=target,
-            progress=bar.enter_context(_reading_bar()),
+            progress=bar.reading,
+            step=bar.step,
             cache=not no_cache,
             cluster=cluster,
             sketch=sketch,
@@ -257,6 +253,10 @@ def main_command(
             trust_order=trust_order,
             write_more=write_more,
         )
+    for finding in analysis.findings:
+        if finding.severity is Severity.ERROR:
+            say(f"{finding.where}: {finding.what} {finding.action}")
+    write_reports(analysis, [TERMINAL], target, shows_all=shows_all)
     written[:0] = analysis.outputs.values()
     for path in written:
         print(f"Wrote {path}")
@@ -329,22 +329,6 @@ def main(
     tune_gc()
     avoid_slow_sorts()
     run_program(name, app, COMMANDS, arguments, adapt=adapt)
-
-
-@contextmanager
-def _reading_bar() -> Iterator[Callable[[int, int, Path], None] | None]:
-    """Yield a bar's update on stderr, None where that is no terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.markup import escape
-    from rich.progress import Progress
-
-    with Progress(console=plain_console(stderr=True), transient=True) as bar:
-        task = bar.add_task("")
-        yield lambda done, total, path: bar.update(
-            task, completed=done, total=total, description=escape(f"reading {path.name}")
-        )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ class NoEchoError(TraceError):
 
 
 class StoppedError(TraceError):
-    """Recording that was stopped (Ctrl-C, SIGTERM) before it had a message to send."""
+    """Recording that was stopped (Ctrl-C, SIGTERM) before its first echo."""
 
     exit_code = 130  # as shells report Ctrl-C
 

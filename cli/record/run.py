@@ -13,7 +13,7 @@ from dds_trace.base.errors import OutputError
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import counted, format_duration
-from dds_trace.recorder.errors import LossesError
+from dds_trace.recorder.errors import LossesError, StoppedError
 from dds_trace.recorder.host.process import stop_at_signals
 from dds_trace.recorder.recording import record
 from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
@@ -90,9 +90,7 @@ def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | Non
     error = _error_of(recorded, fail_if_lost)
     if as_json:
         print(json.dumps(_result(recorded, error)))
-    elif trace is None:
-        print("stopped before the first echo; nothing was written")
-    else:
+    elif trace is not None:
         print(f"Wrote {trace.path}")
         print(
             f"{describe_progress(recorded.progress)}; {counted(trace.events, 'event')}, {trace.dropped_events} dropped"
@@ -107,6 +105,8 @@ def _error_of(recorded: Recorded, fail_if_lost: float | None) -> TraceError | No
         return _trace_error(trace, trace.error)
     if recorded.error is not None:
         return recorded.error
+    if trace is None:
+        return StoppedError("stopped before the first echo; nothing was written")
     if fail_if_lost is None or not isinstance(progress, PingProgress) or not progress.sent:
         return None
     share = progress.lost / progress.sent

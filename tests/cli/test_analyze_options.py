@@ -135,8 +135,8 @@ def test_a_deadline_is_for_the_response_or_for_the_metric_that_is_named(runs, ca
 
 def test_the_line_of_the_readme_ranks_what_was_measured(tmp_path, capsys):
     (line,) = [word for word in (ROOT / "README.md").read_text().split("`") if "--recommend" in word]
-    command, folder, *options = shlex.split(line)
-    assert (command, folder, options[0]) == ("dds-analyze", "runs/", "--recommend")
+    *command, folder, options = *shlex.split(line)[:3], shlex.split(line)[3:]
+    assert (command, folder, options[0]) == (["dds-trace", "analyze"], "runs/", "--recommend")
     measured = run(payload_bytes=502_000, rate_hz=20.0, planned_messages=120, published=120)
     write_pair(tmp_path / "runs", TIMELINE, runs=[measured])
     assert run_main(tmp_path / "runs", *options) == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Column
 
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ..plan.schedule import Remaining
+
+
+CELL_WIDTH = 25
+"""Columns for a name, so that the line fits into 80."""
 
 
 class SweepProgress:
@@ -71,16 +76,15 @@ class RichProgress(PlainProgress):
     def __init__(self, console: Console) -> None:
         super().__init__(console)
         self._progress = Progress(
-            TextColumn("{task.fields[cell]}", markup=False),
-            BarColumn(bar_width=20),
+            TextColumn("{task.fields[cell]}", markup=False, table_column=Column(no_wrap=True, max_width=CELL_WIDTH)),
+            BarColumn(bar_width=10),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TextColumn("{task.fields[left]}", markup=False),
-            TextColumn("{task.fields[last]}", markup=False),
             console=console,
             transient=True,
         )
-        self._task = self._progress.add_task("sweep", cell="", left="", last="")
+        self._task = self._progress.add_task("sweep", cell="", left="")
 
     def begin(self, cells: int, done: int) -> None:
         """Show the bar."""
@@ -95,7 +99,7 @@ class RichProgress(PlainProgress):
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
         """Print the line and move the bar."""
         super().ended(name, outcome, complete=complete)
-        self._progress.update(self._task, completed=self._done, last=outcome.split(",", maxsplit=1)[0])
+        self._progress.update(self._task, completed=self._done)
 
     def end(self) -> None:
         """Remove the bar."""

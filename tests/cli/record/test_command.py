@@ -21,7 +21,7 @@ from dds_trace.recorder.backends import BACKEND_MODULES
 from dds_trace.recorder.backends.qos import RANKS
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
 from dds_trace.recorder.choices import Discovery, Serialization, Transport
-from dds_trace.recorder.errors import BridgeError, LossesError
+from dds_trace.recorder.errors import BridgeError, LossesError, StoppedError
 from dds_trace.recorder.host.recorder_cost import RecorderCost
 from dds_trace.recorder.option_values import parse_percentage
 from dds_trace.recorder.options import DEFAULT_MESSAGES, DEFAULT_WARMUP
@@ -379,9 +379,10 @@ def test_a_ring_that_was_removed_with_its_folder_is_not_promised(tmp_path):
 
 
 def test_without_a_trace_nothing_is_called_written(capsys, sentences):
-    print_result(replace(recorded(), trace=None, run=None), as_json=False)
-    sentences(capsys.readouterr().out)
-    print_result(replace(recorded(), trace=None, run=None), as_json=True)
+    for as_json in (False, True):
+        with pytest.raises(StoppedError) as stopped:
+            print_result(replace(recorded(), trace=None, run=None), as_json=as_json)
+    sentences(str(stopped.value))
     assert json.loads(capsys.readouterr().out)["path"] is None
 
 

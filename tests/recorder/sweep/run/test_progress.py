@@ -40,6 +40,18 @@ def test_bar_on_a_terminal_shows_the_time_left_and_the_last_percentiles():
     assert "a_10Hz: RTT p50 0.92 p99 2.10" in there.file.getvalue()
 
 
+def test_the_line_of_the_bar_is_whole_at_80_columns():
+    there = Console(file=io.StringIO(), force_terminal=True, width=80, _environ={"TERM": "xterm"})
+    progress = RichProgress(there)
+    progress.begin(1250, 0)
+    progress.cell("cyclonedds_zenoh-bridge-dds_binary-145KB_100Hz_r12", Remaining(3599))
+    there.print(progress._progress.get_renderable())
+    progress.end()
+    shown = [line for line in there.file.getvalue().splitlines() if "cyclonedds" in line]
+    assert shown
+    assert all("zenoh-bridge-…" in line and "0/1250" in line and f"{Remaining(3599)} left" in line for line in shown)
+
+
 def test_number_of_cells_may_be_unknown():
     there = console(terminal=False)
     progress = PlainProgress(there)

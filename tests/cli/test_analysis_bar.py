@@ -1,0 +1,31 @@
+"""The bar of an analysis: its shares are of all the work, and it never goes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from trace_files import Message, write_pair
+
+from dds_trace import analyze
+from dds_trace.analyzer.pipeline import STEPS
+from dds_trace.cli.analysis_bar import SHARES, AnalysisBar
+
+TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
+
+
+def test_every_step_after_reading_moves_the_bar_on(tmp_path):
+    write_pair(tmp_path / "runs", TIMELINE)
+    seen = []
+    with AnalysisBar() as bar:
+
+        def step(name, share):
+            bar.step(name, share)
+            seen.append((name, bar.share))
+
+        analyze(tmp_path / "runs", progress=bar.reading, step=step)
+        assert [name for name, _ in seen] == ["pairing", "judging"]
+        assert [share for _, share in seen] == [SHARES["reading"], SHARES["reading"] + SHARES["pairing"]]
+        bar.reading(0, 2, Path("late.mcap"))
+        assert bar.share == seen[-1][1]
+    assert list(SHARES) == ["reading", *STEPS]
+    assert round(sum(SHARES.values()), 9) == 1

@@ -75,6 +75,8 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float, not_applied: tup
     """Return the text of a `NoEchoError`: looked for, saw, try, not applied."""
     options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
     view = look_for_relays(node, data_type)
+    if not view.subscriptions and not view.publishers:  # connections and shared memory need a peer
+        not_applied = tuple(difference for difference in not_applied if not difference.applied.startswith("no "))
     through = "" if plan.bridge == "none" else f", through the bridge {plan.bridge} to domain {plan.relay_domain_id}"
     where = f", at {', '.join(options.peers)}" if options.peers else ""
     count = node.count_participants()

@@ -80,6 +80,14 @@ def test_a_relay_in_sight_that_stays_silent(node, plan):
     assert "firewalls" in text
 
 
+def test_no_socket_is_missed_where_no_relay_is_seen(node, plan):
+    missing = Difference(Setting.TRANSPORT, "tcp", "no TCP socket is open", "asked for TCP, no TCP socket is open")
+    see(node)
+    assert "not applied" not in explain_silence(node, plan, 20, (missing,))
+    see(node, listening=[Endpoint("relay_1", IMAGE)])
+    assert "not applied" in explain_silence(node, plan, 20, (missing,))
+
+
 def test_a_receiver_of_another_user_is_named_and_what_helps(node, plan, monkeypatch):
     see(node, listening=[Endpoint("relay_1", IMAGE)], answering=[Endpoint("relay_1", IMAGE)])
     node.middleware = Middleware("ros2", "fastdds", None)

@@ -305,3 +305,89 @@ def test_rows_are_packed_when_there_are_many(monkeypatch, tally):
         add(tally, [frame], [number * 40 * second_ns])
     assert tally.take_rows(RUN)["sequence"].tolist() == [1, 2, 3, 4, 5]
     assert len(tally.take_rows(RUN)) == 0
+
+
+def test_all_groups_from_224_on_are_one_destination_and_hosts_are_several(tally):
+    frames = [
+        ipv4(udp(rtps(message(1, number=number))), destination=destination)
+        for number, destinations in enumerate((("224.0.0.0", GROUP), ("223.255.255.255", RELAY), (PING, RELAY)))
+        for destination in destinations
+    ]
+    add(tally, frames)
+    assert [(kind, packets) for (kind, _), (packets, *_) in counted(tally).items()] == [
+        (WireClass.DATA, 5),
+        (WireClass.DATA_AGAIN, 1),
+    ]
+    assert tally.run.packets == 6
+
+
+def test_the_last_port_of_a_domain_is_its_own():
+    tally = WireTally([DOMAIN])
+    for number, port in enumerate((7649, 7648, 7650)):
+        add(tally, [ipv4(udp(rtps(message(1), prefix=b"participant%d" % number), 40000, port))])
+    assert tally.run.foreign_packets == 1
+
+
+def test_who_is_spoken_to_is_read_from_what_was_captured():
+    tally = WireTally([DOMAIN])
+    add(tally, [ipv4(udp(rtps(message(1)), 40000, 7400))])
+    answer = ipv4(udp(rtps(info_dst(PREFIX), prefix=b"its peer...."), 50000, 40000))
+    add(tally, [answer], captured=[len(answer) - 1])
+    assert tally.run.foreign_packets == 1
+    add(tally, [answer])
+    assert tally.run.foreign_packets == 1
+    add(tally, [ipv4(udp(rtps(prefix=b"another one."), 50000, 40000))])
+    assert tally.run.foreign_packets == 2
+
+
+def test_repeats_and_trails_that_are_lost_count_for_their_run(tally):
+    minute_ns = 60_000_000_000
+    old = ipv4(udp(rtps(message(1, number=1))))
+    add(tally, [old], [0])
+    for minute, late in enumerate((1, 2, 1), 1):  # the second run begins in the third minute
+        if minute == 3:
+            tally.begin()
+        add(tally, [ipv4(udp(rtps(message(9, number=10 * minute))))], [minute * minute_ns])
+        cut = fragmented(udp(rtps(data(10 * minute + 1, bytes(2000)), data(10 * minute + 2, bytes(2000)))), 1480)
+        add(tally, [old, cut[0], cut[2]], [minute * minute_ns + 1] * 3)
+        assert (tally.late_repeats, tally.unfollowed_datagrams) == (late, late)
+
+
+def test_datagrams_without_our_headers_have_no_trail_to_lose():
+    tally = WireTally([DOMAIN])
+    other = udp(rtps(data(9, bytes(3000)), prefix=b"another one."), 40002, 40003)
+    add(tally, [*fragmented(udp(bytes(3000), 7446, 7446), 1480), *fragmented(other, 1480, ip_id=9)])
+    assert (tally.run.foreign_packets, tally.unfollowed_datagrams) == (3, 0)
+
+
+def test_a_first_fragment_that_was_cut_has_no_trail_to_lose(tally):
+    frames = fragmented(udp(rtps(data(1, bytes(1000)), data(2, bytes(4000)))), 1480)
+    add(tally, frames, captured=[200, None, None, None])
+    assert (tally.run.unseen_headers, tally.unfollowed_datagrams) == (1, 0)
+
+
+@pytest.mark.parametrize(("cut", "unseen"), [(0, 0), (1, 1)])
+def test_a_header_across_two_fragments_is_seen_if_the_first_was_captured_whole(cut, unseen, tally):
+    # The second submessage begins 12 bytes before the first fragment's end.
+    datagram = udp(rtps(data(1, bytes(1480 - 28 - 24 - 12)), data(2, bytes(2000))))
+    frames = fragmented(datagram, 1480)
+    add(tally, frames, captured=[len(frames[0]) - cut, None, None])
+    assert tally.run.unseen_headers == unseen
+    assert tally.run.classes[WireClass.DATA, Direction.SENT].submessages == 2 - unseen
+
+
+@pytest.mark.parametrize(("seen", "packets"), [(20, 1), (19, 0)])
+def test_a_tcp_header_takes_20_bytes(seen, packets, tally):
+    add(tally, [ipv4(tcp(1, bytes(9)), protocol=6)], captured=[34 + seen])
+    assert sum(one[0] for one in counted(tally).values()) == packets
+
+
+def test_tcp_bytes_are_counted_by_their_numbers_and_anew_after_a_syn(tally):
+    segments = [tcp(1000, bytes(100)), tcp(1050, bytes(100)), tcp(9, flags=0x02), tcp(10, bytes(100))]
+    add(tally, [ipv4(segment, protocol=6) for segment in segments])
+    assert tally.run.tcp_again_bytes == 50
+    assert [(kind, packets) for (kind, _), (packets, *_) in counted(tally).items()] == [
+        (WireClass.TCP_DATA, 2),
+        (WireClass.TCP_DATA_AGAIN, 1),
+        (WireClass.TCP_CONTROL, 1),
+    ]

@@ -21,6 +21,13 @@ def test_half_of_a_segment_may_be_new():
     assert flows.note("f", 1150, 10, ACK) == (WireClass.TCP_DATA, 0)
 
 
+def test_one_byte_may_be_new():
+    flows = TcpFlows()
+    flows.note("f", 1000, 100, ACK)
+    assert flows.note("f", 1001, 100, ACK) == (WireClass.TCP_DATA_AGAIN, 99)
+    assert flows.note("f", 1100, 1, ACK) == (WireClass.TCP_DATA_AGAIN, 1)
+
+
 def test_a_gap_is_new_data():
     flows = TcpFlows()
     flows.note("f", 1000, 100, ACK)
@@ -53,6 +60,13 @@ def test_fields_of_a_tcp_info_drawn_by_hand():
     assert parse_tcp_info(bytes(info), 7500, 40000) == TcpConnection(
         7500, 40000, 7, 9_000, 1_000_000, 90, 80, 1448, 23_000, 1_500, 20_000, 10
     )
+
+
+def test_a_least_round_trip_that_was_never_measured_is_zero():
+    info = bytearray(232)
+    for value, least_us in ((0xFFFFFFFF, 0), (7, 7)):
+        struct.pack_into("=I", info, 148, value)
+        assert parse_tcp_info(bytes(info), 1, 2).rtt_min_us == least_us
 
 
 def test_an_older_kernels_shorter_tcp_info_leaves_zeros():

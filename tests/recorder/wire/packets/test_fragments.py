@@ -1,17 +1,20 @@
 from __future__ import annotations
 
 import pytest
-from wire_packets import PREFIX, data, data_frag, heartbeat, info_ts, rtps, udp
+from wire_packets import PREFIX, data, data_frag, heartbeat, info_ts, rtps, submessage, udp
 
 from dds_trace.recorder.wire.packets import fragments
 from dds_trace.recorder.wire.packets.fragments import FragmentTable, Piece
 from dds_trace.recorder.wire.packets.rtps import DATA_FRAG, HEARTBEAT, walk_submessages
 
+BEFORE = 3000
+"""Bytes of other packets before each fragment."""
+
 
 def pieces(datagram, size):
     for offset in range(size, len(datagram), size):
-        text = datagram[offset : offset + size]
-        yield Piece(offset, memoryview(text), 0, len(text), len(text), is_last=offset + size >= len(datagram))
+        text = bytes(BEFORE) + datagram[offset : offset + size]
+        yield Piece(offset, memoryview(text), BEFORE, len(text), len(text), is_last=offset + size >= len(datagram))
 
 
 def begin(table, datagram, size, key="d"):
@@ -40,6 +43,17 @@ def test_every_header_is_found_wherever_the_datagram_is_cut(size, payload_bytes)
     assert [one[:-1] for one in found] == [one[:-1] for one in expected]
     assert [one.kind for one in found[1:]] == [DATA_FRAG] * 6 + [HEARTBEAT]
     assert table.lost_trails == 0
+
+
+@pytest.mark.parametrize("size", range(80, 2100, 8))
+def test_a_submessage_up_to_the_end_is_found_wherever_it_begins(size):
+    datagram = udp(rtps(data(1, bytes(1900)), heartbeat(1, 1), submessage(0x15, data(2, bytes(90))[4:], 5, length=0)))
+    expected = walk_submessages(memoryview(datagram), 28, len(datagram), len(datagram)).submessages
+    table = FragmentTable()
+    found = begin(table, datagram, size) + [
+        one for piece in pieces(datagram, size) for one in table.continue_with("d", piece)[1]
+    ]
+    assert [one[:3] for one in found] == [one[:3] for one in expected]
 
 
 def test_a_fragment_whose_first_was_not_seen_has_no_owner():

@@ -67,7 +67,31 @@ def test_inline_qos_stands_before_the_payload():
 def test_inline_qos_without_an_end_gives_no_payload():
     head = data_with_inline_qos(1, b"")[4:24]
     (found,), _ = walk(submessage(0x15, head + b"\x71\x00\x08\x00" + bytes(8), 0x07))
-    assert found.payload_at is None
+    assert (found.payload_at, found.sample_bytes) == (None, 0)
+
+
+def test_inline_qos_may_hold_what_looks_like_its_end_and_be_all_there_is():
+    packet = bytearray(data_with_inline_qos(1, b""))
+    packet[28:36] = b"\x01\x00\x00\x00" * 2
+    (found,), _ = walk(bytes(packet))
+    assert (found.payload_at, found.sample_bytes) == (40, 0)
+
+
+@pytest.mark.parametrize(("packet", "place"), [(data_frag(9, 3, b"", 10), 16), (heartbeat(9, 9), 12)])
+def test_other_sequence_numbers_have_more_than_32_bits_too(packet, place):
+    high = packet[:place] + b"\x07\0\0\0" + packet[place + 4 :]
+    (found,), _ = walk(high)
+    assert found.sequence == (7 << 32) + 9
+
+
+def test_fragments_of_one_byte():
+    (found,), _ = walk(data_frag(5, 3, bytes(40), 70, count=40))
+    assert found.fragments == 40
+
+
+def test_padding_may_end_a_packet():
+    found, next_at = walk(heartbeat(1, 1) + submessage(0x01, b""))
+    assert ([one.kind for one in found], next_at) == ([rtps.HEARTBEAT, rtps.PAD], 36)
 
 
 def test_submessages_follow_each_other():
@@ -76,7 +100,7 @@ def test_submessages_follow_each_other():
     assert found[-1].writer == WRITER
 
 
-@pytest.mark.parametrize(("missing", "asks"), [(0, False), (3, True)])
+@pytest.mark.parametrize(("missing", "asks"), [(0, False), (1, True), (3, True)])
 def test_an_acknack_asks_only_if_something_is_missing(missing, asks):
     (found,), _ = walk(acknack(4, missing))
     assert (found.sequence, found.asks) == (4, asks)
@@ -90,6 +114,8 @@ def test_a_nack_frag_asks():
 def test_length_zero_reaches_to_the_end():
     (found,), next_at = walk(submessage(0x15, data(1, bytes(50))[4:], 5, length=0))
     assert (found.wire_bytes, found.sample_bytes, next_at) == (74, 50, 74)
+    (_, later), next_at = walk(info_ts() + submessage(0x15, data(1, bytes(50))[4:], 5, length=0))
+    assert (later.wire_bytes, later.sample_bytes, next_at) == (74, 50, 86)
 
 
 def test_length_zero_of_an_invalidated_time_is_zero():

@@ -5,8 +5,12 @@ Sphinx because it is kept for the long run: Material for MkDocs ends in May 2027
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
+from typing import Any
+
+from docutils import nodes
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "src")]
@@ -19,11 +23,14 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "gener
 root_doc = "index"
 html_theme = "furo"
 html_title = f"dds-trace {version}"
-html_static_path = ["site.css"]
+html_static_path = ["site.css", "search.js"]
 html_css_files = ["site.css"]
+html_js_files = ["search.js"]
 html_copy_source = False
 html_show_copyright = False
-html_show_search_summary = False  # summaries are fetched, which a browser refuses a page of a local folder
+html_show_search_summary = (
+    False  # summaries are fetched, which a browser refuses a page of a local folder; search.js has its own
+)
 
 myst_heading_anchors = 4  # as GitHub links headings
 highlight_language = "none"  # an indented block is a command or output; code says its language
@@ -34,3 +41,27 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 napoleon_google_docstring = True
 napoleon_use_ivar = True
+
+DIARIES = ("results/performance", "results/coverage", "results/loopback/report")
+"""Pages on experiments of our own: linked and found by search, not in the navigation."""
+
+
+def _read(app: Any, doctree: Any) -> None:
+    name = app.env.docname
+    if name in DIARIES:
+        app.env.metadata[name]["orphan"] = True
+    if "Wi-Fi" in doctree.astext():  # which the search takes for two words
+        doctree.insert(0, nodes.meta("", name="keywords", content="wifi, wlan"))
+
+
+def _write_texts(app: Any, error: Exception | None) -> None:
+    if error is None and app.builder.format == "html":
+        texts = {name: " ".join(app.env.get_doctree(name).astext().split()) for name in sorted(app.env.found_docs)}
+        path = Path(app.outdir, "_static", "texts.js")
+        path.write_text(f"const PAGE_TEXTS = {json.dumps(texts)};\n", encoding="utf-8")
+
+
+def setup(app: Any) -> None:
+    """Connect what this site adds."""
+    app.connect("doctree-read", _read)
+    app.connect("build-finished", _write_texts)

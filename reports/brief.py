@@ -147,7 +147,8 @@ def _bars(cases: Sequence[CaseAnswer], labels: Mapping[str, str], place: str) ->
         if len(f"{line}   {end}") < WIDTH and not place:
             return [Text(f"{line}   {end}")]
     width = max(len(name) for _, name in times)
-    rows = [f"  {name:<{width}}  {_bar(ns, longest_ns, BAR):<{BAR}}  {format_duration(ns)}" for ns, name in times]
+    bar = max(1, min(BAR, WIDTH - width - len("        999.9 ms")))
+    rows = [f"  {name:<{width}}  {_bar(ns, longest_ns, bar):<{bar}}  {format_duration(ns)}" for ns, name in times]
     return [Text(f"  median at {where}:", style="dim"), *(Text(row) for row in rows)]
 
 

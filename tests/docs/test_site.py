@@ -60,6 +60,13 @@ def test_no_page_loads_anything_from_the_network(site):
     assert re.findall(r"(?:@import|url\()\s*['\"]?(?:https?:)?//[^)]*", styles) == []
 
 
+def test_diaries_of_experiments_are_not_in_the_navigation(site):
+    text = (site / "index.html").read_text(encoding="utf-8")
+    navigation = text[text.index('class="sidebar-tree"') : text.index("</aside>")]
+    assert "how-to/ci.html" in navigation
+    assert [page for page in ("results/coverage", "results/performance", "loopback/report") if page in navigation] == []
+
+
 def test_every_page_of_the_folder_is_a_page_of_the_site(site):
     pages = {path.relative_to(DOCS).with_suffix(".html") for path in DOCS.rglob("*.md")}
     assert {str(page) for page in pages if not (site / page).is_file()} == set()
@@ -92,5 +99,13 @@ def test_a_reader_searches_it_from_the_folder(site):
         first = tab.locator("#search-results li a").first
         first.wait_for()
         assert "findings" in first.get_attribute("href")
+        tab.locator("input[name=q]").first.fill("wifi")
+        tab.keyboard.press("Enter")
+        excerpt = tab.locator("#search-results li", has=tab.locator("a[href^='tutorials/raspberry-pis']")).locator(
+            ".excerpt"
+        )
+        excerpt.wait_for()
+        assert "Wi-Fi" in excerpt.inner_text()
+        assert "<" not in excerpt.inner_text()
     assert complaints == []
     assert {request for request in requests if not request.startswith(("file:", "data:"))} == set()

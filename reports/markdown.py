@@ -15,6 +15,7 @@ from .book.groups import (
     format_added_ns,
     format_ratio,
     markdown,
+    drift_words,
 )
 from .book.recommendation import COLUMNS
 from .book.sizes import HOW_TO_READ
@@ -268,7 +269,7 @@ def _clocks(book: Book) -> str:
         (
             f"{row['ping_device']} → {row['relay_device']}",
             f"{format_duration(row['offset_ns'])} ± {format_duration(row['bound_ns'])}",
-            f"{row['drift_ppb'] / 1000:+.3g} ± {row['drift_bound_ppb'] / 1000:.2g} ppm",
+            drift_words(row),
             "" if row["step_before_ns"] is None else format_duration(row["step_before_ns"]),
         )
         for row in book.analysis.details.clock_fits.iter_rows(named=True)

@@ -1,4 +1,4 @@
-"""The picture beside the answer: one dot with its interval for each setup, at one message on every device pair or at every size."""
+"""The picture next to the answer: a dot with its interval for each setup, on every device pair or at every size."""
 
 from __future__ import annotations
 

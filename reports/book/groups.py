@@ -15,7 +15,7 @@ from dds_trace.analyzer.model.names import tell_apart, where_it_helps, where_it_
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import MISSING, format_duration, format_rate, format_size, three_digits
+from dds_trace.base.units import MISSING, format_duration, format_number, format_rate, format_size, three_digits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -357,3 +357,9 @@ def _series_order(series: Series) -> tuple[object, ...]:
 def _cell_order(cell: Cell) -> tuple[object, ...]:
     types = [*DATA_TYPES, cell.data_type]
     return (types.index(cell.data_type), cell.data_type, cell.payload_bytes, cell.rate_hz)
+
+
+def drift_words(fit: Mapping[str, Any]) -> str:
+    """Return `+12.5 ± 0.3 ppm`, to a thousandth."""
+    drift, bound = (round(fit[key] / 1000, 3) for key in ("drift_ppb", "drift_bound_ppb"))
+    return f"{'+' if drift > 0 else ''}{format_number(drift)} ± {format_number(max(bound, 0.001))} ppm"

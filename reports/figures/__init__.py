@@ -17,9 +17,11 @@ from . import (
     timeline,
     wire,
 )
-from .figure import Figure, FigureMaker, LeftOut, LineFigure, is_few
+from .figure import Figure, FigureMaker, LeftOut, LineFigure, Scope, is_few
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from ..book.book import Book
 
 FIGURES: list[FigureMaker | LineFigure] = [
@@ -63,3 +65,24 @@ def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | L
             drawn = LeftOut(drawn.name, drawn.title, "so few results are in the first figure, all in one.")
         made.append((maker, drawn))
     return made
+
+
+MOST_OPENED_PANELS = 9
+
+
+def opened_figures(book: Book, drawn: Sequence[tuple[FigureMaker | LineFigure, Figure]]) -> frozenset[str]:
+    """Return the names of the figures that the page opens: the lines over what the campaign varies most, in few panels.
+
+    On one device pair also those that are `opened`; on several these have a panel for each.
+    """
+    options = {key: len(dimension.options) for key, dimension in book.facets.dimensions.items()}
+    over = sorted((("rate", lines.LATENCY_BY_RATE), ("size", lines.LATENCY_BY_SIZE)), key=lambda one: -options[one[0]])
+    wanted = [lines.BY_DEVICE, *(maker for _, maker in over), lines.VENDOR_COMPARISON]
+    best = next((one for one in wanted if 0 < len(one.info(book).panels) <= MOST_OPENED_PANELS), lines.VENDOR_COMPARISON)
+    whole = options["place"] == 1 or is_few(book)
+    return frozenset(
+        figure.name
+        for maker, figure in drawn
+        if maker is best
+        or (isinstance(maker, FigureMaker) and maker.opened and (whole or maker.scope is Scope.CELL))
+    )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.printable import printable
 
-from ..book.groups import STATISTIC_LABELS
+from ..book.groups import STATISTIC_LABELS, drift_words
 from ..book.numbers import whole_ns
 from .figure import Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, plane_facet
 
@@ -116,7 +116,7 @@ def clock_info(book: Book) -> Clock:
         own = own.sort("at_ns").gather_every(step)
         if not own.height:
             continue
-        drift = f"{longest['drift_ppb'] / 1000:+.3g} ± {longest['drift_bound_ppb'] / 1000:.2g} ppm"
+        drift = drift_words(longest)
         first_ns, first_offset_ns = own["at_ns"][0], own["offset_ns"][0]
         pairs.append(
             ClockPair(

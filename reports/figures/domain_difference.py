@@ -58,7 +58,7 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
     """Draw bars side by side."""
     name, title = "domain_difference", "Latency in the same domain against different domains"
     how_to_read = (
-        "Plain bars stay in one domain, hatched bars next to them cross to another through a bridge; bars are over the planned messages: "
+        "Full bars stay in one domain, pale bars next to them cross to another through a bridge; bars are over the planned messages: "
         "a lost message is infinitely late, and a bar that reaches the top lost too many."
     )
     if not info.panels:
@@ -69,4 +69,4 @@ def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "bars", plan, follows=True)
 
 
-FIGURE = FigureMaker(domain_difference_info, domain_difference_figure, few=False)
+FIGURE = FigureMaker(domain_difference_info, domain_difference_figure, opened=False, few=False)

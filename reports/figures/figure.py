@@ -62,7 +62,7 @@ class FigureMaker:
 
     Attributes:
         info: numbers of the figure, from the book.
-        opened: whether the page shows it at once.
+        opened: whether the page shows it at once (`opened_figures`).
         few: whether it says more about a few groups than the chart of dots, which replaces the others then.
     """
 
@@ -223,7 +223,6 @@ class LineFigure:
     shows: Callable[[Book], Test] = lambda _: lambda _: True
     least: int = 1
     settings: Mapping[str, object] = field(default_factory=dict)
-    opened: bool = False
     follows: bool = False
     few: bool = False
     scope: Scope = Scope.CAMPAIGN

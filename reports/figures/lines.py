@@ -46,7 +46,6 @@ LATENCY_BY_RATE = LineFigure(
     drawn=_timed,
     least=2,
     settings={"x_title": "Rate (Hz)"},
-    opened=True,
     follows=True,
 )
 
@@ -64,7 +63,6 @@ LATENCY_BY_SIZE = LineFigure(
     drawn=_timed,
     least=2,
     settings={"x_title": "Message size"},
-    opened=True,
     follows=True,
 )
 

@@ -24,7 +24,7 @@ from ..book.findings import severity_counts, worst_first
 from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
-from ..figures import drawn_figures
+from ..figures import drawn_figures, opened_figures
 from ..figures.figure import ATOMS, MOST_LINES, Figure, LeftOut, Scope
 from .filters import filters_info
 from .packing import json_island, packed, packed_script, policy_hash
@@ -118,6 +118,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         worst=next(iter(worst_first(book.values)), None),
         campaign_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CAMPAIGN],
         cell_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CELL],
+        opened=opened_figures(book, drawn),
         left_out=[figure for _, figure in made if isinstance(figure, LeftOut)],
         environment=book.environment,
         record_tables=book.record_tables,

@@ -1,4 +1,4 @@
-"""Looks of lines and bars: colour shows the vendor; symbol, dash and hatching show the setup."""
+"""Looks of lines and bars: colour shows the vendor; symbol, dash and tint show the setup."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ SYMBOLS = (
     *("triangle-right", "star-diamond", "hexagram", "diamond-wide", "star-triangle-up", "x"),
 )
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
-# A bar crossed out (x) was lost, so no hatching here is x.
-HATCHES = ("", "/", "\\", "-", "|", "+", ".")
+TINTS = (1.0, 0.4, 0.65, 0.2, 0.85, 0.5, 0.3)
+"""Share of the colour in the filling of a bar; its outline has all of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """Colours on a light and a dark page, and plotly.js's names of symbol, dash and hatching."""
+    """Colours on a light and a dark page, and plotly.js's names of symbol and dash, and the tint of bars."""
 
     light: str
     dark: str
     symbol: str
     dash: str
-    hatch: str
+    tint: float
 
 
 def choice_styles(facets: Facets) -> tuple[Style, ...]:
     """Choose a style for each setup.
 
-    The same domain is solid, with its vendor's colour and symbol; a bridge has a dash, a hatching and a symbol per
+    The same domain is solid, with its vendor's colour and symbol; a bridge has a dash, a tint and a symbol per
     vendor, and its vendor's colour unless a vendor has more than two setups and there are colours for all.
     """
     setups = facets.choices
@@ -59,7 +59,7 @@ def choice_styles(facets: Facets) -> tuple[Style, ...]:
     own_colours = {vendors.index(one.vendor) % len(PALETTE) for one in setups}
     most = max(Counter(one.vendor for one in setups).values(), default=0)
     is_crowded = most > 2 and len(setups) <= len(PALETTE)
-    used: set[tuple[str, ...]] = set()
+    used: set[tuple[object, ...]] = set()
     used_symbols: set[str] = set()
     used_colours: set[int] = set()
     styles: dict[int, Style] = {}
@@ -73,7 +73,7 @@ def choice_styles(facets: Facets) -> tuple[Style, ...]:
             colour = min(free_colours - own_colours or free_colours)
         used_colours.add(colour)
         colours, own = PALETTE[colour], SYMBOLS[vendor % len(SYMBOLS)]
-        line = (DASHES[way % len(DASHES)], HATCHES[way % len(HATCHES)])
+        line = (DASHES[way % len(DASHES)], TINTS[way % len(TINTS)])
         preferred = [own, *SYMBOLS[len(VENDORS) :], *SYMBOLS]
         free = [symbol for symbol in preferred if symbol not in used_symbols]
         free += [symbol for symbol in preferred if (*colours, symbol, *line) not in used]
@@ -91,7 +91,7 @@ def option_styles(count: int) -> tuple[Style, ...]:
             *PALETTE[index % len(PALETTE)],
             SYMBOLS[index % len(SYMBOLS)],
             DASHES[index // len(PALETTE) % len(DASHES)],
-            HATCHES[index % len(HATCHES)],
+            TINTS[index % len(TINTS)],
         )
         for index in range(count)
     )

@@ -204,7 +204,8 @@ def labelled_medians(report, kind, book):
         if cell is not None
     }
     found[book.sizes.caption.partition(" at ")[0]] = typical
-    assert book.sizes.caption in report, kind
+    caption = f"Median latency of {book.sizes.whose} in ms" if kind == "html" else book.sizes.caption
+    assert caption in report, kind
     times = book.values.times_ns["latency"]["p50"]
     pooled = {}
     for group in book.groups.in_order:

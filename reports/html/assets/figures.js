@@ -153,8 +153,8 @@ class FigureBlock {
     const more = this.drawn.panels > this.drawn.shown ? [this.moreButton()] : [];
     if (this.drawn.parts)
       return [
-        ...this.drawn.parts.map(({ name, color, hatched }) =>
-          element("span", {}, swatch({ color, bar: true, hatch: hatched ? "/" : "" }), name),
+        ...this.drawn.parts.map(({ name, color, tint }) =>
+          element("span", {}, swatch({ color, bar: true, tint }), name),
         ),
         ...more,
       ];
@@ -246,17 +246,8 @@ const SYMBOL_PATHS = {
   x: "M-5-3L-3-5L0-2L3-5L5-3L2 0L5 3L3 5L0 2L-3 5L-5 3L-2 0Z",
 };
 const DASH_ARRAYS = { solid: "", dash: "6 4", dot: "2 3", dashdot: "6 3 2 3", longdash: "9 4", longdashdot: "9 3 2 3" };
-const HATCH_PATHS = {
-  "/": "M-9 0L-3-6M-9 6L3-6M-3 6L9-6M3 6L9 0",
-  "\\": "M9 0L3-6M9 6L-3-6M3 6L-9-6M-3 6L-9 0",
-  "-": "M-9-2H9M-9 2H9",
-  "|": "M-5-6V6M0-6V6M5-6V6",
-  "+": "M-9-2H9M-9 2H9M-5-6V6M0-6V6M5-6V6",
-  ".": "M-6-2h1M0-2h1M6-2h1M-3 2h1M3 2h1",
-};
-
-/** The small picture in a legend: line and symbol (drawn by plotly's own rule), or a plain or hatched bar. */
-function swatch({ color, symbol, dash, hatch = "", bar = false }) {
+/** The small picture in a legend: line and symbol (drawn by plotly's own rule), or a bar. */
+function swatch({ color, symbol, dash, tint = 1, bar = false }) {
   const draw = (tag, attributes) => {
     const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
     for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -270,12 +261,11 @@ function swatch({ color, symbol, dash, hatch = "", bar = false }) {
         y: -6,
         width: 18,
         height: 12,
-        fill: hatch ? "none" : color,
+        fill: tinted(color, tint),
         stroke: color,
         "stroke-width": 1.2,
       }),
     );
-    if (hatch) picture.append(draw("path", { d: HATCH_PATHS[hatch], stroke: color, "stroke-width": 1.4 }));
     return picture;
   }
   picture.append(

@@ -75,7 +75,8 @@ function groupSentence(group) {
       (key) => `${DATA.statistics.find((one) => one.key === key).label} ${formatNs(times[view.metric][key][group])}`,
     );
   const measured = said.join(", ") || "no time was measured";
-  return `${sampleHover(group)} in ${counted(values.runs[group], "run")}. ${labelOf("metric")} of all messages: ${measured}.`;
+  const runs = counted(values.runs[group], "run");
+  return `${sampleHover(group)} in ${runs}. ${labelOf("metric")} of all messages: ${measured}.`;
 }
 
 /** Draws a figure of the page as if only this group had passed the filters. */

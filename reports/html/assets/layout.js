@@ -17,6 +17,13 @@ function theme() {
   };
 }
 
+/** A colour mixed with the page's ground; 1 is the colour. */
+function tinted(color, share = 1) {
+  const parts = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
+  const ground = parts(theme().ground);
+  return `rgb(${parts(color).map((part, at) => Math.round(share * part + (1 - share) * ground[at]))})`;
+}
+
 function axisStyle(colors) {
   return {
     gridcolor: colors.grid,

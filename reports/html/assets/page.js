@@ -64,10 +64,7 @@ function filterMenu(filter) {
     fieldset.append(element("label", {}, box, option.label));
   });
   details.append(summary, fieldset);
-  details.addEventListener("toggle", () => {
-    if (!details.open) return;
-    for (const other of document.querySelectorAll(".filter[open]")) if (other !== details) other.open = false;
-  });
+  details.addEventListener("toggle", () => closeOthers(details));
   return details;
 }
 
@@ -92,6 +89,26 @@ function selector(name, label) {
   return element("label", {}, label, select);
 }
 
+const MOST_MENUS = 5; // in the row; the others are in its last menu
+const FIRST_MENUS = ["vendor", "bridge", "data", "size", "rate", "device", "link"];
+
+/** A menu of what is rarely chosen. */
+function moreMenu(parts) {
+  const details = element(
+    "details",
+    { class: "filter", id: "more" },
+    element("summary", {}, "More"),
+    element("fieldset", {}, element("legend", { class: "unseen" }, "More choices"), ...parts),
+  );
+  details.addEventListener("toggle", () => closeOthers(details));
+  return details;
+}
+
+function closeOthers(details) {
+  if (!details.open) return;
+  for (const other of document.querySelectorAll(".filter[open]")) if (!other.contains(details)) other.open = false;
+}
+
 function buildFilters() {
   const form = document.getElementById("filters");
   const reset = element("button", { type: "button", class: "quiet", id: "reset" }, "Show all");
@@ -100,29 +117,35 @@ function buildFilters() {
       view.chosen = {};
     }),
   );
+  const first = FIRST_MENUS.flatMap((key) => DATA.filters.filter((filter) => filter.key === key)).slice(0, MOST_MENUS);
+  const others = DATA.filters.filter((filter) => !first.includes(filter));
   form.append(
-    ...DATA.filters.map(filterMenu),
+    ...first.map(filterMenu),
     selector("metric", "Metric"),
     selector("statistic", "Statistic"),
-    selector("scale", "Scale"),
+    moreMenu([
+      ...others.map(filterMenu),
+      selector("scale", "Scale"),
+      selector("panels", "Panels by"),
+      selector("lines", "Lines by"),
+      selector("bars", "Bars over"),
+    ]),
     reset,
     element("span", { class: "count", role: "status" }),
+    element("span", { class: "note", id: "of-all", hidden: "" }, "The answer and its table are of all results."),
   );
   const spreading = element("p", { class: "choice", id: "spreading" });
   const paper = element("button", { type: "button", class: "quiet", id: "paper" }, "The paper's figures");
-  paper.addEventListener("click", () =>
+  paper.addEventListener("click", () => {
+    const on = isPaper();
     change(() => {
-      const on = isPaper();
       for (const [name, key] of Object.entries(PAPER))
         view[name] = on || !CHOICES[name].some((choice) => choice.key === key) ? CHOICES[name][0].key : key;
-    }),
-  );
-  spreading.append(
-    selector("panels", "Panels by "),
-    selector("lines", "Lines by "),
-    selector("bars", "Bars over "),
-    paper,
-  );
+    });
+    if (on) return;
+    for (const block of blocks) if (PAPER_FIGURES.includes(block.name)) block.fold.open = true;
+  });
+  spreading.append(paper);
   document.getElementById("figures-title").after(spreading);
   // What the tiles of the heatmap show is selected above it.
   document
@@ -166,6 +189,10 @@ function showFilters() {
     const select = document.getElementById(`choose-${name}`);
     if (select) select.value = view[name];
   }
+  const choosesMore = ["scale", "panels", "lines", "bars"].some((name) => view[name] !== CHOICES[name][0].key);
+  const more = document.getElementById("more");
+  more.classList.toggle("active", choosesMore || Boolean(more.querySelector(".filter.active")));
+  document.getElementById("of-all").hidden = Object.keys(view.chosen).length === 0;
   document.getElementById("reset").hidden = Object.keys(view.chosen).length === 0;
   const passing = passingGroups().length;
   document.querySelector(".count").textContent =

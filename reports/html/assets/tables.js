@@ -105,7 +105,7 @@ const WIDTHS = new Map(); // text, its digits as zeros -> px in a table
 /** An element without height that is as wide as the widest text; digits are of one width in tables. */
 function roomFor(texts) {
   const size = parseFloat(getComputedStyle(document.documentElement).fontSize);
-  RULER.font = `${0.85 * size}px ${getComputedStyle(document.body).fontFamily}`;
+  RULER.font = `${0.875 * size}px ${getComputedStyle(document.body).fontFamily}`;
   let most = 0;
   for (const text of texts) {
     const pattern = text.replace(/\d/g, "0");

@@ -2,6 +2,8 @@
 // Numbers for people, by the same rules as reports/book/groups.py (a test compares the two).
 const MISSING = "-";
 const TIME_UNITS = [
+  [86400e9, "d"],
+  [3600e9, "h"],
   [1e9, "s"],
   [1e6, "ms"],
   [1e3, "µs"],

@@ -38,6 +38,7 @@ function dimensionChoices(keys) {
     .map((key) => ({ key, label: DATA.dimensions[key].label }));
 }
 
+const PAPER_FIGURES = ["latency_by_rate", "domain_difference"];
 /**
  * The paper's figures: a panel for each middleware, bridge and device with a line per size; bars of both domains over
  * sizes.

@@ -24,8 +24,8 @@ INFINITE_NS = (2**31 - 1) * SECOND_NS
 
 UNIT_HZ = {"": 1, "hz": 1, "khz": 1000}
 
-_SHOWN_NS = {"s": SECOND_NS, "ms": 1_000_000, "µs": 1_000, "ns": 1}
-_READ_NS = UNIT_NS | _SHOWN_NS
+_READ_NS = UNIT_NS | {"µs": 1_000}
+_SHOWN_NS = {"d": 86_400 * SECOND_NS, "h": 3_600 * SECOND_NS, "s": SECOND_NS, "ms": 1_000_000, "µs": 1_000, "ns": 1}
 _DECIMAL_BYTES = {"GB": 10**9, "MB": 10**6, "KB": 10**3, "B": 1}
 _BINARY_BYTES = {"GiB": 2**30, "MiB": 2**20, "KiB": 2**10}
 UNIT_BYTES = {"": 1} | {unit.lower(): size for unit, size in (_DECIMAL_BYTES | _BINARY_BYTES).items()}

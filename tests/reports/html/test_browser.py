@@ -443,6 +443,7 @@ def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(read_with, tmp
 def test_pictures_have_the_widths_of_print_on_white_in_any_theme(read_with, pages):
     one = read_with(color_scheme="dark")
     tab = one.open(pages("small campaign"))
+    tab.evaluate("for (const block of blocks) block.fold.open = true")
     for width, mm in (("column", 84), ("page", 174)):
         tab.locator("#save-width").select_option(width)
         for panel in (0, 2):

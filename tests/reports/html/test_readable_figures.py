@@ -44,7 +44,7 @@ def test_no_panel_has_more_lines_than_seven_and_each_looks_like_no_other(reader,
             assert len(set(told)) == len(told), (where, lines)
             assert max(map(len, lines.values())) <= LOOKS_A_LINE.get(where[0], 1), (where, lines)
         legends = tab.evaluate(
-            "blocks.filter(b => b.drawn.legend).map(b => b.drawn.legend.options.map(o => { const l = lookOf(b.drawn.legend.dimension, o); return [l.color, l.symbol, l.dash, l.hatch].join(); }))"
+            "blocks.filter(b => b.drawn.legend).map(b => b.drawn.legend.options.map(o => { const l = lookOf(b.drawn.legend.dimension, o); return [l.color, l.symbol, l.dash, l.tint].join(); }))"
         )
         assert all(len(set(options)) == len(options) for options in legends)
     assert reader.complaints == []
@@ -68,6 +68,7 @@ def test_the_page_spreads_groups_as_python_does(reader, pages):
         *(f"{size}, laptop-a → laptop-b, wired" for size in ("33 KB", "145 KB", "1 MB", "4 MB")),
         "33 KB, laptop-a → laptop-b, wireless",
     ]
+    tab.locator("#more > summary").click()
     tab.locator("#choose-panels").select_option("device")
     tab.locator("#choose-lines").select_option("link")
     assert shown("latency_by_rate") == told(LATENCY_BY_RATE.info(book, panels="device", lines="link"))
@@ -117,6 +118,7 @@ def test_losses_are_seen_on_marks_bars_and_curves(reader, pages):
 def test_a_legend_switches_a_line_off_and_shows_one_alone(reader, pages):
     tab = reader.open(pages("lossy machine"))
     traces = "blocks.find(b => b.name === 'latency_by_rate').drawn.data.map(t => t.meta)"
+    tab.locator("#figure-latency_by_rate .fold").evaluate("fold => { fold.open = true; }")
     reader.draw_all()
     button = tab.locator("#figure-latency_by_rate .legend button").nth(1)
     line = button.get_attribute("data-line")
@@ -138,7 +140,7 @@ def test_axes_and_titles_say_what_they_show(reader, pages):
     tab.locator("#choose-statistic").select_option("max")
     tab.evaluate("for (const block of blocks) block.plan()")
     block = "blocks.find(b => b.name === 'latency_by_rate')"
-    assert tab.evaluate(f"{block}.title()") == "Round trip against frequency, maximum"
+    assert tab.evaluate(f"{block}.title()") == "Round trip against frequency, maximum of all messages"
     assert tab.evaluate(f"{block}.fileName()") == "dds-trace-by-rate-rtt-max"
     ticks = tab.evaluate(f"{block}.drawn.layout.yaxis.ticktext")
     assert ticks
@@ -181,3 +183,31 @@ def test_a_page_of_126_groups_is_no_longer_than_it_has_to_be(read_with, pages, w
     tab.evaluate("showGroups()")
     assert tab.evaluate("document.documentElement.scrollHeight") <= most
     assert tab.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize(
+    ("name", "opened"), [("study", "vendor_comparison"), ("lossy machine", "latency_by_size"), ("demo", "dots")]
+)
+def test_the_figure_of_what_the_campaign_varies_is_open_and_few_panels_are(reader, pages, name, opened):
+    tab = reader.open(pages(name))
+    open_ones = tab.evaluate(
+        "blocks.filter(b => b.fold.open && b.article.closest('#figures')).map(b => (b.plan(), [b.name, b.drawn.panels]))"
+    )
+    assert opened in dict(open_ones)
+    assert not {"latency_by_rate", "latency_by_size", "vendor_comparison"} & dict(open_ones).keys() - {opened}
+    assert max(dict(open_ones).values()) <= 9
+
+
+def test_controls_are_one_row_and_a_filter_says_what_it_leaves_as_it_is(reader, pages):
+    tab = reader.open(pages("study"))
+    tops = tab.evaluate(
+        "[...document.getElementById('filters').children].filter(e => e.checkVisibility()).map(e => e.getBoundingClientRect().top)"
+    )
+    assert max(tops) - min(tops) < 12
+    assert not tab.locator("#of-all").is_visible()
+    tab.locator("#more > summary").click()
+    tab.locator("#more [data-filter=link] summary").click()
+    tab.get_by_label("wired", exact=True).check()
+    assert tab.locator("#of-all").is_visible()
+    assert tab.locator(".count").inner_text() == "192 of 384 results"
+    assert "active" in tab.locator("#more").get_attribute("class")

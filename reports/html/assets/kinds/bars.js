@@ -59,7 +59,6 @@ KINDS.bars = function bars(plan, width, all) {
       traces: panel.lines.map((line) => {
         const look = lookOf(facet.lines, line.option);
         const lost = line.points.map((point) => point.value === Infinity);
-        const hatch = lost.map((is) => (is ? "x" : look.hatch));
         return {
           type: "bar",
           name: plain(look.label),
@@ -93,10 +92,16 @@ KINDS.bars = function bars(plan, width, all) {
             ),
           ),
           marker: {
-            color: look.color,
+            color: tinted(look.color, look.tint),
             opacity: lost.map((is) => (is ? 0.35 : 1)),
             line: { color: look.color, width: 1 },
-            pattern: { shape: hatch, fgcolor: look.color, bgcolor: theme().ground, size: 6, solidity: 0.45 },
+            pattern: {
+              shape: lost.map((is) => (is ? "x" : "")),
+              fgcolor: look.color,
+              bgcolor: theme().ground,
+              size: 6,
+              solidity: 0.45,
+            },
           },
         };
       }),
@@ -134,7 +139,6 @@ KINDS.bars = function bars(plan, width, all) {
     ...drawn,
     legend: found.legend,
     missing: found.missing,
-    hatched: true,
     foot: found.points.some((point) => point.value === Infinity)
       ? "A crossed-out bar to the top lost so many messages that this percentile is a lost message."
       : "",

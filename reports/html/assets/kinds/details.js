@@ -12,16 +12,16 @@ function offsetAxis(pair) {
 }
 
 const WAYS = ["Way out", "Way back"];
-// Colour and filling of each part: one hue a way, deliveries hatched.
+// Colour and filling of each part: one hue a way, deliveries in a tint of it.
 const PART_LOOKS = {
   waiting_ns: [0],
   outbound_ns: [1],
   outbound_transport_ns: [1],
-  relay_delivery_ns: [1, "/"],
+  relay_delivery_ns: [1, 0.3],
   relay_ns: [2],
   return_ns: [3],
   return_transport_ns: [3],
-  ping_delivery_ns: [3, "/"],
+  ping_delivery_ns: [3, 0.3],
 };
 
 /**
@@ -37,8 +37,8 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
       weight: points.length,
       share: "all",
       traces: names.map((name) => {
-        const color = colors.parts[looks[name][0]],
-          hatch = looks[name][1];
+        const [part, tint = 1] = looks[name];
+        const color = colors.parts[part];
         return {
           type: "bar",
           name: plan.names[name],
@@ -46,10 +46,9 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
           x: points.map((_, place) => place),
           y: points.map((point) => valueOf(point.group, name)),
           marker: {
-            color,
+            color: tinted(color, tint),
             opacity: points.map((point) => (isLossy(point.group) ? 0.5 : 1)),
-            line: { color: hatch ? color : colors.ground, width: 1 },
-            pattern: hatch ? { shape: hatch, fgcolor: color, bgcolor: colors.ground, size: 5, solidity: 0.4 } : {},
+            line: { color: tint < 1 ? color : colors.ground, width: 1 },
           },
           hoverinfo: "text",
           hovertext: points.map((point) => hover(point)),
@@ -75,7 +74,7 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
     parts: names.map((name) => ({
       name: plan.names[name],
       color: colors.parts[looks[name][0]],
-      hatched: Boolean(looks[name][1]),
+      tint: looks[name][1],
     })),
     missing: found.missing,
     foot: `${CELL_FOOT}${lossy}`,

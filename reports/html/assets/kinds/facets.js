@@ -3,7 +3,7 @@
 // numbers as a table.
 // {data, layout}   for plotly; no data where nothing passes the filters. A trace's `meta` is the line that it belongs
 // to
-//   legend           {dimension, options} of what is drawn, or parts [{name, color, hatched}]
+//   legend           {dimension, options} of what is drawn, or parts [{name, color, tint}]
 //   columns, rows    the table; a column is {label, unit?, format?}; numbers in rows are raw
 //   missing          groups that pass but have no such value
 //   foot             what a reader has to know besides

@@ -1,8 +1,8 @@
 "use strict";
 // Figures about the wire.
 
-// Colour and filling of each part of a message's cost; only what is left over is hatched.
-const WIRE_LOOKS = { data: [1], again: [0], control: [2], discovery: [3], other: [3, "/"] };
+// Colour and filling of each part of a message's cost; only what is left over is in a tint.
+const WIRE_LOOKS = { data: [1], again: [0], control: [2], discovery: [3], other: [3, 0.3] };
 
 Object.assign(KINDS, {
   wire_cost(plan, width, all) {

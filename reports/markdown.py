@@ -12,10 +12,10 @@ from .book.groups import (
     METRIC_LABELS,
     STATISTIC_LABELS,
     data_type_label,
+    drift_words,
     format_added_ns,
     format_ratio,
     markdown,
-    drift_words,
 )
 from .book.recommendation import COLUMNS
 from .book.sizes import HOW_TO_READ

@@ -78,11 +78,12 @@ def opened_figures(book: Book, drawn: Sequence[tuple[FigureMaker | LineFigure, F
     options = {key: len(dimension.options) for key, dimension in book.facets.dimensions.items()}
     over = sorted((("rate", lines.LATENCY_BY_RATE), ("size", lines.LATENCY_BY_SIZE)), key=lambda one: -options[one[0]])
     wanted = [lines.BY_DEVICE, *(maker for _, maker in over), lines.VENDOR_COMPARISON]
-    best = next((one for one in wanted if 0 < len(one.info(book).panels) <= MOST_OPENED_PANELS), lines.VENDOR_COMPARISON)
+    best = next(
+        (one for one in wanted if 0 < len(one.info(book).panels) <= MOST_OPENED_PANELS), lines.VENDOR_COMPARISON
+    )
     whole = options["place"] == 1 or is_few(book)
     return frozenset(
         figure.name
         for maker, figure in drawn
-        if maker is best
-        or (isinstance(maker, FigureMaker) and maker.opened and (whole or maker.scope is Scope.CELL))
+        if maker is best or (isinstance(maker, FigureMaker) and maker.opened and (whole or maker.scope is Scope.CELL))
     )

@@ -13,7 +13,7 @@ from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Mapping
     from pathlib import Path
 
     from dds_trace.analyzer.verdicts.false_alarms import FalseAlarms
@@ -101,7 +101,8 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
     )
     sides = {"base": done.base, "new": done.new}
     missing = {side: outcome.missing for side, outcome in sides.items()}
-    alarms = _false_alarms(done) if other.is_same else None
+    is_recorded = all(len(outcome.missing) < outcome.cells for outcome in sides.values())
+    alarms = _false_alarms(done) if other.is_same and is_recorded else None
     if as_json:
         result: dict[str, object] = {side: str(outcome.folder) for side, outcome in sides.items()}
         result |= {"cells": done.base.cells + done.new.cells, "missing": missing}
@@ -124,9 +125,15 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
         if alarms is not None:
             print(_in_words(alarms))
     for side, reasons in missing.items():
-        for name, reason in reasons.items():
-            say(f"{side} {name}: {reason}")
+        say_missing(reasons, f"{side} ")
     return INCOMPLETE_EXIT_CODE if any(missing.values()) else 0
+
+
+def say_missing(missing: Mapping[str, str], side: str = "") -> None:
+    """Print what has no recording, in a line for each reason."""
+    for reason in dict.fromkeys(missing.values()):
+        first, *more = [name for name, own in missing.items() if own == reason]
+        say(f"{side}{first}{f' and {len(more)} more' if more else ''}: {reason}")
 
 
 def _name(base: Plan, other: NewSide) -> str:

@@ -14,7 +14,7 @@ import typer
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.streams import plain_console, say
+from dds_trace.base.streams import plain_console
 from dds_trace.base.units import counted
 
 from ..program import run_program
@@ -153,6 +153,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, run_sweep
 
+    from .against import say_missing
     from .dry_run import relay_commands
 
     console = plain_console(stderr=True)
@@ -172,8 +173,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
     else:
         print(f"Wrote {done.folder}")
         print(f"{complete} of {counted(done.cells, 'recording is', 'recordings are')} complete")
-    for name, reason in done.missing.items():
-        say(f"{name}: {reason}")
+    say_missing(done.missing)
     for name, width in done.too_wide.items():
         assert until is not None
         precision = f"known to +-{width:.1f} %" if math.isfinite(width) else "without a two-sided interval"

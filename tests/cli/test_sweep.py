@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from processes import counts_in
@@ -187,6 +188,25 @@ def test_exit_codes_tell_complete_from_incomplete(call, plan, monkeypatch, tmp_p
     monkeypatch.setattr(dds_trace.recorder.sweep.sweep, "run_sweep", lambda *_arguments, **_options: outcomes.pop(0))
     assert call(plan) == (0, f"Wrote {tmp_path}\n3 of 3 recordings are complete\n", "")
     assert call(plan) == (10, f"Wrote {tmp_path}\n2 of 3 recordings are complete\n", "a: no echo\n")
+
+
+@pytest.mark.parametrize("more", [[], ["--against", "SAME", "--json"]])
+def test_a_missing_middleware_is_one_line_and_no_recording_starts(call, tmp_path, monkeypatch, more):
+    import dds_trace.recorder.sweep.sweep
+
+    absent = SimpleNamespace(label="Zenoh", install="pip install zenoh", find_installed=list)
+    monkeypatch.setattr(dds_trace.recorder.sweep.sweep, "load_backend", lambda _: absent)
+    path = tmp_path / "absent.toml"
+    path.write_text('[axes]\nbackend = "zenoh"\nrate = [10, 20, 30, 40]\n')
+    code, out, err = call(path, "--out", tmp_path / "runs", *more)
+    lines = err.splitlines()
+    sides = 2 if more else 1
+    assert code == 10
+    assert [line.rpartition("; ")[2] for line in lines[:sides]] == ["4 recordings are left out"] * sides
+    assert len(lines) == 2 * sides
+    assert all("and 3 more: Zenoh" in line for line in lines[sides:])
+    assert "0 of 4" in out or json.loads(out)["cells"] == 8
+    assert not list((tmp_path / "runs").rglob("*.mcap"))
 
 
 def test_interruption_has_the_shells_exit_code_and_says_how_to_go_on(call, plan, monkeypatch):

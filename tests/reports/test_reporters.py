@@ -81,7 +81,7 @@ def test_the_answer_has_a_line_for_each_proven_fact_and_bars_of_the_medians():
     assert 1 <= short < long == INLINE_BAR
     assert bars.endswith("1 MB at 10 Hz")
     lossy = next(line for line in lines if line.startswith("✗"))
-    assert "0.026 % of the messages were lost" in lossy
+    assert "were lost" in lossy
 
 
 def test_a_deadline_has_a_mark_for_each_setup():

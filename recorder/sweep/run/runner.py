@@ -10,7 +10,9 @@ from __future__ import annotations
 import contextlib
 import itertools
 import time
+from collections import Counter
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, TraceError, TraceFormatError
@@ -108,10 +110,18 @@ class GroupRelay:
 
 
 class Runner:
-    """One sweep in its locked folder."""
+    """One sweep in its locked folder; cells that are `missing` a middleware (with the reason) are not started."""
 
-    def __init__(self, plan: Plan, folder: Path, station: Station, progress: SweepProgress) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        folder: Path,
+        station: Station,
+        progress: SweepProgress,
+        missing: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self.plan = plan
+        self._missing = missing
         self.folder = folder
         self._parts = make_parts(folder)
         self._station = station
@@ -119,10 +129,19 @@ class Runner:
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
         self._estimate = Estimate(plan)
 
+    def _leave_out(self) -> None:
+        """Mark cells without a middleware as failed, in one line a reason."""
+        waiting = {name: reason for name, reason in self._missing.items() if not self.state[name].done}
+        for name, reason in waiting.items():
+            self.state[name] = replace(self.state[name], status=Status.FAILED, reason=reason)
+        for reason, count in Counter(waiting.values()).items():
+            self._progress.note(f"{reason}; {counted(count, 'recording is', 'recordings are')} left out")
+
     def run(self, groups: list[CellGroup]) -> None:
         """Run every incomplete cell."""
         cells = [cell for group in groups for cell in group.cells]
         self.resume()
+        self._leave_out()
         done = sum(self.state[cell.name].done for cell in cells)
         self.state.planned = len(cells)
         self._progress.begin(len(cells), done)
@@ -137,6 +156,7 @@ class Runner:
     def prepare(self) -> None:
         """Resume, and check that relays can start."""
         self.resume()
+        self._leave_out()
         self._prepare_device()
 
     def _prepare_device(self) -> None:
@@ -160,7 +180,7 @@ class Runner:
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
         """Run the incomplete cells of a group; the time left counts `all_cells`."""
-        waiting = [cell for cell in group.cells if not self.state[cell.name].done]
+        waiting = [cell for cell in group.cells if not (self.state[cell.name].done or cell.name in self._missing)]
         if not waiting:
             return
         with self.relay(group) as relay:

@@ -85,7 +85,7 @@ def parse_duration(text: str, what: str = "duration") -> int:
 
 def format_duration(value_ns: float | None, unit: str | None = None) -> str:
     """Write a duration to three digits: `812 ns`, `1.25 ms`; in `unit` of `UNIT_NS` if given."""
-    return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit: UNIT_NS[unit]})
+    return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit.replace("us", "µs"): UNIT_NS[unit]})
 
 
 def spell_duration(duration_ns: int, digits: int = 15) -> str:

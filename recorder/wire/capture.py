@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.wire import MessageRows
 
 LOOPBACK = "lo"
-_SIOCGIFFLAGS, _IFF_UP = 0x8913, 0x1
+_SIOCGIFFLAGS = 0x8913
+_IFF_UP = 0x1
 _SYSTEM = Path("/sys/class/net")
 
 

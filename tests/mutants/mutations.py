@@ -8,7 +8,8 @@ What is left out, each by a rule, because no test of behaviour could tell the tw
 - `assert`, and `strict=` of `zip`: they guard against our own mistakes and change nothing for a caller who makes none;
 - `copy=`, `maxsize=`, `stacklevel=`, `daemon=` and `buffering=`: what they change is speed, or the line that a warning names;
 - module constants whose names say that they bound work, not results (`_AT_ONCE`, `_BLOCK_MESSAGES` and the like,
-  `WORK_BOUNDS`): tests of blocks give each of them other sizes and find the same results.
+  `WORK_BOUNDS`): tests of blocks give each of them other sizes and find the same results;
+- numbers of requests to the kernel (`KERNEL_REQUESTS`).
 """
 
 from __future__ import annotations
@@ -49,6 +50,8 @@ OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
 UNTOLD_KEYWORDS = frozenset(
     {"strict", "copy", "maxsize", "stacklevel", "daemon", "buffering", "contravariant", "covariant"}
 )
+KERNEL_REQUESTS = ("SIOC", "TUNSET")
+"""Numbers of requests to the kernel; the next one may change the machine: 0x8914 sets the flags of an interface, so took it down."""
 WORK_BOUNDS = ("AT_ONCE", "_BATCH", "CHUNK_ROWS", "CACHE", "BUFFER", "_BLOCK")
 """Ends and parts of the names of constants that say how much is done at a time; results do not depend on them."""
 
@@ -115,12 +118,12 @@ def _is_left_out(node: ast.AST) -> bool:
         return isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
     if isinstance(node, ast.Assign | ast.AnnAssign):
         targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-        return any(isinstance(each, ast.Name) and _bounds_work(each.id) for each in targets)
+        return any(isinstance(each, ast.Name) and _is_left_as_it_is(each.id) for each in targets)
     return False
 
 
-def _bounds_work(name: str) -> bool:
-    return name.isupper() and any(part in name for part in WORK_BOUNDS)
+def _is_left_as_it_is(name: str) -> bool:
+    return name.isupper() and any(part in name for part in (*WORK_BOUNDS, *KERNEL_REQUESTS))
 
 
 def _edits_of(owner: object, name: object, node: ast.AST) -> Iterator[tuple[int, str, Callable[[bool], None]]]:

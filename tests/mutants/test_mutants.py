@@ -35,6 +35,9 @@ def first(values: list[int], step: int = 1):
     if not values:
         raise ValueError(f"{len(values) + 1}" + "5")
     return [each for each, other in zip(values, values, strict=True) if each < 2 and other != -6][::step]
+
+
+_SIOCGIFFLAGS = 0x8913
 '''
 
 

@@ -40,6 +40,8 @@ function axisStyle(colors) {
 const isNarrow = (width) => width < 600;
 
 const MOST_PANELS = 24; // of one figure, until the reader asks for all
+const LABELLED = "labelled"; // a value of `all`: every panel, in a grid whose rows and columns are labelled once
+const PAGE_HEIGHT = 800; // px of a labelled grid, which with title and legend is on a page
 const END_STEP = 13; // px between two labels at line ends
 
 /**
@@ -54,6 +56,7 @@ function gridOf(
 ) {
   const colors = theme();
   const shown = all ? panels : panels.slice(0, MOST_PANELS);
+  const grid = all === LABELLED && panels.length > 1 && panels.every((panel) => panel.labels) ? labelledGrid(panels) : null;
   const inner = Math.max(160, width - left - right);
   const wideBy = (gap) => {
     const fits = Math.max(1, Math.min(shown.length, Math.floor((inner + gap) / (minWidth + gap))));
@@ -70,18 +73,26 @@ function gridOf(
   // axes are
   // shared at all: on a log axis all panels do, on a linear one those of a row, and the figure would change its height
   // with the scale.
-  const close = wideBy(16);
-  const gapX = shown.every((_, place) => place % close === 0 || shared(close, place)) ? 16 : 58;
-  const wide = shown.every((panel) => panel.share !== undefined) ? close : wideBy(gapX);
-  const shares = (place) => shared(wide, place);
+  const close = grid ? grid.columns.length : wideBy(16);
+  const gapX = grid ? grid.gap : shown.every((_, place) => place % close === 0 || shared(close, place)) ? 16 : 58;
+  const wide = grid || shown.every((panel) => panel.share !== undefined) ? close : wideBy(gapX);
+  const shares = (place) => (grid ? grid.shares[place] : shared(wide, place));
+  const spots = shown.map((_, place) => grid?.spots[place] || { row: Math.floor(place / wide), column: place % wide });
   const panelWidth = (inner - (wide - 1) * gapX) / wide;
-  const gapTop = 26;
+  const heads = (grid?.columns || []).map((label) => wrapped(label, panelWidth / 7.4));
+  const named = yTitle ? 20 : 0;
+  const head = grid ? named + 6 + 15 * Math.max(...heads.map((lines) => lines.length)) : 0;
+  const gapTop = grid ? (grid.rows.some(Boolean) ? 22 : 8) : 26;
+  const rowCount = grid ? grid.rows.length : Math.ceil(shown.length / wide);
+  const room = (PAGE_HEIGHT - head) / rowCount - gapTop - below + (below > 40 ? 16 : 0);
+  const most = grid || (all === LABELLED && room > 90) ? Math.max(48, room) : Infinity;
   const heights = []; // of the plots in each row, px
   shown.forEach((panel, place) => {
-    const row = Math.floor(place / wide);
-    heights[row] = Math.max(heights[row] || 0, panel.height || Math.round((isNarrow(width) ? 0.8 : 1) * height));
+    const { row } = spots[place];
+    const own = panel.height || Math.round((isNarrow(width) ? 0.8 : 1) * height);
+    heights[row] = Math.floor(Math.min(most, Math.max(heights[row] || 0, own)));
   });
-  const starts = [0]; // of each row, px from the top
+  const starts = [head]; // of each row, px from the top
   const titled = 16; // px that the title of an axis takes; only the last row has one
   heights.forEach((each, row) =>
     starts.push(
@@ -114,8 +125,7 @@ function gridOf(
   const leaders = new Map(); // share -> the first axis of it
   shown.forEach((panel, place) => {
     const suffix = place === 0 ? "" : String(place + 1);
-    const column = place % wide,
-      row = Math.floor(place / wide);
+    const { column, row } = spots[place];
     const x0 = (column * (panelWidth + gapX)) / inner;
     const top = 1 - (starts[row] + gapTop) / total;
     const bottom = 1 - (starts[row] + gapTop + heights[row]) / total;
@@ -137,11 +147,11 @@ function gridOf(
       ...y,
       ...(shares(place) ? { showticklabels: false } : {}),
     };
-    if (column === 0 && yTitle) {
+    if (!grid && column === 0 && yTitle) {
       const from = startsAt ? `${yTitle}<br><b>axis starts at ${startsAt}</b>` : plain(yTitle);
       layout[`yaxis${suffix}`].title = { text: from, font: { size: 12, color: colors.soft }, standoff: 6 };
     }
-    annotations.push({
+    if (!grid) annotations.push({
       text: `<b>${plain(shorten(panel.title, panelWidth / 6.4))}</b>`,
       xref: "paper",
       yref: "paper",
@@ -163,7 +173,47 @@ function gridOf(
       shapes.push({ xref: `x${suffix}`, yref: `y${suffix} domain`, ...shape(colors, suffix) });
     for (const trace of panel.traces) data.push({ ...trace, xaxis: `x${suffix}`, yaxis: `y${suffix}` });
   });
+  if (grid) {
+    const note = { xref: "paper", yref: "paper", showarrow: false, font: { size: 12, color: colors.ink } };
+    const add = (text, x, px, more) => annotations.push({ ...note, text, x, y: 1 - px / total, ...more });
+    heads.forEach((lines, column) => {
+      const text = `<b>${lines.map(plain).join("<br>")}</b>`;
+      add(text, (column * (panelWidth + gapX)) / inner, head, { xanchor: "left", yanchor: "bottom", align: "left" });
+    });
+    grid.rows.forEach((label, row) => {
+      const from = { xanchor: "left", yanchor: "bottom", xshift: -left + 8 };
+      if (label) add(`<b>${plain(label)}</b>`, 0, starts[row] + gapTop - 2, from);
+    });
+    const soft = { xanchor: "left", yanchor: "bottom", xshift: 8 - left, font: { size: 12, color: colors.soft } };
+    if (yTitle) add(plain(yTitle), 0, named, soft);
+  }
   return { data, layout, panels: panels.length, shown: shown.length };
+}
+
+/** Rows and columns of panels by their labels, and which panels take their ticks from the one to the left. */
+function labelledGrid(panels) {
+  const [rows, columns] = ["row", "column"].map((key) => [...new Set(panels.map(({ labels }) => labels[key]))]);
+  const spots = panels.map(({ labels }) => ({ row: rows.indexOf(labels.row), column: columns.indexOf(labels.column) }));
+  const shares = panels.map(({ share }, place) =>
+    panels.some(
+      (other, at) =>
+        spots[at].row === spots[place].row &&
+        spots[at].column === spots[place].column - 1 &&
+        share !== undefined &&
+        other.share === share,
+    ),
+  );
+  return { rows, columns, spots, shares, gap: spots.every(({ column }, place) => !column || shares[place]) ? 24 : 58 };
+}
+
+function wrapped(text, most) {
+  const lines = [""];
+  for (const part of text.match(/\S+?(-|\s|$)/g) || []) {
+    const last = lines[lines.length - 1];
+    if (last && last.length + part.trimEnd().length > most) lines.push(part);
+    else lines[lines.length - 1] = last + part;
+  }
+  return lines;
 }
 
 /** What is written to the right of marks (left of those at the edge), pushed apart where marks are close. */

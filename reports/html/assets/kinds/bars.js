@@ -55,6 +55,7 @@ KINDS.bars = function bars(plan, width, all) {
     const thick = (0.75 * minWidth) / (positions.length * panel.lines.length);
     return {
       title: panel.title,
+      labels: panel.labels,
       share: panel.row,
       traces: panel.lines.map((line) => {
         const look = lookOf(facet.lines, line.option);
@@ -250,6 +251,7 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
         ...along,
         traces,
         beside: key === "ratio" ? sharesBeside(panel.lines, traces) : [],
+        labels: { row: panel.title, column: key === "ratio" ? "Times as long" : "Difference" },
         title: (key === "ratio" ? "Times as long" : "Difference") + (found.panels.length > 1 ? `, ${panel.title}` : ""),
         share: key === "ratio" ? key : `difference ${panel.row}`,
         y: key === "ratio" ? ratioAxis : differenceAxis(panel.row),

@@ -93,6 +93,10 @@ function spread({ x, panels, lines }, points) {
   const beside = atomsOf(panels).filter((key) => !used.includes(key));
   if (beside.includes("size") && !used.includes("data")) beside.unshift("data");
   const below = ATOMS.filter((key) => !used.includes(key) && !beside.includes(key));
+  // In a labelled grid columns are setups and what the panels were chosen by, else the last that varies.
+  let across = [...beside, ...below.filter((atom) => MADE_OF.choice.includes(atom))];
+  if (!across.some(varies)) across = below.filter(varies).slice(-1);
+  const down = below.filter((atom) => !across.includes(atom));
   const found = new Map();
   for (const point of points) {
     const key = [...below, ...beside].map((atom) => optionOf(atom, point.group));
@@ -110,16 +114,19 @@ function spread({ x, panels, lines }, points) {
         .sort((a, b) => a[0] - b[0])
         .map(([option, its]) => ({ option, points: its.sort((a, b) => a.x - b.x || a.group - b.group) }));
       const first = made[0].points[0].group;
-      const title =
-        [...beside, ...below]
+      const namesOf = (atoms) =>
+        atoms
           .filter(varies)
           .map((atom) => labelIn(atom, first))
           .filter(Boolean)
-          .join(", ") || labelIn("data", first);
+          .join(", ");
+      const title = namesOf([...beside, ...below]) || labelIn("data", first);
       const parts = Math.ceil(made.length / MOST_LINES),
         most = Math.ceil(made.length / parts);
+      const numbered = (text, part) => (parts > 1 ? `${text} (${part + 1} of ${parts})` : text);
       return Array.from({ length: parts }, (_, part) => ({
-        title: parts > 1 ? `${title} (${part + 1} of ${parts})` : title,
+        title: numbered(title, part),
+        labels: { row: namesOf(down), column: numbered(namesOf(across), part) },
         row: key.slice(0, below.length).join(),
         column: key.slice(below.length).join(),
         lines: made.slice(part * most, (part + 1) * most),

@@ -167,6 +167,8 @@ KINDS.lines = function lines(plan, width, all) {
   const every = kept.flatMap((panel) => panel.lines.flatMap((line) => line.points));
   const log = value.axis === timeAxis && view.scale === "linear" ? "row" : "all";
   const axes = new Map();
+  const intervals = value.intervals && INTERVALS();
+  const reach = ({ group, value: own }) => [own, ...(intervals ? intervalOf(group) : [])];
   const axisOf = (panel) => {
     const share = log === "all" ? "all" : panel.row;
     if (!axes.has(share))
@@ -175,12 +177,11 @@ KINDS.lines = function lines(plan, width, all) {
         value.axis(
           kept
             .filter((one) => log === "all" || one.row === share)
-            .flatMap((one) => one.lines.flatMap((line) => line.points.map((point) => point.value))),
+            .flatMap((one) => one.lines.flatMap((line) => line.points.flatMap(reach))),
         ),
       );
     return { share, y: axes.get(share) };
   };
-  const intervals = value.intervals && INTERVALS();
   const panels = kept.map((panel) => {
     const along = alongAxis(x, panel, plan.x_title || "");
     const traces = panel.lines.map((line, place) => {
@@ -212,14 +213,14 @@ KINDS.lines = function lines(plan, width, all) {
     const beside = sharesBeside(panel.lines, traces);
     if (x === "load") traces.unshift(diagonal(panel));
     const ends =
-      along.joined && !isNarrow(width) && panel.lines.length > 1
+      along.joined && !isNarrow(width) && all !== LABELLED && panel.lines.length > 1
         ? panel.lines.map((line, place) => ({
             text: lookOf(dimension, line.option).short,
             color: lookOf(dimension, line.option).color,
             y: traces[place].y[traces[place].y.length - 1],
           }))
         : [];
-    return { ...along, title: panel.title, traces, ends, beside, ...axisOf(panel) };
+    return { ...along, title: panel.title, labels: x === "place" ? undefined : panel.labels, traces, ends, beside, ...axisOf(panel) };
   });
   const most = Math.max(1, ...panels.map((panel) => panel.weight));
   const names =

@@ -26,10 +26,14 @@ function saveAs(name, address) {
   link.remove();
 }
 
-function saveCsv(name, columns, rows) {
-  const address = URL.createObjectURL(new Blob(["\ufeff", csvOf(columns, rows)], { type: "text/csv;charset=utf-8" }));
-  saveAs(`${name}.csv`, address);
+function saveBlob(name, blob) {
+  const address = URL.createObjectURL(blob);
+  saveAs(name, address);
   setTimeout(() => URL.revokeObjectURL(address), 10000);
+}
+
+function saveCsv(name, columns, rows) {
+  saveBlob(`${name}.csv`, new Blob(["\ufeff", csvOf(columns, rows)], { type: "text/csv;charset=utf-8" }));
 }
 
 const PX_PER_MM = 96 / 25.4;
@@ -55,7 +59,7 @@ function pictureOf(block, panel = "") {
   const width = mm === null ? block.drawn.layout.width : Math.round(mm * PX_PER_MM);
   root.dataset.theme = "light"; // for as long as the colours are read: nothing is painted in between
   try {
-    const drawn = KINDS[block.figure.kind](block.figure.plan, width, true);
+    const drawn = KINDS[block.figure.kind](block.figure.plan, width, panel || LABELLED);
     const title = block.title ? block.title() : block.figure.title;
     return onWhite(panel ? panelOf(drawn, panel, width) : drawn, title, width, mm);
   } finally {
@@ -137,8 +141,9 @@ function onWhite({ data, layout }, title, width, mm) {
     else rows.push(taken);
     return rows;
   }, []).length;
-  const head = shorten(layout.title?.text ? `${title}: ${layout.title.text}` : title, (width - 16) / (size * 0.62));
-  const above = 26 + (seen.size > 1 ? lines * (size + 10) + 6 : 0);
+  const head = wrapped(layout.title?.text ? `${title}: ${layout.title.text}` : title, (width - 16) / (size * 0.62));
+  const titled = 10 + head.length * (size + 5);
+  const above = titled + (seen.size > 1 ? lines * (size + 10) + 6 : 0);
   const height = Math.round(layout.height + above);
   return {
     data: traces,
@@ -151,7 +156,7 @@ function onWhite({ data, layout }, title, width, mm) {
       showlegend: seen.size > 1,
       margin: { ...layout.margin, t: layout.margin.t + above },
       title: {
-        text: plain(head),
+        text: head.map(plain).join("<br>"),
         x: 0,
         xref: "container",
         y: 1,
@@ -164,7 +169,7 @@ function onWhite({ data, layout }, title, width, mm) {
         orientation: "h",
         x: -layout.margin.l / (width - layout.margin.l - layout.margin.r),
         xanchor: "left",
-        y: 1 - 26 / height,
+        y: 1 - titled / height,
         yref: "container",
         yanchor: "top",
         font: { size },
@@ -192,25 +197,67 @@ async function savePicture(name, block, format) {
     printPictures([await svgOf(picture)], [picture]);
     return;
   }
-  if (format === "svg") {
-    const address = URL.createObjectURL(new Blob([await svgOf(picture)], { type: "image/svg+xml" }));
-    saveAs(`${name}.svg`, address);
-    setTimeout(() => URL.revokeObjectURL(address), 10000);
-    return;
-  }
-  const { width, height } = picture.layout;
-  saveAs(
-    `${name}.png`,
-    await Plotly.toImage(picture, { format: "png", width, height, scale: picture.mm === null ? 2 : PNG_SCALE }),
-  );
+  saveBlob(`${name}.${format}`, await pictureBlob(picture, format));
 }
 
-/** Every figure of the page, one file each; as PDF one page each. */
+async function pictureBlob(picture, format) {
+  if (format === "svg") return new Blob([await svgOf(picture)], { type: "image/svg+xml" });
+  const { width, height } = picture.layout;
+  const scale = picture.mm === null ? 2 : PNG_SCALE;
+  const address = await Plotly.toImage(picture, { format: "png", width, height, scale });
+  const bytes = Uint8Array.from(atob(address.slice(address.indexOf(",") + 1)), (character) => character.charCodeAt(0));
+  return new Blob([bytes], { type: "image/png" });
+}
+
+function crc32(bytes) {
+  let crc = -1;
+  for (const byte of bytes) {
+    crc ^= byte;
+    for (let bit = 0; bit < 8; bit += 1) crc = (crc >>> 1) ^ (crc & 1 ? 0xedb88320 : 0);
+  }
+  return ~crc >>> 0;
+}
+
+/** A zip of stored files {name, content}, dated 1980-01-01. */
+function zipParts(files) {
+  const fields = (...pairs) => {
+    const view = new DataView(new ArrayBuffer(pairs.reduce((sum, [size]) => sum + size, 0)));
+    pairs.reduce((at, [size, value]) => {
+      if (size === 2) view.setUint16(at, value, true);
+      else view.setUint32(at, value, true);
+      return at + size;
+    }, 0);
+    return view;
+  };
+  const parts = [],
+    directory = [];
+  let offset = 0,
+    listed = 0;
+  for (const { name, content } of files) {
+    const encoded = new TextEncoder().encode(name);
+    const size = content.length;
+    const common = [[2, 20], [2, 0x800], [2, 0], [2, 0], [2, 0x21], [4, crc32(content)], [4, size], [4, size]]; // prettier-ignore
+    common.push([2, encoded.length], [2, 0]);
+    parts.push(fields([4, 0x04034b50], ...common), encoded, content);
+    directory.push(fields([4, 0x02014b50], [2, 20], ...common, [2, 0], [2, 0], [2, 0], [4, 0], [4, offset]), encoded);
+    offset += 30 + encoded.length + size;
+    listed += 46 + encoded.length;
+  }
+  const count = files.length;
+  return [...parts, ...directory, fields([4, 0x06054b50], [2, 0], [2, 0], [2, count], [2, count], [4, listed], [4, offset], [2, 0])]; // prettier-ignore
+}
+
+/** Every figure of the page in one zip; as PDF one page each. */
 async function saveAll(format) {
   for (const block of blocks) block.plan();
   const drawn = blocks.filter((block) => block.drawn.data.length);
   if (format !== "pdf") {
-    for (const block of drawn) await block.save(format);
+    const files = [];
+    for (const block of drawn) {
+      const content = new Uint8Array(await (await pictureBlob(pictureOf(block), format)).arrayBuffer());
+      files.push({ name: `${block.fileName()}.${format}`, content });
+    }
+    saveBlob(`dds-trace-figures-${format}.zip`, new Blob(zipParts(files), { type: "application/zip" }));
     return;
   }
   const pictures = drawn.map((block) => pictureOf(block));
@@ -297,7 +344,5 @@ function showPanelChoice(block) {
 function saveParquet() {
   const packed = atob(DATA.parquet);
   const bytes = Uint8Array.from(packed, (character) => character.charCodeAt(0));
-  const address = URL.createObjectURL(new Blob([bytes], { type: "application/vnd.apache.parquet" }));
-  saveAs("summary.parquet", address);
-  setTimeout(() => URL.revokeObjectURL(address), 10000);
+  saveBlob("summary.parquet", new Blob([bytes], { type: "application/vnd.apache.parquet" }));
 }

@@ -140,7 +140,7 @@ def _run(command: Callable[[], object]) -> None:
         extra = _extra_with(error.name or "")
         if extra is None:
             raise
-        cure = f"pip install 'dds-trace[{extra}]', in a clone '.[{extra}]'"
+        cure = f"pip install 'dds-trace[{extra}]' (in a clone '.[{extra}]')"
         _print_error(f" needs {error.name}, which is not installed: {cure}")
         sys.exit(BackendUnavailableError.exit_code)
     except TraceError as error:

@@ -105,7 +105,7 @@ def _storage(path: Path) -> Iterator[tuple[_Storage, str]]:
         yield files, root.rstrip("/")
     except ImportError as err:
         raise BackendUnavailableError(
-            f"{_url(path)}: {err}; install the extra with `pip install 'dds-trace[cluster]'`"
+            f"{_url(path)}: {err}; install the extra with pip install 'dds-trace[cluster]' (in a clone '.[cluster]')"
         ) from err
     except FileNotFoundError as err:
         raise MissingEventsError(f"{_url(path)}: no such object or folder") from err

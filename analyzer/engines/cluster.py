@@ -78,7 +78,7 @@ class ClusterEngine:
             distributed = import_module("distributed")
         except ImportError as err:
             raise BackendUnavailableError(
-                "--cluster needs Dask: install the extra with `pip install 'dds-trace[cluster]'`"
+                "--cluster needs Dask: install the extra with pip install 'dds-trace[cluster]' (in a clone '.[cluster]')"
             ) from err
         try:
             # Rows come straight from the workers where possible.

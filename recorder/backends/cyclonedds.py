@@ -357,7 +357,7 @@ BACKEND = Backend(
     make_node=CycloneNode,
     find_installed=lambda: [None] if has_package("cyclonedds") else [],
     install=(
-        "pip install 'dds-trace[cyclonedds]' (wheels for x86_64), or build the package `cyclonedds` on this device"
+        "pip install 'dds-trace[cyclonedds]' (in a clone '.[cyclonedds]') (wheels for x86_64), or build the package `cyclonedds` on this device"
     ),
     meeting=Meeting.DISCOVERY,
     meeting_needs=DDS_MEETING + " (else list peers in CYCLONEDDS_URI)",

@@ -219,7 +219,7 @@ BACKEND = Backend(
     label="Zenoh",
     make_node=ZenohNode,
     find_installed=lambda: [None] if has_package("zenoh") else [],
-    install="pip install 'dds-trace[zenoh]'",
+    install="pip install 'dds-trace[zenoh]' (in a clone '.[zenoh]')",
     meeting=Meeting.PEERS,
     meeting_needs=(
         "both have --backend zenoh and the same --domain, --peer names the relay's device, and nothing blocks its TCP "

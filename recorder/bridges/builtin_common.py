@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from ..backends.node import Node, RawMessage, Receive
     from .base import BridgeSide
 
-INSTALL_ROS2 = "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]', or source /opt/ros/DISTRO/setup.bash"
+INSTALL_ROS2 = (
+    "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]' (in a clone '.[ros2]'), or source /opt/ros/DISTRO/setup.bash"
+)
 UP_LINE = "bridging"
 """First word of the log line when the bridge is up."""
 

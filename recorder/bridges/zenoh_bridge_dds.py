@@ -34,7 +34,7 @@ def _configuration(options: BridgeOptions) -> str:
 BRIDGE = Bridge(
     name=PROGRAM,
     install=(
-        "build it with `just install-zenoh-bridge` (needs cargo), or get zenoh-bridge-dds from "
+        "build it with `just install-zenoh-bridge` in a clone (needs cargo), or get zenoh-bridge-dds from "
         "https://download.eclipse.org/zenoh/zenoh-plugin-dds/latest/"
     ),
     suffix=".json5",

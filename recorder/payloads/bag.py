@@ -108,7 +108,7 @@ def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], byte
         from dds_trace.tracefile.reading.recording_files import open_recording  # noqa: PLC0415
     except ImportError as err:
         raise BackendUnavailableError(
-            "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]'"
+            "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]' (in a clone '.[bags]')"
         ) from err
     try:
         # Bags of sqlite3 before ROS 2 Iron have no definitions; the stock types have hardly changed.

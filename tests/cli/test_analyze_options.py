@@ -45,7 +45,7 @@ def test_a_folder_named_as_a_file_is_asked_about(is_terminal, answer, code, runs
     monkeypatch.setattr("os.isatty", lambda _: is_terminal)
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
     assert run_main(runs, "--out", runs / "a.txt") == code
-    assert "a.txt becomes a folder, for all files" in capsys.readouterr().err
+    assert "a.txt becomes a folder" in capsys.readouterr().err
     assert (runs / "a.txt").is_dir() is (code == 0)
     if code == 0:
         assert run_main(runs, "--out", runs / "a.txt") == 0

@@ -218,7 +218,7 @@ def test_the_15_common_options_of_a_ping_come_first():
     assert re.findall(r"^  (--[a-z]+)", panels[2], re.MULTILINE)[:4] == ["--out", "--data", "--size", "--rate"]
 
 
-def test_one_program_runs_what_the_four_run(tmp_path, monkeypatch, capsys):
+def test_one_program_runs_what_the_four_run(tmp_path, monkeypatch, capsys, sentences):
     def ends(*words):
         monkeypatch.setattr(sys, "argv", ["dds-trace", *map(str, words)])
         with pytest.raises(SystemExit) as ended:
@@ -232,15 +232,9 @@ def test_one_program_runs_what_the_four_run(tmp_path, monkeypatch, capsys):
     assert same == ends("analyze", "compare", SAMPLES / "losses", SAMPLES / "losses")
     assert same[0] == 0
     assert ends("record", "ping", "--rotate", "1GB", "--out", tmp_path / "x.mcap")[0] == 2
-    assert ends("record", "ping") == (
-        2,
-        "",
-        "dds-trace: give --role ping or --role relay, and --out PATH for its trace (see --help)\n",
-    )
-    assert ends("compair", "a")[::2] == (
-        2,
-        "dds-trace: there is no command compair; did you mean `dds-trace compare`?\n",
-    )
+    refused = [ends("record", "ping"), ends("compair", "a")]
+    assert [code for code, _, _ in refused] == [2, 2]
+    sentences(*(said for _, _, said in refused))
     assert ends("bridge", "builtin", "--print-config")[1].startswith("--list")
     assert "domain" in ends("bridge", "builtin", "--config")[1]
     assert ends()[1] == ends("--help")[1]

@@ -29,7 +29,7 @@ RMW_INDEX = Path("share/ament_index/resource_index/rmw_typesupport")
 """Has a file for every RMW package of an installation."""
 
 INSTALL = (
-    "pip install 'dds-trace[ros2]' (wheels, x86_64), or install ROS 2 from apt and run "
+    "pip install 'dds-trace[ros2]' (in a clone '.[ros2]') (wheels, x86_64), or install ROS 2 from apt and run "
     "`source /opt/ros/$ROS_DISTRO/setup.bash` in this terminal (the Python of that ROS 2 must run dds-trace)"
 )
 

@@ -73,7 +73,7 @@ def test_a_full_stream_costs_words(tmp_path, stream, program, code):
         "    for _ in range(3):\n"
         "        print('a' * 10_000, flush=True); print('b' * 10_000, file=sys.stderr)\n"
         "    open('done', 'w').write('done')\n"
-        f"run_program({program!r}, app, {{}}, [])\n"
+        f"run_program({program!r}, app, {{}}, [], needs_stdout={program != 'dds-record'})\n"
     )
     with Path("/dev/full").open("w") as full:
         outputs = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}

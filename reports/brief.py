@@ -72,7 +72,7 @@ def brief_lines(book: Book) -> list[Text]:
             parts.append([*_wrapped(COMPARED, "", "bold"), *(line for fact in facts for line in _marked(PASS, fact))])
         elif sentence not in losses | winners:
             parts.append(_marked(OPEN, sentence))
-    return _fitted(parts, _more(book))
+    return _fitted(parts, "" if book.shows_all else _more(book))
 
 
 def _fitted(parts: Sequence[list[Text]], more: str) -> list[Text]:
@@ -84,7 +84,7 @@ def _fitted(parts: Sequence[list[Text]], more: str) -> list[Text]:
         else:
             lines += part
     rest = f"{counted(left, 'more fact')}, {more}" if left else more
-    return [*lines, Text(f"--all shows {rest}", style="dim")]
+    return [*lines, Text(f"--all shows {rest}", style="dim")] if more else lines
 
 
 def _more(book: Book) -> str:

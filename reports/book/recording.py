@@ -226,8 +226,11 @@ def setting_words(analysis: Analysis) -> str:
     for session in analysis.sessions:
         middleware = session.host.get("middleware")
         for name, value in middleware.items() if isinstance(middleware, dict) else ():
-            # A configuration in XML would fill the screen.
-            values.setdefault(printable(name), {})[printable(value, _LONGEST_SETTING)] = None
+            text = printable(value, _LONGEST_SETTING)
+            is_xml = text.startswith("<")  # it would fill the screen
+            values.setdefault("configuration" if is_xml else printable(name), {})[
+                "in XML" if is_xml else text or "none"
+            ] = None
         path = payload_path(session)
         if path is not None:
             values.setdefault("payload carried by", {})[_WAYS.get(path, printable(path))] = None

@@ -61,8 +61,10 @@ def test_the_terminal_prints_the_answer_or_all_of_it_with_the_answer_last(tmp_pa
         printed.append("\n".join(line.rstrip() for line in capsys.readouterr().out.splitlines()))
     brief, whole = printed
     assert brief == terminal.render_brief(Book(analysis)).rstrip("\n")
-    assert whole == terminal.render(Book(analysis)).rstrip("\n")
-    assert whole.endswith(f"\n{brief}")
+    assert whole == terminal.render(Book(analysis, shows_all=True)).rstrip("\n")
+    *answer, hint = brief.splitlines()
+    assert whole.splitlines()[-len(answer) :] == answer
+    assert "--all" in hint
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,10 +1,10 @@
 from dataclasses import replace
 
 import pytest
-from analyses import MS, Measured, make_analysis
+from analyses import EVERY_ANALYSIS, MS, Measured, make_analysis
 
 from dds_trace import Source
-from dds_trace.reports.book.recording import MOST_ROWS, record_tables
+from dds_trace.reports.book.recording import MOST_ROWS, record_tables, setting_words
 
 
 @pytest.fixture
@@ -60,3 +60,11 @@ def test_of_many_files_those_that_were_not_read_come_first(analysis):
 
 def test_nothing_recorded_has_no_table():
     assert record_tables(make_analysis()) == ()
+
+
+def test_settings_show_no_xml_and_nothing_empty():
+    analysis = EVERY_ANALYSIS["small campaign"]()
+    session = analysis.sessions[0]
+    settings = {"CYCLONEDDS_URI": "<CycloneDDS/>", "connect": ""}
+    shown = replace(session, host={**session.host, "middleware": settings})
+    assert "configuration in XML; connect none" in setting_words(replace(analysis, sessions=(shown,)))

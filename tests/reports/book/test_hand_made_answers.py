@@ -15,7 +15,7 @@ from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VendorLabels
-from dds_trace.reports.book.headline import avoid_sentence, bridge_sentence, winner_sentences
+from dds_trace.reports.book.headline import avoid_sentence, bridge_sentence, tail_sentence, winner_sentences
 
 UNKNOWN = Interval(None, None, None, 0.95, 60, 60, Basis.BETWEEN_RUNS, 3, 3, None)
 VENDORS = VendorLabels({})
@@ -99,7 +99,7 @@ def on_devices(won):
     ],
 )
 def test_who_is_fastest(answers, said, sentences):
-    found = winner_sentences(answers, VENDORS)
+    found = [*winner_sentences(answers, VENDORS), tail_sentence(answers)]
     sentences(*found)
     assert numbers(" ".join(found)) == said
 

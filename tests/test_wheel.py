@@ -64,7 +64,7 @@ def test_the_wheel_holds_one_import_name_and_every_file_of_the_rooms(wheel):
     assert {name.split("/")[0] for name in names} == {"dds_trace"}
     ours = subprocess.run(LISTED, cwd=ROOT, check=True, capture_output=True, text=True)
     expected = {f"dds_trace/{name.removeprefix('src/dds_trace/')}" for name in ours.stdout.split()}
-    assert names == expected | {"dds_trace/__init__.py", "dds_trace/py.typed"}
+    assert names == expected | {"dds_trace/__init__.py", "dds_trace/__main__.py", "dds_trace/py.typed"}
 
 
 def test_a_wheel_built_from_the_source_archive_is_the_one_built_from_the_repository(wheel, source_archive, tmp_path):

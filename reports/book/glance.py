@@ -61,7 +61,9 @@ def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -
         blocks = {row.size: {"": row} for place in table.places for row in place.rows}
         message = table.rates
     most = max(1, min(MOST_BLOCKS, MOST_ROWS // len(table.choices)))
-    shown = dict([*blocks.items()][:most])
+    last = len(blocks) - 1
+    kept = {round(place * last / max(1, most - 1)) for place in range(most)} if last >= most else range(last + 1)
+    shown = {name: rows for place, (name, rows) in enumerate(blocks.items()) if place in kept}
     columns = tuple(dict.fromkeys(link for rows in shown.values() for link in rows))
     reached = [
         ns

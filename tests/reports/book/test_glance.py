@@ -51,3 +51,9 @@ def test_the_answer_says_what_link_and_device_cost():
 
 def test_one_place_is_compared_with_none():
     assert not any("as long as over" in point for point in Book(CAMPAIGNS["demo"]()).answer.points)
+
+
+def test_of_many_sizes_the_smallest_and_the_largest_are_shown():
+    glance = Book(CAMPAIGNS["lossy machine"]()).glance
+    assert [name for name, _ in glance.blocks] == ["Binary 33 KB", "Binary 4 MB"]
+    assert glance.left_out == 4

@@ -20,14 +20,14 @@ const FIRST_ROWS = 25,
 /**
  * Puts the table into `place`. `sorting` {column, descending} survives when filters change the rows; the first `stay`
  * columns
- * stay when the rest is scrolled sideways; a row with a `group` opens it; all rows are there at once if `whole`.
+ * stay when the rest is scrolled sideways; a row with a `group` opens it; fewer rows than `MOST_ROWS` are there at once.
  */
 function showTable(
   place,
   caption,
   columns,
   rows,
-  { sorting = { column: -1, descending: false }, stay = 0, whole = false } = {},
+  { sorting = { column: -1, descending: false }, stay = 0, most = MOST_ROWS } = {},
 ) {
   const sorted = [...rows];
   if (sorting.column >= 0) {
@@ -68,12 +68,12 @@ function showTable(
     table.style.cssText = before.style.cssText;
   } // its columns stay, most likely
   const scroll = element("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption }, table);
-  const left = rows.length - MOST_ROWS;
+  const left = rows.length - most;
   const notes =
     left > 0 ? [element("p", { class: "note" }, `${formatCount(left)} more rows are in the CSV file.`)] : [];
-  const shown = sorted.slice(0, MOST_ROWS);
+  const shown = sorted.slice(0, most);
   const texts = shown.map((row) => columns.map((column, at) => cellText(column, row, at)));
-  const first = whole ? shown.length : FIRST_ROWS;
+  const first = most < MOST_ROWS ? shown.length : FIRST_ROWS;
   // The columns are at once as wide as they will be, so that nothing moves when rows are added.
   if (shown.length > first) columns.forEach((_, at) => head.children[at].append(roomFor(texts.map((row) => row[at]))));
   const add = (from, to) =>
@@ -162,7 +162,7 @@ function foundRows(columns, rows, search) {
 }
 
 /** The table of the groups that pass the filters and the search; returns what it shows. */
-function showGroups({ whole = false } = {}) {
+function showGroups({ most = MOST_ROWS } = {}) {
   const { times_ns: times, plain: values } = DATA.values;
   const shown = ["p50", "p90", "p99", "p99_9", "max"].filter((key) => DATA.statistics.some((one) => one.key === key));
   const rested = (key) => key !== "max" && Boolean(DATA.intervals.low_ns[view.metric]?.[key]);
@@ -219,7 +219,7 @@ function showGroups({ whole = false } = {}) {
   showTable(document.getElementById("groups-table"), "All results that pass the filters", columns, found, {
     sorting: groupsSorting,
     stay: GROUP_COLUMNS.length,
-    whole,
+    most,
   });
   document.getElementById("groups-found").textContent =
     found.length === rows.length ? "" : `${formatCount(found.length)} of ${counted(rows.length, "result")}`;

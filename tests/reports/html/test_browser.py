@@ -332,6 +332,14 @@ def test_print_has_every_figure(reader, pages):
     assert reader.complaints == []
 
 
+@pytest.mark.parametrize(("name", "most"), [("demo", 8), ("study", 20)])
+def test_print_has_few_pages(reader, pages, name, most):
+    tab = reader.open(pages(name))
+    assert 3 <= len(re.findall(rb"/Type /Page\b", tab.pdf(format="A4"))) <= most
+    assert tab.locator("#groups-table tbody tr").count() > 0
+    assert reader.complaints == []
+
+
 AXE_PAGES = [
     ("small campaign", "light", 1360),
     ("small campaign", "dark", 1360),

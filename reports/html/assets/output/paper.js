@@ -1,13 +1,12 @@
 "use strict";
-// On paper: white, as wide as A4 and US Letter both have room for, everything drawn and opened, no column cut off.
+// On paper: white, as wide as A4 and US Letter both have room for; what is open on the screen, no column cut off.
+const MOST_PRINTED = 24; // rows of the table of all results
 
-/** Opens parts, redraws at the width of paper, and returns what puts the screen back. */
+/** Redraws at the width of paper, and returns what puts the screen back. */
 function toPaper() {
   const root = document.documentElement;
   const themeBefore = root.dataset.theme;
-  const opened = [
-    ...document.querySelectorAll(".first details:not([open]), #recording details:not([open]), .fold:not([open])"),
-  ];
+  const opened = [...document.querySelectorAll(".first details:not([open], .further)")];
   setTheme("light");
   root.classList.add("paper");
   for (const details of opened) details.open = true;
@@ -15,7 +14,7 @@ function toPaper() {
     block.spoil();
     block.draw();
   }
-  showGroups({ whole: true });
+  showGroups({ most: MOST_PRINTED });
   const cut = [...document.querySelectorAll("main table.data")]
     .filter((table) => table.getClientRects().length)
     .map(cutColumns)

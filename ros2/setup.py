@@ -60,7 +60,9 @@ setup(
         (f"share/{PACKAGE}/launch", ["launch/ping_relay.launch.py"]),
     ],
     entry_points={
-        "console_scripts": [f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "bridge", "record", "sweep")]
+        "console_scripts": [
+            f"{name} = {PACKAGE}.cli.{name}:main" for name in ("analyze", "bridge", "record", "sweep", "trace")
+        ]
     },
     install_requires=[],  # an old setuptools would refuse to start a command for want of one; see requirements.txt
     zip_safe=False,

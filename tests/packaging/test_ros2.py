@@ -80,7 +80,9 @@ def test_it_holds_every_file_that_the_wheel_holds(told):
         held |= {f"{package.replace('.', '/')}/{name.relative_to(folder)}" for name in names}
     listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard", *ROOMS]
     ours = subprocess.run(listed, cwd=ROOT, check=True, capture_output=True, text=True).stdout.split()
-    assert held == {f"{top}/{name.removeprefix('src/dds_trace/')}" for name in [*ours, "__init__.py", "py.typed"]}
+    assert held == {
+        f"{top}/{name.removeprefix('src/dds_trace/')}" for name in [*ours, "__init__.py", "__main__.py", "py.typed"]
+    }
 
 
 def test_the_files_of_its_share_are_there(told):

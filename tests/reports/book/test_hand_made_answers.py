@@ -15,7 +15,14 @@ from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VendorLabels
-from dds_trace.reports.book.headline import avoid_sentence, bridge_sentence, tail_sentence, winner_sentences
+from dds_trace.reports.book.headline import (
+    avoid_sentence,
+    bridge_sentence,
+    fastest_words,
+    tail_sentence,
+    winner_sentences,
+)
+from dds_trace.reports.book.outcomes import stretches
 
 UNKNOWN = Interval(None, None, None, 0.95, 60, 60, Basis.BETWEEN_RUNS, 3, 3, None)
 VENDORS = VendorLabels({})
@@ -102,6 +109,27 @@ def test_who_is_fastest(answers, said, sentences):
     found = [*winner_sentences(answers, VENDORS), tail_sentence(answers)]
     sentences(*found)
     assert numbers(" ".join(found)) == said
+
+
+def test_who_is_fastest_in_few_words(sentences):
+    tails = [
+        replace(one, p50_ns=None, letters_p50="", p99_ns=ns * MS, letters_p99=tier)
+        for one, ns, tier in zip(TIERS, (2, 2, 8), "aab", strict=True)
+    ]
+    kinds = [
+        [case(A, B, p50="a")],
+        [case(setup("a", 2.0, 3.0), setup("b", 4.0, 12.0), p50="a", p99="a")],
+        [case(*TAILS, p50="a", p99="b")],
+        [case(*TAILS, p99="b")],
+        [case(A, B, p50="a"), case(A, B, p50="b", rate_hz=20.0)],
+        [case(A, B)],
+        [case(*TIERS)],
+        [case(*tails)],
+    ]
+    labels = {name: name.upper() for name in "abc"}
+    found = [fastest_words(stretch, labels) for kind in kinds for stretch in stretches(kind)]
+    sentences(*found)
+    assert [numbers(one) for one in found] == [[2], [2, 4], [2, 3], [3], [1, 2, 1], [], [5], [4]]
 
 
 def lossy(*shares, size=1000, device="d"):

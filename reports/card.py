@@ -169,7 +169,7 @@ def _verdict(book: Book) -> tuple[str, Sequence[CaseAnswer]]:
 
 
 def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:
-    """Return the answers in both domain modes; those of all messages where only one setup has this one."""
+    """Return the answers in both domain modes; of all messages where only one setup has this one."""
     alike = [answer for answer in book.analysis.details.answers if _message(answer) == _message(case)]
     return cases if sum(len(answer.contenders) for answer in alike) == 1 else alike
 

@@ -27,8 +27,8 @@ WORDS = re.compile(
 NAMES = {"asked", "each", "found", "held", "kept", "known", "place", "places", "told", "wanted"}
 """Parts of the name of a value that do not say what the value is; so does a name that starts with `of_`."""
 
-MOST = {"lines": 55_500, "modules": 350, "prose": 70_000, "words": 0}
-"""Bars of the product; `prose` is words of docstrings and comments."""
+MOST = {"lines": 57_500, "modules": 352, "prose": 72_000, "words": 0}
+"""Bars of the product; `prose` is words of docstrings and comments. A capability may raise them, by 1,500 lines at most."""
 
 MOST_VAGUE = 0.005
 """Share of stored names that may still have such a part."""

@@ -61,8 +61,9 @@ def test_an_unreadable_number_is_found(text):
     assert faults(text)
 
 
-def test_a_readable_number_is_not_found():
-    assert faults("1.25 ms, 99.97 % received, 12,300 messages, 2.14.5, 12 times, 0.0352 %, -0.5 points") == []
+@pytest.mark.parametrize("text", ["1.25 ms, 99.97 %", "12,300 messages, 12 times", "2.14.5, 0.0352 %", "-0.5 points"])
+def test_a_readable_number_is_not_found(text):
+    assert faults(text) == []
 
 
 @pytest.mark.parametrize("kind", ["html", "md", "terminal"])
@@ -237,4 +238,4 @@ def test_no_label_has_two_figures_of_one_result(kind):
 
 
 def test_a_notebook_names_what_its_times_are_of():
-    assert "Latency of a typical run at 10 Hz, median / p99" in demo_like()._repr_html_()
+    assert "of a typical run at 10 Hz, median" in demo_like()._repr_html_()

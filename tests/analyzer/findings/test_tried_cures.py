@@ -93,7 +93,7 @@ def record_with_a_stalling_relay(folder, domain_id, depth):
 def test_a_deeper_history_keeps_what_a_stalled_relay_cannot_take(tmp_path, domain_id):
     record_with_a_stalling_relay(tmp_path / "shallow", domain_id, 10)
     (loss,) = found(tmp_path / "shallow", "loss")
-    assert "a history keeps 100 ms (--depth 10 at 100 Hz)" in loss.what
+    assert "keeps 100 ms (--depth 10 at 100 Hz)" in loss.what
     depth = quoted(r"give both sides --depth (\d+)", loss)[1]
     record_with_a_stalling_relay(tmp_path / "deep", domain_id, depth)
     assert 1 - received(tmp_path / "deep") < (1 - received(tmp_path / "shallow")) / 4
@@ -132,7 +132,8 @@ def test_without_the_lifespan_late_messages_are_delivered(tmp_path, domain_id):
         ):
             pass
     (loss,) = found(tmp_path / "short", "loss")
-    assert "older than 1 ms is not delivered (--lifespan)" in loss.what
+    assert "older than 1 ms" in loss.what
+    assert "--lifespan" in loss.what
     assert quoted("leave --lifespan out", loss)
     assert received(tmp_path / "none") > received(tmp_path / "short")
 
@@ -271,7 +272,7 @@ def test_zenoh_waits_for_a_full_link_when_it_is_reliable(tmp_path, domain_id):
             kept[reliability] = received(folder)
             if reliability == "best_effort":
                 (loss,) = found(folder, "loss")
-                assert "Zenoh drops best-effort messages in the sender" in loss.what
+                assert "drops best-effort messages in the sender" in loss.what
                 assert quoted("--reliability reliable", loss)
     assert kept["reliable"] > kept["best_effort"]
 

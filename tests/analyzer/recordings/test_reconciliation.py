@@ -95,7 +95,8 @@ def test_messages_that_are_there_twice_are_said(tmp_path, plugin):
     payload = load_payload(f"{merged}#/imu", {})
     assert (topics, len(payload.messages)) == ({"/imu": 2}, 2)
     assert [detail] == list(payload.notes)
-    assert detail.startswith("1 message of /imu is there twice")
+    assert detail.startswith("1 message of /imu")
+    assert "twice" in detail
 
 
 def test_a_mean_rate_that_is_not_typical_is_said(tmp_path):

@@ -92,7 +92,12 @@ LOSSY_SHARE = 0.01
 
 def is_lossy(received: Interval) -> bool:
     """Return whether more than `LOSSY_SHARE` of the messages were lost."""
-    return 1.0 - (received.value or 0.0) > LOSSY_SHARE
+    return exceeds_lossy_share(1.0 - (received.value or 0.0))
+
+
+def exceeds_lossy_share(lost: float) -> bool:
+    """Return whether a share is more than `LOSSY_SHARE`; 1 of 100 is not, though 1 - 0.99 is."""
+    return round(lost, 9) > LOSSY_SHARE
 
 
 def is_too_large(groups: pl.DataFrame) -> bool:

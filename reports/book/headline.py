@@ -12,7 +12,7 @@ import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of, parse_setting
 from dds_trace.analyzer.verdicts.answers import Clarity
-from dds_trace.analyzer.verdicts.cases import LOSSY_SHARE
+from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_number, format_size
 
@@ -89,7 +89,7 @@ def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
         for setup in answer.contenders:
             lost = setup.lost
             is_as_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
-            if lost > LOSSY_SHARE and not is_as_requested:
+            if exceeds_lossy_share(lost) and not is_as_requested:
                 setups = lossy.setdefault(place_of(answer), {})
                 key = answer.data_type, labels[setup.name]
                 least, worst = setups.get(key, (answer.payload_bytes, 0.0))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.verdicts.answers import Clarity
-from dds_trace.analyzer.verdicts.cases import LOSSY_SHARE
+from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -56,9 +56,9 @@ def outcome_of(case: CaseAnswer) -> Outcome:
     """Return what is shown for one kind of message."""
     if case.leader_p50 or case.leader_p99:
         leaders = {case.leader_p50, case.leader_p99}
-        is_lossy = any(one.name in leaders and one.lost > LOSSY_SHARE for one in case.contenders)
+        is_lossy = any(one.name in leaders and exceeds_lossy_share(one.lost) for one in case.contenders)
         return Outcome(case.leader_p50, case.leader_p99, is_lossy=is_lossy)
-    usable = [one for one in case.contenders if not (one.loses_more or one.lost > LOSSY_SHARE)]
+    usable = [one for one in case.contenders if not (one.loses_more or exceeds_lossy_share(one.lost))]
     for percentile, _ in PERCENTILES:
         ranked = sorted(
             (value, setup.name, set(getattr(setup, f"letters_{percentile}")))

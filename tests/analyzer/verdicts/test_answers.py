@@ -11,6 +11,7 @@ import pytest
 from roundtrip_frames import MS, S, in_runs, rows_by_group, steady
 
 from dds_trace.analyzer.verdicts.answers import Clarity, Headline, Lead, find_answers, find_headlines
+from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
 from dds_trace.analyzer.verdicts.ranking import RankingOptions
 
 
@@ -357,3 +358,8 @@ def test_one_run_is_counted_as_too_few_in_the_headline():
     frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(5 * MS), vendor="zenoh", run_id=2)])
     (headline,) = find_headlines(find_answers(rows_by_group(frame)))
     assert (headline.inconclusive, headline.within_one_run) == (1, 1)
+
+
+def test_one_of_a_hundred_messages_is_not_more_than_one_percent():
+    assert not exceeds_lossy_share(1 - 0.99)
+    assert exceeds_lossy_share(1 - 0.989)

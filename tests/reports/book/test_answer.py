@@ -112,7 +112,7 @@ def test_a_bridge_that_lost_messages_is_not_called_quick_for_the_received_ones(s
             Measured(FAST, rate_hz=20.0), Measured(SLOW, rate_hz=20.0, **BRIDGED),
         )).answer  # fmt: skip
     assert "median" not in lossy.remarks[1]
-    assert "a typical run +9 ms (95 %: " in both.remarks[1]
+    assert "a typical run +9 ms (95 " in both.remarks[1]
     assert both.remarks[1].endswith(lossy.remarks[1].partition(": ")[2])
     sentences(lossy.remarks[1])
 

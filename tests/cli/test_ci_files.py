@@ -15,6 +15,7 @@ from xml.etree import ElementTree as ET
 import pytest
 import yaml
 from warm_start import stand_ins
+from wording import numbers
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -132,7 +133,8 @@ def test_an_undecided_action_passes_with_a_warning_or_fails_and_writes_one_comme
     done = job.run("compare")
     assert done.returncode == 0, done.stderr
     first = done.stdout.splitlines()[0]
-    assert re.fullmatch(r"up to 2 looks, .*2 recordings.*, about \d+ s", first), first
+    assert numbers(first)[0] == numbers(first)[-2] == 2, first  # looks, recordings
+    assert re.search(r"about \d+ s$", first), first
     # Both sides grow until the gates decide.
     out = job.folder / "dds-trace"
     assert [sorted(look.name for look in (out / side).iterdir()) for side in ("base", "new")] == [["1", "2"]] * 2

@@ -71,6 +71,8 @@ def test_a_relay_that_crashed_writes_its_error(monkeypatch, tmp_path, error, thr
 
 
 PING = """
+import signal
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under `nohup`
 from dds_trace.recorder.roles import ping
 ping.DRAIN_NS = ping.LONGEST_DRAIN_NS = 10**12
 from dds_trace.cli.record.command import main

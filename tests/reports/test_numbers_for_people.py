@@ -238,4 +238,4 @@ def test_no_label_has_two_figures_of_one_result(kind):
 
 
 def test_a_notebook_names_what_its_times_are_of():
-    assert "of a typical run at 10 Hz" in demo_like()._repr_html_()
+    assert "a typical run at 10 Hz" in demo_like()._repr_html_()

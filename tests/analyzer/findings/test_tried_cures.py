@@ -141,7 +141,7 @@ def test_without_the_lifespan_late_messages_are_delivered(tmp_path, domain_id):
 @needs_ros2
 def test_a_ping_that_waits_for_both_relays_has_no_late_one(tmp_path, domain_id):
     late, waiting = tmp_path / "late", tmp_path / "waiting"
-    sides = local(domain_id)
+    sides = local(domain_id, "--reliability", "reliable", "--depth", 1000)
     late.mkdir()
     with ExitStack() as relays:
         relays.enter_context(relaying(RunningCommand, late, *sides, "--device", "a"))

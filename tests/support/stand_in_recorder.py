@@ -39,6 +39,8 @@ def main():
     options = [value for option, value in zip(sys.argv[1:], sys.argv[2:]) if option == "--label"]  # noqa: B905 - runs in a bare Python
     cell = next((label[len("cell=") :] for label in options if label.startswith("cell=")), "relay")
     behaviour, trace = begin(cell)
+    if behaviour in {"ok", "loses", "silent", "half", "bridge dies"}:  # a real ping sends only after the relay's echo
+        wait_for((FOLDER / "waiting-relay").exists)
     if behaviour in FAILURES:
         if cell == "relay":  # so that it dies while a ping is at work, which has to be a slow one
             wait_for(lambda: any(FOLDER.glob("waiting-ros2*")))
@@ -48,8 +50,6 @@ def main():
     if behaviour == "killed":
         print("a first line", flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
-    if behaviour in {"ok", "loses", "silent", "half"}:  # a real ping sends only after the relay's echo
-        wait_for((FOLDER / "waiting-relay").exists)
     if behaviour in UNTIL_STOPPED:
         (FOLDER / f"waiting-{cell}").touch()
         wait_for(lambda: told_to_stop)

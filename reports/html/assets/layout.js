@@ -56,7 +56,8 @@ function gridOf(
 ) {
   const colors = theme();
   const shown = all ? panels : panels.slice(0, MOST_PANELS);
-  const grid = all === LABELLED && panels.length > 1 && panels.every((panel) => panel.labels) ? labelledGrid(panels) : null;
+  const isGrid = all === LABELLED && panels.length > 1 && panels.every((panel) => panel.labels);
+  const grid = isGrid ? labelledGrid(panels) : null;
   const inner = Math.max(160, width - left - right);
   const wideBy = (gap) => {
     const fits = Math.max(1, Math.min(shown.length, Math.floor((inner + gap) / (minWidth + gap))));

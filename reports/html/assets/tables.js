@@ -20,7 +20,8 @@ const FIRST_ROWS = 25,
 /**
  * Puts the table into `place`. `sorting` {column, descending} survives when filters change the rows; the first `stay`
  * columns
- * stay when the rest is scrolled sideways; a row with a `group` opens it; fewer rows than `MOST_ROWS` are there at once.
+ * stay when the rest is scrolled sideways; a row with a `group` opens it; fewer rows than `MOST_ROWS` are there at
+ * once.
  */
 function showTable(
   place,

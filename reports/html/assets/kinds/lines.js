@@ -220,7 +220,8 @@ KINDS.lines = function lines(plan, width, all) {
             y: traces[place].y[traces[place].y.length - 1],
           }))
         : [];
-    return { ...along, title: panel.title, labels: x === "place" ? undefined : panel.labels, traces, ends, beside, ...axisOf(panel) };
+    const labels = x === "place" ? undefined : panel.labels;
+    return { ...along, title: panel.title, labels, traces, ends, beside, ...axisOf(panel) };
   });
   const most = Math.max(1, ...panels.map((panel) => panel.weight));
   const names =

@@ -236,7 +236,8 @@ function zipParts(files) {
   for (const { name, content } of files) {
     const encoded = new TextEncoder().encode(name);
     const size = content.length;
-    const common = [[2, 20], [2, 0x800], [2, 0], [2, 0], [2, 0x21], [4, crc32(content)], [4, size], [4, size]]; // prettier-ignore
+    // prettier-ignore
+    const common = [[2, 20], [2, 0x800], [2, 0], [2, 0], [2, 0x21], [4, crc32(content)], [4, size], [4, size]];
     common.push([2, encoded.length], [2, 0]);
     parts.push(fields([4, 0x04034b50], ...common), encoded, content);
     directory.push(fields([4, 0x02014b50], [2, 20], ...common, [2, 0], [2, 0], [2, 0], [4, 0], [4, offset]), encoded);
@@ -244,7 +245,9 @@ function zipParts(files) {
     listed += 46 + encoded.length;
   }
   const count = files.length;
-  return [...parts, ...directory, fields([4, 0x06054b50], [2, 0], [2, 0], [2, count], [2, count], [4, listed], [4, offset], [2, 0])]; // prettier-ignore
+  // prettier-ignore
+  const end = fields([4, 0x06054b50], [2, 0], [2, 0], [2, count], [2, count], [4, listed], [4, offset], [2, 0]);
+  return [...parts, ...directory, end];
 }
 
 /** Every figure of the page in one zip; as PDF one page each. */

@@ -218,14 +218,24 @@ def dropped(folder):
 @needs_large_buffers
 def test_tuned_receive_buffers_help_on_a_link_slower_than_the_burst(tmp_path, domain_id):
     with slow_devices(tmp_path) as devices:
+        untuned = record_over(devices, tmp_path / "untuned", domain_id, "--transport", "udp", busy=True)
+        option = quoted(r"record with (--tuned)", found(untuned, "udp_buffer_overflow")[0])[1]
+        tuned = record_over(devices, tmp_path / "tuned", domain_id, option, busy=True)
+    assert dropped(tuned) < dropped(untuned) / 2  # a busy machine may stop either process for longer
+
+
+@pytest.mark.slow  # on a machine that runs other tests the capture misses packets, and then nothing is said of storms
+@needs_devices
+@needs_ros2
+@needs_large_buffers
+def test_tuned_receive_buffers_end_a_storm_of_repeats(tmp_path, domain_id):
+    with slow_devices(tmp_path) as devices:
         untuned = record_over(devices, tmp_path / "untuned", domain_id, "--wire", "--transport", "udp", busy=True)
-        overflow, (storm,) = (found(untuned, code) for code in ("udp_buffer_overflow", "retransmission_storm"))
-        option = quoted(r"record with (--tuned)", overflow[0])[1]
-        assert quoted(r"give the sockets larger ones \((--tuned)", storm)[1] == option
+        (storm,) = found(untuned, "retransmission_storm")
+        option = quoted(r"give the sockets larger ones \((--tuned)", storm)[1]
         tuned = record_over(devices, tmp_path / "tuned", domain_id, "--wire", option, busy=True)
     assert received(tuned) >= received(untuned)
     assert found(tuned, "fragments_lost") == []
-    assert dropped(tuned) < dropped(untuned) / 2  # a busy machine may stop either process for longer
     before, after = analyze(untuned), analyze(tuned)
     assert after.summary["rtt_p50_ns"][0] < before.summary["rtt_p50_ns"][0]
     assert after.details.wire["again_bytes_share"][0] < before.details.wire["again_bytes_share"][0]

@@ -22,7 +22,7 @@ from .book.sizes import HOW_TO_READ
 from .figures.bridge_cost import bridge_cost_info
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from .book.book import Book
@@ -146,7 +146,6 @@ def _groups(book: Book) -> str:
         return "No measurement was found."
     metric = values.default_metric
     intervals = book.intervals
-    ends = [side.get(metric, {}) for side in (intervals.low_ns, intervals.high_ns)]
     rows = [
         (
             *_message_cells(book, group),
@@ -154,7 +153,7 @@ def _groups(book: Book) -> str:
             _received(values, group.index),
             _runs(book, group.index),
             *(
-                _with_interval(values.times_ns[metric][name], ends, name, group.index)
+                _with_interval(values.times_ns[metric][name][group.index], intervals.ends(metric, name, group.index))
                 + _bursts(intervals, metric, name, group.index)
                 for name in SHOWN_STATISTICS
             ),
@@ -165,7 +164,7 @@ def _groups(book: Book) -> str:
     left = len(groups) - len(rows)
     has_own_share = any(share is not None for share in values.plain["own_share"])
     notes = (
-        _INTERVAL_NOTE if any(ends) else "",
+        _INTERVAL_NOTE if intervals.low_ns.get(metric) or intervals.high_ns.get(metric) else "",
         OWN_SHARE_NOTE if has_own_share else "",
         f"{counted(left, 'more result is', 'more results are')} in `summary.parquet`." if left else "",
     )
@@ -190,11 +189,9 @@ def _bursts(intervals: Intervals, metric: str, name: str, group: int) -> str:
     return "" if bursts is None else f" (rests on {counted(bursts, 'burst')})"
 
 
-def _with_interval(
-    values_ns: Sequence[int | None], ends: Sequence[Mapping[str, Sequence[int | None]]], name: str, group: int
-) -> str:
-    low, high = (end[name][group] if name in end else None for end in ends)
-    shown = format_duration(values_ns[group])
+def _with_interval(value_ns: int | None, ends: tuple[int | None, int | None]) -> str:
+    low, high = ends
+    shown = format_duration(value_ns)
     return shown if low is None and high is None else f"{shown} [{format_duration(low)}, {format_duration(high)}]"
 
 

@@ -62,8 +62,8 @@ def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -
         message = table.rates
     most = max(1, min(MOST_BLOCKS, MOST_ROWS // len(table.choices)))
     last = len(blocks) - 1
-    kept = {round(place * last / max(1, most - 1)) for place in range(most)} if last >= most else range(last + 1)
-    shown = {name: rows for place, (name, rows) in enumerate(blocks.items()) if place in kept}
+    chosen = {round(index * last / max(1, most - 1)) for index in range(most)} if last >= most else range(last + 1)
+    shown = {name: rows for index, (name, rows) in enumerate(blocks.items()) if index in chosen}
     columns = tuple(dict.fromkeys(link for rows in shown.values() for link in rows))
     reached = [
         ns
@@ -89,8 +89,8 @@ def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -
     made = []
     for name, rows in shown.items():
         own = []
-        for place, setup in enumerate(table.choices):
-            cells = [rows[link].cells[place] if link in rows else None for link in columns]
+        for column, setup in enumerate(table.choices):
+            cells = [rows[link].cells[column] if link in rows else None for link in columns]
             groups = [cell.group for cell in cells if cell and cell.group is not None]
             if any(cells):
                 choice = facets.option("choice", groups[0]) if groups else None
@@ -113,8 +113,5 @@ def _ends(cell: SizeCell, intervals: Intervals) -> tuple[float, ...]:
     at = cell.p50_ns
     if at is None or not math.isfinite(at) or at <= 0:
         return ()
-    low, high = (
-        own[cell.group] if cell.group is not None and own else None
-        for own in (side.get("latency", {}).get("p50", ()) for side in (intervals.low_ns, intervals.high_ns))
-    )
+    low, high = (None, None) if cell.group is None else intervals.ends("latency", "p50", cell.group)
     return at, min(low or at, at), max(high or at, at)

@@ -99,15 +99,27 @@ class Intervals:
 
     def tail_episodes(self, metric: str, percentile: str, group: int) -> int | None:
         """Return the bursts that a tail rests on; None for a median."""
-        by_group = self.episodes.get(metric, {}).get(percentile, ())
-        return by_group[group] if by_group and percentile != "p50" else None
+        return _value(self.episodes, metric, percentile, group) if percentile != "p50" else None
+
+    def ends(self, metric: str, percentile: str, group: int) -> tuple[int | None, int | None]:
+        """Return lower and upper end, ns."""
+        return _value(self.low_ns, metric, percentile, group), _value(self.high_ns, metric, percentile, group)
+
+    def is_between_runs(self, metric: str, percentile: str, group: int) -> bool:
+        """Return whether an interval comes from the runs."""
+        return bool(_value(self.is_between, metric, percentile, group))
 
     def basis(self, metric: str, percentile: str, group: int) -> str:
         """Return on how many runs an interval rests, as in `5` or `1, within one run`."""
-        is_between = self.is_between.get(metric, {}).get(percentile, ())
-        if not is_between or is_between[group] is None:
+        if _value(self.is_between, metric, percentile, group) is None:
             return MISSING
-        return f"{self.runs[group]}" if is_between[group] else f"{self.runs[group]}, {Basis.WITHIN_RUN.value}"
+        is_between = self.is_between_runs(metric, percentile, group)
+        return f"{self.runs[group]}" if is_between else f"{self.runs[group]}, {Basis.WITHIN_RUN.value}"
+
+
+def _value(of_groups: Ends, metric: str, percentile: str, group: int) -> int | None:
+    values = of_groups.get(metric, {}).get(percentile, ())
+    return values[group] if values else None
 
 
 def intervals_info(analysis: Analysis) -> Intervals:

@@ -50,18 +50,13 @@ def _against_fastest(
 ) -> tuple[str, ...]:
     if len({name_of(series) for series in groups.series}) < 2:
         return ()
-    medians, (low, high, between) = (
-        values.times_ns["latency"]["p50"],
-        (
-            ends.get("latency", {}).get("p50", ())
-            for ends in (intervals.low_ns, intervals.high_ns, intervals.is_between)
-        ),
-    )
+    medians = values.times_ns["latency"]["p50"]
     # Everything else alike -> name -> group.
     alike: dict[Hashable, dict[str, int]] = {}
     for group in groups.groups:
         series, index = groups.series_of(group), group.index
-        if group.published == group.received and not values.plain["unsent"][index] and between and between[index]:
+        is_whole = group.published == group.received and not values.plain["unsent"][index]
+        if is_whole and intervals.is_between_runs("latency", "p50", index):
             alike.setdefault((group.cell, without(series)), {})[name_of(series)] = index
     compared = [named for named in alike.values() if len(named) > 1]
     if not compared:
@@ -74,12 +69,15 @@ def _against_fastest(
         factors = [
             own / base
             for slow, fast in pairs
-            if (own := medians[slow])
-            and (base := medians[fast])
-            and ((low[slow] or 0) > (high[fast] or own) or (high[slow] or own) < (low[fast] or 0))
+            if (own := medians[slow]) and (base := medians[fast]) and _are_apart(intervals, own, slow, fast)
         ]
         unclear = f" (no clear difference in {len(pairs) - len(factors)} of {len(pairs)} comparisons)"
         if factors:
             noted = unclear if len(factors) < len(pairs) else ""
             parts.append(f"{preposition} {name} {factor_words(factors)} as long{noted}")
     return (f"{joined(parts[:MOST_COMPARED])} as {preposition} {fastest}",) if parts else ()
+
+
+def _are_apart(intervals: Intervals, own_ns: float, own: int, base: int) -> bool:
+    (own_low, own_high), (base_low, base_high) = (intervals.ends("latency", "p50", group) for group in (own, base))
+    return (own_low or 0) > (base_high or own_ns) or (own_high or own_ns) < (base_low or 0)

@@ -26,8 +26,8 @@ from .book.headline import (
     size_span,
     winner_sentences,
 )
-from .book.outcomes import commonest_places, outcome_of, shown_case, stretches
-from .book.verdicts import contender_labels, place_of
+from .book.outcomes import answers_by_kind, outcome_of, places_alike, shown_case, stretches
+from .book.verdicts import contender_labels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -106,12 +106,9 @@ def _marked(mark: tuple[str, str], text: str) -> list[Text]:
 def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterator[list[Text]]:
     """Yield for each kind of data a heading, its facts and its bars; of several places those with the commonest outcome."""
     several, is_drawn = len({answer.data_type for answer in answers}) > 1, False
-    kinds: dict[tuple[str, str], dict[str, list[CaseAnswer]]] = {}
-    for answer in answers:
-        if answer.clarity is not Clarity.ONLY_ONE:
-            kinds.setdefault((answer.domain_mode, answer.data_type), {}).setdefault(place_of(answer), []).append(answer)
-    for (mode, data_type), places in sorted(kinds.items(), key=lambda item: item[0][0] != "same"):
-        shown = commonest_places(places)
+    compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
+    for (mode, data_type), places in answers_by_kind(compared):
+        shown = places_alike(places)[0]
         heading = ["Fastest", "in the same domain" if mode == "same" else f"across {printable(mode)} domains"]
         heading += [f"({data_type_label(data_type)})"] if several else []
         if len(places) > 1:

@@ -13,7 +13,7 @@ from dds_trace.base.version import __version__
 
 from .book.groups import data_type_label
 from .book.headline import loss_sentence, winner_sentences
-from .book.outcomes import commonest_places, outcome_of, shown_case
+from .book.outcomes import answers_by_kind, outcome_of, places_alike, shown_case
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
 
@@ -90,20 +90,25 @@ class Measured:
 
 def render(book: Book) -> str:
     """Return the card as SVG."""
+    return _svg_text(_verdict(book)[0], card_marks(book))
+
+
+def _svg_text(title: str, marks: Sequence[Mark]) -> str:
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}" viewBox="0 0 {WIDTH} {HEIGHT}"'
-        f' role="img" font-family="{FAMILY}">\n<title>{escape(_verdict(book)[0])}</title>\n'
+        f' role="img" font-family="{FAMILY}">\n<title>{escape(title)}</title>\n'
         f'<rect width="{WIDTH}" height="{HEIGHT}" fill="#ffffff"/>\n'
     )
-    return head + "".join(f"{_svg(mark)}\n" for mark in card_marks(book)) + "</svg>\n"
+    return head + "".join(f"{_svg(mark)}\n" for mark in marks) + "</svg>\n"
 
 
 def write_card(book: Book, folder: Path, say: Callable[[str], None]) -> list[Path]:
     """Write card.svg and card.png; without matplotlib say how to get it, and write only the first."""
     svg, png = folder / "card.svg", folder / "card.png"
-    svg.write_text(render(book), encoding="utf-8")
+    marks = card_marks(book)
+    svg.write_text(_svg_text(_verdict(book)[0], marks), encoding="utf-8")
     try:
-        _draw_png(card_marks(book), png)
+        _draw_png(marks, png)
     except ModuleNotFoundError:
         say("card.png needs matplotlib: pip install 'dds-trace[card]'; card.svg is written")
         return [svg]
@@ -151,21 +156,16 @@ def card_marks(book: Book) -> list[Mark]:
 
 def _verdict(book: Book) -> tuple[str, Sequence[CaseAnswer]]:
     """Return the sentence, and the answers that it is about."""
-    kinds: dict[tuple[bool, str, str], dict[str, list[CaseAnswer]]] = {}
     answers = book.analysis.details.answers if book.answer.metric == "latency" else ()
-    for answer in answers:
-        key = answer.domain_mode != "same", answer.domain_mode, answer.data_type
-        kinds.setdefault(key, {}).setdefault(place_of(answer), []).append(answer)
-    ordered = [by_place for _, by_place in sorted(kinds.items(), key=lambda item: item[0])]
+    ordered = [kind for _, kind in sorted(answers_by_kind(answers), key=lambda item: (item[0][0] != "same", *item[0]))]
     for by_place in ordered:
-        shown = commonest_places(by_place)
-        cases = by_place[shown[0]]
+        cases = by_place[places_alike(by_place)[0][0]]
         if any(outcome_of(case).is_decided for case in cases):
             every = [case for own in by_place.values() for case in own]
             return winner_sentences(every, book.groups.vendors)[0], cases
     losses = loss_sentence(book.groups, book.values)
     sentence = next(words for words in (book.answer.headline, *book.answer.points, "") if words != losses)
-    return sentence or losses, ordered[0][commonest_places(ordered[0])[0]] if ordered else ()
+    return sentence or losses, ordered[0][places_alike(ordered[0])[0][0]] if ordered else ()
 
 
 def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:
@@ -178,12 +178,11 @@ def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:
     groups = _groups_of_row(book, answer)
     labels = contender_labels(book.analysis.details.answers, book.groups.vendors)
     styles = choice_styles(book.facets)
-    low, high = (ends.get("latency", {}).get("p50", ()) for ends in (book.intervals.low_ns, book.intervals.high_ns))
     for setup in answer.contenders:
         label, at = labels[setup.name], setup.p50_ns
         group = groups.get((MODES.get(answer.domain_mode, answer.domain_mode), label))
         color = GREY if group is None else styles[book.facets.option("choice", group)].light
-        ends = [side[group] if side and group is not None else None for side in (low, high)]
+        ends = (None, None) if group is None else book.intervals.ends("latency", "p50", group)
         bottom, top = ((at or 0) if end is None else end for end in ends)
         leads = answer.domain_mode == "same" and answer.leader_p50 == setup.name
         yield Measured(label, _message_words(answer), color, at, min(bottom, at or 0), max(top, at or 0), leads)

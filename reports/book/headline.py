@@ -17,7 +17,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_number, format_size
 
 from .groups import data_type_label, device_pair, domain_label, format_count, format_ratio, joined, way_words
-from .outcomes import PERCENTILES, Stretch, outcome_of, stretches
+from .outcomes import PERCENTILES, Stretch, answers_by_kind, outcome_of, places_alike, stretches
 from .verdicts import MODES, conditions_label, contender_labels, place_of
 
 if TYPE_CHECKING:
@@ -129,24 +129,15 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
     """Say for each kind of data at which sizes which setup is fastest, and by which factor."""
     labels = contender_labels(answers, vendors)
     several_types = len({answer.data_type for answer in answers}) > 1
-    kinds: dict[tuple[str, str], dict[str, list[CaseAnswer]]] = {}
-    for answer in answers:
-        if answer.clarity is not Clarity.ONLY_ONE:
-            by_pair = kinds.setdefault((answer.domain_mode, answer.data_type), {})
-            by_pair.setdefault(place_of(answer), []).append(answer)
+    compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
     sentences = []
-    for (mode, data_type), by_pair in sorted(kinds.items(), key=lambda item: item[0][0] != "same"):
+    for (mode, data_type), by_pair in answers_by_kind(compared):
         if not any(outcome_of(case).is_decided for cases in by_pair.values() for case in cases):
             continue
         words = MODES.get(mode, printable(mode))
         where = f"In the {words}" if mode == "same" else f"Across {words}"
         what = f"{where}, {data_type_label(data_type)}" if several_types else where
-        alike: dict[tuple[tuple[Outcome | None, tuple[int, ...]], ...], list[str]] = {}
-        for pair, cases in by_pair.items():
-            outcome = tuple((stretch.outcome, stretch.sizes) for stretch in stretches(cases))
-            alike.setdefault(outcome, []).append(pair)
-        most_pairs_first = sorted(alike.values(), key=lambda pairs: -len(pairs))
-        shown = most_pairs_first[: MOST_NAMED if len(by_pair) <= MOST_NAMED else 1]
+        shown = places_alike(by_pair)[: MOST_NAMED if len(by_pair) <= MOST_NAMED else 1]
         for pairs in shown:
             cut = stretches(case for pair in pairs for case in by_pair[pair])
             on = "" if len(by_pair) == 1 else f", on {_pairs(pairs, len(by_pair))}"

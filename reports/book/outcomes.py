@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from dds_trace.analyzer.verdicts.answers import Clarity
 from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
 
+from .verdicts import place_of
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
@@ -86,12 +88,20 @@ def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
     return tuple(cut)
 
 
-def commonest_places(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[str]:
-    """Return the places that share the outcome of most places."""
+def answers_by_kind(answers: Iterable[CaseAnswer]) -> list[tuple[tuple[str, str], dict[str, list[CaseAnswer]]]]:
+    """Return domain mode and data type, the same domain first, with the answers on each pair of devices and link."""
+    kinds: dict[tuple[str, str], dict[str, list[CaseAnswer]]] = {}
+    for answer in answers:
+        kinds.setdefault((answer.domain_mode, answer.data_type), {}).setdefault(place_of(answer), []).append(answer)
+    return sorted(kinds.items(), key=lambda item: item[0][0] != "same")
+
+
+def places_alike(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[list[str]]:
+    """Return the places that share an outcome, the outcome of most places first."""
     alike: dict[object, list[str]] = {}
     for place, cases in by_place.items():
         alike.setdefault(tuple((one.outcome, one.sizes) for one in stretches(cases)), []).append(place)
-    return max(alike.values(), key=len)
+    return sorted(alike.values(), key=lambda places: -len(places))
 
 
 def shown_case(cases: Sequence[CaseAnswer]) -> CaseAnswer:

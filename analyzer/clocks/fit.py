@@ -260,6 +260,36 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
     return fitted
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedWindows:
+    """The windows of one fit: `time` of each message in order, and `stretches` of messages without a step.
+
+    The origins were subtracted: of times on the ping's clock, and of offsets.
+    """
+
+    time: Float64
+    windows: Windows
+    stretches: tuple[tuple[int, int], ...]
+    time_origin_ns: int
+    offset_origin_ns: int
+    same_clock: bool
+
+
+def windows_of(messages: RelayedMessages) -> FittedWindows:
+    """Fit the windows of at least one message.
+
+    Raises:
+        ValueError: a message has `rtt < intermediate`.
+    """
+    points = OffsetIntervals(*np.empty((3, len(messages.publish_ns))))
+    ordered = _Points.of(messages, points)
+    stretches = tuple(find_stretches(points))
+    windows = fit_windows(points, stretches)
+    return FittedWindows(
+        points.time, windows, stretches, ordered.time_origin_ns, ordered.offset_origin_ns, ordered.same_clock
+    )
+
+
 def _segments(
     time: Float64, windows: Windows, stretches: Sequence[tuple[int, int]], fit_points: _Points
 ) -> tuple[tuple[ClockSegment, ...], tuple[ClockStep, ...]]:

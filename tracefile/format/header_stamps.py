@@ -1,0 +1,231 @@
+"""The header stamp of a message of any type, found in its bytes: the first `std_msgs/Header` at any depth, or a leading time."""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    Stored = Callable[[str], "Fields | None"]
+    """Returns the fields of a type by `package/Type`."""
+
+_HEADER, _TIME = "std_msgs/Header", "builtin_interfaces/Time"
+_SIZES = {
+    **dict.fromkeys(("bool", "byte", "char", "int8", "uint8", "octet"), 1),
+    **dict.fromkeys(("int16", "uint16"), 2),
+    **dict.fromkeys(("int32", "uint32", "float32"), 4),
+    **dict.fromkeys(("int64", "uint64", "float64"), 8),
+    "float128": 16,
+}
+_TIMES_OF_ROS1 = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
+_PAIR_OF_32_BITS = frozenset({"builtin_interfaces/Time", "builtin_interfaces/Duration"})
+_MOST_STEPS = 10_000
+"""Elements that are passed over before the stamp of one message."""
+
+
+class Field(NamedTuple):
+    """A field of a message type; `length` is of an array, None of a single value, -1 of a sequence."""
+
+    name: str
+    type: str
+    length: int | None
+
+
+Fields = tuple[Field, ...]
+
+_HEADERS: dict[str, Fields] = {
+    "cdr": (Field("stamp", _TIME, None), Field("frame_id", "string", None)),
+    "ros1": (Field("seq", "uint32", None), Field("stamp", _TIME, None), Field("frame_id", "string", None)),
+}
+"""Fields of a header by encoding."""
+
+_FIELD = re.compile(
+    r"\s*(?P<type>[A-Za-z]\w*(?:/\w+){0,2})(?:<=\d+)?(?P<array>\[(?:<=)?\d{0,9}\])?\s+(?P<name>[A-Za-z]\w*)(?!\s*=)\b.*"
+)
+_SECTION = re.compile(r"\s*MSG:\s*(\S+)\s*")
+
+
+def plain_name(name: str) -> str:
+    """Return `package/Type` of `package/msg/Type`."""
+    package, _, rest = name.partition("/")
+    return f"{package}/{rest.rpartition('/')[2]}" if rest else name
+
+
+def parse_definition(name: str, text: str) -> dict[str, Fields]:
+    """Return the fields of a type and of those that follow it in the text of its `.msg` file, by `package/Type`."""
+    types: dict[str, list[Field]] = {}
+    own = fields = types.setdefault(plain_name(name), [])
+    package = name.partition("/")[0]
+    for line in text.splitlines():
+        if section := _SECTION.fullmatch(line):
+            package = section[1].partition("/")[0]
+            fields = types.setdefault(plain_name(section[1]), [])
+            if fields is own:
+                fields = []
+        elif match := _FIELD.fullmatch(line.partition("#")[0].rstrip()):
+            array = match["array"]
+            length = None if array is None else int(array[1:-1]) if array[1:-1].isdigit() else -1
+            fields.append(Field(match["name"], _full_name(match["type"], package), length))
+    return {key: tuple(value) for key, value in types.items()}
+
+
+def _full_name(name: str, package: str) -> str:
+    if name in _SIZES or name in {"string", "wstring"}:
+        return name
+    if name == "Header":
+        return _HEADER
+    return _TIMES_OF_ROS1.get(name) or plain_name(name if "/" in name else f"{package}/{name}")
+
+
+@dataclass(frozen=True, slots=True)
+class Types:
+    """The fields of types by `package/Type`; `stored` looks up those that are not `defined`."""
+
+    defined: Mapping[str, Fields]
+    stored: Stored
+
+    def fields(self, name: str) -> Fields | None:
+        """Return the fields of a type, None if it is unknown."""
+        return self.defined.get(name) or self.stored(name)
+
+    def with_header(self, name: str) -> frozenset[str]:
+        """Return a type and those that it is made of, as far as they contain a header."""
+        left, parts = [name], dict[str, Fields]()
+        while left:
+            one = left.pop()
+            if one not in parts:
+                parts[one] = self.fields(one) or ()
+                left += [part.type for part in parts[one]]
+        found = parts.keys() & {_HEADER}
+        while more := {one for one, fields in parts.items() if any(part.type in found for part in fields)} - found:
+            found |= more
+        return frozenset(found)
+
+
+def stamp_reader(
+    name: str, definition: str, encoding: str, stored: Stored = lambda _: None
+) -> Callable[[bytes], int | None] | None:
+    """Return a function that reads the stamp of a serialized message in ns, None where it has none; None for a type without.
+
+    `encoding` is `cdr` or `ros1`, `definition` the text of the type, empty for one that is `stored`. Of several headers, as
+    in an array, the first counts.
+    """
+    if encoding not in _HEADERS:
+        return None
+    defined = parse_definition(name, definition) if definition.strip() else {}
+    types = Types({_HEADER: _HEADERS[encoding], **defined}, stored)
+    plain = plain_name(name)
+    fields = types.fields(plain)
+    if not fields:
+        return None
+    leads = fields[0].type == _TIME and fields[0].length is None
+    with_header = types.with_header(plain)
+    if not leads and not with_header:
+        return None
+
+    def read(data: bytes) -> int | None:
+        try:
+            walk = _Walk(data, types, with_header, is_cdr=encoding == "cdr")
+            stamp_ns = walk.time() if leads else walk.stamp_of(plain)
+        except (struct.error, ValueError, RecursionError):
+            return None
+        return stamp_ns or None
+
+    return read
+
+
+_CDR_ORDER = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
+"""Byte order and largest alignment by the second byte of the encapsulation: plain CDR, version 1 and 2 (OMG DDS-XTypes 1.3, 7.6.3.1.2)."""
+
+
+@dataclass(slots=True)
+class _Walk:
+    data: bytes
+    types: Types
+    with_header: frozenset[str]
+    is_cdr: bool
+    at: int = 0
+    order: str = "<"
+    widest: int = 1
+    steps: int = field(default=_MOST_STEPS)
+
+    def __post_init__(self) -> None:
+        if self.is_cdr:
+            if len(self.data) < 4 or self.data[0] or self.data[1] not in _CDR_ORDER:
+                raise ValueError("not plain CDR")
+            self.order, self.widest = _CDR_ORDER[self.data[1]]
+            self.at = 4
+
+    def align(self, size: int) -> None:
+        size = min(size, self.widest)
+        self.at += -(self.at - 4) % size if self.is_cdr else 0
+
+    def count(self) -> int:
+        self.align(4)
+        (value,) = struct.unpack_from(f"{self.order}I", self.data, self.at)
+        self.at += 4
+        if value > len(self.data):
+            raise ValueError("longer than the message")
+        return int(value)
+
+    def length(self, one: Field) -> int:
+        """Return how many values follow; in version 2 their size comes first unless they are numbers."""
+        if one.length is None:
+            return 1
+        if self.widest == 4 and one.type not in _SIZES:
+            self.align(4)
+            self.at += 4
+        return one.length if one.length >= 0 else self.count()
+
+    def time(self) -> int:
+        self.align(4)
+        seconds, nanoseconds = struct.unpack_from(f"{self.order}{'i' if self.is_cdr else 'I'}I", self.data, self.at)
+        self.at += 8
+        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+    def stamp_of(self, name: str) -> int | None:
+        """Return the first stamp in a value of a type that has a header somewhere, None if its sequences are empty."""
+        for one in self.types.fields(name) or ():
+            if name == _HEADER and one.type == _TIME:
+                return self.time()
+            if one.type not in self.with_header:
+                self.skip(one)
+                continue
+            for _ in range(self.length(one)):
+                self.step()
+                stamp_ns = self.stamp_of(one.type)
+                if stamp_ns is not None:
+                    return stamp_ns
+        return None
+
+    def step(self) -> None:
+        self.steps -= 1
+        if self.steps < 0:
+            raise ValueError("too much before the stamp")
+
+    def skip(self, one: Field) -> None:
+        length, size = self.length(one), _SIZES.get(one.type)
+        if size is not None:
+            if length:
+                self.align(size)
+                self.at += size * length
+            return
+        for _ in range(length):
+            self.step()
+            if one.type == "string":
+                length_bytes = self.count()
+                self.at += length_bytes
+            elif one.type in _PAIR_OF_32_BITS:
+                self.align(4)
+                self.at += 8
+            else:
+                fields = self.types.fields(one.type)
+                if fields is None:
+                    raise ValueError("unknown type")
+                self.at += not fields and self.is_cdr  # an empty structure has one byte
+                for inner in fields:
+                    self.skip(inner)

@@ -43,11 +43,12 @@ class PingOptions:
         "binary",
         "--data KIND",
         Panel.MESSAGE,
-        "What is sent: binary, string, imu, file:PATH (or the files of a folder), bag:PATH#TOPIC, or topic:/NAME (live).",
+        "What is sent: binary, string, imu, imu:FILE (recorded values), file:PATH (or the files of a folder), "
+        "bag:PATH#TOPIC, or topic:/NAME (live).",
         axis=Axis(
             for_relay=False,
-            meaning="`binary`, `string`, `imu`, or what is sent instead: `file:PATH`, `bag:PATH#TOPIC`, `topic:/NAME` "
-            "([payloads](../how-to/payloads.md))",
+            meaning="`binary`, `string`, `imu`, or what is sent instead: `imu:FILE`, `file:PATH`, `bag:PATH#TOPIC`, "
+            "`topic:/NAME` ([payloads](../how-to/payloads.md))",
         ),
     )
     size_bytes: int | None = detail(

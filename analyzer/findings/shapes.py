@@ -122,7 +122,7 @@ def _median(shapes: pl.DataFrame, column: str) -> float:
 
 
 _SEGMENT_BYTES = 512 * 1024
-"""Fast DDS's shared-memory segment: a message that does not fit goes another way (eProsima, SHM transport)."""
+"""Fast DDS's shared-memory segment on one host: a message that does not fit goes another way (eProsima, SHM transport)."""
 
 _JUMP = 2.0
 """Growth of the latency over growth of the size that no cost in proportion to the size explains."""

@@ -13,7 +13,7 @@ from .base import DataType, PayloadContext, Source
 from .binary import BINARY
 from .file import FILE
 from .header import header_data_type
-from .imu import IMU
+from .imu import IMU, IMU_FILE
 from .string import STRING
 from .topic import TOPIC
 
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from ..backends.node import Node
     from .base import Payload
 
-PAYLOADS: dict[str, DataType | Source] = {payload.name: payload for payload in (BINARY, STRING, IMU, FILE, BAG, TOPIC)}
-"""By `--data`, or its text before the colon."""
+PAYLOADS: dict[str, DataType | Source] = {
+    **{data_type.name: data_type for data_type in (BINARY, STRING, IMU)},
+    **{source.usage: source for source in (IMU_FILE, FILE, BAG, TOPIC)},
+}
+"""By the form of `--data`."""
 
 
 def data_types() -> dict[str, DataType]:
@@ -37,7 +40,7 @@ def find_data_type(name: str) -> DataType:
     """Return a data type; raise an `OptionError` if there is none."""
     types = data_types()
     if name not in types:
-        *usages, last = (payload.usage for payload in PAYLOADS.values() if isinstance(payload, Source))
+        *usages, last = (source.usage for source in sources().values())
         raise OptionError(
             f"there is no data type {limits.shown(name)}; choose one of {', '.join(types)}, or write {', '.join(usages)} or {last}"
         )
@@ -85,11 +88,16 @@ def is_live(data: str) -> bool:
     return _split_source(data)[0] is TOPIC
 
 
+def sources() -> dict[str, Source]:
+    """Return the kinds of data that are read, by the text before the colon."""
+    return {payload.name: payload for payload in PAYLOADS.values() if isinstance(payload, Source)}
+
+
 def _split_source(data: str) -> tuple[Source | None, str]:
     """Return the source, if any, and the text after the colon."""
     kind, colon, name = data.partition(":")
-    source = PAYLOADS.get(kind)
-    return (source, name) if colon and isinstance(source, Source) else (None, data)
+    source = sources().get(kind) if colon else None
+    return (source, name) if source else (None, data)
 
 
 def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:

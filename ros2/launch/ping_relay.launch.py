@@ -32,7 +32,7 @@ ARGUMENTS = {
     "domain": ("", "DDS domain; ROS_DOMAIN_ID if not given."),
     "rmw": ("", "RMW implementation, such as rmw_cyclonedds_cpp; RMW_IMPLEMENTATION if not given."),
     "discovery": ("", "localhost or subnet; what ROS 2's variables say if not given."),
-    "data": ("", "binary, string, imu, file:PATH, bag:PATH#TOPIC or topic:/NAME."),
+    "data": ("", "binary, string, imu, imu:FILE, file:PATH, bag:PATH#TOPIC or topic:/NAME."),
     "size": ("", "Size of a message, such as 33KB."),
     "rate": ("", "Messages a second."),
     "messages": ("", "Messages to measure."),

@@ -82,6 +82,35 @@ def test_paper_plan_has_the_papers_rates_and_programs():
     assert plan.run.messages_at(1000) == 20_000
 
 
+def test_paper_plan_as_run_has_what_its_programs_sent():
+    plan, of_text = read_plan(ROOT / "plans/paper-as-run.toml"), read_plan(ROOT / "plans/paper.toml")
+    assert (plan.run.messages, plan.run.warmup, plan.run.ping_domain, plan.run.domain) == (151, 0, 5, 10)
+    sent = {data: sorted({cell.size for cell in plan.cells if cell.data == data}) for data in ("binary", "string")}
+    # width x height x 3 of the images of its repository
+    images = [(200, 109), (225, 225), (273, 204), (1175, 661), (1434, 954)]
+    assert sent == {"binary": [3 * width * height for width, height in images], "string": [4, 91, 1397, 2671]}
+    imu = read_plan(ROOT / "plans/paper-as-run-imu.toml")
+    assert (imu.run.messages, imu.run.warmup, {cell.data for cell in imu.cells}) == (300, 0, {"imu"})
+    for cells in (plan.cells, imu.cells):
+        assert {cell.depth for cell in cells} == {1}
+        assert {(cell.serialization, cell.executor) for cell in cells} == {("typed", "single")}
+        assert {(cell.rmw, cell.bridge) for cell in cells} == {(cell.rmw, cell.bridge) for cell in of_text.cells}
+    rates = {(cell.data, cell.rate) for cell in (*plan.cells, *imu.cells)}
+    assert rates == {(cell.data, cell.rate) for cell in of_text.cells}
+
+
+def test_paper_plan_on_a_link_is_a_part_of_both_in_a_quarter_of_an_hour():
+    plan = read_plan(ROOT / "plans/paper-link.toml")
+    sizes = {depth: sorted({cell.size for cell in plan.cells if cell.depth == depth}) for depth in (1, 10)}
+    as_run, of_text = (
+        {cell.size for cell in read_plan(ROOT / f"plans/{name}.toml").cells} for name in ("paper-as-run", "paper")
+    )
+    assert len(sizes[1]) == len(sizes[10]) == 3
+    assert (set(sizes[1]) <= as_run, set(sizes[10]) <= of_text) == (True, True)
+    assert plan.link.rate_mbit_s == 100
+    assert plan_seconds(plan).seconds <= 20 * 60
+
+
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
 def test_every_plan_that_we_ship_can_be_read(path):
     assert schedule(read_plan(path, installed))
@@ -90,7 +119,7 @@ def test_every_plan_that_we_ship_can_be_read(path):
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
 def test_every_plan_that_we_ship_has_passes_in_alternating_order_five_where_nothing_hurries(path):
     asked = read_plan(path, installed).run
-    assert (asked.repeats, asked.order) == (3 if path.stem in ("emulated-link", "gallery") else 5, Order.ALTERNATING)
+    assert (asked.repeats, asked.order) == (3 if path.stem in ("emulated-link", "gallery", "paper-link") else 5, Order.ALTERNATING)
 
 
 def test_plan_of_the_results_takes_half_an_hour_at_most_with_what_runs_on_one_machine():

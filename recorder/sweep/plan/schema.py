@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from dds_trace.base import limits
 from dds_trace.base.units import UNIT_BYTES
 
-from ...payloads import PAYLOADS, data_types
-from ...payloads.base import Source
+from ...payloads import data_types, sources
 from .cells import AXES, Key
 from .link import PRESETS, Link
 from .plan import DeviceSettings, Network, RunSettings, Search
@@ -201,8 +200,7 @@ def _size(key: Key) -> Schema:
 
 
 def _data(_: Key) -> Schema:
-    sources = [name for name, payload in PAYLOADS.items() if isinstance(payload, Source)]
-    text = {"type": "string", "pattern": rf"^({'|'.join(sources)}):[^\x00]+$", "maxLength": limits.TEXT.most}
+    text = {"type": "string", "pattern": rf"^({'|'.join(sources())}):[^\x00]+$", "maxLength": limits.TEXT.most}
     return {"anyOf": [{"enum": list(data_types())}, text]}
 
 

@@ -13,8 +13,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import parse_size, split_quantity
 
 from ...options import DEFAULT_MESSAGES
-from ...payloads import PAYLOADS, check_data
-from ...payloads.base import Source
+from ...payloads import check_data, sources
 from .link import PRESETS
 from .schema import INSTALLED, POINTER, TABLES, plain
 
@@ -56,7 +55,8 @@ def _message(text: str) -> Message:
     if not at or quantity is None or quantity[1]:
         raise OptionError(f"{limits.shown(text)}: write a kind, a size and a rate, for example {DATA_EXAMPLE}")
     data, size = named.strip(), None
-    if not isinstance(PAYLOADS.get(data.partition(":")[0]), Source):
+    kind, colon, _ = data.partition(":")
+    if not (colon and kind in sources()):
         data, *sizes = data.split() or [""]
         size = "".join(sizes) or None
     check_data(data)

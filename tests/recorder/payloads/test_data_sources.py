@@ -61,6 +61,60 @@ def test_files_that_cannot_be_sent(tmp_path, monkeypatch):
         load(f"file:{tmp_path}")
 
 
+IMU_ROWS = "time,gx,gy,gz,ax,ay,az\n10.00,1,2,3,4,5,6\n\n10.01,-1,-2e0,-3,-4,-5,-6.5\n10.04,0,0,0,0,0,9.8\n"
+
+
+@pytest.mark.parametrize(
+    "text", [IMU_ROWS, IMU_ROWS.replace(",", "\t "), "\ufeff" + IMU_ROWS.replace("\n", "\r\n"), IMU_ROWS.split("\n", 1)[1]]
+)
+def test_recorded_inertial_data_are_messages_with_those_values(tmp_path, text):
+    (tmp_path / "drive.csv").write_text(text, newline="")
+    payload = load(f"imu:{tmp_path}/drive.csv")
+    assert payload.data_type is IMU
+    assert payload.rate_hz == pytest.approx(2 / 0.04)
+    assert (payload.payload_bytes, payload.source) == (296, f"imu:{tmp_path}/drive.csv")
+    assert len(payload.messages) == 3
+    sent = ROS2.deserialize_cdr(bytes(payload.messages[1].data), "sensor_msgs/msg/Imu")
+    gyro, acceleration = sent.angular_velocity, sent.linear_acceleration
+    assert (gyro.x, gyro.y, gyro.z) == (-1.0, -2.0, -3.0)
+    assert (acceleration.x, acceleration.y, acceleration.z) == (-4.0, -5.0, -6.5)
+    assert sent.header.frame_id == STAMP
+    assert sent.orientation_covariance[0] == -1.0  # there is no estimate
+    assert not sent.angular_velocity_covariance.any()
+    assert not sent.linear_acceleration_covariance.any()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "the file has no values"),
+        ("time,gx,gy,gz,ax,ay,az\n", "the file has no values"),
+        ("1,2,3,4,5,6\n", "line 1 has 6 numbers in 6 columns"),
+        ("1,2,3,4,5,6,7\n1,2,3,4,5,6,7,8\n", "line 2 has 8 numbers in 8 columns"),
+        ("1,2,3,4,5,6,seven\n", "line 1 has 6 numbers in 7 columns"),
+        ("1,2,3,4,5,6,nan\n", "line 1 has 6 numbers in 7 columns"),
+        ("1,2,3,4,5,6,7\n\xff\n", "line 2 has 0 numbers in 1 columns"),
+        ("2,2,3,4,5,6,7\n1,2,3,4,5,6,7\n", "line 2 is earlier"),
+    ],
+)
+def test_inertial_data_that_cannot_be_sent_name_the_line(tmp_path, text, words):
+    (tmp_path / "drive.csv").write_text(text, encoding="latin-1")
+    with pytest.raises(OptionError, match=f"^--data imu:.*drive.csv: {words}"):
+        load(f"imu:{tmp_path}/drive.csv")
+
+
+def test_inertial_data_of_no_file_or_too_much(tmp_path, monkeypatch):
+    with pytest.raises(OptionError, match="No such file"):
+        load("imu:/nowhere")
+    with pytest.raises(OptionError, match="not a regular file"):
+        load("imu:/dev/zero")
+    (tmp_path / "drive.csv").write_text("1 2 3 4 5 6 7\n" * 20)
+    assert load(f"imu:{tmp_path}/drive.csv").rate_hz is None  # no time passes
+    monkeypatch.setattr(payloads_base, "MAX_PAYLOAD_BYTES", 296 * 10)
+    with pytest.raises(OptionError, match="more than 0 GiB"):
+        load(f"imu:{tmp_path}/drive.csv")
+
+
 @pytest.mark.parametrize("plugin", StoragePlugin, ids=lambda plugin: plugin.value)
 def test_messages_of_a_bag_keep_all_but_their_header(tmp_path, plugin):
     bag = write_bag2(tmp_path / "bag", {"/points": [points(n) for n in (3, 100, 7)]}, plugin)

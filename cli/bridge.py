@@ -113,6 +113,7 @@ def _list(*, as_json: bool) -> None:
                 "program": None if program is None else str(program),
                 "version": None if program is None else bridge.version(program),
                 "install": bridge.install,
+                "tried": bridge.tried,
             }
         )
     if as_json:
@@ -122,6 +123,7 @@ def _list(*, as_json: bool) -> None:
     for row in rows:
         state = "installed" if row["installed"] else "not installed"
         detail = (row["version"] or row["program"]) if row["installed"] else row["install"]
+        detail = f"{detail} (tried: {row['tried']})"
         line = f"{row['name']:<{width}}  {state:<13}  {detail}"
         lines = textwrap.wrap(line, 80, break_on_hyphens=False, break_long_words=False)
         if len(lines) > 1:  # the detail below its name

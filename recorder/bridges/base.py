@@ -93,8 +93,8 @@ class BridgeOptions:
 
     Attributes:
         topics: the only topics that cross.
-        transport: transport of our own bridges' nodes (see `NodeOptions`).
-        tuned: whether our own nodes, and the Cyclone DDS in zenoh's bridges, get the settings for large messages.
+        transport: transport of our own bridges' nodes (see `NodeOptions`), and of `ddsrouter`.
+        tuned: whether our own nodes, `ddsrouter` and the Cyclone DDS in zenoh's bridges are set for large messages.
         listen: `HOST:PORT` at which this half waits for the other.
         peers: `HOST:PORT` of each other half that this one connects to.
 
@@ -166,6 +166,7 @@ class Bridge:
     Attributes:
         name: in `--bridge` and in a run.
         install: how to install the program, in one line.
+        tried: version that was run by us and how, or that none was.
         suffix: of the configuration file.
         find: returns the program's path, None if it is not installed.
         version: returns the version that the program reports, empty if none.
@@ -178,6 +179,7 @@ class Bridge:
 
     name: str
     install: str
+    tried: str
     suffix: str
     configuration: Callable[[BridgeOptions], str]
     find: Callable[[], Path | None]

@@ -18,6 +18,7 @@ from .builtin_common import INSTALL_ROS2, UP_LINE, Forwarder, open_side, options
 BRIDGE = Bridge(
     name="builtin",
     install=INSTALL_ROS2,
+    tried="with every release",
     suffix=".json",
     configuration=options_to_json,
     find=lambda: Path(sys.executable) if find_spec("rclpy") else None,

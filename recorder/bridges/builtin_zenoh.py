@@ -32,6 +32,7 @@ KEY_PREFIX = "dds_trace/bridge"
 BRIDGE = Bridge(
     name="builtin-zenoh",
     install=f"it needs eclipse-zenoh (pip install eclipse-zenoh), and {INSTALL_ROS2}",
+    tried="with every release, eclipse-zenoh 1.10",
     suffix=".json",
     configuration=options_to_json,
     find=lambda: Path(sys.executable) if find_spec("rclpy") and find_spec("zenoh") else None,

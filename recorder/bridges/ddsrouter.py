@@ -9,7 +9,8 @@ from dds_trace.base.errors import OptionError
 
 from ..backends.dds_types import dds_name
 from ..backends.qos import requested_durations
-from ..choices import Discovery, Durability, Reliability
+from ..backends.ros2.fastdds_profile import tuned_participants
+from ..choices import Discovery, Durability, Reliability, Transport
 from .base import Bridge, Half, Halves, split_address
 from .process.programs import program_on_path, reported_version
 from .texts import yaml_text
@@ -30,9 +31,15 @@ def _configuration(options: BridgeOptions) -> str:
     participants = [_local_participant(side.domain_id, options) for side in options.sides()]
     if options.half is not Half.BOTH:
         participants.append(_wan_participant(options))
+    profiles = {}
+    if options.tuned:
+        names_of_domains = {_participant_name(side.domain_id): side.domain_id for side in options.sides()}
+        is_local = options.discovery is Discovery.LOCALHOST
+        profiles = {"xml": {"raw": tuned_participants(names_of_domains, is_local=is_local)}}
     return yaml_text(
         {
             "version": CONFIGURATION_VERSION,
+            **profiles,
             "allowlist": names,
             "topics": [{**name, "qos": qos} for name in names],
             "participants": participants,
@@ -43,6 +50,7 @@ def _configuration(options: BridgeOptions) -> str:
 BRIDGE = Bridge(
     name=PROGRAM,
     install="build it with colcon or take the docker image (https://eprosima-dds-router.readthedocs.io), and put it on the PATH",
+    tried="3.2.0 on Fast DDS 3.2.2, November 2026",
     suffix=".yaml",
     configuration=_configuration,
     find=lambda: program_on_path(PROGRAM),
@@ -66,10 +74,19 @@ def _qos(qos: Qos) -> dict[str, object]:
 
 
 def _local_participant(domain_id: int, options: BridgeOptions) -> dict[str, object]:
-    local: dict[str, object] = {"name": f"domain_{domain_id}", "kind": "local", "domain": domain_id}
+    name = _participant_name(domain_id)
+    if options.tuned:  # only a profile sets sizes of buffers
+        return {"name": name, "kind": "xml", "profile": name}
+    local: dict[str, object] = {"name": name, "kind": "local", "domain": domain_id}
+    if options.transport in (Transport.UDP, Transport.SHM):
+        local["transport"] = options.transport.value
     if options.discovery is Discovery.LOCALHOST:
         local["whitelist-interfaces"] = ["127.0.0.1"]
     return local
+
+
+def _participant_name(domain_id: int) -> str:
+    return f"domain_{domain_id}"
 
 
 def _wan_participant(options: BridgeOptions) -> dict[str, object]:

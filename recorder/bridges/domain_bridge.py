@@ -36,6 +36,7 @@ def _configuration(options: BridgeOptions) -> str:
 BRIDGE = Bridge(
     name=PACKAGE,
     install="apt install ros-$ROS_DISTRO-domain-bridge, then source /opt/ros/$ROS_DISTRO/setup.bash",
+    tried="never run",
     suffix=".yaml",
     configuration=_configuration,
     find=lambda: find_program(PACKAGE, PACKAGE),

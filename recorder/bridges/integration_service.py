@@ -1,12 +1,19 @@
-"""`integration-service`: eProsima's Integration Service, the paper's choice for Fast DDS."""
+"""`integration-service`: eProsima's Integration Service, the paper's choice for Fast DDS.
+
+It has two ROS 2 system handles, of which an installation has one as a rule: the static one is compiled for each type,
+the dynamic one reads the IDL of types from /opt/ros and is itself a Fast DDS participant.
+"""
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import SECOND_NS
 
 from ..backends.qos import requested_durations
+from ..choices import History
 from .base import Bridge
 from .process.programs import discovery_environment, program_on_path
 from .texts import yaml_text
@@ -17,14 +24,20 @@ if TYPE_CHECKING:
     from .base import BridgeOptions
 
 PROGRAM = "integration-service"
+STATIC, DYNAMIC = "ros2", "ros2_dynamic"
+PREFIX_VARIABLES = ("IS_PREFIX_PATH", "LD_LIBRARY_PATH")
 
 
 def _configuration(options: BridgeOptions) -> str:
     ping, relay = options.sides()
+    handle = DYNAMIC if _has_handle(DYNAMIC) and not _has_handle(STATIC) else STATIC
+    separator = "/" if handle == STATIC else "::msg::"
+    types = {topic.type_name: topic.type_name.replace("/msg/", separator) for topic in options.topics}
+    using = {"using": sorted(name.replace("/msg/", "/") for name in types)} if handle == DYNAMIC else {}
     systems = {side.domain_id: f"domain_{side.domain_id}" for side in (ping, relay)}
     topics = {
         name: {
-            "type": options.type_of(name).replace("/msg/", "/"),  # the ROS 2 system handle's spelling
+            "type": types[options.type_of(name)],
             "route": route,
             **{system: {"qos": _qos(options.qos)} for system in systems.values()},
         }
@@ -35,7 +48,7 @@ def _configuration(options: BridgeOptions) -> str:
     return yaml_text(
         {
             "systems": {
-                system: {"type": "ros2", "domain": domain_id, "node_name": f"dds_trace_bridge_{domain_id}"}
+                system: {"type": handle, "domain": domain_id, "node_name": f"dds_trace_bridge_{domain_id}", **using}
                 for domain_id, system in systems.items()
             },
             "routes": {"ping_to_relay": {"from": there, "to": back}, "relay_to_ping": {"from": back, "to": there}},
@@ -44,12 +57,24 @@ def _configuration(options: BridgeOptions) -> str:
     )
 
 
+def _has_handle(name: str) -> bool:
+    """Return whether the program finds this system handle's `.mix` file."""
+    texts = [os.environ.get(variable, "") for variable in PREFIX_VARIABLES]
+    folders = [Path(folder) for text in texts for folder in text.split(os.pathsep) if folder]
+    program = program_on_path(PROGRAM)
+    if program is not None:
+        folders.append(program.resolve().parents[1] / "lib")
+    places = (f"{name}.mix", f"is/{name}.mix", f"is/{name}/{name}.mix")
+    return any((folder / place).is_file() for folder in folders for place in places)
+
+
 BRIDGE = Bridge(
     name=PROGRAM,
     install=(
-        "build Integration-Service and ROS2-SH with colcon and -DMIX_ROS_PACKAGES='std_msgs sensor_msgs' "
-        "(https://integration-service.docs.eprosima.com), then source its install/setup.bash"
+        "build Integration-Service and ROS2-SH with colcon, either -DMIX_ROS_PACKAGES='std_msgs sensor_msgs' or "
+        "-DIS_ROS2_SH_MODE=dynamic (https://integration-service.docs.eprosima.com), then source its install/setup.bash"
     ),
+    tried="3.1.0 with the dynamic handle of ROS 2, November 2026; the static one never",
     suffix=".yaml",
     configuration=_configuration,
     find=lambda: program_on_path(PROGRAM),
@@ -62,7 +87,8 @@ def _qos(qos: Qos) -> dict[str, object]:
     return {
         "reliability": qos.reliability.upper(),
         "durability": qos.durability.upper(),
-        "history": {"kind": qos.history.upper(), "depth": qos.depth},
+        # A depth makes keep_last of keep_all in the static handle.
+        "history": {"kind": qos.history.upper(), **({} if qos.history == History.KEEP_ALL else {"depth": qos.depth})},
         **{
             policy: dict(zip(("sec", "nanosec"), divmod(duration_ns, SECOND_NS), strict=True))
             for policy, duration_ns in requested_durations(qos).items()

@@ -64,6 +64,7 @@ BRIDGE = Bridge(
         "it is part of RTI Connext Professional (https://www.rti.com) and needs its licence; "
         "set NDDSHOME and RTI_LICENSE_FILE"
     ),
+    tried="never run: no licence",
     suffix=".xml",
     configuration=_configuration,
     find=_find,

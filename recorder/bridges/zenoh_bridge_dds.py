@@ -37,6 +37,7 @@ BRIDGE = Bridge(
         "build it with `just install-zenoh-bridge` in a clone (needs cargo), or get zenoh-bridge-dds from "
         "https://download.eclipse.org/zenoh/zenoh-plugin-dds/latest/"
     ),
+    tried="1.10.2, November 2026",
     suffix=".json5",
     configuration=_configuration,
     find=lambda: program_on_path(PROGRAM) or router_with(PLUGIN),

@@ -41,6 +41,7 @@ def _is_before_iron() -> bool:
 BRIDGE = Bridge(
     name=PROGRAM,
     install="build it with `just install-zenoh-bridge` in a clone (needs cargo), or get it from https://download.eclipse.org/zenoh/zenoh-plugin-ros2dds/latest/ and put it on the PATH",
+    tried="1.10.2, November 2026",
     suffix=".json5",
     configuration=_configuration,
     find=lambda: program_on_path(PROGRAM) or find_program(PACKAGE, PACKAGE) or router_with(PLUGIN),

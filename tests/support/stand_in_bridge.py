@@ -24,6 +24,7 @@ class StandInBridge:
     halves: object = None  # of ours it imports nothing, so that it starts at once
     name: str = "stand-in"
     install: str = "it is a test's own"
+    tried: str = "in every test"
     suffix: str = ".txt"
     up_pattern: str | None = UP
     compiled_in: str = ""

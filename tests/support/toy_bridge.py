@@ -22,6 +22,7 @@ from dds_trace.recorder.bridges.builtin_common import (
 BRIDGE = Bridge(
     name="toy",
     install="it is a test's own",
+    tried="in this test",
     suffix=".toy",
     configuration=options_to_json,
     find=lambda: Path(sys.executable),

@@ -28,7 +28,7 @@ from ...choices import Discovery, Transport
 from .installation import NO_TUNING, package_version, set_transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from ..node import NodeOptions
 
@@ -94,16 +94,22 @@ _PROFILE = """\
   <profiles>
     <transport_descriptors>
 {descriptors}    </transport_descriptors>
-    <participant profile_name="dds_trace" is_default_profile="true">
-      <rtps>
+{participants}  </profiles>
+</dds>
+"""
+
+_PARTICIPANT = """\
+    <participant {attributes}>
+{domain}      <rtps>
         <userTransports>
 {transports}        </userTransports>
         <useBuiltinTransports>false</useBuiltinTransports>
 {discovery}      </rtps>
     </participant>
-  </profiles>
-</dds>
 """
+
+_OF_ANY_DOMAIN = ('profile_name="dds_trace" is_default_profile="true"', "")
+"""Attributes of a participant, and its domain."""
 
 
 _LAYOUTS = {
@@ -124,14 +130,36 @@ def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> 
     return _profile(f"{transport.value} on this machine only", transports, discovery, buffer_bytes)
 
 
-def _profile(title: str, transports: tuple[str, ...], discovery: str, buffer_bytes: int | None) -> str:
+def _profile(
+    title: str,
+    transports: tuple[str, ...],
+    discovery: str,
+    buffer_bytes: int | None,
+    participants: Sequence[tuple[str, str]] = (_OF_ANY_DOMAIN,),
+) -> str:
     buffers = "" if buffer_bytes is None else _BUFFERS.format(bytes=buffer_bytes)
     return _PROFILE.format(
         title=title,
         descriptors="".join(_descriptor(name, buffers) for name in transports),
-        transports="".join(f"          <transport_id>{name}</transport_id>\n" for name in transports),
-        discovery=discovery,
+        participants="".join(
+            _PARTICIPANT.format(
+                attributes=attributes,
+                domain=domain,
+                transports="".join(f"          <transport_id>{name}</transport_id>\n" for name in transports),
+                discovery=discovery,
+            )
+            for attributes, domain in participants
+        ),
     )
+
+
+def tuned_participants(names: Mapping[str, int], *, is_local: bool) -> str:
+    """Return profiles for another program: participants by name and domain id, with UDP and large receive buffers."""
+    transports, discovery = _LAYOUTS[Transport.UDP] if is_local else ((_NETWORK_UDP,), "")
+    participants = [
+        (f'profile_name="{name}"', f"      <domainId>{domain_id}</domainId>\n") for name, domain_id in names.items()
+    ]
+    return _profile("tuned udp", transports, discovery, BUFFER_BYTES, participants)
 
 
 def _descriptor(name: str, buffers: str) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -29,6 +30,8 @@ LAST_LINES = 40
 
 LAST_LINES_BYTES = 8 * 1024
 """Most bytes of those lines."""
+
+_COLOUR_CODE = re.compile(r"\x1b\[[0-9;]*m")
 
 OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 """The log does not explain an end by one of these, which others send."""
@@ -105,14 +108,14 @@ class SupervisedProgram:
         return self._up_pattern is None or (self._folder / "up").exists()
 
     def log_tail(self) -> str:
-        """Return the log's last lines, also after the end."""
+        """Return the log's last lines without colour codes, also after the end."""
         if self._last_log is not None:
             return self._last_log
         content = b""
         for name in ("log.1", "log"):
             with contextlib.suppress(FileNotFoundError):  # shorter log, or the two are swapped just now
                 content += (self._folder / name).read_bytes()
-        text = content[-LAST_LINES_BYTES:].decode(errors="replace")
+        text = _COLOUR_CODE.sub("", content[-LAST_LINES_BYTES:].decode(errors="replace"))
         return "\n".join(text.splitlines()[-LAST_LINES:])
 
     def last_line(self) -> str:

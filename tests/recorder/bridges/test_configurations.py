@@ -28,7 +28,7 @@ from dds_trace.recorder.bridges.base import (
 )
 from dds_trace.recorder.bridges.builtin_common import options_from_json
 from dds_trace.recorder.bridges.texts import element, xml_text, yaml_text
-from dds_trace.recorder.choices import Discovery
+from dds_trace.recorder.choices import Discovery, Transport
 from dds_trace.tracefile.format.descriptions import Qos
 
 IMAGE, STRING, IMU = ("sensor_msgs::msg::dds_::Image_", "std_msgs::msg::dds_::String_", "sensor_msgs::msg::dds_::Imu_")
@@ -175,7 +175,7 @@ def test_integration_service():
         "relay_to_ping": {"from": "domain_10", "to": "domain_5"},
     }
     assert set(found["topics"]) == {name for t in BRIDGED_TOPICS for name in (t.name, t.reply_name)}
-    qos = {"reliability": "BEST_EFFORT", "durability": "TRANSIENT_LOCAL", "history": {"kind": "KEEP_ALL", "depth": 7}}
+    qos = {"reliability": "BEST_EFFORT", "durability": "TRANSIENT_LOCAL", "history": {"kind": "KEEP_ALL"}}
     ends = {"domain_5": {"qos": qos}, "domain_10": {"qos": qos}}
     image = {"type": "sensor_msgs/Image"}
     assert found["topics"]["binary_image"] == {**image, "route": "ping_to_relay", **ends}
@@ -202,6 +202,43 @@ def test_ddsrouter():
         {"name": "domain_5", "domain": 5, **local},
         {"name": "domain_10", "domain": 10, **local},
     ]
+
+
+@pytest.mark.parametrize(
+    ("transport", "expected"),
+    [(Transport.DEFAULT, None), (Transport.UDP, "udp"), (Transport.SHM, "shm"), (Transport.LARGE_DATA, None)],
+)
+def test_ddsrouter_has_the_transports_of_its_own(transport, expected):
+    for participant in from_yaml(texts("ddsrouter", transport=transport)[0])["participants"]:
+        assert participant.get("transport") == expected
+
+
+@pytest.mark.parametrize(
+    ("discovery", "addresses"), [(Discovery.LOCALHOST, ["127.0.0.1"]), (Discovery.SUBNET, [])], ids=str
+)
+def test_a_tuned_ddsrouter_has_a_profile_for_each_domain(discovery, addresses):
+    (text,) = texts("ddsrouter", tuned=True, discovery=discovery)
+    found = from_yaml(text)
+    assert found["participants"] == [
+        {"name": f"domain_{number}", "kind": "xml", "profile": f"domain_{number}"} for number in (5, 10)
+    ]
+    root = ET.fromstring(found["xml"]["raw"])
+    profiles = root.findall(".//{*}participant")
+    domains = [(profile.get("profile_name"), profile.findtext("{*}domainId")) for profile in profiles]
+    assert domains == [("domain_5", "5"), ("domain_10", "10")]
+    # A default profile would be the router's other participants', too.
+    assert not any(profile.get("is_default_profile") for profile in profiles)
+    (transport,) = root.findall(".//{*}transport_descriptor")
+    assert transport.findtext("{*}type") == "UDPv4"
+    assert transport.findtext("{*}receiveBufferSize") == "4000000"
+    assert [address.text for address in transport.findall("{*}interfaceWhiteList/{*}address")] == addresses
+    assert all(profile.findtext(".//{*}useBuiltinTransports") == "false" for profile in profiles)
+
+
+def test_a_tuned_half_of_ddsrouter_has_one_profile_and_an_untouched_link():
+    (relay,) = map(from_yaml, texts("ddsrouter", half=Half.RELAY, tuned=True, peers=("pi1:11666",)))
+    assert [participant["kind"] for participant in relay["participants"]] == ["xml", "wan"]
+    assert re.findall("<domainId>([0-9]+)<", relay["xml"]["raw"]) == ["10"]
 
 
 def test_ddsrouter_as_a_half_on_each_device():

@@ -68,6 +68,7 @@ def test_a_toy_bridge_is_listed_and_shows_its_configuration():
         "program": sys.executable,
         "version": "1.0-toy",
         "install": "it is a test's own",
+        "tried": "in this test",
     }
     shown = CliRunner().invoke(command.app, ["toy", "--print-config", "--from", "3", "--to", "4"])
     assert json.loads(shown.output)["relay_domain_id"] == 4

@@ -1,7 +1,7 @@
 """`integration-service`: eProsima's Integration Service, the paper's choice for Fast DDS.
 
-It has two ROS 2 system handles, of which an installation has one as a rule: the static one is compiled for each type,
-the dynamic one reads the IDL of types from /opt/ros and is itself a Fast DDS participant.
+It has two ROS 2 system handles, and an installation usually has one: the static one is compiled for each type, the
+dynamic one reads the IDL of types from /opt/ros and is itself a Fast DDS participant.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def _has_handle(name: str) -> bool:
     program = program_on_path(PROGRAM)
     if program is not None:
         folders.append(program.resolve().parents[1] / "lib")
-    places = (f"{name}.mix", f"is/{name}.mix", f"is/{name}/{name}.mix")
-    return any((folder / place).is_file() for folder in folders for place in places)
+    files = (f"{name}.mix", f"is/{name}.mix", f"is/{name}/{name}.mix")
+    return any((folder / file).is_file() for folder in folders for file in files)
 
 
 BRIDGE = Bridge(

@@ -30,7 +30,7 @@ PAYLOAD_BYTES = 8 * sum(FIELDS)
 COLUMNS = "time in s, three angular velocities in rad/s and three accelerations in m/s^2"
 _COLUMN_COUNT = 7
 _NO_ORIENTATION, _UNKNOWN_COVARIANCE = (0.0, 0.0, 0.0, 1.0, -1.0, *[0.0] * 8), (0.0,) * 9
-"""A covariance that starts with -1 says that there is no estimate; one of zeros, that it is not known."""
+"""A covariance that starts with -1 means that there is no estimate; one of zeros, that it is unknown."""
 
 
 def make_payload(size_bytes: int | None, seed: int, _stop: threading.Event | None = None, /) -> Payload:
@@ -86,7 +86,9 @@ def _rows(stream: BinaryIO, where: str) -> Iterator[list[float]]:
                 f"--data imu:{where}: line {number} has {len(values)} numbers in {len(cells)} columns; write {COLUMNS}"
             )
         if values[0] < latest_s:
-            raise OptionError(f"--data imu:{where}: line {number} is earlier than the one before; sort the rows by time")
+            raise OptionError(
+                f"--data imu:{where}: line {number} is earlier than the one before; sort the rows by time"
+            )
         latest_s = values[0]
         yield values
 

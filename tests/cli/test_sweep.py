@@ -119,7 +119,10 @@ def test_every_plan_that_we_ship_can_be_read(path):
 @pytest.mark.parametrize("path", PLANS, ids=lambda path: path.stem)
 def test_every_plan_that_we_ship_has_passes_in_alternating_order_five_where_nothing_hurries(path):
     asked = read_plan(path, installed).run
-    assert (asked.repeats, asked.order) == (3 if path.stem in ("emulated-link", "gallery", "paper-link") else 5, Order.ALTERNATING)
+    assert (asked.repeats, asked.order) == (
+        3 if path.stem in ("emulated-link", "gallery", "paper-link") else 5,
+        Order.ALTERNATING,
+    )
 
 
 def test_plan_of_the_results_takes_half_an_hour_at_most_with_what_runs_on_one_machine():

@@ -26,7 +26,10 @@ def install(prefix, *handles):
 
 def log(level, text):
     colour = {"ERROR": "\x1b[31m", "INFO": ""}[level]
-    print(f"\x1b[1m{colour}[Integration Service][{level}] \x1b[0m\x1b[1m[is::core::Config]\x1b[0m {text}\x1b[0m", flush=True)
+    print(
+        f"\x1b[1m{colour}[Integration Service][{level}] \x1b[0m\x1b[1m[is::core::Config]\x1b[0m {text}\x1b[0m",
+        flush=True,
+    )
 
 
 def fail(text):

@@ -108,7 +108,7 @@ _PARTICIPANT = """\
     </participant>
 """
 
-_OF_ANY_DOMAIN = ('profile_name="dds_trace" is_default_profile="true"', "")
+_DEFAULT_PARTICIPANT = ('profile_name="dds_trace" is_default_profile="true"', "")
 """Attributes of a participant, and its domain."""
 
 
@@ -135,7 +135,7 @@ def _profile(
     transports: tuple[str, ...],
     discovery: str,
     buffer_bytes: int | None,
-    participants: Sequence[tuple[str, str]] = (_OF_ANY_DOMAIN,),
+    participants: Sequence[tuple[str, str]] = (_DEFAULT_PARTICIPANT,),
 ) -> str:
     buffers = "" if buffer_bytes is None else _BUFFERS.format(bytes=buffer_bytes)
     return _PROFILE.format(

@@ -65,7 +65,8 @@ IMU_ROWS = "time,gx,gy,gz,ax,ay,az\n10.00,1,2,3,4,5,6\n\n10.01,-1,-2e0,-3,-4,-5,
 
 
 @pytest.mark.parametrize(
-    "text", [IMU_ROWS, IMU_ROWS.replace(",", "\t "), "\ufeff" + IMU_ROWS.replace("\n", "\r\n"), IMU_ROWS.split("\n", 1)[1]]
+    "text",
+    [IMU_ROWS, IMU_ROWS.replace(",", "\t "), "\ufeff" + IMU_ROWS.replace("\n", "\r\n"), IMU_ROWS.split("\n", 1)[1]],
 )
 def test_recorded_inertial_data_are_messages_with_those_values(tmp_path, text):
     (tmp_path / "drive.csv").write_text(text, newline="")

@@ -52,7 +52,8 @@ def _message(numbers: Sequence[float]) -> Message:
 def load_payload(where: str, stop: threading.Event | None = None) -> Payload:
     """Read a file of `COLUMNS`, separated by commas or spaces: a message for each row, and their mean rate."""
     path = Path(where)
-    times_s, messages = [], []
+    times_s: list[float] = []
+    messages: list[Message] = []
     try:
         with open_regular(path) as stream:
             check_size(os.fstat(stream.fileno()).st_size, path)

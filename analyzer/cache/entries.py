@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     Fill = Callable[["StoredParts"], Trace]
     """Adds all events of a trace and returns the trace without them."""
 
-_FORMAT = 5
+_FORMAT = 6
 """Version of an entry; another version is ignored."""
 
 
@@ -161,6 +161,7 @@ class _Entry(TypedDict):
     runs: list[str]
     host_samples: list[JsonObject]
     wire: list[JsonObject]
+    publishers: list[JsonObject]
     truncated: str | None
     ring_events: int
     unreadable_messages: int
@@ -179,6 +180,7 @@ def _to_dict(loaded: LoadedTrace, seals: list[str]) -> _Entry:
         "runs": [run.to_json() for run in trace.runs],
         "host_samples": [dict(sample) for sample in trace.host_samples],
         "wire": [dict(text) for text in trace.wire],
+        "publishers": [dict(text) for text in trace.publishers],
         "truncated": trace.truncated,
         "ring_events": trace.ring_events,
         "unreadable_messages": trace.unreadable_messages,
@@ -214,6 +216,7 @@ def _from_dict(entry: _Entry, file: Path, events_bytes: int, path: Path, positio
         events={},
         host_samples=tuple(entry["host_samples"]),
         wire=tuple(entry["wire"]),
+        publishers=tuple(entry["publishers"]),
         truncated=entry["truncated"],
         ring_events=entry["ring_events"],
         unreadable_messages=entry["unreadable_messages"],

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 EventKey = tuple[Stage, int, int]
-"""Stage, run_id and relay_id; the relay_id of T1 is 0 whatever the trace says."""
+"""Stage, run_id and relay_id; the relay_id of T1 is 0 whatever the trace says. Of a tap: 0 and the `publisher_id`."""
 
 
 class EventsElsewhere(Protocol):
@@ -74,15 +74,17 @@ def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[Eve
             position, len(columns), int(columns.monotonic_ns.min()), int(columns.monotonic_ns.max()), columns
         )
         for stage in Stage
-        for key, columns in split_events(events[stage], by_relay=stage is not Stage.T1).items()
+        for key, columns in split_events(
+            events[stage], by_run=stage is not Stage.TAP, by_relay=stage is not Stage.T1
+        ).items()
     }
 
 
-def split_events(columns: EventColumns, *, by_relay: bool) -> dict[tuple[int, int], EventColumns]:
-    """Split events of one stage by run_id and, `by_relay`, relay_id, in file order; views where a run's events are adjacent."""
+def split_events(columns: EventColumns, *, by_run: bool = True, by_relay: bool) -> dict[tuple[int, int], EventColumns]:
+    """Split events of one stage by run_id and relay_id, else 0, in file order; views where the events of a key are adjacent."""
     if not len(columns):
         return {}
-    run_id = columns.run_id
+    run_id = columns.run_id if by_run else np.zeros_like(columns.run_id)
     relay_id = columns.relay_id if by_relay else np.zeros_like(columns.relay_id)
     changes = (run_id[1:] != run_id[:-1]) | (relay_id[1:] != relay_id[:-1])
     starts = np.concatenate([[0], np.flatnonzero(changes) + 1])

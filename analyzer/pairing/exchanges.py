@@ -167,7 +167,9 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
     if not placed:
         raise MissingEventsError(_nothing_to_pair(campaign, unplaced))
     placed_keys = {key for exchange in placed for key in exchange.event_keys()}
-    unplaced_parts = (parts for key, parts in campaign.events.items() if key not in placed_keys)
+    unplaced_parts = (
+        parts for key, parts in campaign.events.items() if key not in placed_keys and key[0] is not Stage.TAP
+    )
     copies = (copy for parts in unplaced_parts if len(parts) > 1 for copy in merge_parts(parts)[1])
     flows = count_flows(exchange.span() for exchange in placed)
     placed = sorted((replace(exchange, flows=flows[exchange.run.run_id]) for exchange in placed), key=_start)
@@ -193,7 +195,7 @@ def _by_run(index: EventIndex) -> tuple[dict[int, Parts], dict[int, dict[int, di
     for (stage, run_id, relay_id), parts in index.items():
         if stage is Stage.T1:
             published[run_id] = parts
-        else:
+        elif stage is not Stage.TAP:
             relayed[run_id][relay_id][stage] = parts
     return published, relayed
 

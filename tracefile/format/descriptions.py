@@ -42,12 +42,12 @@ class Session:
 
     Attributes:
         session_id: 64-bit random number, 16 hex digits in the JSON.
-        role: `ping` or `relay`.
+        role: `ping`, `relay` or `tap`.
         device: name of the machine, from the user or the system.
         backend: the API that carried the messages.
         vendor: the DDS implementation, or `none`.
         rmw: the ROS middleware; None outside of ROS 2.
-        relay_id: the relay's random number; None for a ping.
+        relay_id: the relay's random number; None for others.
         connectivity: the link between the devices, as the user named it.
         wall_anchor_ns, monotonic_anchor_ns: one instant in ns since 1970, and of CLOCK_MONOTONIC.
         host: fingerprint of the environment.
@@ -80,9 +80,13 @@ class Session:
         """Convert a monotonic instant of this device to its wall clock (ns since 1970), by the anchor."""
         return self.wall_anchor_ns + (monotonic_ns - self.monotonic_anchor_ns)
 
-    def to_json(self) -> str:
-        """Return the text stored on `/dds_trace/session`."""
+    def to_dict(self) -> JsonObject:
+        """Return the JSON object stored on `/dds_trace/session`."""
         return _description(self, session_id=f"{self.session_id:016x}", host=dict(self.host))
+
+    def to_json(self) -> str:
+        """Return its text."""
+        return json.dumps(self.to_dict())
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Session:
@@ -157,7 +161,9 @@ class Run:
 
     def to_json(self) -> str:
         """Return the text stored on `/dds_trace/run`."""
-        return _description(self, run_id=f"{self.run_id:016x}", qos=self.qos.to_dict(), labels=dict(self.labels))
+        return json.dumps(
+            _description(self, run_id=f"{self.run_id:016x}", qos=self.qos.to_dict(), labels=dict(self.labels))
+        )
 
     @classmethod
     def from_json(cls, text: str, path: Path | str) -> Run:
@@ -188,8 +194,8 @@ class Run:
         )
 
 
-def _description(described: Session | Run, **encoded: Json) -> str:
-    """Return a description's JSON: format and state, then fields, some of them `encoded`, and the unknown ones."""
+def _description(described: Session | Run, **encoded: Json) -> JsonObject:
+    """Return a description's JSON object: format and state, then fields, some of them `encoded`, and the unknown ones."""
     values = {f.name: getattr(described, f.name) for f in fields(described)}
     state, extra = values.pop("state"), values.pop("extra")
-    return json.dumps({"format": FORMAT_VERSION, "state": state, **values, **encoded, **extra})
+    return {"format": FORMAT_VERSION, "state": state, **values, **encoded, **extra}

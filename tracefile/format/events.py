@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 EVENT_SCHEMA_NAME = "dds_trace_msgs/msg/TraceEvent"
+TAP_SCHEMA_NAME = "dds_trace_msgs/msg/TapEvent"
 EVENT_DEFINITION = """\
 uint64 run_id
 uint64 sequence
@@ -50,17 +51,23 @@ EVENT_CDR_BYTES = len(CDR_HEADER) + EVENT_DTYPE.itemsize
 
 
 class Stage(Enum):
-    """One of the four time stamps of a message: T1 sent and T2 received by the ping, T3 received and T4 sent by the relay."""
+    """What an event is: T1 sent and T2 received by the ping, T3 received and T4 sent by the relay, or received by a tap (`taps`)."""
 
     T1 = "t1"
     T2 = "t2"
     T3 = "t3"
     T4 = "t4"
+    TAP = "tap"
 
     @property
     def topic(self) -> str:
         """MCAP topic of this stage."""
         return f"/dds_trace/{self.value}"
+
+    @property
+    def schema_name(self) -> str:
+        """Schema of its events, all of one layout."""
+        return TAP_SCHEMA_NAME if self is Stage.TAP else EVENT_SCHEMA_NAME
 
 
 MOST_STAMP_NS = 1 << 62

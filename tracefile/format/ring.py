@@ -16,7 +16,7 @@ process loses no packed event. All numbers are little-endian:
 A slot is one event and its mark:
 
     0       56 bytes  the event without its CDR header (`EVENT_DTYPE`)
-    56      uint64    ticket + (stage << 56); stage 1..4, the key of its topic
+    56      uint64    ticket + (stage << 56); stage 1..5, the key of its topic
 
 Tickets number the events of a session: 0, 1, 2 ... Ticket t is in slot t modulo slots. The packer zeroes a slot first and
 stores the mark last, so a slot is an event exactly if its mark has a stage and a ticket that belongs there. `stamp` and

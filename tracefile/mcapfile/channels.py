@@ -11,7 +11,7 @@ from mcap.records import Channel, Schema
 
 from dds_trace.base.errors import TraceFormatError
 
-from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC
+from ..format.events import STAGE_OF_TOPIC
 from .records import parse_record, record_name
 
 if TYPE_CHECKING:
@@ -81,15 +81,15 @@ class ChannelTable:
                 offset,
             )
         stage = STAGE_OF_TOPIC.get(channel.topic)
-        fault = self._fault(channel) if stage else None
+        fault = self._fault(channel, stage.schema_name) if stage else None
         self._channels[channel.id] = DeclaredChannel(channel.topic, stage, fault)
 
-    def _fault(self, channel: Channel) -> str | None:
+    def _fault(self, channel: Channel, expected: str) -> str | None:
         if channel.message_encoding != "cdr":
             return f"its messages are encoded as {channel.message_encoding!r}, not 'cdr'"
-        schema = self._schemas.get(channel.schema_id, EVENT_SCHEMA_NAME)  # a lost schema is not another schema
-        if schema != EVENT_SCHEMA_NAME:
-            return f"its schema is {schema!r}, not {EVENT_SCHEMA_NAME!r}"
+        schema = self._schemas.get(channel.schema_id, expected)  # a lost schema is not another schema
+        if schema != expected:
+            return f"its schema is {schema!r}, not {expected!r}"
         return None
 
 

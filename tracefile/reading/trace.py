@@ -14,6 +14,7 @@ from ..format.encoding import decode_string
 from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
 from ..format.json_fields import parse_json
 from ..format.ring import TICKET_MASK, events_by_stage, read_ring, ring_path
+from ..format.taps import PUBLISHER_TOPIC
 from ..format.wire import WIRE_TOPIC
 from .source import TOPIC_PREFIX, Batch
 
@@ -34,6 +35,7 @@ _MOST_NOTES = 20
 _NO_JSON_OBJECT = {
     HOST_TOPIC: ("host sample is not a JSON object", "host samples are not JSON objects"),
     WIRE_TOPIC: ("text about the wire is not a JSON object", "texts about the wire are not JSON objects"),
+    PUBLISHER_TOPIC: ("text about a publisher is not a JSON object", "texts about publishers are not JSON objects"),
 }
 """Words for one and for several unreadable messages."""
 
@@ -47,6 +49,7 @@ class Trace:
         events: the events of every stage, in file order; a stage may be empty.
         host_samples: the JSON objects of `/dds_trace/host`, each with its `log_time_ns` (wall clock, ns since 1970).
         wire: the JSON objects of `/dds_trace/wire`: records of messages, and counts of a relay (`format.wire`).
+        publishers: the latest JSON object of `/dds_trace/publisher` of each session and `publisher_id`, in order of appearance.
         truncated: why the file ends early, or None; everything complete before it is in `events`.
         ring_events: events from the ring that a killed recorder left.
         unreadable_messages: messages on event topics that are not events (wrong length or encoding).
@@ -59,6 +62,7 @@ class Trace:
     events: Mapping[Stage, EventColumns]
     host_samples: tuple[JsonObject, ...] = ()
     wire: tuple[JsonObject, ...] = ()
+    publishers: tuple[JsonObject, ...] = ()
     truncated: str | None = None
     ring_events: int = 0
     unreadable_messages: int = 0
@@ -85,6 +89,7 @@ class TextCollector:
         self.runs: dict[int, Run] = {}
         self.host: list[JsonObject] = []
         self.wire: list[JsonObject] = []
+        self.publishers: dict[tuple[str, str], JsonObject] = {}
         self.unreadable = Counter[str]()
 
     def add(self, text: Text) -> None:
@@ -100,7 +105,7 @@ class TextCollector:
             elif text.topic == RUN_TOPIC:
                 run = Run.from_json(_string(text), text.path)
                 self.runs[run.run_id] = run
-            elif text.topic in (HOST_TOPIC, WIRE_TOPIC):
+            elif text.topic in (HOST_TOPIC, WIRE_TOPIC, PUBLISHER_TOPIC):
                 self._add_object(text)
         except TraceFormatError as err:
             raise TraceFormatError(err.path, err.what, text.offset) from err
@@ -123,6 +128,8 @@ class TextCollector:
             self.unreadable[text.topic] += 1
         elif text.topic == HOST_TOPIC:
             self.host.append({**value, "log_time_ns": text.log_time_ns})
+        elif text.topic == PUBLISHER_TOPIC:
+            self.publishers[str(value.get("session_id")), str(value.get("publisher_id"))] = value
         else:
             self.wire.append(value)
 
@@ -247,6 +254,7 @@ class TraceBuilder:
             events=events,
             host_samples=tuple(self.texts.host),
             wire=tuple(self.texts.wire),
+            publishers=tuple(self.texts.publishers.values()),
             truncated="; ".join(self.truncated) or None,
             ring_events=self.ring_events,
             unreadable_messages=self.unreadable,

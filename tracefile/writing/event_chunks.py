@@ -18,10 +18,12 @@ from ..format.events import (
     EVENT_SCHEMA_NAME,
     RUN_TOPIC,
     SESSION_TOPIC,
+    TAP_SCHEMA_NAME,
     Stage,
     fill_constants,
 )
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
+from ..format.taps import TAP_DEFINITION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,17 +38,20 @@ LIBRARY = "dds-trace"
 
 EVENT_SCHEMA = Schema(id=1, name=EVENT_SCHEMA_NAME, encoding="ros2msg", data=EVENT_DEFINITION.encode())
 STRING_SCHEMA = Schema(id=2, name=STRING_SCHEMA_NAME, encoding="ros2msg", data=STRING_DEFINITION.encode())
+TAP_SCHEMA = Schema(id=3, name=TAP_SCHEMA_NAME, encoding="ros2msg", data=TAP_DEFINITION.encode())
+_SCHEMAS = {schema.id: schema for schema in (EVENT_SCHEMA, STRING_SCHEMA, TAP_SCHEMA)}
 TYPE_HASHES = {
     EVENT_SCHEMA_NAME: "RIHS01_bda991ead4fe8ce479c129efc17c1affed4da47fbc0d1731d7bad959cf922db2",
+    TAP_SCHEMA_NAME: "RIHS01_ea4932f85dd1427298e22e6d0a55466588a304d69baae5cfc0cc74aed409139f",
     STRING_SCHEMA_NAME: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
 }
 """Type description hashes of ROS 2 (REP 2016), computed by rosbags from the definitions."""
 
 EVENT_TOPICS = tuple(stage.topic for stage in Stage)
-"""Topics of channels 1 to 4; a channel's id is the stage's number in the ring."""
+"""Topics of channels 1 to 5; a channel's id is the stage's number in the ring."""
 
 TEXT_TOPICS = (SESSION_TOPIC, RUN_TOPIC)
-"""Topics of channels 5 and 6; further topics get the next ids."""
+"""Topics of channels 6 and 7; further topics get the next ids."""
 
 
 def declarations_of(channels: Sequence[Channel]) -> bytes:
@@ -65,7 +70,7 @@ def encode_record(record: McapRecord) -> bytes:
 
 def schema_of(channel: Channel) -> Schema:
     """Return the schema of one of our channels."""
-    return EVENT_SCHEMA if channel.schema_id == EVENT_SCHEMA.id else STRING_SCHEMA
+    return _SCHEMAS[channel.schema_id]
 
 
 MESSAGES_AT = 4096

@@ -19,7 +19,7 @@ from dds_trace.base.version import __version__
 
 from ..format.bag_metadata import METADATA_NAME, TopicCount, write_metadata
 from ..format.encoding import MAGIC, encode_string
-from ..format.events import SESSION_TOPIC
+from ..format.events import SESSION_TOPIC, Stage
 from ..format.ring import Ring, ring_path
 from ..mcapfile.records import crc32
 from .destination import ClosedTrace, make_room
@@ -28,6 +28,7 @@ from .event_chunks import (
     EVENT_TOPICS,
     LIBRARY,
     STRING_SCHEMA,
+    TAP_SCHEMA,
     TEXT_TOPICS,
     TYPE_HASHES,
     Chunk,
@@ -79,7 +80,7 @@ class TraceWriter:
         self._end = 0
         self._length = 0  # more than `_end` where an incomplete write could not be cut off
         for topic in EVENT_TOPICS:
-            self._channel(topic, EVENT_SCHEMA)
+            self._channel(topic, TAP_SCHEMA if topic == Stage.TAP.topic else EVENT_SCHEMA)
         for topic in TEXT_TOPICS:
             self._channel(topic, STRING_SCHEMA)
         try:

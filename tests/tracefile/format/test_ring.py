@@ -55,7 +55,7 @@ def test_a_ring_as_we_write_it_has_the_documented_bytes(tmp_path):
     assert (slot_count, slots_at % 4096, dropped) == (SLOTS, 0, 7)
     described = json.loads(data[48 : 48 + text_bytes])
     assert described["session"] == json.loads(ping_session(state="open").to_json())
-    assert described["topics"] == {str(n): f"/dds_trace/t{n}" for n in (1, 2, 3, 4)}
+    assert described["topics"] == {**{str(n): f"/dds_trace/t{n}" for n in (1, 2, 3, 4)}, "5": "/dds_trace/tap"}
     assert data[slots_at : slots_at + 64] == slot(0, 1)
     assert len(data) == slots_at + SLOTS * 64
     assert len(ring.slots) == SLOTS
@@ -110,7 +110,7 @@ def test_a_mark_in_a_slot_that_is_not_its_own_is_no_event(tmp_path):
 
 
 def test_a_stage_that_does_not_exist_is_no_event(tmp_path):
-    assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(1, 5), slot(2, 0)), 0) == [0]
+    assert tickets(ring_file(tmp_path / "r", slot(0, 1), slot(1, 6), slot(2, 0)), 0) == [0]
 
 
 @pytest.mark.parametrize("high_bit", range(40, 56))

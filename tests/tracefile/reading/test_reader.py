@@ -34,7 +34,15 @@ from trace_files import (
 )
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.tracefile.format.events import EVENT_DTYPE, HOST_TOPIC, MOST_STAMP_NS, EventColumns, Stage
+from dds_trace.tracefile.format.events import (
+    EVENT_DTYPE,
+    HOST_TOPIC,
+    MOST_STAMP_NS,
+    TAP_SCHEMA_NAME,
+    EventColumns,
+    Stage,
+)
+from dds_trace.tracefile.format.taps import TAP_DEFINITION
 from dds_trace.tracefile.format.wire import WIRE_TOPIC
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.reading import mcap_source, reader
@@ -129,12 +137,14 @@ def test_a_trace_without_events_is_a_trace(tmp_path, indexed):
 
 U64, U32 = st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1)
 STAMP = st.integers(-MOST_STAMP_NS, MOST_STAMP_NS)  # the others: tests/analyzer/test_values_are_no_sizes.py
+SCHEMAS = {stage: (TAP_SCHEMA_NAME, TAP_DEFINITION) if stage is Stage.TAP else EVENT for stage in Stage}
 any_event = st.tuples(U64, U64, STAMP, STAMP, STAMP, STAMP, U32, U32)
 any_text = st.just((HOST_TOPIC, string_cdr('{"cpu": 1}'), STRING))
 any_foreign = st.tuples(st.sampled_from(["/camera", "/tf"]), st.binary(max_size=200), st.just(("x/msg/X", "")))
 any_message = st.one_of(
-    st.tuples(
-        st.sampled_from([stage.topic for stage in Stage]), any_event.map(lambda e: pack_event(*e)), st.just(EVENT)
+    *(
+        st.tuples(st.just(stage.topic), any_event.map(lambda e: pack_event(*e)), st.just(SCHEMAS[stage]))
+        for stage in Stage
     ),
     any_text,
     any_foreign,
@@ -391,11 +401,12 @@ class TestNoTrace:
 
 
 def test_many_channels_in_one_chunk_are_told_apart(tmp_path):
-    topics = [f"/other/{n}" for n in range(20)] + [stage.topic for stage in Stage]
+    stages = [stage for stage in Stage if stage is not Stage.TAP]  # of one schema
+    topics = [f"/other/{n}" for n in range(20)] + [stage.topic for stage in stages]
     picks = np.random.default_rng(1).integers(0, len(topics), 2000)
     messages = [RawMessage(topics[pick], pack_event(1, n, n)) for n, pick in enumerate(picks)]
     trace = read_trace(write_messages(tmp_path / "t.mcap", messages))
-    for number, stage in enumerate(Stage, start=20):
+    for number, stage in enumerate(stages, start=20):
         assert trace.events[stage].sequence.tolist() == np.flatnonzero(picks == number).tolist()
 
 

@@ -79,7 +79,7 @@ def test_every_storage_can_be_read_in_batches(tmp_path, plugin, mode):
     found, expected = dict.fromkeys(Stage, 0), Counter()
     for stage, columns in iter_event_batches(bag):
         found[stage] += len(columns)
-    assert found == {Stage.T1: 50, Stage.T2: 50, Stage.T3: 0, Stage.T4: 0}
+    assert found == {Stage.T1: 50, Stage.T2: 50, Stage.T3: 0, Stage.T4: 0, Stage.TAP: 0}
     with ThreadPoolExecutor(1) as pool:
         for file in storage_files(bag):
             with open_source(file, pool) as source:

@@ -8,7 +8,7 @@ import textwrap
 from typing import TYPE_CHECKING, Annotated, Any
 
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES
-from dds_trace.recorder.choices import Role  # noqa: TC001 - typer reads the annotation
+from dds_trace.recorder.choices import Side  # noqa: TC001 - typer reads the annotation
 
 from .program import run_program
 from .quick_help import Version, argument, command_app, declare_command, option, starting
@@ -50,7 +50,7 @@ def main_command(
         list[str] | None, option("--topic NAME:TYPE", "Carry this topic and NAME_relay, its way back; repeatable.")
     ] = None,
     half: Annotated[
-        Role | None, option("--half ROLE", "Run only the half of ping or relay, with --listen or --peer.")
+        Side | None, option("--half ROLE", "Run only the half of ping or relay, with --listen or --peer.")
     ] = None,
     listen: Annotated[
         str | None, option("--listen HOST:PORT", "Address at which this half waits for the other.")

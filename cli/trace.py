@@ -24,6 +24,8 @@ PROGRAM = "dds-trace"
 _COMMANDS = {
     "record ping": "Send messages on a schedule, and record their replies.",
     "record relay": "Send messages back, and record them.",
+    "record tap": "Record how late, how old and how complete topics of others arrive.",
+    "record beacon": "Compare the clocks of the devices that run one.",
     "record status": "List the recordings that run on this machine.",
     "sweep": "Record all runs of a plan; `sweep new` writes a plan.",
     "bridge": "Run a bridge between two domains, or list the installed ones.",
@@ -33,7 +35,7 @@ _COMMANDS = {
 }
 _MODULES = {"record": ".record.command", "sweep": ".sweep.command", "bridge": ".bridge", "analyze": ".analyze"}
 _OF_ANALYZE = ("compare", "watch")
-_RECORDINGS = ("ping", "relay", "status")
+_RECORDINGS = ("ping", "relay", "tap", "beacon", "status")
 
 app = command_app(completes=True)
 _record_app = command_app(completes=True)
@@ -120,7 +122,7 @@ def _refuse(word: str) -> None:
 
 
 _NAMES = (
-    (r"dds-record --role (ping|relay) *", rf"{PROGRAM} record \1 "),
+    (r"dds-record --role (ping|relay|tap|beacon) *", rf"{PROGRAM} record \1 "),
     (r"dds-analyze (compare|watch)", rf"{PROGRAM} \1"),
     (r"dds-(record|sweep|bridge|analyze)\b", rf"{PROGRAM} \1"),
 )
@@ -134,7 +136,7 @@ def _adapt(command: Any, role: Role | None = None) -> None:
         one.help = _renamed(one.help or "")
         row = OPTIONS.get(one.name)
         if role is not None and row is not None:
-            one.hidden = one.name == "role" or row.role not in (None, role)
+            one.hidden = one.name == "role" or (bool(row.roles) and role not in row.roles)
         if "--config" in getattr(one, "opts", ()):  # --print-config shows the values in force, as everywhere
             one.opts = ["--config"]
 

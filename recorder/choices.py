@@ -38,7 +38,16 @@ class Transport(Enum):
 
 
 class Role(Enum):
-    """The two ends of a measurement."""
+    """What a recorder does: one end of a measurement, both, or listening to other programs."""
+
+    PING = "ping"
+    RELAY = "relay"
+    TAP = "tap"
+    BEACON = "beacon"
+
+
+class Side(Enum):
+    """One half of a bridge of two."""
 
     PING = "ping"
     RELAY = "relay"

@@ -11,6 +11,12 @@ class NoEchoError(TraceError):
     exit_code = 8
 
 
+class NothingHeardError(TraceError):
+    """No message came to a tap, or no answer to a beacon."""
+
+    exit_code = NoEchoError.exit_code
+
+
 class StoppedError(TraceError):
     """Recording that was stopped (Ctrl-C, SIGTERM) before its first echo."""
 

@@ -30,6 +30,8 @@ class Panel(str, Enum):
     QOS = "Quality of service (equal on both sides)"
     BRIDGE = "Bridge (ping)"
     RELAY = "Relay"
+    FILES = "Files (relay, tap and beacon)"
+    TAP = "Topics of others (tap)"
     PROCESS = "Process"
     DESCRIPTION = "Description in the trace"
     TOOLS = "Instead of recording"
@@ -59,7 +61,7 @@ class Option:
         kind: type on the command line; an Enum's values are the choices.
         parse: makes the field's value of the text, or of all texts of a repeatable option.
         default: the default in words, where `field_default` does not say it.
-        role: the only role that takes it.
+        roles: the only roles that take it; empty for all.
         in_key: whether results with different values are not mixed.
         variables: variables of ROS 2 that override a configured default.
     """
@@ -72,7 +74,7 @@ class Option:
     limit: Limit | None
     parse: Callable[[Any], object] | None
     default: str
-    role: Role | None
+    roles: tuple[Role, ...]
     in_key: bool
     axis: Axis | None
     variables: tuple[str, ...]
@@ -92,8 +94,13 @@ class Option:
         return tuple(given) if self.is_repeatable else given
 
 
-_ROLES = {**dict.fromkeys((Panel.MESSAGE, Panel.SCHEDULE, Panel.BRIDGE), Role.PING), Panel.RELAY: Role.RELAY}
-"""Panels whose options only one role takes."""
+_ROLES = {
+    **dict.fromkeys((Panel.MESSAGE, Panel.SCHEDULE, Panel.BRIDGE), (Role.PING,)),
+    Panel.RELAY: (Role.RELAY,),
+    Panel.FILES: (Role.RELAY, Role.TAP, Role.BEACON),
+    Panel.TAP: (Role.TAP,),
+}
+"""Panels whose options only some roles take."""
 
 OUTSIDE_OF_KEY = {"in_key": False}
 """Metadata of a field that is no option and no setting."""
@@ -108,7 +115,7 @@ def option(
     kind: type | None = None,
     limit: Limit | None = None,
     parse: Callable[[Any], object] | None = None,
-    role: Role | None = None,
+    roles: tuple[Role, ...] = (),
     in_key: bool = True,
     axis: Axis | None = None,
     variables: tuple[str, ...] = (),
@@ -118,7 +125,7 @@ def option(
         kind = str if parse is not None else {Whole: int, Real: float}.get(type(limit), str)
     name, _, metavar = name.partition(" ")
     text, _, default_words = help.partition(" Default: ")
-    role = _ROLES.get(panel, role)
+    roles = roles or _ROLES.get(panel, ())
     row = Option(
         *(
             name,
@@ -129,7 +136,7 @@ def option(
             limit,
             parse,
             default_words,
-            role,
+            roles,
             in_key,
             axis,
             variables,

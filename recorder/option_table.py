@@ -17,7 +17,7 @@ from .bridges.base import BRIDGE_MODULES
 from .choices import Durability, FileMode, History, Reliability, Role
 from .option import Axis, Option, Panel, option, options_of
 from .option_values import parse_percentage
-from .options import PingOptions, RecordOptions
+from .options import PingOptions, RecordOptions, TapOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,7 +28,11 @@ class CommandOptions:
     """Options of `dds-record` that are not a field of the other records."""
 
     role: Role | None = option(
-        None, "--role ROLE", Panel.OUTPUT, "ping sends messages, relay sends them back.", kind=Role
+        None,
+        "--role ROLE",
+        Panel.OUTPUT,
+        "ping sends messages, relay sends them back, tap listens to --topics of others, beacon compares clocks.",
+        kind=Role,
     )
     out: Path | None = option(
         None, "--out PATH", Panel.OUTPUT, "Trace to write: a .mcap file, or the name of a rosbag2 folder.", kind=Path
@@ -53,7 +57,7 @@ class CommandOptions:
         Panel.OUTPUT,
         "Exit with 13 if a ping loses more than this share of its messages, e.g. 1%.",
         parse=lambda text: parse_percentage("--fail-if-lost", text),
-        role=Role.PING,
+        roles=(Role.PING,),
     )
     reliability: Reliability = option(
         Reliability.RELIABLE,
@@ -99,7 +103,7 @@ class CommandOptions:
         parse=lambda text: parse_duration(text, "--lifespan"),
     )
     keep: int | None = option(
-        None, "--keep N", Panel.RELAY, "With --rotate: keep only the newest N files of this recording.", kind=int
+        None, "--keep N", Panel.FILES, "With --rotate: keep only the newest N files of this recording.", kind=int
     )
     recover_path: Path | None = option(
         None, "--recover TRACE", Panel.TOOLS, "Turn what a killed recorder left into a closed trace.", kind=Path
@@ -127,7 +131,7 @@ class CommandOptions:
 
 OPTIONS: Mapping[str, Option] = {
     name: row
-    for record in (CommandOptions, PingOptions, RecordOptions, NodeOptions)
+    for record in (CommandOptions, PingOptions, TapOptions, RecordOptions, NodeOptions)
     for name, row in options_of(record).items()
 }
 """Rows by field; no two records share a name."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
-from dds_trace.base.units import parse_size, split_quantity
+from dds_trace.base.units import parse_rate, parse_size, split_quantity
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -38,6 +38,17 @@ def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]
             raise OptionError(f"{name} {text!r}: write KEY=VALUE, for example {example}")
         pairs[key] = value
     return pairs
+
+
+def parse_topics(texts: Iterable[str]) -> tuple[str, ...]:
+    """Return the names in texts such as `/camera/image,/tf`, each once."""
+    return tuple(dict.fromkeys(name.strip() for text in texts for name in text.split(",") if name.strip()))
+
+
+def parse_rates(texts: Iterable[str]) -> dict[str, float]:
+    """Return topic -> Hz of texts such as `/camera/image=30`."""
+    pairs = parse_pairs("--expect", texts, "/camera/image=30")
+    return {name: parse_rate(text, f"--expect {name}") for name, text in pairs.items()}
 
 
 @dataclass(frozen=True, slots=True)

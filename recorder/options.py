@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, OutputExistsError
 from dds_trace.base.units import parse_size
+from dds_trace.tracefile.format.descriptions import Qos
 
 from .choices import Discovery, Role, Serialization
 from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, detail, option
-from .option_values import KeepFree, Rotation, parse_pairs
+from .option_values import KeepFree, Rotation, parse_pairs, parse_rates, parse_topics
 from .payloads import check_data
 
 if TYPE_CHECKING:
@@ -33,6 +34,9 @@ DEFAULT_MESSAGES = 1000
 DEFAULT_RATE_HZ = 10.0
 DEFAULT_WARMUP = 10
 DEFAULT_WAIT_S = 20.0
+BEACON_RATE_HZ = 2.0
+BEACON_RATES_HZ = (1.0, 5.0)
+"""Slowest and fastest messages of a beacon."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +76,9 @@ class PingOptions:
         None,
         "--rate HZ",
         Panel.SCHEDULE,
-        f"Messages per second. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate",
+        f"Messages per second. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate; of a beacon {BEACON_RATE_HZ:g}",
         limit=limits.RATE_HZ,
+        roles=(Role.PING, Role.BEACON),
         axis=Axis(for_relay=False, default=DEFAULT_RATE_HZ, unit="Hz"),
     )
     messages: int | None = detail(
@@ -133,7 +138,7 @@ class PingOptions:
         Panel.DESCRIPTION,
         "A note on the run; repeatable.",
         parse=lambda texts: parse_pairs("--label", texts, "site=lab"),
-        role=Role.PING,
+        roles=(Role.PING,),
     )
     settings: Mapping[str, str] = option(
         {},
@@ -141,7 +146,7 @@ class PingOptions:
         Panel.DESCRIPTION,
         "What you set around the run, such as a load or a link; results with different settings are not mixed; repeatable.",
         parse=lambda texts: parse_pairs("--setting", texts, "cpu_load=50%"),
-        role=Role.PING,
+        roles=(Role.PING,),
     )
 
     def check(self) -> None:
@@ -160,21 +165,65 @@ class PingOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class TapOptions:
+    """The options of a tap."""
+
+    topics: tuple[str, ...] = detail(
+        (),
+        "--topics NAMES",
+        Panel.TAP,
+        "Topics to listen to, with commas: /camera/image,/tf; * and ? stand for any characters: '/camera/*'; repeatable.",
+        parse=parse_topics,
+    )
+    live: bool = detail(False, "--live", Panel.TAP, "Show rate, age, loss and state of each topic while it runs.")
+    live_port: int | None = detail(
+        None,
+        "--live-port PORT",
+        Panel.TAP,
+        "Show the same on http://127.0.0.1:PORT, for this device's users.",
+        limit=limits.PORT,
+    )
+    expected_hz: Mapping[str, float] = detail(
+        {},
+        "--expect TOPIC=HZ",
+        Panel.TAP,
+        "Rate below which a topic is LATE in the live view: /camera/image=30; repeatable. Default: learnt",
+        parse=parse_rates,
+    )
+    diagnostics: bool = detail(
+        False, "--diagnostics", Panel.TAP, "Publish the state of each topic on /diagnostics once a second."
+    )
+
+    def check(self) -> None:
+        """Refuse values that make no sense."""
+        check_fields(self)
+        if not self.topics:
+            raise OptionError("name the topics that the tap listens to: --topics /camera/image,/tf, or '/camera/*'")
+        for name in (*self.topics, *self.expected_hz):
+            limits.check(limits.TOPIC_PATTERN, name, "--topics")
+
+
+@dataclass(frozen=True, slots=True)
 class RecordOptions:
-    """The options of one recording; without `ping`, of a relay.
+    """The options of one recording; without `ping`, `tap` and `beacon_rate_hz` of a relay.
 
     Attributes:
         node: the role sets its `name` and `listens`.
+        tap_qos: of a tap's subscriptions.
+        beacon_rate_hz: messages a second of a beacon.
     """
 
     destination: TraceDestination = field(metadata=OUTSIDE_OF_KEY)
     node: NodeOptions
     ping: PingOptions | None = field(default=None, metadata=OUTSIDE_OF_KEY)
+    tap: TapOptions | None = field(default=None, metadata=OUTSIDE_OF_KEY)
+    tap_qos: Qos = field(default_factory=Qos, metadata=OUTSIDE_OF_KEY)
+    beacon_rate_hz: float | None = field(default=None, metadata=OUTSIDE_OF_KEY)
     duration_s: float | None = detail(
         None,
         "--duration SECONDS",
         Panel.OUTPUT,
-        "Stop after this many seconds; a relay without it runs until stopped.",
+        "Stop after this many seconds; a relay, tap or beacon without it runs until stopped.",
         limit=limits.LENGTH_S,
     )
     keep_free: KeepFree = detail(
@@ -206,7 +255,7 @@ class RecordOptions:
     rotation: Rotation | None = detail(
         None,
         "--rotate LIMIT",
-        Panel.RELAY,
+        Panel.FILES,
         "Start a new file at this size or age: 1GB, 1h (30min, 7d), or 1GB,1h; --out NAME.mcap becomes NAME.00001.mcap and so on.",
         parse=Rotation.parse,
     )
@@ -277,6 +326,13 @@ class RecordOptions:
             raise OutputExistsError(f"{destination.path} is there already; choose another name or use --force")
         if self.ping is not None:
             self.ping.check()
+        if self.tap is not None:
+            self.tap.check()
+        slowest_hz, fastest_hz = BEACON_RATES_HZ
+        if self.beacon_rate_hz is not None and not slowest_hz <= self.beacon_rate_hz <= fastest_hz:
+            raise OptionError(
+                f"--rate {self.beacon_rate_hz:g}: a beacon sends {slowest_hz:g} to {fastest_hz:g} messages a second"
+            )
 
 
 def check_fields(record: object) -> None:

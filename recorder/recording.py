@@ -3,46 +3,38 @@
 from __future__ import annotations
 
 import gc
-import os
 import secrets
 import threading
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.format.events import HOST_TOPIC
 from dds_trace.tracefile.writing.destination import discard
 
-from .backends import load_backend, open_node
+from .backends import load_backend
 from .backends.qos import warn_of_depth
+from .base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
+from .beacon.recording import BeaconRecording
 from .bridges.requested import open_requested_bridge
 from .domains import check_domain
 from .errors import BridgeError, NoEchoError, NotAppliedError, RelayLostError
-from .host.clock import SystemClock, measured_step_ns, read_adjtimex
-from .host.process import apply_privileges, tuned_gc
-from .host.sampling import HostSampler
-from .options import side_settings
+from .host.process import tuned_gc
 from .payloads import open_payload, served_data_types
 from .roles.echo import explain_silence, find_loss, look_for_relays
-from .roles.floor import measured_cost, measured_floor
 from .roles.ping import open_ping
 from .roles.plan import check_serialization, plan_run
-from .roles.read_back import ReadBack
 from .roles.relay import Relay
-from .roles.session import default_connectivity, describe_session, strangers_field
-from .roles.wire_record import open_wire
+from .roles.session import strangers_field
 from .service.upkeep import Upkeep
+from .tap.recording import TapRecording
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from dds_trace.base.errors import OutputError
-    from dds_trace.tracefile.format.descriptions import Run, Session
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
-    from dds_trace.tracefile.writing.destination import ClosedTrace
-    from dds_trace.tracefile.writing.sink import TraceSink
+    from dds_trace.tracefile.format.descriptions import Run
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
     from .applied.differences import Difference
     from .backends.node import Node
@@ -51,11 +43,10 @@ if TYPE_CHECKING:
     from .payloads.base import Payload
     from .roles.ping import AnyPing
     from .roles.plan import RunPlan
-    from .roles.progress import PingProgress, RelayProgress, Watch
+    from .roles.progress import Watch
+    from .roles.read_back import ReadBack
     from .roles.wire_record import WireRecord
 
-LOOK_S = 0.5
-"""Period of checks of a running role."""
 WIRE_LOOKS = 4
 """After as many checks without a message a relay writes the counts of its capture."""
 QUIET_LOOKS = 10
@@ -66,29 +57,14 @@ ALL_RELAYS_S = 3.0
 """Longest wait for further relays after the first one has answered."""
 
 
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """The result of a recording.
-
-    Attributes:
-        trace: None for a ping that was stopped before its echo.
-        error: why a run ended early, or a relay recorded nothing for a while.
-    """
-
-    trace: ClosedTrace | None
-    session: Session
-    progress: PingProgress | RelayProgress
-    run: Run | None = None
-    error: BridgeError | RelayLostError | OutputError | None = None
-
-
 def record(options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool = False) -> Recorded:
-    """Record as a ping or as a relay until it is done or `stop` is set; `watch` receives notes and progress.
+    """Record in the role of the options until it is done or `stop` is set; `watch` receives notes and progress.
 
     Raises:
         OptionError: an option makes no sense, or not on this machine.
         BackendUnavailableError: the middleware or the bridge is not on this machine.
         NoEchoError: no relay answered.
+        NothingHeardError: nothing came to a tap or beacon.
         NotAppliedError: the middleware does not use a requested setting, under `strict`.
         OutputExistsError: there is a trace already.
         OutputError: the trace cannot be written.
@@ -96,34 +72,24 @@ def record(options: RecordOptions, stop: threading.Event, watch: Watch, *, rehea
     options.check()
     for warning in check_domain(options.node.domain_id):
         watch.note(warning)
+    if options.tap is not None:
+        return TapRecording(options, stop, watch, rehearses=rehearses).record(options.tap)
+    if options.beacon_rate_hz is not None:
+        return BeaconRecording(options, stop, watch, rehearses=rehearses).record(options.beacon_rate_hz)
     recording = _Recording(options, stop, watch, rehearses=rehearses)
     return recording.relay() if options.ping is None else recording.ping(options.ping)
 
 
-class _Recording:
-    def __init__(self, options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool) -> None:
-        self.options = options
-        self.rehearses = rehearses
-        self.stop = stop
-        self.watch = watch
-        self.clock = SystemClock()
-        self.session_id = secrets.randbits(64)
-        self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
-        self.costs: dict[str, Json] = {}
-        self.correction = read_adjtimex()
-        self.clock_step_ns = measured_step_ns()
-        self.environment = dict(os.environ)  # before a node adds what it needs
-        self._noted_disk = False
-
+class _Recording(BaseRecording):
     def relay(self) -> Recorded:
         options = self.options
         relay_id = options.relay_id or secrets.randbits(32) or 1
         data_types = served_data_types(options.types)
         check_serialization(data_types, options.serialization)
-        self._measure_costs()
-        with self._open_wire() as wire, self._open_node("relay") as node, tuned_gc():
-            read_back = self._read_back(node)
-            session = self._describe("relay", node, read_back, relay_id)
+        self.measure_costs()
+        with self.open_wire() as wire, self.open_node("relay") as node, tuned_gc():
+            read_back = self.read_back(node)
+            session = self.describe("relay", node, read_back, relay_id)
             with Upkeep(options, session, self.clock.monotonic_ns, self.watch.note) as upkeep:
                 relay = Relay(
                     node,
@@ -140,13 +106,13 @@ class _Recording:
                     self.stop.set()
                 else:
                     self.watch.note(f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped")
-                with _sampled(upkeep.sink, wire):
+                with sampled(upkeep.sink, wire):
                     self._watch_relay(relay, node, upkeep, read_back, wire)
                 wire.write_relay(relay.progress().relayed, self.session_id, upkeep.sink)
                 read_back.read_end(relay.traffic)
                 relay.close()
                 trace = upkeep.close_trace(
-                    **read_back.fields(), **self._clock_at_end(), **strangers_field(node.strangers)
+                    **read_back.fields(), **self.clock_at_end(), **strangers_field(node.strangers)
                 )
                 read_back.report(trace.path)
                 return Recorded(trace, session, relay.progress(), error=upkeep.shortage)
@@ -159,27 +125,27 @@ class _Recording:
                 self.watch.note(note)
             plan = plan_run(self.options, ping_options, payload, session_id=self.session_id, seed=seed)
             self._warn_of_depth(plan)
-            self._measure_costs(plan.rate_hz)
-            wire = stack.enter_context(self._open_wire(ping_options))
-            node = stack.enter_context(self._open_node("ping"))
+            self.measure_costs(plan.rate_hz)
+            wire = stack.enter_context(self.open_wire(ping_options))
+            node = stack.enter_context(self.open_node("ping"))
             ping = open_ping(node, plan, self.clock)
             node.start()
             bridge = open_requested_bridge(self.options, ping_options, payload.data_type, stack)
-            read_back = self._read_back(node)
+            read_back = self.read_back(node)
             if self.rehearses:  # there is no connection to read applied settings from
-                return Recorded(None, self._describe("ping", node, read_back), ping.progress())
+                return Recorded(None, self.describe("ping", node, read_back), ping.progress())
             self._wait_for_echo(ping, node, ping_options, bridge, read_back)
             read_back.read_begin()
             if bridge is not None:
                 read_back.note_bridge(bridge.read_applied())
             read_back.report()
-            session = self._describe("ping", node, read_back)
+            session = self.describe("ping", node, read_back)
             if self.stop.is_set():  # a file without a message would block the next try
                 return Recorded(None, session, ping.progress())
             upkeep = stack.enter_context(Upkeep(self.options, session, self.clock.monotonic_ns, self.watch.note))
             sink = upkeep.sink
             wire.begin(ping.run_id)
-            with _sampled(sink, wire, bridge):
+            with sampled(sink, wire, bridge):
                 run, error = self._run(ping, node, upkeep, bridge)
             run = wire.write_run(run, sink)
             read_back.read_end(ping.traffic)
@@ -190,7 +156,7 @@ class _Recording:
             if bridge is not None:
                 described = {**described, "bridge": bridge.describe()}
             trace = sink.close(
-                **described, **read_back.fields(), **self._clock_at_end(), **strangers_field(node.strangers)
+                **described, **read_back.fields(), **self.clock_at_end(), **strangers_field(node.strangers)
             )
             read_back.report(trace.path)
             return Recorded(trace, session, ping.progress(), run, error)
@@ -201,72 +167,12 @@ class _Recording:
             if warning is not None:
                 self.watch.note(warning)
 
-    def _measure_costs(self, rate_hz: float | None = None) -> None:
-        """Measure at a run's rate, before there is a node to disturb."""
-        if self.rehearses or not self.options.own_cost:
-            return
-        floor = measured_floor(self.options.backend, self.options.node, rate_hz)
-        self.costs = {**measured_cost(), **floor}
-
-    def _open_wire(self, ping_options: PingOptions | None = None) -> AbstractContextManager[WireRecord]:
-        """Open the capture, if enabled; with a bridge messages go through two domains."""
-        node = self.options.node
-        other = None if ping_options is None else ping_options.relay_domain_id
-        return open_wire(
-            enabled=self.options.wire,
-            discovery=node.discovery,
-            domain_ids=[node.domain_id, *([] if other is None else [other])],
-            note=self.watch.note,
-        )
-
-    def _open_node(self, role: str) -> Node:
-        # Unique, so that the node recognizes its own endpoints.
-        name = f"dds_trace_{role}_{self.session_id:016x}"
-        return open_node(self.options.backend, replace(self.options.node, name=name, listens=role == "relay"))
-
-    def _read_back(self, node: Node) -> ReadBack:
-        return ReadBack(node, self.environment, strict=self.options.strict, note=self.watch.note)
-
-    def _describe(self, role: str, node: Node, read_back: ReadBack, relay_id: int | None = None) -> Session:
-        options = self.options
-        connectivity = options.connectivity or default_connectivity(options.node.discovery)
-        settings = side_settings(options, connectivity)
-        return describe_session(
-            node,
-            self.clock.anchor(),
-            role=role,
-            session_id=self.session_id,
-            device=options.device,
-            connectivity=connectivity,
-            relay_id=relay_id,
-            extra={
-                **self.privileges,
-                **self.costs,
-                "settings": settings,
-                **read_back.fields(),
-                "clock": {"resolution_ns": self.clock_step_ns, "begin": self.correction},
-            },
-        )
-
-    def _clock_at_end(self) -> JsonObject:
-        """Return the session's `clock`: the kernel's correction at start and end."""
-        return {"clock": {"resolution_ns": self.clock_step_ns, "begin": self.correction, "end": read_adjtimex()}}
-
-    def _note_disk(self, sink: TraceSink) -> None:
-        if sink.error is not None and not self._noted_disk:
-            self._noted_disk = True
-            self.watch.note(f"{sink.error}; the node continues to answer; what was written stays readable")
-
-    def _note_strangers(self, node: Node) -> None:
-        for kind in node.strangers.take_new():
-            self.watch.note(f"somebody else sends here: a {kind} was not accepted; the trace counts further ones")
-
     def _open_payload(self, ping_options: PingOptions, seed: int) -> AbstractContextManager[Payload]:
         return open_payload(
             ping_options.data,
             ping_options.size_bytes,
             seed,
-            open_node=partial(self._open_node, "source"),
+            open_node=partial(self.open_node, "source"),
             wait_s=ping_options.wait_s,
             stop=self.stop,
         )
@@ -282,7 +188,7 @@ class _Recording:
             slice_s = min(HOPELESS_S, ping_options.wait_s - waited_s)
             has_echo = ping.wait_for_echo(slice_s, self.stop, ping_options.relays)
             waited_s += slice_s
-            _raise_error_of(node)
+            raise_error_of(node)
             if bridge is not None:
                 bridge.check()
             if not has_echo:  # each time: after 20 s Fast DDS has forgotten an unreachable side
@@ -303,43 +209,43 @@ class _Recording:
         self, ping: AnyPing, node: Node, upkeep: Upkeep, bridge: RunningBridge | None
     ) -> tuple[Run, BridgeError | RelayLostError | OutputError | None]:
         """Run the ping on its own thread; return the run, and why it ended early."""
-        end_ns, enough, hopeless = self._end_ns(), threading.Event(), threading.Event()
+        end_ns, enough, hopeless = self.end_ns(), threading.Event(), threading.Event()
         error: BridgeError | RelayLostError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:
             future = pool.submit(ping.run, upkeep.sink, enough, hopeless)
             while not future.done():
-                left_s = LOOK_S if enough.is_set() else max(self._left_s(end_ns), 0)
+                left_s = LOOK_S if enough.is_set() else max(self.left_s(end_ns), 0)
                 wait([future], timeout=min(LOOK_S, left_s))
                 error = error or _find_failure(ping, node, bridge, ended=False)
                 if error is not None:
                     enough.set()
                     hopeless.set()
-                self._note_disk(upkeep.sink)
-                self._note_strangers(node)
+                self.note_disk(upkeep.sink)
+                self.note_strangers(node)
                 if getattr(self.stop, "is_repeated", False):
                     hopeless.set()
                 progress = ping.progress()
                 upkeep.look(progress.received, dict)
-                is_over = self.stop.is_set() or node.error is not None or self._left_s(end_ns) <= 0
+                is_over = self.stop.is_set() or node.error is not None or self.left_s(end_ns) <= 0
                 if is_over or upkeep.shortage is not None:
                     enough.set()
                 self.watch.progress(progress)
             run = future.result()
-        _raise_error_of(node)
+        raise_error_of(node)
         return run, error or upkeep.shortage or _find_failure(ping, node, bridge, ended=True)
 
     def _watch_relay(self, relay: Relay, node: Node, upkeep: Upkeep, read_back: ReadBack, wire: WireRecord) -> None:
-        end_ns, noted, quiet, relayed = self._end_ns(), set[str](), 0, 0
-        while (left_s := self._left_s(end_ns)) > 0 and not read_back.wait(self.stop, min(LOOK_S, left_s)):
-            _raise_error_of(node)
-            self._note_disk(upkeep.sink)
+        end_ns, noted, quiet, relayed = self.end_ns(), set[str](), 0, 0
+        while (left_s := self.left_s(end_ns)) > 0 and not read_back.wait(self.stop, min(LOOK_S, left_s)):
+            raise_error_of(node)
+            self.note_disk(upkeep.sink)
             try:
                 read_back.report()
             except NotAppliedError:  # before the first message: the trace is empty
                 upkeep.sink.close()
                 discard(upkeep.destination)
                 raise
-            self._note_strangers(node)
+            self.note_strangers(node)
             progress = relay.progress()
             upkeep.look(progress.relayed, read_back.fields)
             self.watch.progress(progress)
@@ -354,19 +260,6 @@ class _Recording:
                     self.watch.note(f"these will never match: {line}")
                 noted |= lines
 
-    def _end_ns(self) -> int | None:
-        duration_s = self.options.duration_s
-        return None if duration_s is None else self.clock.monotonic_ns() + round(duration_s * 1e9)
-
-    def _left_s(self, end_ns: int | None) -> float:
-        return float("inf") if end_ns is None else (end_ns - self.clock.monotonic_ns()) / 1e9
-
-
-def _sampled(sink: TraceSink, wire: WireRecord, bridge: RunningBridge | None = None) -> HostSampler:
-    """Return a context that writes the load of host and own processes once a second."""
-    processes = {**wire.processes, **({} if bridge is None else bridge.processes)}
-    return HostSampler(partial(sink.write_json, HOST_TOPIC), processes)
-
 
 def _find_failure(
     ping: AnyPing, node: Node, bridge: RunningBridge | None, *, ended: bool
@@ -378,8 +271,3 @@ def _find_failure(
         except BridgeError as died:
             return died
     return find_loss(node, ping.plan.payload.data_type, ping.silence, ended=ended)
-
-
-def _raise_error_of(node: Node) -> None:
-    if node.error is not None:
-        raise node.error

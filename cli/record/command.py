@@ -1,4 +1,4 @@
-"""`dds-record`: record as a ping or as a relay into a trace."""
+"""`dds-record`: record as a ping, a relay, a tap or a beacon into a trace."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def main_command(
     version: Version = False,  # noqa: ARG001 - its callback does it
     **values: Any,
 ) -> None:
-    """Record latency of ROS 2 / DDS messages as a ping or as a relay.
+    """Record latency of ROS 2 / DDS messages as a ping or as a relay, or of the topics of others as a tap.
 
     A ping sends messages on a fixed schedule, a relay sends them back; each writes a trace of its time stamps.
     Start one of each, on one device or on two, then run `dds-analyze` on the folder with the traces:
@@ -44,6 +44,10 @@ def main_command(
         dds-record --role relay --out relay.mcap
 
         dds-record --role ping  --out ping.mcap
+
+    On any device of a running system, its own topics:
+
+        dds-record --role tap --topics /camera/image,/tf --out tap.mcap
 
     What records on this machine now:
 
@@ -77,7 +81,7 @@ def main_command(
         report_own_cost(command.out, backend.name, node)
         return
     if command.role is None or command.out is None:
-        raise OptionError("give --role ping or --role relay, and --out PATH for its trace (see --help)")
+        raise OptionError("give --role ping, relay, tap or beacon, and --out PATH for its trace (see --help)")
     _refuse_other_role(command.role, given)
     options = _record_options(command, given)
     take: Callable[[RecordOptions], None] | None = context.obj
@@ -94,11 +98,12 @@ def main_command(
 def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
     from dds_trace.base.errors import OptionError
 
-    names = [OPTIONS[name].name for name in given if OPTIONS[name].role not in (None, role)]
-    if names:
+    rows = [OPTIONS[name] for name in given if OPTIONS[name].roles and role not in OPTIONS[name].roles]
+    if rows:
+        others = dict.fromkeys(other.value for row in rows for other in row.roles)
         raise OptionError(
-            f"{', '.join(names)} cannot be given to a {role.value}, only to the other role; remove "
-            f"{'it' if len(names) == 1 else 'them'}"
+            f"{', '.join(row.name for row in rows)} cannot be given to a {role.value}, only to a {' or '.join(others)}; remove "
+            f"{'it' if len(rows) == 1 else 'them'}"
         )
 
 
@@ -106,7 +111,8 @@ def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOpt
     """Return the options; domains are by default from ROS 2's environment."""
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends.node import NodeOptions
-    from dds_trace.recorder.options import PingOptions, RecordOptions
+    from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions
+    from dds_trace.recorder.tap.tap import chosen_qos
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     assert command.out is not None
@@ -122,6 +128,9 @@ def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOpt
         ),
         node=read_record(NodeOptions, given, qos=command.qos),
         ping=read_record(PingOptions, given) if command.role is Role.PING else None,
+        tap=read_record(TapOptions, given) if command.role is Role.TAP else None,
+        tap_qos=chosen_qos(given.get("reliability"), given.get("durability"), given.get("depth")),
+        beacon_rate_hz=given.get("rate_hz", BEACON_RATE_HZ) if command.role is Role.BEACON else None,
     )
     if command.keep is None:
         return options

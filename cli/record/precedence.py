@@ -19,11 +19,11 @@ DEFAULT_DOMAIN = 10
 def overridden(values: Mapping[str, Any]) -> dict[str, str]:
     """Return option -> why its default in a file does not count."""
     role = None if values.get("role") is None else Role(values["role"])
-    is_bridged = role is not Role.RELAY and values.get("bridge") not in (None, "none")
+    is_bridged = role in (None, Role.PING) and values.get("bridge") not in (None, "none")
     reasons = {}
     for name, row in OPTIONS.items():
         variable = next((variable for variable in row.variables if os.environ.get(variable)), None)
-        if role and row.role and row.role is not role:
+        if role and row.roles and role not in row.roles:
             reasons[name] = f"default: not of a {role.value}"
         # The domain of a ping with a bridge is never from the environment.
         elif variable is not None and not (name == "domain_id" and is_bridged):

@@ -6,29 +6,41 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from rich.console import Group
 from rich.live import Live
+from rich.table import Table
 from rich.text import Text
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import plain_console, say
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import MISSING, counted, format_duration
 from dds_trace.recorder.errors import LossesError, StoppedError
 from dds_trace.recorder.host.process import stop_at_signals
 from dds_trace.recorder.recording import record
-from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
+from dds_trace.recorder.roles.live import Health
+from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, RelayProgress, TapProgress
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from types import TracebackType
 
     from dds_trace.base.errors import TraceError
+    from dds_trace.recorder.base_recording import Recorded
     from dds_trace.recorder.options import RecordOptions
-    from dds_trace.recorder.recording import Recorded
+    from dds_trace.recorder.roles.live import LiveRow
+    from dds_trace.recorder.roles.progress import Progress
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
 
-def describe_progress(progress: PingProgress | RelayProgress) -> str:
+def describe_progress(progress: Progress) -> str:
     """Return the progress of a role in one line."""
+    if isinstance(progress, TapProgress):
+        lost = f", {progress.missing} missing" if progress.missing else ""
+        topics = f"{counted(progress.topics, 'topic')} of {counted(progress.publishers, 'publisher')}"
+        return f"{counted(progress.messages, 'message')} heard on {topics}{lost}"
+    if isinstance(progress, BeaconProgress):
+        return "; ".join((f"sent {progress.sent}, answered {progress.received}", *progress.clocks))
     if isinstance(progress, RelayProgress):
         line = f"{counted(progress.relayed, 'message')} sent back in {counted(progress.runs, 'run')}"
         return f"{line}, {progress.foreign} without our stamp ignored" if progress.foreign else line
@@ -71,10 +83,34 @@ class TerminalWatch:
         else:
             say(text)
 
-    def progress(self, progress: PingProgress | RelayProgress) -> None:
-        """Redraw the line."""
-        if self._live.is_started:
-            self._live.update(Text(describe_progress(progress), no_wrap=True, overflow="ellipsis"), refresh=True)
+    def progress(self, progress: Progress) -> None:
+        """Redraw the line, or the table of a tap."""
+        if not self._live.is_started:
+            return
+        line = Text(describe_progress(progress), no_wrap=True, overflow="ellipsis")
+        rows = progress.rows if isinstance(progress, TapProgress) else ()
+        self._live.update(Group(live_table(rows), line) if rows else line, refresh=True)
+
+
+_STYLES = {Health.OK: "green", Health.LATE: "yellow", Health.STALE: "red"}
+
+
+def live_table(rows: Sequence[LiveRow]) -> Table:
+    """Return a tap's topics as a table; ages are by this device's clock."""
+    table = Table(box=None, pad_edge=False)
+    for name in ("topic", "state", "rate", "expected", "age", "age p99", "missing"):
+        table.add_column(name, justify="left" if name in ("topic", "state") else "right")
+    for row in rows:
+        table.add_row(
+            printable(row.topic),
+            Text(row.health.value, _STYLES[row.health]),
+            f"{row.rate_hz:.3g} Hz",
+            MISSING if row.expected_hz is None else f"{row.expected_hz:.3g} Hz",
+            format_duration(row.age_ns),
+            format_duration(row.age_p99_ns),
+            str(row.missing),
+        )
+    return table
 
 
 def record_until_stopped(options: RecordOptions) -> Recorded:

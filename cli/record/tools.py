@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import RecordOptions
-    from dds_trace.recorder.roles.progress import PingProgress, RelayProgress
+    from dds_trace.recorder.roles.progress import Progress
 
 
 def recover_trace(path: Path) -> None:
@@ -42,7 +42,7 @@ class _Notes:
         """Print a line."""
         say(text)
 
-    def progress(self, progress: PingProgress | RelayProgress) -> None:
+    def progress(self, progress: Progress) -> None:
         """Do nothing: a rehearsal has no progress."""
 
 

@@ -25,18 +25,29 @@ from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
 from .cyclone_settings import cyclone_loopback, cyclone_settings
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
-from .node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, NodeSubscription, ThreadedNode, TopicView
+from .node import (
+    LAST_ACKNOWLEDGEMENT_S,
+    ROUND_S,
+    Endpoint,
+    Middleware,
+    NodeSubscription,
+    Publication,
+    ThreadedNode,
+    TopicView,
+)
 from .qos import duration_extra, incompatible_pairs, requested_durations
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Hashable
 
-    from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
+    from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription, TapReceive, TopicPatterns
 
 FOREVER_NS = (1 << 63) - 1
 MAX_ENDPOINTS = 10_000
 MAX_TRIGGERS = 256
 """Most readers that one wait reports."""
+TYPE_WAIT_NS = SECOND_NS
+"""Longest wait for the definition of a publisher's type."""
 TYPE_CONSISTENCY = 24
 """DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of `dds_public_qosdefs.h`."""
 
@@ -64,9 +75,9 @@ class CycloneNode(ThreadedNode):
             ) from err
         self._waitset = WaitSet(self._participant)
         self._builtin = _BuiltinReaders(self._participant)
-        self._readers: dict[int, tuple[Any, Receive[RawMessage]]] = {}
-        # Address by which the waitset reports a condition -> reader and callback.
-        self._triggers: dict[int | None, tuple[int, Receive[RawMessage]]] = {}
+        self._readers: dict[int, Any] = {}
+        # Address by which the waitset reports a condition -> reader, callback, callback of a tap.
+        self._triggers: dict[int | None, tuple[int, Receive[RawMessage] | None, Callable[..., None] | None]] = {}
         self._writers: list[_CyclonePublisher] = []
         self._middleware = Middleware(
             "cyclonedds",
@@ -91,16 +102,39 @@ class CycloneNode(ThreadedNode):
     def create_subscription(
         self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
     ) -> Subscription:
+        return self._open_reader(self._topic(topic, type_name), qos or self.options.qos, receive, None)
+
+    def _open_reader(
+        self, topic: Any, qos: Qos, receive: Receive[RawMessage] | None, tap: Callable[..., None] | None
+    ) -> Subscription:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
 
-        reader = DataReader(self._participant, self._topic(topic, type_name), qos=_cyclone_qos(qos or self.options.qos))
+        reader = DataReader(self._participant, topic, qos=_cyclone_qos(qos))
         condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
         self._waitset.attach(condition)
-        self._readers = {**self._readers, reader._ref: (condition, receive)}  # noqa: SLF001 - see `_take`
+        self._readers = {**self._readers, reader._ref: condition}  # noqa: SLF001 - see `_take`
         _, trigger = self._waitset.attached[-1]
-        self._triggers = {**self._triggers, addressof(trigger): (reader._ref, receive)}  # noqa: SLF001
+        self._triggers = {**self._triggers, addressof(trigger): (reader._ref, receive, tap)}  # noqa: SLF001
         return NodeSubscription(partial(self._withdraw, reader))
+
+    def list_publications(self, matches: TopicPatterns) -> list[Publication]:
+        return self._builtin.publications(matches, self.options.name)
+
+    def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
+        from cyclonedds.topic import Topic
+
+        def on_sample(message: RawMessage, info: Any) -> None:
+            receive(message, info.source_timestamp, 0, 0, info.publication_handle)
+
+        data_type = self._builtin.definition_of(topic, type_name, self._participant) or _opaque_type(type_name)
+        return self._open_reader(Topic(self._participant, _tapped_topic(topic), data_type), qos, None, on_sample)
+
+    def publisher_of(self, source: Hashable) -> str | None:
+        return self._builtin.key_of(source)
+
+    def first_member(self, type_name: str) -> str | None:
+        return next(iter(DDS_TYPES.get(type_name, {}).values()), None)
 
     def _topic(self, topic: str, type_name: str) -> Any:
         from cyclonedds.topic import Topic
@@ -109,7 +143,7 @@ class CycloneNode(ThreadedNode):
 
     def _withdraw(self, reader: Any) -> None:
         readers = dict(self._readers)
-        condition, _ = readers.pop(reader._ref, (None, None))  # noqa: SLF001 - see `_take`
+        condition = readers.pop(reader._ref, None)  # noqa: SLF001 - see `_take`
         if condition is not None:
             self._readers = readers
             self._triggers = {address: target for address, target in self._triggers.items() if target[0] in readers}
@@ -135,11 +169,15 @@ class CycloneNode(ThreadedNode):
             if triggered < 0:
                 raise DDSException(triggered, "while waiting for a message")
             for address in addresses[:triggered]:
-                reader, receive = self._triggers.get(address, (0, None))
+                reader, receive, tap = self._triggers.get(address, (0, None, None))
                 if receive is not None:  # not closed meanwhile
                     for data, info in take(reader):  # further messages trigger again
                         if info.valid_data:
                             receive(data, info.source_timestamp)
+                elif tap is not None:
+                    for data, info in take(reader):
+                        if info.valid_data:
+                            tap(data, info)
 
         return receive_round
 
@@ -159,7 +197,7 @@ class CycloneNode(ThreadedNode):
             if publisher.topic == topic
         ] + [
             (condition.reader.get_requested_incompatible_qos_status, "publisher's")
-            for condition, _ in self._readers.values()
+            for condition in self._readers.values()
             if condition.reader.topic.name == dds_topic(topic)
         ]
         lines = set()
@@ -241,6 +279,50 @@ class _BuiltinReaders:
             for endpoint in self._read(kind)
             if endpoint.topic_name == topic
         ]
+
+    def publications(self, matches: TopicPatterns, own_name: str) -> list[Publication]:
+        """Return the publishers of others on matching topics."""
+        names = self.participants()
+        return [
+            Publication(
+                topic, ros_name(data.type_name), data.key.hex, names.get(data.participant_key, ""), _qos(data.qos)
+            )
+            for data in self._read("publications")
+            if matches(topic := _shown_topic(data.topic_name)) and names.get(data.participant_key) != own_name
+        ]
+
+    def key_of(self, handle: Hashable) -> str | None:
+        """Return the GUID of the publisher with this instance handle."""
+        keys = (data.key.hex for data in self._read("publications") if data.sample_info.instance_handle == handle)
+        return next(keys, None)
+
+    def definition_of(self, topic: str, type_name: str, participant: Any) -> Any:
+        """Return the type as a publisher describes it; None if none does."""
+        from cyclonedds.dynamic import get_types_for_typeid
+
+        for data in self._read("publications"):
+            if (_shown_topic(data.topic_name), ros_name(data.type_name)) == (topic, type_name) and data.type_id:
+                with suppress(Exception):  # whatever a peer describes: its messages are then of an opaque type
+                    return get_types_for_typeid(participant, data.type_id, TYPE_WAIT_NS)[0]
+        return None
+
+
+def _shown_topic(name: str) -> str:
+    """Return the ROS name of a topic of DDS; one outside ROS has no slash."""
+    return name.removeprefix("rt") if name.startswith("rt/") else name
+
+
+def _tapped_topic(topic: str) -> str:
+    return f"rt{topic}" if topic.startswith("/") else topic
+
+
+def _opaque_type(type_name: str) -> Any:
+    """Return a type of this name of one octet: Cyclone DDS accepts what follows in a message."""
+    from cyclonedds.idl import make_idl_struct
+    from cyclonedds.idl.types import uint8
+
+    name = (dds_name(type_name) if type_name.count("/") == 2 else type_name).replace("::", ".")
+    return make_idl_struct(name.rpartition(".")[2], name, {"octet": uint8})
 
 
 def _configured_domain(domain_id: int, settings: str) -> Any:

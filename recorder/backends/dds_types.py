@@ -45,6 +45,18 @@ DDS_TYPES: dict[str, dict[str, str]] = {
         "data": _OCTETS,
         "is_dense": "bool",
     },
+    "diagnostic_msgs/msg/KeyValue": {"key": "string", "value": "string"},
+    "diagnostic_msgs/msg/DiagnosticStatus": {
+        "level": "uint8",
+        "name": "string",
+        "message": "string",
+        "hardware_id": "string",
+        "values": "diagnostic_msgs/msg/KeyValue[]",
+    },
+    "diagnostic_msgs/msg/DiagnosticArray": {
+        "header": "std_msgs/msg/Header",
+        "status": "diagnostic_msgs/msg/DiagnosticStatus[]",
+    },
 }
 """Type -> member -> type; `[]` is a sequence, `[9]` an array. A type follows its parts, as in XML."""
 

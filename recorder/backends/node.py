@@ -6,6 +6,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from dds_trace.base import limits
@@ -16,7 +17,7 @@ from ..choices import Discovery, ExecutorKind, Transport
 from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Hashable, Mapping
     from types import TracebackType
 
     from typing_extensions import Self
@@ -179,6 +180,73 @@ class Subscription(Protocol):
 
     def close(self) -> None:
         """Take the subscription off its topic, at the end of the thread's current round."""
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """One publisher as the graph shows it.
+
+    Attributes:
+        topic: name with its first slash.
+        publisher: GUID in 32 hex digits; None if the middleware does not give it.
+        node_name: with namespace; empty if unknown.
+        qos: what it offers; None if unknown.
+    """
+
+    topic: str
+    type_name: str
+    publisher: str | None = None
+    node_name: str = ""
+    qos: Qos | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TopicPatterns:
+    """Names of topics with `*` and `?`; a name without a first slash is one outside ROS."""
+
+    texts: tuple[str, ...]
+
+    def __call__(self, topic: str) -> bool:
+        """Return whether a topic is meant."""
+        return any(fnmatchcase(topic, text) for text in self.texts)
+
+
+class TapReceive(Protocol):
+    """A callback of a tap, on the node's thread; it stamps the arrival in its first instruction."""
+
+    def __call__(
+        self, message: RawMessage, source_ns: int, received_ns: int, sequence: int, source: Hashable, /
+    ) -> None:
+        """Take one message.
+
+        Args:
+            message: encapsulation and CDR.
+            source_ns: the middleware's source time stamp, ns since 1970; 0 if unknown.
+            received_ns: its reception time stamp likewise.
+            sequence: the publisher's number of the message, from 1; 0 if unknown.
+            source: the publisher, as the node identifies it (`TapNode.publisher_of`); None if the middleware does not say who sent it.
+        """
+
+
+@runtime_checkable
+class TapNode(Protocol):
+    """A node that can listen to other programs."""
+
+    def list_publications(self, matches: TopicPatterns) -> list[Publication]:
+        """Return the publishers of other nodes on topics whose name `matches`."""
+
+    def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
+        """Subscribe to serialized messages of any type.
+
+        Raises:
+            BackendUnavailableError: the message type's package is needed, and not installed.
+        """
+
+    def publisher_of(self, source: Hashable) -> str | None:
+        """Return the `Publication.publisher` of a message's `source`."""
+
+    def first_member(self, type_name: str) -> str | None:
+        """Return the type of a message's first member as in a `.msg` file; None if the node does not know it."""
 
 
 class Strangers:

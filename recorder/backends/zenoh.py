@@ -15,19 +15,22 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.units import SECOND_NS
 
 from ..choices import Discovery, Durability, Reliability, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import Backend, Meeting, has_package
-from .node import Endpoint, Middleware, Node, TopicView
+from .dds_types import DDS_TYPES
+from .node import Endpoint, Middleware, Node, NodeSubscription, Publication, TopicView
 from .qos import refuse_durations
+from .zenoh_ros import GRAPH_KEY, Attachment, data_key, parse_attachment, parse_token
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Hashable
 
     from dds_trace.tracefile.format.descriptions import Qos
 
-    from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
+    from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription, TapReceive, TopicPatterns
 
 MULTICAST = "multicast"
 """Value of `--peer`: look for others by multicast."""
@@ -118,6 +121,44 @@ class ZenohNode(Node):
 
         return on_sample
 
+    def list_publications(self, matches: TopicPatterns) -> list[Publication]:
+        liveliness = self._session.liveliness()
+        tokens = (self._key("endpoint", PUBLISHER, "*", "*", "*"), GRAPH_KEY.format(domain_id=self.options.domain_id))
+        replies = [reply for token in tokens for reply in liveliness.get(token, timeout=LOOK_S)]
+        keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+        publications = [parse_token(key) or _own_publication(key) for key in sorted(keys)]
+        return [
+            *(one for one in publications if one is not None and matches(one.topic)),
+            *(Publication(text, "") for text in matches.texts if not text.startswith("/")),  # keys outside ROS
+        ]
+
+    def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:  # noqa: ARG002
+        def on_sample(sample: Any) -> None:
+            if self.error is None:
+                try:
+                    sequence, source_ns, gid = _origin_of(sample, is_ros=is_ros)
+                    receive(sample.payload.to_bytes(), source_ns, 0, sequence, gid)
+                except BaseException as error:  # noqa: BLE001 - a thread has no caller
+                    self.error = error
+
+        is_ros = type_name.count("/") == 2
+        keys = [topic]
+        if is_ros:
+            keys = [data_key(self.options.domain_id, topic, type_name), self._key("data", topic.strip("/"))]
+        subscribers = [self._session.declare_subscriber(key, on_sample) for key in keys]
+
+        def close() -> None:
+            for subscriber in subscribers:
+                subscriber.undeclare()
+
+        return NodeSubscription(close)
+
+    def publisher_of(self, source: Hashable) -> str | None:
+        return None if source is None else str(source)
+
+    def first_member(self, type_name: str) -> str | None:
+        return next(iter(DDS_TYPES.get(type_name, {}).values()), None)
+
     def _key(self, *parts: str) -> str:
         return "/".join((KEY_PREFIX, str(self.options.domain_id), *parts))
 
@@ -147,6 +188,26 @@ class ZenohNode(Node):
 
     def _leave(self) -> None:
         self._session.close()
+
+
+def _own_publication(key: str) -> Publication | None:
+    parts = key.split("/")
+    if parts[0] != KEY_PREFIX:
+        return None
+    topic, node_name, type_name = parts[-3:]
+    return Publication(f"/{topic}", type_name.replace(".", "/"), None, node_name)
+
+
+def _origin_of(sample: Any, *, is_ros: bool) -> Attachment:
+    """Return a sample's number, time and publisher: of ROS 2's attachment, else of zenoh itself."""
+    if is_ros and sample.attachment is not None:
+        return parse_attachment(sample.attachment.to_bytes())
+    source_ns = 0
+    if sample.timestamp is not None:
+        ntp64 = sample.timestamp.get_time_as_ntp64()
+        source_ns = (ntp64 >> 32) * SECOND_NS + ((ntp64 & 0xFFFFFFFF) * SECOND_NS >> 32)
+    source = sample.source_info
+    return Attachment(0 if source is None else source.source_sn + 1, source_ns)
 
 
 @dataclass(frozen=True, slots=True)

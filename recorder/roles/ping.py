@@ -199,6 +199,10 @@ class Ping(Generic[SentT, ReceivedT]):
             self._clock.wait_until(now_ns + POLL_NS, stop)
         return False
 
+    def is_own(self, run_id: int, sequence: int) -> bool:
+        """Return whether a message is of this run, or one of its probes."""
+        return run_id == self.run_id or (run_id == PROBE_RUN_ID and sequence in self._nonces)
+
     @property
     def probes(self) -> Traffic:
         """The sent probes; none counts as received."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from array import array
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
 from dds_trace.base.units import SECOND_NS
+
+if TYPE_CHECKING:
+    from .live import LiveRow
 
 PERCENTILE_SAMPLES = 10_000
 """Most messages, evenly picked, for a percentile on the screen."""
@@ -50,13 +53,36 @@ class RelayProgress:
     foreign: int
 
 
+@dataclass(frozen=True, slots=True)
+class TapProgress:
+    """Messages, joined topics, publishers heard and messages missing by their numbers; `rows` with `--live`."""
+
+    messages: int
+    topics: int
+    publishers: int
+    missing: int
+    rows: tuple[LiveRow, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class BeaconProgress:
+    """Messages sent and answered, and a line for each other beacon."""
+
+    sent: int
+    received: int
+    clocks: tuple[str, ...] = ()
+
+
+Progress: TypeAlias = "PingProgress | RelayProgress | TapProgress | BeaconProgress"
+
+
 class Watch(Protocol):
     """Called twice a second during a recording."""
 
     def note(self, text: str) -> None:
         """Take a line for the user."""
 
-    def progress(self, progress: PingProgress | RelayProgress) -> None:
+    def progress(self, progress: Progress) -> None:
         """Take the role's progress."""
 
 

@@ -38,7 +38,8 @@ RECENT_RUNS = 1000
 class Relay:
     """The relay of `data_types` on a node, whose thread does all the work.
 
-    `relay_id`, not 0, is in every reply; `on_probe` is called after the reply to each readiness probe.
+    `relay_id`, not 0, is in every reply; `on_probe` is called after the reply to each readiness probe, `on_relayed` with run,
+    sequence, T3 and T4 after any other. Messages that are `is_own` by run and sequence get none.
     """
 
     def __init__(
@@ -52,6 +53,8 @@ class Relay:
         serialization: Serialization = Serialization.RAW,
         clock: Clock | None = None,
         on_probe: Callable[[], None] | None = None,
+        is_own: Callable[[int, int], bool] | None = None,
+        on_relayed: Callable[[int, int, int, int], None] | None = None,
     ) -> None:
         self.relay_id = relay_id
         self.topics: list[str] = []
@@ -64,7 +67,10 @@ class Relay:
         self._payload_bytes = 0  # of all messages relayed
         self._foreign = 0
         self._strangers = node.strangers
-        self._on_probe = on_probe
+        self._on_probe = on_probe or _ignore
+        self._is_own = is_own or _never
+        self._on_relayed = on_relayed or _ignore
+        self._forecasts = on_relayed is None
         self._closers: list[Callable[[], None]] = []
         if serialization is Serialization.TYPED:
             self._serve(object_lane(node), data_types, qos)
@@ -89,7 +95,7 @@ class Relay:
         now, publish = self._clock.monotonic_ns, publisher.publish
         record_and_stamp, stages = self._sink.record_and_stamp, (T3, T4)
         relay_id, relay_id_text = self.relay_id, b"%08x" % self.relay_id
-        on_probe = self._on_probe
+        on_probe, is_own, on_relayed = self._on_probe, self._is_own, self._on_relayed
 
         record_expected, forecast_of = self._sink.record_expected, self._forecaster(form)
         begin_at = 0 if form.sizing_bytes_of is None else cast("RawStampPlace", form.stamp).begin_at
@@ -121,13 +127,17 @@ class Relay:
                 self._strangers.count(UNSTAMPED)
                 return
             run_id, sequence, _ = stamp
+            if is_own(run_id, sequence):
+                return
             if run_id == PROBE_RUN_ID:
                 publish(reply)
-                if on_probe is not None:
-                    on_probe()
+                on_probe()
                 return
-            record_and_stamp(stages, run_id, sequence, relay_in_ns, source_ns, received_ns, size, relay_id)
+            relay_out_ns = record_and_stamp(
+                stages, run_id, sequence, relay_in_ns, source_ns, received_ns, size, relay_id
+            )
             publish(reply)
+            on_relayed(run_id, sequence, relay_in_ns, relay_out_ns)
             self._relayed += 1
             self._payload_bytes += size
             if run_id != self._last_run:
@@ -138,7 +148,7 @@ class Relay:
 
     def _forecaster(self, form: Form[SentT, ReceivedT]) -> Callable[[Any, int, int, int], _Forecast | None]:
         sizing_bytes_of = form.sizing_bytes_of
-        if sizing_bytes_of is None:
+        if sizing_bytes_of is None or not self._forecasts:
             return lambda *_: None
         begin_of = cast("RawStampPlace", form.stamp).begin_of
         expect, relay_id = self._sink.expect, self.relay_id
@@ -173,3 +183,11 @@ class Relay:
     def progress(self) -> RelayProgress:
         """Return the work done so far, on any thread."""
         return RelayProgress(self._relayed, self._runs, self._foreign)
+
+
+def _ignore(*_: int) -> None:
+    """No callback was given."""
+
+
+def _never(*_: int) -> bool:
+    return False

@@ -20,14 +20,18 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from ...applied.vendors import ros_middleware
 from ...choices import ExecutorKind
-from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, ThreadedNode, TopicView
+from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, Publication, ThreadedNode, TopicView
 from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, requested_durations
 from .installation import INSTALL, package_version
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 
-    from ..node import NodeOptions, Publisher, RawMessage, Receive, RosMessage, Subscription
+    from ..node import NodeOptions, Publisher, RawMessage, Receive, RosMessage, Subscription, TapReceive, TopicPatterns
+
+GUID_BYTES = 16
+UNKNOWN_SEQUENCE = (1 << 64) - 1
+"""RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED of `rmw/types.h`."""
 
 
 class Ros2Node(ThreadedNode):
@@ -101,6 +105,36 @@ class Ros2Node(ThreadedNode):
         opened = _Ros2Subscription(self, subscription, on_message)
         self._subscriptions += (opened,)
         return opened
+
+    def list_publications(self, matches: TopicPatterns) -> list[Publication]:
+        names = [name for name, _ in self._node.get_topic_names_and_types() if matches(name)]
+        infos = [(name, info) for name in names for info in self._node.get_publishers_info_by_topic(name)]
+        return [
+            Publication(
+                name,
+                info.topic_type,
+                bytes(info.endpoint_gid[:GUID_BYTES]).hex(),
+                f"{info.node_namespace.rstrip('/')}/{info.node_name}",
+                _endpoint(info).qos,
+            )
+            for name, info in infos
+            if info.node_name != self.options.name
+        ]
+
+    def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
+        on_message = _with_sequence(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)
+        subscription = self._node.create_subscription(
+            _message_class(type_name), topic, on_message, _qos_profile(qos), raw=True
+        )
+        opened = _Ros2Subscription(self, subscription, on_message)
+        self._subscriptions += (opened,)
+        return opened
+
+    def publisher_of(self, source: Hashable) -> str | None:  # noqa: ARG002 - rclpy does not report it
+        return None
+
+    def first_member(self, type_name: str) -> str | None:
+        return next(iter(_message_class(type_name).get_fields_and_field_types().values()), None)
 
     def destroy_subscription(self, subscription: _Ros2Subscription) -> None:
         self._subscriptions = tuple(other for other in self._subscriptions if other is not subscription)
@@ -277,12 +311,36 @@ def _with_info(receive: Receive[Any], *, stamps_reception: bool) -> Callable[...
             message, info = message
         receive(message, info["source_timestamp"], info["received_timestamp"] if stamps_reception else 0)
 
-    # rclpy looks for two required parameters in the signature before it passes `info`.
+    return _of_two_parameters(on_message)
+
+
+def _of_two_parameters(on_message: Callable[..., None]) -> Callable[..., None]:
+    """Let it require two parameters by its signature, else rclpy does not pass `info`."""
     parameter = inspect.Parameter
     on_message.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [parameter(name, parameter.POSITIONAL_ONLY) for name in ("message", "info")]
     )
     return on_message
+
+
+def _with_sequence(receive: TapReceive, *, stamps_reception: bool) -> Callable[..., None]:
+    """As `_with_info`, with the publication's number."""
+    if not hasattr(_rclpy().subscription.Subscription, "CallbackType"):
+        return lambda message: receive(message, 0, 0, 0, None)  # Humble
+
+    def on_message(message: Any, info: Any = None) -> None:
+        if info is None:
+            message, info = message
+        sequence = info.get("publication_sequence_number", UNKNOWN_SEQUENCE)
+        receive(
+            message,
+            info["source_timestamp"],
+            info["received_timestamp"] if stamps_reception else 0,
+            0 if sequence == UNKNOWN_SEQUENCE else sequence,
+            None,
+        )
+
+    return _of_two_parameters(on_message)
 
 
 def _events(class_name: str, on_incompatible: Callable[[Any], None]) -> Any:

@@ -242,6 +242,9 @@ HOST = Words("a host's name or address", re.compile(r"[\w.:%\[\]-]+", re.ASCII),
 TOPIC_NAME = Words(
     "a ROS topic's name such as /camera/image", re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*/?", re.ASCII), 200
 )
+TOPIC_PATTERN = Words(
+    "a topic's name such as /camera/image, or a pattern such as '/camera/*'", re.compile(r"[\w/.:*?$@~-]+"), 255
+)
 
 # Fields of traces: what the columns of an analysis can store, sums and differences of two included.
 STORED_COUNT = Whole(0, (1 << 48) - 1, "a count")

@@ -1,0 +1,53 @@
+"""Keys, graph entries and attachments of ROS 2 nodes on zenoh (`rmw_zenoh_cpp`), as a tap finds them."""
+
+from __future__ import annotations
+
+import struct
+from typing import NamedTuple
+
+from .dds_types import dds_name, ros_name
+from .node import Publication
+
+GRAPH_KEY = "@ros2_lv/{domain_id}/**"
+"""Liveliness tokens of all entities of a domain."""
+_TOKEN_PARTS = 13
+_PUBLISHER_KIND = "MP"
+_NUMBER = struct.Struct("<q")
+_GID_BYTES = 16
+_SEQUENCE_NAME, _TIME_NAME = b"sequence_number", b"source_timestamp"
+
+
+class Attachment(NamedTuple):
+    """What a publisher sends with each message; `gid` in hex."""
+
+    sequence: int = 0
+    source_ns: int = 0
+    gid: str | None = None
+
+
+def parse_token(key: str) -> Publication | None:
+    """Return the publisher of a liveliness token; None for other entities."""
+    parts = key.split("/")
+    if len(parts) != _TOKEN_PARTS or parts[5] != _PUBLISHER_KIND:
+        return None
+    namespace, node, topic, type_name = (part.replace("%", "/") for part in parts[7:11])
+    return Publication(topic, ros_name(type_name), None, f"{namespace.rstrip('/')}/{node}")
+
+
+def data_key(domain_id: int, topic: str, type_name: str) -> str:
+    """Return the key expression of a topic's messages, of any version of its type."""
+    return f"{domain_id}/{topic.strip('/')}/{dds_name(type_name)}/*"
+
+
+def parse_attachment(data: bytes) -> Attachment:
+    """Parse both layouts: numbers after their names, or without; anything else is an empty attachment."""
+    if len(data) < 2 * _NUMBER.size + _GID_BYTES:
+        return Attachment()
+    sequence_at, time_at = 0, _NUMBER.size
+    if _SEQUENCE_NAME in data and _TIME_NAME in data:
+        sequence_at = data.index(_SEQUENCE_NAME) + len(_SEQUENCE_NAME)
+        time_at = data.index(_TIME_NAME) + len(_TIME_NAME)
+    if max(sequence_at, time_at) + _NUMBER.size > len(data):
+        return Attachment()
+    (sequence,), (source_ns,) = _NUMBER.unpack_from(data, sequence_at), _NUMBER.unpack_from(data, time_at)
+    return Attachment(max(sequence, 0), max(source_ns, 0), data[-_GID_BYTES:].hex())

@@ -1,0 +1,177 @@
+"""The four stamps of a beacon's round trips: T1 and T2 of this device, T3 and T4 from the other one's notes."""
+
+from __future__ import annotations
+
+import json
+import threading
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from dds_trace.base.limits import STORED_RELAY_ID, STORED_TIME_NS, Whole
+from dds_trace.base.printable import printable
+from dds_trace.tracefile.format.encoding import decode_string, encode_string
+
+from .estimate import ClockEstimate
+
+if TYPE_CHECKING:
+    from dds_trace.tracefile.format.descriptions import Run
+    from dds_trace.tracefile.writing.sink import TraceSink
+
+    from ..backends.node import Publisher, RawMessage
+
+NOTES_TOPIC, NOTES_TYPE = "beacon_clocks", "std_msgs/msg/String"
+MOST_WAITING = 256
+"""Replies and notes that wait for each other; the oldest go."""
+MOST_DEVICES = 64
+MOST_NOTE_BYTES = 4096
+_TEXT_CHARACTERS = 120
+T2 = 2
+_SEQUENCE = Whole(0, (1 << 48) - 1, "a number")
+
+
+@dataclass(slots=True)
+class OtherClock:
+    """Another beacon: its words about itself, and the estimate of its clock."""
+
+    device: str
+    wall_offset_ns: int
+    time_service: str
+    estimate: ClockEstimate = field(default_factory=ClockEstimate)
+
+    def words(self, now_ns: int, wall_offset_ns: int) -> str:
+        """Return one line about the difference of both wall clocks, `wall_offset_ns` being this device's."""
+        now = self.estimate.at(now_ns)
+        if now is None:
+            return f"{self.device}: no round trip yet"
+        difference_ns = now.offset_ns + self.wall_offset_ns - wall_offset_ns
+        drift = "" if now.drift_ppm is None else f", drift {now.drift_ppm:.1f} ppm"
+        side = "later" if difference_ns > 0 else "earlier"
+        return (
+            f"{self.device}: your clocks differ by {abs(difference_ns) / 1e6:.3f} ms +- {now.bound_ns / 1e6:.3f}{drift} "
+            f"(that one shows the {side} time; {self.time_service})"
+        )
+
+
+class Exchanges:
+    """This beacon's messages, and what other beacons note about them.
+
+    Notes come from peers: whatever is no note is ignored.
+    """
+
+    def __init__(self) -> None:
+        self.others: dict[int, OtherClock] = {}
+        self.run_ids: set[int] = set()
+        self._sent: dict[tuple[int, int], int] = {}
+        self._received: dict[tuple[int, int, int], int] = {}
+        self._noted: dict[tuple[int, int, int], tuple[int, int]] = {}
+        self._lock = threading.Lock()
+
+    def note_sent(self, run_id: int, sequence: int, publish_ns: int) -> None:
+        """Take T1 of a message."""
+        with self._lock:
+            _put(self._sent, (run_id, sequence), publish_ns)
+
+    def note_reply(self, run_id: int, sequence: int, relay_id: int, receive_ns: int) -> None:
+        """Take T2 of a message."""
+        with self._lock:
+            _put(self._received, (run_id, sequence, relay_id), receive_ns)
+            self._match(run_id, sequence, relay_id)
+
+    def take_note(self, message: RawMessage, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
+        """Take T3 and T4 of a message from another beacon's note."""
+        note = parse_note(message)
+        if note is None or note.run_id not in self.run_ids:
+            return
+        with self._lock:
+            other = self.others.get(note.relay_id)
+            if other is None:
+                if len(self.others) >= MOST_DEVICES:
+                    return
+                other = self.others[note.relay_id] = OtherClock(note.device, 0, "")
+            other.wall_offset_ns, other.time_service = note.wall_offset_ns, note.time_service
+            _put(self._noted, (note.run_id, note.sequence, note.relay_id), (note.relay_in_ns, note.relay_out_ns))
+            self._match(note.run_id, note.sequence, note.relay_id)
+
+    def _match(self, run_id: int, sequence: int, relay_id: int) -> None:
+        key = (run_id, sequence, relay_id)
+        publish_ns = self._sent.get((run_id, sequence))
+        if key in self._received and key in self._noted and publish_ns is not None:
+            receive_ns, (relay_in_ns, relay_out_ns) = self._received.pop(key), self._noted.pop(key)
+            self.others[relay_id].estimate.add(publish_ns, relay_in_ns, relay_out_ns, receive_ns)
+
+    def words(self, now_ns: int, wall_offset_ns: int) -> list[str]:
+        """Return a line for each other beacon, by device."""
+        with self._lock:
+            return sorted(other.words(now_ns, wall_offset_ns) for other in self.others.values())
+
+
+def _put(waiting: dict, key: tuple[int, ...], value: object) -> None:  # type: ignore[type-arg]
+    if len(waiting) >= MOST_WAITING:
+        del waiting[next(iter(waiting))]
+    waiting[key] = value
+
+
+@dataclass(frozen=True, slots=True)
+class ClockNote:
+    """What a beacon publishes about a message that it answered.
+
+    Attributes:
+        relay_in_ns, relay_out_ns: T3 and T4, monotonic.
+        wall_offset_ns: its wall clock minus its monotonic clock at that time.
+        time_service: what keeps its clock, in words.
+    """
+
+    device: str
+    run_id: int
+    sequence: int
+    relay_id: int
+    relay_in_ns: int
+    relay_out_ns: int
+    wall_offset_ns: int
+    time_service: str
+
+    def publish(self, publisher: Publisher[RawMessage]) -> None:
+        """Send it."""
+        text = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        publisher.publish(encode_string(json.dumps({**text, "run_id": f"{self.run_id:016x}"})))
+
+
+def parse_note(message: RawMessage) -> ClockNote | None:
+    """Return a note; None for anything else."""
+    if len(message) > MOST_NOTE_BYTES:
+        return None
+    try:
+        value = json.loads(decode_string(bytes(message)))
+        numbers = {name: value[name] for name in ("relay_in_ns", "relay_out_ns", "wall_offset_ns")}
+        run_id, sequence, relay_id = int(value["run_id"], 16), value["sequence"], value["relay_id"]
+        texts = {name: printable(value[name], _TEXT_CHARACTERS) for name in ("device", "time_service")}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+    are_good = not any(STORED_TIME_NS.fault(number) for number in numbers.values())
+    if not are_good or _SEQUENCE.fault(sequence) or STORED_RELAY_ID.fault(relay_id):
+        return None
+    return ClockNote(run_id=run_id, sequence=sequence, relay_id=relay_id, **texts, **numbers)  # type: ignore[arg-type]
+
+
+class NotingSink:
+    """A `TraceSink` as a ping uses it, whose T1 and T2 the exchanges get as well."""
+
+    def __init__(self, sink: TraceSink, exchanges: Exchanges) -> None:
+        self._sink = sink
+        self._exchanges = exchanges
+
+    def write_run(self, run: Run) -> None:
+        """See `TraceSink.write_run`."""
+        self._sink.write_run(run)
+
+    def stamp(self, stage: int, run_id: int, sequence: int, *rest: int) -> int:
+        """See `TraceSink.stamp`."""
+        publish_ns = self._sink.stamp(stage, run_id, sequence, *rest)
+        self._exchanges.note_sent(run_id, sequence, publish_ns)
+        return publish_ns
+
+    def record(self, stage: int, run_id: int, sequence: int, monotonic_ns: int, *rest: int) -> None:
+        """See `TraceSink.record`."""
+        self._sink.record(stage, run_id, sequence, monotonic_ns, *rest)
+        if stage == T2:
+            self._exchanges.note_reply(run_id, sequence, rest[-1], monotonic_ns)

@@ -1,0 +1,9 @@
+"""The role tap: listens to topics of other programs.
+
+- tap: joins topics as they appear, and stores an event for each message
+- streams: one publisher's messages: counts, rate, silence
+- stamps: where a message of a type has its first time stamp
+- page: the same on a local web page
+- diagnostics: the same as `diagnostic_msgs`
+- recording: a tap's recording from its options to a closed trace
+"""

@@ -1,0 +1,75 @@
+"""The live table of a tap on a page of this device only."""
+
+from __future__ import annotations
+
+import json
+import threading
+from contextlib import contextmanager
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from ..roles.live import LiveRow
+
+HOST = "127.0.0.1"
+_NAMES = ("127.0.0.1", "localhost")
+_PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>dds-trace tap</title>
+<style>body{font:16px system-ui;margin:2rem}td,th{padding:.2rem 1rem;text-align:right}td:first-child,th:first-child{text-align:left}
+.OK{color:#067647}.LATE{color:#b54708}.STALE{color:#b42318}</style><h1>Topics</h1><table><thead><tr><th>topic<th>state<th>rate (Hz)
+<th>expected (Hz)<th>age (ms)<th>p99 (ms)<th>missing<th>silent (s)</thead><tbody></tbody></table>
+<p>Ages are by this device's clock.</p><script>
+const shown=(value,scale)=>value===null?"-":(value/scale).toPrecision(3);
+async function look(){const rows=await (await fetch("live.json")).json();
+document.querySelector("tbody").replaceChildren(...rows.map(row=>{const line=document.createElement("tr");
+[row.topic,row.health,shown(row.rate_hz,1),shown(row.expected_hz,1),shown(row.age_ns,1e6),shown(row.age_p99_ns,1e6),row.missing,
+shown(row.silence_ns,1e9)].forEach(text=>line.insertCell().textContent=text);line.cells[1].className=row.health;return line}))}
+look();setInterval(look,1000)</script></html>"""
+
+
+@contextmanager
+def serve_page(port: int, rows: Callable[[], Sequence[LiveRow]]) -> Iterator[str]:
+    """Serve the table of `rows` within the block; yield the address.
+
+    Raises:
+        OptionError: the port is in use.
+    """
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if self.headers.get("Host", "").partition(":")[0] not in _NAMES:  # another name comes from DNS rebinding
+                self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
+            elif self.path == "/":
+                self._send("text/html; charset=utf-8", _PAGE)
+            elif self.path == "/live.json":
+                self._send("application/json", json.dumps([row.to_dict() for row in rows()]))
+            else:
+                self.send_error(HTTPStatus.NOT_FOUND)
+
+        def _send(self, kind: str, text: str) -> None:
+            body = text.encode()
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None:
+            """Print nothing."""
+
+    try:
+        server = ThreadingHTTPServer((HOST, port), Handler)
+    except OSError as error:
+        raise OptionError(f"--live-port {port}: {error.strerror}; choose another port") from error
+    thread = threading.Thread(target=server.serve_forever, name="tap-page", daemon=True)
+    thread.start()
+    try:
+        yield f"http://{HOST}:{server.server_port}/"
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()

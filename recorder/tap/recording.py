@@ -1,0 +1,144 @@
+"""A tap's recording from its options to a closed trace."""
+
+from __future__ import annotations
+
+import gc
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import OptionError
+
+from ..applied.carried import Traffic
+from ..backends.node import TapNode, TopicPatterns
+from ..base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
+from ..errors import NothingHeardError
+from ..host.process import tuned_gc
+from ..roles.floor import measured_cost
+from ..roles.live import LiveTable
+from ..roles.progress import TapProgress
+from ..service.upkeep import Upkeep
+from .diagnostics import open_diagnostics
+from .own_use import OwnUse
+from .page import serve_page
+from .tap import Tap, summarize
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ..backends.node import Node
+    from ..options import TapOptions
+    from ..roles.read_back import ReadBack
+
+LONELY_S = 5.0
+"""Wait for a publisher until the user gets a line about it."""
+COLLECT_LOOKS = 60
+"""Garbage is collected after so many checks."""
+
+
+class TapRecording(BaseRecording):
+    """The recording of a tap."""
+
+    def record(self, tap_options: TapOptions) -> Recorded:
+        """Listen until done; errors as for `recorder.recording.record`.
+
+        Raises:
+            NothingHeardError: no message came; the trace, which describes the session, stays.
+        """
+        options = self.options
+        if options.own_cost and not self.rehearses:
+            self.costs = measured_cost()
+        with self.open_wire() as wire, self.open_node("tap") as node, tuned_gc():
+            if not isinstance(node, TapNode):
+                raise OptionError(
+                    f"--role tap: the backend {options.backend} only carries our own messages; use ros2, cyclonedds or zenoh"
+                )
+            read_back = self.read_back(node)
+            session = self.describe("tap", node, read_back, extra={"topics": list(tap_options.topics)})
+            with ExitStack() as stack:
+                upkeep = stack.enter_context(Upkeep(options, session, self.clock.monotonic_ns, self.watch.note))
+                live = LiveTable(tap_options.expected_hz)
+                tap = Tap(
+                    node,
+                    upkeep.sink,
+                    TopicPatterns(tap_options.topics),
+                    session_id=self.session_id,
+                    qos=options.tap_qos,
+                    note=self.watch.note,
+                    live=live,
+                    clock=self.clock,
+                )
+                publish = open_diagnostics(node, session.device) if tap_options.diagnostics else None
+                if tap_options.live_port is not None:
+                    address = stack.enter_context(serve_page(tap_options.live_port, live.rows))
+                    self.watch.note(f"live on {address}")
+                read_back.read_begin()
+                node.start()
+                use = OwnUse()
+                if self.rehearses:
+                    self.stop.set()
+                else:
+                    self.watch.note(f"listening to {', '.join(tap_options.topics)} in domain {options.node.domain_id}")
+                with sampled(upkeep.sink, wire):
+                    self._watch_tap(tap, node, upkeep, read_back, live, publish)
+                tap.close()
+                own_cost = use.taken(tap.messages)
+                mean_bytes = sum(stream.payload_bytes for stream in tap.streams) // max(tap.messages, 1)
+                read_back.read_end(Traffic(0, tap.messages, mean_bytes))
+                trace = upkeep.close_trace(**read_back.fields(), **self.clock_at_end(), own_cost=own_cost.to_json())
+                read_back.report(trace.path)
+                for line in summarize(tap.streams):
+                    self.watch.note(line)
+                self.watch.note(own_cost.words)
+                lonely = None if tap.messages or self.rehearses else NothingHeardError(self._why_nothing(tap, node))
+                return Recorded(trace, session, self._progress(tap, live), error=lonely or upkeep.shortage)
+
+    def _watch_tap(
+        self,
+        tap: Tap,
+        node: Node,
+        upkeep: Upkeep,
+        read_back: ReadBack,
+        live: LiveTable,
+        publish: Callable[[LiveTable], None] | None,
+    ) -> None:
+        end_ns, looks, began_s, is_noted = self.end_ns(), 0, time.monotonic(), False
+        tap.look()
+        while (left_s := self.left_s(end_ns)) > 0 and not self.stop.wait(min(LOOK_S, left_s)):
+            raise_error_of(node)
+            tap.look()
+            self.note_disk(upkeep.sink)
+            read_back.report()
+            upkeep.look(tap.messages, read_back.fields)
+            self.watch.progress(self._progress(tap, live))
+            looks += 1
+            if publish is not None and looks % 2:
+                publish(live)
+            if not tap.messages and not is_noted and time.monotonic() - began_s > LONELY_S:
+                is_noted = True
+                self.watch.note(f"{self._why_nothing(tap, node)}; the tap joins a topic as soon as it appears")
+            if looks % COLLECT_LOOKS == 0:
+                gc.collect()
+        tap.look()
+
+    def _progress(self, tap: Tap, live: LiveTable) -> TapProgress:
+        missing = sum(stream.missing for stream in tap.streams)
+        assert self.options.tap is not None
+        return TapProgress(
+            tap.messages, len(tap.topics), len(tap.streams), missing, live.rows() if self.options.tap.live else ()
+        )
+
+    def _why_nothing(self, tap: Tap, node: Node) -> str:
+        """Return one line about a tap without a message: what it looked for, saw, and what to try."""
+        assert self.options.tap is not None
+        names, domain_id = ", ".join(self.options.tap.topics), node.options.domain_id
+        if tap.refused:
+            return "; ".join(f"{topic}: {why}" for topic, why in sorted(tap.refused.items()))
+        if tap.topics:
+            return f"no message of {', '.join(tap.topics)} came: its publishers are there and silent, or the network drops what they send"
+        count = node.count_participants()
+        others = "an unknown number of other nodes" if count is None else f"{count - 1} other nodes"
+        return (
+            f"no publisher of {names} in domain {domain_id} ({others} seen): check name, --domain, --discovery and --backend; in a "
+            "secured domain give this process its keys (ROS_SECURITY_KEYSTORE, ROS_SECURITY_ENABLE=true)"
+        )

@@ -1,0 +1,245 @@
+"""The tap role: joins matching topics as they appear, and stores an event for each message of every publisher."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.units import SECOND_NS, counted, format_duration
+from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, hash_content
+
+from ..backends.node import Publication
+from ..choices import Durability, History, Reliability
+from ..host.clock import SystemClock
+from .stamps import known_first_member, stamp_kind, stamp_reader
+from .streams import State, Stream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Iterable
+
+    from dds_trace.tracefile.writing.sink import TraceSink
+
+    from ..backends.node import RawMessage, Subscription, TapNode, TopicPatterns
+    from ..host.clock import Clock
+    from ..roles.live import LiveTable
+
+TAP = 5
+"""The ring's number of `Stage.TAP`."""
+GRAPH_PERIOD_NS = SECOND_NS
+DEPTH = 32
+"""Messages that wait for a busy tap; no publisher keeps them."""
+MOST_STREAMS = 10_000
+"""Most publishers with a record of their own."""
+
+
+def chosen_qos(reliability: Reliability | None, durability: Durability | None, depth: int | None) -> Qos:
+    """Return the quality of service of a tap's subscriptions: every publisher matches it, and keeps nothing for it.
+
+    To a best-effort reader a publisher sends each message once: it waits for no acknowledgement, repeats nothing, and
+    keeps no history. Messages from before the tap, which a `transient_local` publisher would send again, say nothing about
+    latency. Both can be requested.
+    """
+    return Qos(
+        reliability or Reliability.BEST_EFFORT, durability or Durability.VOLATILE, History.KEEP_LAST, depth or DEPTH
+    )
+
+
+@dataclass(slots=True, eq=False)
+class _Topic:
+    """One topic and type: its subscription, and its publishers in the graph."""
+
+    name: str
+    type_name: str
+    header: str | None
+    publications: list[Publication] = field(default_factory=list)
+    subscription: Subscription | None = None
+    streams: dict[Hashable, Stream] = field(default_factory=dict)
+    """By `source` of a message; None is the only publisher, or all of several."""
+
+
+class Tap:
+    """The tap of `patterns` on a node, whose thread receives; `look` joins topics and finds those that stopped.
+
+    Attributes:
+        streams: all publishers that were heard.
+        refused: topic -> why it cannot be joined.
+    """
+
+    def __init__(
+        self,
+        node: TapNode,
+        sink: TraceSink,
+        patterns: TopicPatterns,
+        *,
+        session_id: int,
+        qos: Qos,
+        note: Callable[[str], None],
+        live: LiveTable | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self.streams: list[Stream] = []
+        self.refused: dict[str, str] = {}
+        self._node = node
+        self._sink = sink
+        self._patterns = patterns
+        self._session_id = session_id
+        self._qos = qos
+        self._note = note
+        self._live = live
+        self._now = (clock or SystemClock()).monotonic_ns
+        self._topics: dict[tuple[str, str], _Topic] = {}
+        self._described = 0
+        self._looked_ns: int | None = None
+
+    @property
+    def messages(self) -> int:
+        """Messages so far."""
+        return sum(stream.messages for stream in self.streams)
+
+    @property
+    def topics(self) -> list[str]:
+        """Topics that are joined."""
+        return sorted({topic.name for topic in self._topics.values() if topic.subscription is not None})
+
+    def look(self) -> None:
+        """Join new topics, and report publishers that stopped or are back; at most one look at the graph a second."""
+        now_ns = self._now()
+        for stream in self.streams[self._described :]:
+            self._describe(stream, State.HEARD)
+            self._described += 1
+        if self._looked_ns is None or now_ns - self._looked_ns >= GRAPH_PERIOD_NS:
+            self._looked_ns = now_ns
+            self._look_at_graph()
+        for stream in self.streams:
+            self._look_at_stream(stream, now_ns)
+
+    def close(self) -> None:
+        """Leave all topics and describe every publisher's end."""
+        for topic in self._topics.values():
+            if topic.subscription is not None:
+                topic.subscription.close()
+        for stream in self.streams:
+            self._describe(stream, State.CLOSED)
+
+    def _look_at_graph(self) -> None:
+        by_topic: dict[tuple[str, str], list[Publication]] = {}
+        for publication in self._node.list_publications(self._patterns):
+            by_topic.setdefault((publication.topic, publication.type_name), []).append(publication)
+        for key, topic in self._topics.items():
+            self._update(topic, by_topic.get(key, []))
+        for key in sorted(by_topic.keys() - self._topics.keys()):
+            self._join(*key, by_topic[key])
+
+    def _join(self, name: str, type_name: str, publications: list[Publication]) -> None:
+        try:
+            header = stamp_kind(type_name, self._first_member)
+            topic = self._topics[name, type_name] = _Topic(name, type_name, header)
+            self._update(topic, publications)
+            topic.subscription = self._node.create_tap(name, type_name, self._receiver(topic), qos=self._qos)
+        except (BackendUnavailableError, OptionError) as error:
+            self._topics[name, type_name] = _Topic(name, type_name, None)
+            self.refused[name] = str(error)
+            self._note(f"{name} is not joined: {error}")
+            return
+        self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}")
+
+    def _first_member(self, type_name: str) -> str | None:
+        return self._node.first_member(type_name) or known_first_member(type_name)
+
+    def _update(self, topic: _Topic, publications: list[Publication]) -> None:
+        """Take the topic's publishers from the graph; a message without source is then of the only one, or of any."""
+        if {p.publisher for p in publications} == {p.publisher for p in topic.publications} and topic.publications:
+            return
+        left = {p.publisher for p in topic.publications} - {p.publisher for p in publications}
+        topic.publications = publications
+        topic.streams.pop(None, None)
+        for stream in self.streams:
+            if stream.publication.topic == topic.name and stream.publisher in left and stream.stopped_at is None:
+                self._note(f"{topic.name}: its publisher {stream.publication.node_name} left")
+                self._stop(stream)
+
+    def _stop(self, stream: Stream) -> None:
+        stream.stopped_at = stream.messages
+        self._describe(stream, State.STOPPED)
+
+    def _receiver(self, topic: _Topic) -> Callable[[RawMessage, int, int, int, Hashable], None]:
+        now, record, streams = self._now, self._sink.record, topic.streams
+        read_stamp = stamp_reader(topic.header)
+        live = None if self._live is None else self._live.topic(topic.name).count
+
+        def receive(message: RawMessage, source_ns: int, received_ns: int, sequence: int, source: Hashable, /) -> None:
+            arrival_ns = now()
+            stream = streams.get(source) or self._meet(topic, source)
+            if stream.publisher is None and source is None:
+                sequence = 0
+            header_ns, payload_bytes = read_stamp(message), len(message)
+            record(
+                TAP,
+                hash_content(message),
+                sequence,
+                arrival_ns,
+                header_ns,
+                source_ns,
+                received_ns,
+                payload_bytes,
+                stream.publisher_id,
+            )
+            stream.count(arrival_ns, sequence, payload_bytes)
+            if live is not None:
+                live(arrival_ns, header_ns or source_ns, stream.publisher_id, stream.missing)
+
+        return receive
+
+    def _meet(self, topic: _Topic, source: Hashable) -> Stream:
+        """Return the stream of a source's first message."""
+        publisher, publication = self._identify(topic, source)
+        known = (one for one in self.streams if one.publisher == publisher and one.publication.topic == topic.name)
+        stream = next(known, None)
+        if stream is None:
+            if len(self.streams) >= MOST_STREAMS:
+                return self.streams[-1]
+            stream = Stream(publication, len(self.streams) + 1, publisher, self._qos, topic.header)
+            self.streams.append(stream)  # described by `look`: the next message would wait for the disk
+        topic.streams[source] = stream
+        return stream
+
+    def _identify(self, topic: _Topic, source: Hashable) -> tuple[str | None, Publication]:
+        known = topic.publications
+        if source is None:
+            only = known[0] if len(known) == 1 else None
+            return (None if only is None else only.publisher), only or Publication(topic.name, topic.type_name)
+        publisher = self._node.publisher_of(source)
+        named = [publication for publication in known if publication.publisher == publisher]
+        only = known if len(known) == 1 else []
+        return publisher, next(iter(named or only), Publication(topic.name, topic.type_name, publisher))
+
+    def _describe(self, stream: Stream, state: State) -> None:
+        self._sink.write_json(PUBLISHER_TOPIC, stream.describe(state, self._session_id, self._now()))
+
+    def _look_at_stream(self, stream: Stream, now_ns: int) -> None:
+        topic = stream.publication.topic
+        silence_ns = stream.silence_ns(now_ns)
+        if stream.is_back:
+            stream.stopped_at = None
+            self._note(f"{topic} is back")
+            self._describe(stream, State.HEARD)
+        elif silence_ns is not None and stream.stopped_at is None:
+            self._note(f"{topic} stopped: nothing for {format_duration(silence_ns, 's')}")
+            self._stop(stream)
+
+
+def summarize(streams: Iterable[Stream]) -> list[str]:
+    """Return a line for each publisher: messages, rate, missing ones."""
+    lines = []
+    for stream in sorted(streams, key=lambda one: (one.publication.topic, one.publisher_id)):
+        rate = (
+            f", {1e9 * (stream.messages - 1) / (stream.last_ns - stream.first_ns):.3g} Hz"
+            if stream.messages > 1
+            else ""
+        )
+        lost = f", {stream.missing} missing" if stream.last_sequence else ""
+        ended = ", stopped before the end" if stream.stopped_at is not None else ""
+        lines.append(f"{stream.publication.topic}: {counted(stream.messages, 'message')}{rate}{lost}{ended}")
+    return lines

@@ -1,0 +1,194 @@
+"""The tap without middleware: which topics it joins, what it records, what it reports."""
+
+from __future__ import annotations
+
+import pytest
+from fake_clock import FakeClock
+from fake_tap_node import FakeTapNode, JsonSink
+
+from dds_trace.recorder.backends.node import Publication, TopicPatterns
+from dds_trace.recorder.choices import Durability, Reliability
+from dds_trace.recorder.tap.tap import TAP, Tap, chosen_qos, summarize
+from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, hash_content
+
+IMAGE = "sensor_msgs/msg/Image"
+MS = 1_000_000
+MESSAGE = b"\0\1\0\0" + (5).to_bytes(4, "little") + (6).to_bytes(4, "little") + b"rest"
+CAMERA = Publication("/camera/image", IMAGE, "aa" * 16, "/driver", Qos("reliable", "transient_local"))
+
+
+class Bench:
+    """A tap of some patterns on a fake node."""
+
+    def __init__(self, *patterns: str, graph=(CAMERA,)):
+        self.node, self.clock, self.sink, self.notes = FakeTapNode(), FakeClock(), JsonSink(), []
+        self.node.graph = list(graph)
+        self.node.members = {IMAGE: "std_msgs/Header"}
+        qos = chosen_qos(None, None, None)
+        self.tap = Tap(
+            self.node,
+            self.sink,
+            TopicPatterns(patterns or ("/camera/*",)),
+            session_id=0xA1,
+            qos=qos,
+            note=self.notes.append,
+            clock=self.clock,
+        )
+        self.tap.look()
+
+    def hear(self, sequence=0, topic=CAMERA.topic, source=None, message=MESSAGE):
+        self.node.subscriptions[topic].receive(message, 11, 12, sequence, source)
+
+    def look(self, after_ms=1000):
+        self.clock.now_ns += after_ms * MS
+        self.tap.look()
+
+    def states(self):
+        return [(text["state"], text["messages"], text["missing"]) for topic, text in self.sink.texts]
+
+
+def test_every_message_is_an_event():
+    bench = Bench()
+    bench.clock.now_ns = 700
+    bench.hear(1)
+    stamp_ns = 5_000_000_006
+    assert bench.sink.events == [(TAP, hash_content(MESSAGE), 1, 700, stamp_ns, 11, 12, len(MESSAGE), 1)]
+
+
+def test_its_publisher_is_described_once_heard_and_at_the_end():
+    bench = Bench()
+    bench.hear(1)
+    bench.hear(4)
+    bench.look()
+    bench.tap.close()
+    assert [topic for topic, _ in bench.sink.texts] == [PUBLISHER_TOPIC] * 2
+    assert bench.states() == [("heard", 2, 2), ("closed", 2, 2)]
+    text = bench.sink.texts[0][1]
+    assert text["session_id"] == "00000000000000a1"
+    assert (text["topic"], text["type"], text["publisher"]) == (CAMERA.topic, IMAGE, CAMERA.publisher)
+    assert (text["node"], text["header"], text["sequence_is_given"]) == ("/driver", "header", True)
+    assert text["qos"]["durability"] == "transient_local"
+    assert text["subscribed"]["reliability"] == "best_effort"
+    assert not bench.node.subscriptions[CAMERA.topic].is_open
+
+
+@pytest.mark.parametrize(
+    ("pattern", "topics"),
+    [
+        ("/camera/image", ["/camera/image"]),
+        ("/camera/*", ["/camera/depth/points", "/camera/image"]),
+        ("/camera/?mage", ["/camera/image"]),
+        ("/lidar", []),
+        ("*", ["/camera/depth/points", "/camera/image", "/tf"]),
+    ],
+)
+def test_patterns_choose_topics(pattern, topics):
+    others = [
+        Publication("/tf", "tf2_msgs/msg/TFMessage"),
+        Publication("/camera/depth/points", "sensor_msgs/msg/PointCloud2"),
+    ]
+    assert Bench(pattern, graph=[CAMERA, *others]).tap.topics == topics
+
+
+def test_a_topic_that_appears_later_is_joined():
+    bench = Bench(graph=[])
+    assert bench.tap.topics == []
+    bench.node.graph = [CAMERA]
+    bench.look(after_ms=10)
+    assert bench.tap.topics == []  # the graph is looked at once a second
+    bench.look()
+    bench.hear(1)
+    assert (bench.tap.topics, bench.tap.messages) == ([CAMERA.topic], 1)
+
+
+def test_a_tap_asks_nothing_of_a_publisher():
+    assert chosen_qos(None, None, None) == Qos("best_effort", "volatile", "keep_last", 32)
+    assert Bench().node.subscribed == {CAMERA.topic: chosen_qos(None, None, None)}
+    asked = chosen_qos(Reliability.RELIABLE, Durability.TRANSIENT_LOCAL, 5)
+    assert asked == Qos("reliable", "transient_local", "keep_last", 5)
+
+
+def test_publishers_that_cannot_be_distinguished_share_a_record_without_sequence():
+    other = Publication(CAMERA.topic, IMAGE, "bb" * 16, "/second")
+    bench = Bench()
+    bench.hear(7)
+    bench.node.graph.append(other)
+    bench.look()
+    bench.hear(8)
+    bench.hear(3)
+    assert [(event[2], event[-1]) for event in bench.sink.events] == [(7, 1), (0, 2), (0, 2)]
+    bench.node.graph.remove(other)
+    bench.look()
+    bench.hear(9)
+    assert [(event[2], event[-1]) for event in bench.sink.events][-1] == (9, 1)
+    assert [stream.publisher for stream in bench.tap.streams] == [CAMERA.publisher, None]
+
+
+def test_a_middleware_that_names_the_publisher_keeps_them_apart():
+    other = Publication(CAMERA.topic, IMAGE, "bb" * 16, "/second")
+    bench = Bench(graph=[CAMERA, other])
+    bench.node.sources = {1: CAMERA.publisher, 2: other.publisher}
+    for source, sequence in ((1, 1), (2, 50), (1, 2), (2, 51)):
+        bench.hear(sequence, source=source)
+    assert [(event[2], event[-1]) for event in bench.sink.events] == [(1, 1), (50, 2), (2, 1), (51, 2)]
+    assert [stream.publication.node_name for stream in bench.tap.streams] == ["/driver", "/second"]
+    assert sum(stream.missing for stream in bench.tap.streams) == 0
+
+
+def test_silence_and_return_are_reported():
+    bench = Bench()
+    for sequence in range(1, 31):
+        bench.clock.now_ns += 100 * MS
+        bench.hear(sequence)
+    bench.look(after_ms=1900)
+    assert [state for state, *_ in bench.states()] == ["heard"]
+    bench.look(after_ms=300)
+    assert bench.states()[-1] == ("stopped", 30, 0)
+    bench.look(after_ms=5000)
+    assert len(bench.states()) == 2  # once
+    (line,) = summarize(bench.tap.streams)
+    assert line.startswith("/camera/image: 30 messages, 10 Hz, 0 missing")
+    assert "stopped" in line
+    bench.hear(31)
+    bench.look(after_ms=1)
+    assert bench.notes[-1] == "/camera/image is back"
+
+
+def test_a_slow_topic_is_not_taken_for_a_stopped_one():
+    bench = Bench()
+    for sequence in range(1, 31):
+        bench.clock.now_ns += 1000 * MS
+        bench.hear(sequence)
+        bench.look(after_ms=0)
+    bench.look(after_ms=9000)
+    assert [state for state, *_ in bench.states()] == ["heard"]
+
+
+def test_a_publisher_that_leaves_is_reported():
+    bench = Bench()
+    bench.hear(1)
+    bench.node.graph = []
+    bench.look()
+    assert bench.states()[-1][0] == "stopped"
+    assert "/driver" in bench.notes[-1]
+
+
+def test_a_type_that_is_not_installed_costs_only_its_topic():
+    lidar = Publication("/camera/lidar", "my_msgs/msg/Scan", "cc" * 16)
+    bench = Bench(graph=[])
+    bench.node.unknown = {"my_msgs/msg/Scan"}
+    bench.node.graph = [lidar, CAMERA]
+    bench.look()
+    bench.look()
+    assert bench.tap.topics == [CAMERA.topic]
+    assert list(bench.tap.refused) == ["/camera/lidar"]
+    assert sum("/camera/lidar" in note for note in bench.notes) == 1
+
+
+def test_reordered_messages_are_not_missing():
+    bench = Bench()
+    for sequence in (1, 2, 4, 3, 5):
+        bench.hear(sequence)
+    (stream,) = bench.tap.streams
+    assert (stream.missing, stream.reordered) == (0, 1)

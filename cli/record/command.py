@@ -47,7 +47,7 @@ def main_command(
 
     On any device of a running system, its own topics:
 
-        dds-record --role tap --topics /camera/image,/tf --out tap.mcap
+        dds-record --role tap --topics /scan --out tap.mcap
 
     What records on this machine now:
 

@@ -200,7 +200,7 @@ def test_wrong_value_is_refused(parsed, arguments, role, message):
     ],
 )
 def test_what_cannot_be_recorded_is_refused_before_anything_is_opened(arguments, role, message, tmp_path, monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
+    monkeypatch.setattr("dds_trace.recorder.base_recording.open_node", lambda *_: pytest.fail("a node was opened"))
     out = tmp_path / "x.mcap"
     result = CliRunner().invoke(command.app, ["--role", role, "--out", str(out), *arguments])
     assert isinstance(result.exception, OptionError)
@@ -210,7 +210,7 @@ def test_what_cannot_be_recorded_is_refused_before_anything_is_opened(arguments,
 
 @pytest.mark.parametrize("role", ["ping", "relay"])
 def test_an_existing_file_is_refused_before_anything_is_opened(role, tmp_path, monkeypatch):
-    monkeypatch.setattr("dds_trace.recorder.recording.open_node", lambda *_: pytest.fail("a node was opened"))
+    monkeypatch.setattr("dds_trace.recorder.base_recording.open_node", lambda *_: pytest.fail("a node was opened"))
     out = tmp_path / "x.mcap"
     out.write_text("precious")
     result = CliRunner().invoke(command.app, ["--role", role, "--out", str(out)])

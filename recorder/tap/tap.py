@@ -212,8 +212,8 @@ class Tap:
             return (None if only is None else only.publisher), only or Publication(topic.name, topic.type_name)
         publisher = self._node.publisher_of(source)
         named = [publication for publication in known if publication.publisher == publisher]
-        only = known if len(known) == 1 else []
-        return publisher, next(iter(named or only), Publication(topic.name, topic.type_name, publisher))
+        likely = named or (known if len(known) == 1 else [])
+        return publisher, next(iter(likely), Publication(topic.name, topic.type_name, publisher))
 
     def _describe(self, stream: Stream, state: State) -> None:
         self._sink.write_json(PUBLISHER_TOPIC, stream.describe(state, self._session_id, self._now()))

@@ -90,8 +90,8 @@ app = command_app(completes=True)
 
 
 _NOT_OF_TOPICS = (
-    *("report", "out", "cluster", "sketch", "deadline", "recommend", "margin", "trust_order", "export"),
-    *("derived_mcap", "card", "open_it"),
+    *("cluster", "sketch", "deadline", "recommend", "margin", "trust_order"),
+    *("derived_mcap", "card", "shows_all"),
 )
 
 
@@ -101,10 +101,11 @@ def _overridden(values: Mapping[str, Any]) -> dict[str, str]:
 
 def _refuse_with_topics(values: Mapping[str, Any]) -> None:
     """Refuse options that change nothing."""
-    given = [name for name in _NOT_OF_TOPICS if values[name] and values[name] != ["terminal"]]
+    given = [name for name in _NOT_OF_TOPICS if values[name]]
     if given:
-        options = ", ".join(f"--{name.removesuffix('_it').replace('_', '-')}" for name in given)
-        raise OptionError(f"--topics prints a table and writes no file; leave out {options}")
+        spelled = {"shows_all": "all"}
+        options = ", ".join(f"--{spelled.get(name, name).replace('_', '-')}" for name in given)
+        raise OptionError(f"--topics reads recordings, not traces of ours; leave out {options}")
 
 
 @declare_command(app, "analyze", _overridden)
@@ -179,9 +180,14 @@ def main_command(
     topics: Annotated[
         bool,
         option(
-            "--topics", "For recordings of other tools: show rate, long intervals, jitter, size and age of every topic."
+            "--topics",
+            "For recordings of other tools: is the bag whole? What is missing of every topic, when, rate, jitter and age.",
         ),
     ] = False,
+    fail_if: Annotated[
+        list[str] | None,
+        option("--fail-if LIMIT", "With --topics: fail if it holds, e.g. 'missing(/camera) > 1%'; repeatable."),
+    ] = None,
     card: Annotated[
         bool,
         option("--card", "Write the verdict as a picture for a README: card.svg, and card.png with the extra card."),
@@ -201,6 +207,10 @@ def main_command(
         dds-analyze compare BASE NEW
 
         dds-analyze watch runs/
+
+    Is this bag whole? Exit code 30 with holes, 31 if it is damaged:
+
+        dds-analyze drive/ --topics
     """
     values = locals()
     from dds_trace.analyzer.exports.tables import export_tables
@@ -222,10 +232,14 @@ def main_command(
     deadline_ns, deadline_metric = _parse_deadline(deadline)
     job = None if recommend is None else parse_job(recommend)
     least_lead = 0.05 if margin is None else parse_percentage("--margin", margin)
-    if topics:
-        _show_topics(traces, target)
-        return
     kinds = list(dict.fromkeys([*(report or []), *([HTML] if open_it else [])]))
+    if topics:
+        _report_topics(traces, target, kinds, [kind.value for kind in export or []], fail_if or [], open_it=open_it)
+        return
+    if fail_if:
+        raise OptionError(
+            "--fail-if is for --topics; limits of latency: dds-analyze compare RUNS --fail-if 'latency_p99 > 20ms'"
+        )
     written: list[Path] = []
 
     def write_more(analysis: Analysis, folder: Path) -> None:
@@ -291,16 +305,20 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
     return parse_duration(time, "--deadline"), metric
 
 
-def _show_topics(paths: list[Path], target: Path) -> None:
-    from dds_trace.analyzer.recordings.topics import analyze_topics
+def _report_topics(
+    paths: list[Path], target: Path, kinds: list[str], exports: list[str], limits_: list[str], *, open_it: bool
+) -> None:
+    from dds_trace.analyzer.verdicts.topic_gate import parse_topic_gate
 
-    from .analyze_text import print_topics
+    from .topics import report_topics
 
-    report = analyze_topics(paths, skip=[target])
-    print_topics(report)
-    for source in report.sources:
-        if source.status != "read" or source.detail:
-            say(f"{source.path}: {source.status}: {source.detail}")
+    gates = [parse_topic_gate(text) for text in limits_]  # before anything is read
+    code, written = report_topics(paths, target, kinds, exports, gates)
+    for path in written:
+        print(f"Wrote {path}")
+    _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
+    if code:
+        raise typer.Exit(code)
 
 
 def _write_card(analysis: Analysis, folder: Path) -> list[Path]:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 RECEIVED_RATIO = "received_ratio"
 _GATE_METRICS = (*(f"{metric}_{statistic}" for metric in METRICS for statistic in COMPARED_STATISTICS), RECEIVED_RATIO)
-_OPERATORS: dict[str, Callable[[float, float], bool]] = {
+OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     ">=": operator.ge,
     "<": operator.lt,
@@ -90,7 +90,7 @@ class Gate:
         if value is None:
             return GateOutcome.INCONCLUSIVE
         ends = (-math.inf if low is None else low, math.inf if high is None else high)
-        fails = [_OPERATORS[self.operator](end, self.limit) for end in ends]
+        fails = [OPERATORS[self.operator](end, self.limit) for end in ends]
         if all(fails):
             return GateOutcome.REGRESSED
         return GateOutcome.INCONCLUSIVE if any(fails) else GateOutcome.PASSED

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
+from importlib.util import find_spec
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.base.errors import BackendUnavailableError, OptionError
-from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
+from dds_trace.base.errors import BackendUnavailableError, OptionError, TraceFormatError
 
 from ..errors import StoppedError
 from .base import DataType, Message, Payload, Source, check_size, check_stop
@@ -17,17 +18,17 @@ from .header import recognize_data_type
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from rosbags.highlevel import AnyReader
-    from rosbags.interfaces import Connection
     from rosbags.typesys.store import Typestore
 
-    from dds_trace.tracefile.reading.recording_files import RecordingFiles
+    from dds_trace.tracefile.recordings.recorded import Condition, RecordedTopic
 
 HEADER_TYPE = "std_msgs/msg/Header"
 _UNEVEN = 1.5
 """Typical rate over mean rate from which on both are named: pauses, batches, a clock that was set."""
+_OTHER_CLOCK_NS = 30 * 86_400 * 10**9
+"""An interval from which on two times are of two clocks, a simulation's before it began and the machine's."""
 NAMED_FIELD = 2
 """rosbags' mark of a field that is a message."""
 
@@ -39,36 +40,38 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
         OptionError: the bag, the topic or its type cannot be used.
         BackendUnavailableError: rosbags is not installed.
     """
-    from dds_trace.tracefile.reading.recording_files import content_hash, copied_messages, missing_messages  # noqa: PLC0415 - SQLite
+    from dds_trace.tracefile.recordings.recorded import Condition  # noqa: PLC0415
+    from dds_trace.tracefile.recordings.recording_files import content_hash, copied_messages  # noqa: PLC0415
 
+    if find_spec("rosbags") is None:
+        raise BackendUnavailableError(
+            "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]' (in a clone '.[bags]')"
+        )
     name, topic = split_topic(where)
     path = Path(name)
-    if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe would wait for a writer
+    if not path.exists():
+        raise OptionError(f"--data bag:{path}: there is no such file or folder")
+    if not (path.is_file() or path.is_dir()):  # a pipe would wait for a writer
         raise OptionError(f"--data bag:{where}: {path} is not a file or a folder")
-    with _open_reader(path) as (reader, unpack, recording):
-        connections = _connections_of(reader, topic, path)
-        type_name = connections[0].msgtype
-        stamper = _Stamper(reader, type_name, path, own_types)
-        messages, times_ns, size_bytes = [], [], 0
-        contents = set()
-        for _, time_ns, data in reader.messages(connections):
-            check_stop(stop)
-            check_size(size_bytes + len(data), path)
-            unpacked = unpack(data) if reader.is2 else data
-            contents.add((time_ns, content_hash(unpacked)))
-            message = stamper(unpacked)
-            messages.append(message)
-            times_ns.append(time_ns)
-            size_bytes += len(message.data)
-            check_size(size_bytes, path)
+    condition = Condition()
+    found = _read_topic(path, topic, condition, stop)
+    chosen = _chosen_topic(condition.topics, topic, path)
+    with _own_words(path):
+        stamper = _Stamper(chosen, path, own_types)
+        messages = [stamper(data) for _, data in found]
     if not messages:
         raise OptionError(f"--data bag:{where}: the bag has no messages of that topic")
-    name = connections[0].topic
-    notes = [*recording.notes]
-    if name in recording.claimed:
-        notes += missing_messages({name: recording.claimed[name]}, {name: len(messages)}, METADATA_NAME)
-    notes += copied_messages(name, len(messages) - len(contents))
-    rate_hz, typical_hz = _rates_hz(times_ns)
+    name = chosen.name
+    about_others = [other.name for other in condition.topics if other.name != name]
+    notes = [
+        note
+        for note in (*condition.damages, *condition.notes)
+        if not any(f" {other} has " in note for other in about_others)
+    ]
+    notes += copied_messages(name, len(found) - len({(time_ns, content_hash(data)) for time_ns, data in found}))
+    rate_hz, typical_hz, clocks = _rates_hz([time_ns for time_ns, _ in found])
+    if clocks > 1:
+        notes.append(f"{name} has times of {clocks} clocks, years apart; the rate is of the intervals within each")
     if rate_hz and typical_hz and typical_hz > _UNEVEN * rate_hz:
         notes.append(f"{name} has {rate_hz:.3g} Hz in the mean, typically {typical_hz:.3g} Hz: choose with --rate")
     return Payload(
@@ -81,12 +84,34 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
     )
 
 
-def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None]:
-    """Return the mean rate, and one from the median interval."""
-    intervals_ns = sorted(after - before for before, after in pairwise(times_ns))
+def _read_topic(path: Path, topic: str, condition: Condition, stop: threading.Event | None) -> list[tuple[int, bytes]]:
+    """Return log time in ns and bytes of the messages of a topic, by log time."""
+    from dds_trace.tracefile.recordings.read import read_messages  # noqa: PLC0415 - SQLite
+
+    found, size_bytes = list[tuple[int, bytes]](), 0
+    try:
+        for message in read_messages(path, condition):
+            check_stop(stop)
+            if message.topic.name.lstrip("/") == topic.lstrip("/"):
+                size_bytes += len(message.data)
+                check_size(size_bytes, path)
+                found.append((message.log_ns, message.data))
+    except TraceFormatError as err:
+        raise OptionError(f"--data bag:{err}") from err
+    return sorted(found, key=itemgetter(0))
+
+
+def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None, int]:
+    """Return the mean rate, one from the median interval, and the number of clocks that the times are of."""
+    steps_ns = sorted(after - before for before, after in pairwise(times_ns))
+    intervals_ns = [step_ns for step_ns in steps_ns if step_ns < _OTHER_CLOCK_NS]
     span_ns = sum(intervals_ns)
     typical_ns = intervals_ns[len(intervals_ns) // 2] if intervals_ns else 0
-    return len(intervals_ns) / span_ns * 1e9 if span_ns > 0 else None, 1e9 / typical_ns if typical_ns > 0 else None
+    return (
+        len(intervals_ns) / span_ns * 1e9 if span_ns > 0 else None,
+        1e9 / typical_ns if typical_ns > 0 else None,
+        len(steps_ns) - len(intervals_ns) + 1,
+    )
 
 
 def split_topic(where: str) -> tuple[str, str]:
@@ -98,61 +123,60 @@ def split_topic(where: str) -> tuple[str, str]:
 
 
 @contextmanager
-def _open_reader(path: Path) -> Iterator[tuple[AnyReader, Callable[[bytes], bytes], RecordingFiles]]:
-    """Open a bag, with a function that unpacks a message; a damaged bag's error within the block becomes one line."""
+def _own_words(path: Path) -> Iterator[None]:
+    """Make one line of what rosbags raises about a type or a message."""
     try:
-        from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only bags need it
-        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
-
-        from dds_trace.tracefile.reading.bag_bounds import bounded_unpacking  # noqa: PLC0415
-        from dds_trace.tracefile.reading.recording_files import open_recording  # noqa: PLC0415
-    except ImportError as err:
-        raise BackendUnavailableError(
-            "reading a bag needs the Python package rosbags; pip install 'dds-trace[bags]' (in a clone '.[bags]')"
-        ) from err
-    try:
-        # Bags of sqlite3 before ROS 2 Iron have no definitions; the stock types have hardly changed.
-        with (
-            open_recording(path) as recording,
-            bounded_unpacking(path) as unpack,
-            AnyReader(recording.files, default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader,
-        ):
-            yield reader, unpack, recording
+        yield
     except (OptionError, BackendUnavailableError, StoppedError):
         raise
-    except FileNotFoundError as err:
-        raise OptionError(f"--data bag:{path}: there is no such file or folder") from err
-    except Exception as err:  # rosbags and its codecs raise many kinds on a damaged file
-        raise OptionError(f"--data bag:{path}: it cannot be read as a bag ({err})") from err
+    except Exception as err:  # rosbags raises many kinds on a damaged message
+        raise OptionError(f"--data bag:{path}: its messages cannot be read ({err})") from err
 
 
-def _connections_of(reader: AnyReader, topic: str, path: Path) -> list[Connection]:
-    connections = [other for other in reader.connections if other.topic.lstrip("/") == topic.lstrip("/")]
-    if not connections:
-        topics = sorted({other.topic for other in reader.connections})
-        nearest = get_close_matches(topic, topics, 1, 0) or ["nothing at all"]
-        raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(topics)} is {nearest[0]}")
-    types = sorted({connection.msgtype for connection in connections})
+def _chosen_topic(topics: Collection[RecordedTopic], topic: str, path: Path) -> RecordedTopic:
+    named = [other for other in topics if other.name.lstrip("/") == topic.lstrip("/")]
+    if not named:
+        names = sorted({other.name for other in topics})
+        nearest = get_close_matches(topic, names, 1, 0) or ["nothing at all"]
+        raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(names)} is {nearest[0]}")
+    types = sorted({other.message_type for other in named})
     if len(types) > 1:
         raise OptionError(f"{path} has {topic} with several types ({', '.join(types)}), which cannot be sent as one")
-    return connections
+    return named[0]
+
+
+def _types_of(topic: RecordedTopic) -> Typestore:
+    """Return the types that the recording has for a topic, else those of ROS 2, which have hardly changed."""
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415 - only bags need it
+
+    if not topic.definition:
+        return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.EMPTY)
+    if topic.definition_encoding.endswith("idl"):
+        for text in topic.definition.split(f"{'=' * 80}\n"):
+            store.register(get_types_from_idl(text.partition("\n")[2] if text.startswith("IDL: ") else text))
+    else:
+        store.register(get_types_from_msg(topic.definition, topic.message_type))
+    return store
 
 
 class _Stamper:
-    """Converts messages of one type to CDR with room for the stamp."""
+    """Converts messages of one topic to CDR with room for the stamp."""
 
-    def __init__(self, reader: AnyReader, type_name: str, path: Path, own_types: Mapping[str, DataType]) -> None:
-        fields = reader.typestore.fielddefs[type_name][1]
+    def __init__(self, topic: RecordedTopic, path: Path, own_types: Mapping[str, DataType]) -> None:
+        store, type_name = _types_of(topic), topic.message_type
+        is_ros1 = topic.encoding == "ros1"
+        fields = store.fielddefs[type_name][1]
         kind, detail = fields[0][1] if fields else (0, "")
         first_field_type = detail if kind == NAMED_FIELD else ""
         self.data_type = recognize_data_type(type_name, str(first_field_type), str(path), own_types)
-        self._reader = reader
-        self._store = reader.typestore if reader.is2 else _store_of_ros2(reader.typestore)
+        self._deserialize = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+        self._store = _store_of_ros2(store) if is_ros1 else store
         self._type_name = type_name
         self._bytes_of = self.data_type.raw.payload_bytes_of
 
     def __call__(self, data: bytes) -> Message:
-        message = self._reader.deserialize(data, self._type_name)
+        message = self._deserialize(data, self._type_name)
         self.data_type.object_stamp.make_room(message)
         cdr = bytearray(self._store.serialize_cdr(message, self._type_name, little_endian=True))
         return Message(cdr, self._bytes_of(cdr))

@@ -186,16 +186,8 @@ def test_recordings_of_others_are_shown_the_way_to_topics(tmp_path, capsys):
 @pytest.mark.parametrize(
     "option",
     [
-        *("--report html", "--report terminal --report json", "--export csv", "--derived-mcap", "--card", "--open"),
-        *(
-            "--sketch",
-            "--out here",
-            "--deadline 20ms",
-            "--recommend data=imu",
-            "--margin 5%",
-            "--trust-order",
-            "--cluster tcp://h:1",
-        ),
+        *("--derived-mcap", "--card", "--all", "--sketch", "--deadline 20ms", "--recommend data=imu", "--margin 5%"),
+        *("--trust-order", "--cluster tcp://h:1"),
     ],
 )
 def test_options_that_do_nothing_with_topics_are_refused(runs, capsys, option):
@@ -205,6 +197,62 @@ def test_options_that_do_nothing_with_topics_are_refused(runs, capsys, option):
     assert option.split()[0] in shown.err
     assert analyze(runs, "--topics", "--report", "terminal", "--no-cache") == 0
     assert not (runs / "analysis").exists()
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """100 messages at 100 Hz of which 2 are missing, and 3 events."""
+    path = tmp_path_factory.mktemp("bag") / "x.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        camera, event = (writer.register_channel(name, "cdr", 0) for name in ("/camera", "/event"))
+        for number in range(100):
+            if number not in (40, 70):
+                writer.add_message(camera, 1_700_000_000 * 10**9 + number * 10_000_000, b"1234", 0)
+        for number in (3, 4, 80):
+            writer.add_message(event, 1_700_000_000 * 10**9 + number * 10_000_000, b"1234", 0)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("gate", "code"),
+    [
+        ("missing(/camera) > 3%", 0),
+        ("missing(/camera) > 1%", 20),
+        ("missing(/c*) >= 2%", 20),
+        ("hole(/camera) > 9ms", 20),
+        ("jitter(/*) > 90s", 0),
+        ("missing(/event) > 1%", 21),  # not periodic: nothing is known
+        ("missing(/none) > 1%", 2),
+        ("missing(/camera) > 1ms", 2),
+        ("lost(/camera) > 1%", 2),
+        ("missing > 1%", 2),
+    ],
+)
+def test_limits_on_topics(bag, capsys, gate, code):
+    assert analyze(bag, "--topics", "--fail-if", gate) == code
+    shown = capsys.readouterr()
+    assert gate in (shown.err if code == 2 else shown.out)
+    assert analyze(bag, "--topics") == 30
+    assert analyze(bag, "--fail-if", gate) == 2  # limits of latency are those of a comparison
+
+
+def test_reports_of_topics(runs, tmp_path, capsys):
+    kinds = [f"--{kind}" for kind in ("report=html", "report=md", "report=json", "export=csv", "export=arrow")]
+    assert analyze(runs, "--topics", *kinds, "--out", tmp_path / "files") == 0
+    names = {path.name for path in (tmp_path / "files").iterdir()}
+    assert names == {f"topics.{ending}" for ending in ("html", "md", "json", "csv", "arrow")}
+    assert all(name in capsys.readouterr().out for name in [*names][:1])
+    page = (tmp_path / "files" / "topics.html").read_text()
+    assert "<svg" in page
+    assert "script" not in page
+    written = json.loads((tmp_path / "files" / "topics.json").read_text())
+    assert written["verdict"] == "whole"
+    named = {"name", "messages", "missing", "missing_low", "missing_high", "holes", "jitter_ns", "backward_stamps"}
+    assert all(named <= topic.keys() for topic in written["topics"])
+    assert "trace/t1" in (tmp_path / "files" / "topics.md").read_text()
 
 
 def test_configured_defaults_do_not_count_for_topics(runs, tmp_path, monkeypatch):

@@ -69,7 +69,7 @@ def test_topics_of_any_recording(runs, capsys):
     assert run_main(runs, "--topics") == 0
     shown = capsys.readouterr().out
     assert "/dds_trace/t1" in shown
-    assert "Long: " in shown
+    assert "Missing: " in shown
     assert max(len(line) for line in shown.splitlines() if ".mcap" not in line) <= 80
     assert not (runs / "analysis").exists()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ LARGEST_RATIO = 1000
 """Most unpacked bytes per packed byte; events pack 5 to 30 times, and a larger claim may be an attack."""
 
 _UNSUSPECTED_BYTES = 1 << 20  # any ratio up to here: a blank image packs better still
+
+_PREFIX_STEP_BYTES = 1024  # at most this unpacks to 64 MiB more than is allowed
 
 _thread_local = threading.local()
 
@@ -49,9 +52,14 @@ class PackedChunk:
     crc: int
     compression: str
 
+    @property
+    def end(self) -> int:
+        """Offset after its packed bytes."""
+        return self.data_offset + self.packed_bytes
+
     @classmethod
-    def at(cls, file: RecordFile, header: RecordHeader) -> PackedChunk:
-        """Read the header of a chunk.
+    def at(cls, file: RecordFile, header: RecordHeader, *, is_cut: bool = False) -> PackedChunk:
+        """Read the header of a chunk; of one that `is_cut` off the packed bytes that are there count.
 
         Raises:
             DamagedChunkError: its fields are not valid MCAP, or claim more than a chunk may have.
@@ -64,9 +72,10 @@ class PackedChunk:
         except ValueError as err:
             raise DamagedChunkError(f"its header is damaged ({err})") from err
         data_offset = header.content + content.count
+        packed_bytes = min(packed_bytes, header.end - data_offset) if is_cut else packed_bytes
         if packed_bytes > header.end - data_offset:
             raise DamagedChunkError(f"it claims {counted(packed_bytes, 'packed byte')}, more than its record has")
-        _check_claims(compression, packed_bytes, unpacked_bytes)
+        _check_claims(compression, packed_bytes, unpacked_bytes, is_cut=is_cut)
         return cls(header.offset, data_offset, packed_bytes, unpacked_bytes, crc, compression)
 
     def unpack(self, file: RecordFile, memory: UnpackMemory | None = None, at: int = 0) -> memoryview:
@@ -87,6 +96,18 @@ class PackedChunk:
         if self.crc and crc32(target) != self.crc:
             raise DamagedChunkError("its CRC does not match")
         return target
+
+    def unpack_prefix(self, file: RecordFile) -> bytes:
+        """Return what a damaged chunk unpacks to up to the damage; zeros may follow."""
+        packed = file.read(self.data_offset, self.packed_bytes)
+        if self.compression == "zstd":
+            return _zstd_prefix(packed)
+        if not self.compression:
+            return packed
+        target = bytearray(self.unpacked_bytes)
+        with suppress(ValueError, cramjam.DecompressionError):
+            _unpack_lz4_into(memoryview(packed), memoryview(target))
+        return bytes(target)
 
     def _unpack_into(self, target: memoryview, file: RecordFile, memory: UnpackMemory) -> int:
         if not self.compression:
@@ -116,14 +137,14 @@ def unpack_records(compression: str, packed: bytes, unpacked_bytes: int) -> byte
     return target
 
 
-def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int) -> None:
+def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int, *, is_cut: bool = False) -> None:
     """Refuse excessive claims and an unknown compression before memory is allocated."""
     if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
         raise DamagedChunkError(
             f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
             "(a file that really has such chunks can be rewritten by `mcap compress`)"
         )
-    if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes):
+    if unpacked_bytes > max(_UNSUSPECTED_BYTES, LARGEST_RATIO * packed_bytes) and not is_cut:
         raise DamagedChunkError(f"it claims {unpacked_bytes} bytes, packed into {packed_bytes}")
     if compression and compression not in _UNPACKERS:
         raise DamagedChunkError(f"its compression {compression!r} is not known")
@@ -162,6 +183,17 @@ def unpack_zstd(packed: bytes, limit_bytes: int) -> bytes:
     """
     with _zstd().stream_reader(packed, read_across_frames=True) as stream:
         return stream.read(limit_bytes)
+
+
+def _zstd_prefix(packed: bytes) -> bytes:
+    unpacker, parts, left_bytes = _zstd().decompressobj(), list[bytes](), MAX_RECORD_BYTES
+    with suppress(zstandard.ZstdError):
+        for at in range(0, len(packed), _PREFIX_STEP_BYTES):
+            parts.append(unpacker.decompress(packed[at : at + _PREFIX_STEP_BYTES]))
+            left_bytes -= len(parts[-1])
+            if left_bytes < 0 or unpacker.eof:
+                break
+    return b"".join(parts)
 
 
 def _unpack_zstd_into(packed: memoryview, target: memoryview) -> int:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _HEADER = struct.Struct(">16xH10xI")  # page size, pages
 # SQLite reports an absurd size as a lack of memory.
-_SQLITE_ERRORS = (sqlite3.Error, MemoryError)
+SQLITE_ERRORS = (sqlite3.Error, MemoryError)
 _BATCH_ROWS = 8192
 _BATCH_BYTES = 4 << 20
 
@@ -39,8 +39,8 @@ _ROW_BYTES = 64
 _LONGEST_VALUE_BYTES = 2 * _BATCH_BYTES
 
 # Every version of rosbag2's schema has these columns. Views, virtual tables and computed columns are not read.
-_TABLES = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND rootpage > 0 AND name IN ('topics', 'messages')"
-_COMPUTED = (
+TABLES = "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND rootpage > 0 AND name IN ('topics', 'messages')"
+COMPUTED = (
     "SELECT (SELECT count(*) FROM pragma_table_xinfo('topics') WHERE hidden)"
     " + (SELECT count(*) FROM pragma_table_xinfo('messages') WHERE hidden)"
 )
@@ -64,12 +64,12 @@ class SqliteSource:
         with ExitStack() as undo:
             try:
                 self._size = path.stat().st_size
-                self._missing_bytes = _missing_bytes(path)
+                self._missing_bytes = missing_bytes(path)
                 self._database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
                 undo.callback(self.close)
-                self._bound_work()
+                bound_work(self._database, self._size)
                 self._database.execute("PRAGMA trusted_schema = OFF")
-                if self._one(_TABLES) != 2 or self._one(_COMPUTED):
+                if self._one(TABLES) != 2 or self._one(COMPUTED):
                     raise TraceFormatError(
                         self._shown_as, "not a rosbag2 database: no tables 'topics' and 'messages' as it makes them"
                     )
@@ -77,7 +77,7 @@ class SqliteSource:
                 if len(topics) > _MOST_TOPICS:
                     raise TraceFormatError(self._shown_as, f"not a rosbag2 database: more than {_MOST_TOPICS} topics")
                 self._last_row = self._one(_LAST_ROW)
-            except (*_SQLITE_ERRORS, OSError, ValueError) as err:
+            except (*SQLITE_ERRORS, OSError, ValueError) as err:
                 raise TraceFormatError(self._shown_as, f"not a rosbag2 database ({err!r})") from err
             undo.pop_all()
         # Columns of SQLite have no fixed type: a damaged page may contain anything.
@@ -130,23 +130,10 @@ class SqliteSource:
                     f"ends early, {counted(self._missing_bytes, 'byte')} of the database "
                     f"{'is' if self._missing_bytes == 1 else 'are'} missing"
                 )
-        except _SQLITE_ERRORS as err:
+        except SQLITE_ERRORS as err:
             last.truncated = f"ends early, the database is damaged ({err!r}); all rows before are used"
         yield from rows.batches()
         yield last
-
-    def _bound_work(self) -> None:
-        """Let SQLite give up after a number of steps, and refuse values longer than any event or text of ours."""
-        checks_left = (_UNSUSPECTED_STEPS + _STEPS_A_BYTE * self._size) // _STEPS_A_CHECK
-
-        def check() -> bool:
-            nonlocal checks_left
-            checks_left -= 1
-            return checks_left < 0
-
-        self._database.set_progress_handler(check, _STEPS_A_CHECK)
-        if sys.version_info >= (3, 11):  # earlier Pythons cannot set it
-            self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE_BYTES)
 
     def _faults(self) -> dict[int, str]:
         """Return topic id -> why the messages of this event topic cannot be events."""
@@ -163,7 +150,21 @@ class SqliteSource:
         return value
 
 
-def _missing_bytes(path: Path) -> int:
+def bound_work(database: sqlite3.Connection, size_bytes: int, longest_bytes: int = _LONGEST_VALUE_BYTES) -> None:
+    """Let SQLite give up after a number of steps, and refuse longer values."""
+    checks_left = (_UNSUSPECTED_STEPS + _STEPS_A_BYTE * size_bytes) // _STEPS_A_CHECK
+
+    def check() -> bool:
+        nonlocal checks_left
+        checks_left -= 1
+        return checks_left < 0
+
+    database.set_progress_handler(check, _STEPS_A_CHECK)
+    if sys.version_info >= (3, 11):  # earlier Pythons cannot set it
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, longest_bytes)
+
+
+def missing_bytes(path: Path) -> int:
     """Return how many bytes the file lacks by its header (https://www.sqlite.org/fileformat.html, 1.3)."""
     with open_regular(path) as stream:
         header = stream.read(_HEADER.size)

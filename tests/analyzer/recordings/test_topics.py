@@ -16,12 +16,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.analyzer.recordings import messages as messages_of_recordings
 from dds_trace.analyzer.recordings.messages import begins_with_stamp, find_recordings, iter_messages
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.cli.analyze_text import print_topics
+from dds_trace.reports.topics.terminal import print_topics
 from dds_trace.tracefile.mcapfile import blocks
+from dds_trace.tracefile.recordings import recorded
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 10**9
@@ -102,7 +102,7 @@ def test_one_timeline_in_every_format(tmp_path, kind):
     assert (row["messages"], row["start_ns"], row["duration_ns"]) == (5, START_NS, 600 * MS)
     assert row["rate_hz"] == pytest.approx(4 / 0.6)
     assert (row["period_p50_ns"], row["gaps"], row["gap_max_ns"]) == (100 * MS, 1, 300 * MS)
-    assert row["jitter_ns"] == pytest.approx(100 * MS)  # of 100, 100, 300, 100: mean 150, sum of squares 30000, / 3
+    assert row["jitter_ns"] == 0  # of 100, 100, 300, 100: the hole changes nothing
     assert (row["age_from"], row["age_messages"], row["age_negative"]) == ("header", 5, 0)
     assert (row["age_min_ns"], row["age_p50_ns"], row["age_max_ns"]) == (5 * MS, 5 * MS, 9 * MS)
     assert (row["age_p99_ns"], row["stamps_backwards"]) == (None, 0)
@@ -169,7 +169,8 @@ def test_first_fields(definition, expected):
 )
 def test_messages_that_are_there_twice_are_counted(tmp_path, logged_ms, copies):
     """And neither two publishers nor batches are copies, nor other content at the same time."""
-    events = [("/a", t * MS, t * MS, b"%d" % t) for t in logged_ms] + [("/b", MS, MS, b"x%d" % n) for n in range(5)]
+    events = [("/a", START_NS + t * MS, 0, b"%d" % t) for t in logged_ms]
+    events += [("/b", START_NS, 0, b"x%d" % n) for n in range(5)]
     write_mcap(tmp_path / "x.mcap", events)
     report = analyze_topics(tmp_path)
     assert report.topics["messages"].to_list() == [len(logged_ms), 5]
@@ -213,7 +214,8 @@ def test_a_truncated_recording_is_used_up_to_its_end(tmp_path):
     report = analyze_topics(cut)
     assert report.topics["messages"].to_list() == [100]
     assert report.sources[0].status == "truncated"
-    assert "cannot be read on" in report.sources[0].detail
+    assert "was not closed" in report.sources[0].detail
+    assert report.verdict == "damaged"
 
 
 def test_what_is_no_recording_is_named(tmp_path):
@@ -261,8 +263,8 @@ def test_no_allocation_by_a_size_that_a_file_claims(tmp_path):
         list(iter_messages(tmp_path / "huge.mcap"))
 
 
-def test_a_damaged_bag_is_named_whatever_its_reader_raises(tmp_path):
-    """Found by fuzzing (`tests/fuzz/fuzz_bag.py`): rosbags holds a chunk's first byte against an assertion."""
+def test_a_bag_with_a_damaged_index_is_read(tmp_path):
+    """Found by fuzzing (`tests/fuzz/fuzz_bag.py`): rosbags trusts the index and ends in an assertion."""
     packed = (
         "c-rk*&2AGh5O(@UyP}YmB6?$`N>m&m%}>(=Y1L8*6%GhNq+SqO8GAOdx@!lox3ql|cnTy=+_)hw+_~`x@B$Tfvdt!Gsv-zTR"
         "Q{xq*JJzB$m^Le>#RI`(%8Pg<L;L3t~n17LQ~pA+nZd}E#njp{I-a_FE>yJSG5trxlcsGl{cZgdE;s&d@uFobpO4c=UyOu`|"
@@ -276,8 +278,7 @@ def test_a_damaged_bag_is_named_whatever_its_reader_raises(tmp_path):
         "trS=nT_ty^"
     )
     (tmp_path / "hostile.bag").write_bytes(zlib.decompress(base64.b85decode(packed)))
-    with pytest.raises(TraceFormatError, match=r"hostile\.bag"):
-        list(iter_messages(tmp_path / "hostile.bag"))
+    assert len(list(iter_messages(tmp_path / "hostile.bag"))) == 3
 
 
 @pytest.mark.parametrize("times", [(2**64 - 1, 1), (1, 2**63)], ids=["log", "publish"])
@@ -311,7 +312,7 @@ def test_a_chunk_is_not_unpacked_to_what_it_claims(tmp_path, claimed):
 def test_a_file_of_small_bombs_is_not_unpacked_whole(tmp_path, monkeypatch):
     bomb = struct.pack("<BQ", 0x80, 1_000_000) + bytes(1_000_000)
     path = write_chunks(tmp_path / "x.mcap", *[(len(bomb), zstandard.compress(bomb))] * 20)
-    with pytest.raises(TraceFormatError, match="cannot be read on"):
+    with pytest.raises(TraceFormatError, match="cannot be read"):
         list(iter_messages(path))
     monkeypatch.setattr(blocks, "_UNSUSPECTED_FILE_BYTES", 0)
     with pytest.raises(TraceFormatError, match="unpacks to more than 200 times"):
@@ -320,8 +321,8 @@ def test_a_file_of_small_bombs_is_not_unpacked_whole(tmp_path, monkeypatch):
 
 def test_messages_of_a_few_bytes_are_bounded_in_number(tmp_path, monkeypatch, sentences):
     write_mcap(tmp_path / "x.mcap", [("/a", t, t, b"{}") for t in range(300)])
-    monkeypatch.setattr(messages_of_recordings, "_UNSUSPECTED_MESSAGES", 100)
-    monkeypatch.setattr(messages_of_recordings, "_MESSAGE_BYTES", 1 << 40)
+    monkeypatch.setattr(recorded, "_UNSUSPECTED_MESSAGES", 100)
+    monkeypatch.setattr(recorded, "_MESSAGE_BYTES", 1 << 40)
     report = analyze_topics(tmp_path / "x.mcap")
     assert report.topics["messages"].to_list() == [100]
     sentences(report.sources[0].detail)

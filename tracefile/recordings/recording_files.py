@@ -21,7 +21,7 @@ from dds_trace.base.units import counted
 
 from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
-from .storage import ZSTD_SUFFIX, storage_files, unpack_file
+from ..reading.storage import ZSTD_SUFFIX, storage_files, unpack_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -32,9 +32,14 @@ _MOST_METADATA_BYTES = 16 << 20
 
 @dataclass(slots=True)
 class RecordingFiles:
-    """The files under their names, notes on others, and messages of each topic by `metadata.yaml`."""
+    """The files, each as it can be read, with the names that they have.
+
+    `damages` and `notes` are about files; `claimed` are the messages of each topic by `metadata.yaml`.
+    """
 
     files: list[Path]
+    names: list[Path]
+    damages: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     claimed: Mapping[str, int] = field(default_factory=dict)
 
@@ -46,7 +51,7 @@ def open_recording(path: Path) -> Iterator[RecordingFiles]:
     Raises:
         TraceFormatError: the path has no file of a recording, or one cannot be unpacked.
     """
-    recording = _described(path) if path.is_dir() else RecordingFiles([path])
+    recording = _described(path) if path.is_dir() else RecordingFiles([path], [path])
     with ExitStack() as stack:
         for number, file in enumerate(recording.files):
             log = file.with_name(f"{file.name}-wal")
@@ -79,27 +84,30 @@ def copied_messages(topic: str, copies: int) -> Iterator[str]:
         yield f"{counted(copies, 'message')} of {topic} {'is' if copies == 1 else 'are'} there twice (same time and bytes): a merged bag?"
 
 
-def missing_messages(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str) -> Iterator[str]:
-    """Yield a note for each topic whose messages are not as many as claimed."""
+def missing_messages(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str) -> Iterator[tuple[str, str]]:
+    """Yield topic and note of each topic whose messages are not as many as claimed."""
     for topic, count in claimed.items():
         got = delivered.get(topic, 0)
         if got != count:
-            yield f"{who} says that {topic} has {counted(count, 'message')}, {got} {'was' if got == 1 else 'were'} read"
+            yield (
+                topic,
+                f"{who} says that {topic} has {counted(count, 'message')}, {got} {'was' if got == 1 else 'were'} read",
+            )
 
 
 def _described(folder: Path) -> RecordingFiles:
     stored = storage_files(folder)
     listed, claimed = _read_metadata(folder / METADATA_NAME)
     if not listed:
-        return RecordingFiles(stored, claimed=claimed)
+        return RecordingFiles(stored, stored[:], claimed=claimed)
     names = {_unpacked_name(name) for name in listed}
     files = [file for file in stored if _unpacked_name(file.name) in names]
     missing = sorted(names - {_unpacked_name(file.name) for file in files})
-    notes = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
-    notes += [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in stored if file not in files]
+    damages = [f"{name} is listed in {METADATA_NAME} but is not here" for name in missing]
+    notes = [f"{file.name} is not listed in {METADATA_NAME} and was not read" for file in stored if file not in files]
     if not files:
-        raise TraceFormatError(folder, "; ".join(notes[:3]))
-    return RecordingFiles(files, notes, claimed)
+        raise TraceFormatError(folder, "; ".join([*damages, *notes][:3]))
+    return RecordingFiles(files, files[:], damages, notes, claimed)
 
 
 def _unpacked_name(name: str) -> str:

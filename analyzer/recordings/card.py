@@ -1,0 +1,295 @@
+"""The health of one recording: every topic's losses, what stopped all of them, what its clocks did, and what is broken."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from operator import itemgetter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dds_trace.base.units import counted
+from dds_trace.tracefile.recordings.recording_files import copied_messages
+
+from .clocks import DAY_NS, apart, is_simulated, of_one_clock, set_back, stamp_jumps
+from .losses import LOST_TYPE, NONE, TopicTimes, arrival_jitter_ns, lost_by_recorder
+from .rows import ages, qos_words, sizes, timing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from dds_trace.tracefile.recordings.recorded import Condition
+
+    from .losses import Losses
+    from .messages import RecordedMessage, Topic
+    from .periods import Hole, Int64
+    from .rows import Row
+
+OTHER_CLOCK_NS = DAY_NS
+"""Median age from which on stamps are of another clock (a simulation's, or of another day)."""
+
+_MOST_HOLES = 1000
+STRIP_PARTS = 60
+WHOLE, HOLES, DAMAGED = "whole", "holes", "damaged"
+"""Verdicts, the worst last."""
+
+_PAUSE_MESSAGES = 20
+"""Messages that all topics together should have had in a pause of the recorder."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingHealth:
+    """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics.
+
+    Attributes:
+        verdict: `whole`, `holes` or `damaged`.
+        damages: what is broken; `notes` what else is worth a word.
+        pauses: start and length in seconds of the times in which all topics stopped.
+    """
+
+    path: str
+    verdict: str
+    start_ns: int
+    duration_ns: int
+    messages: int
+    chunks: int
+    coverage: float
+    damages: tuple[str, ...]
+    notes: tuple[str, ...]
+    pauses: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(slots=True)
+class TopicMessages:
+    """The messages of one topic while a recording is read: 64 bytes each."""
+
+    topic: Topic
+    log_ns: array[int] = field(default_factory=lambda: array("q"))
+    publish_ns: array[int] = field(default_factory=lambda: array("q"))
+    stamp_ns: array[int] = field(default_factory=lambda: array("q"))
+    payload_bytes: array[int] = field(default_factory=lambda: array("q"))
+    content: array[int] = field(default_factory=lambda: array("q"))
+    sequence: array[int] = field(default_factory=lambda: array("q"))
+    publisher: array[int] = field(default_factory=lambda: array("q"))
+    frame: array[int] = field(default_factory=lambda: array("q"))
+    lost: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def add(self, message: RecordedMessage) -> None:
+        """Append a message."""
+        self.log_ns.append(message.log_ns)
+        self.publish_ns.append(NONE if message.publish_ns is None else message.publish_ns)
+        self.stamp_ns.append(NONE if message.stamp_ns is None else message.stamp_ns)
+        self.payload_bytes.append(message.payload_bytes)
+        self.content.append(message.content)
+        self.sequence.append(NONE if message.sequence is None else message.sequence)
+        self.publisher.append(message.publisher)
+        self.frame.append(message.frame)
+        if self.topic.message_type == LOST_TYPE:
+            for topic, transport, recorder in lost_by_recorder(message.data):
+                before = self.lost.get(topic, (0, 0))
+                self.lost[topic] = before[0] + transport, before[1] + recorder
+
+    @property
+    def copies(self) -> int:
+        """Messages whose log time and content another one has."""
+        keys = np.array([self.log_ns, self.content])
+        keys = keys[:, np.lexsort(keys)]
+        return int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
+
+    def times(self, first_ns: int, last_ns: int, lost: tuple[int, int] | None) -> TopicTimes:
+        """Return the messages of the recording's clock by log time, all of them if none is."""
+        log_ns = np.frombuffer(self.log_ns, np.int64)
+        order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
+        inside = order[(log_ns[order] >= first_ns) & (log_ns[order] <= last_ns)]
+        order = inside if len(inside) else order
+        columns = (
+            self.log_ns,
+            self.publish_ns,
+            self.stamp_ns,
+            self.payload_bytes,
+            self.sequence,
+            self.publisher,
+            self.frame,
+        )
+        log, publish, stamp, payload, sequence, publisher, frame = (
+            np.frombuffer(column, np.int64)[order] for column in columns
+        )
+        is_ros1 = self.topic.encoding == "ros1"
+        return TopicTimes(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, lost)
+
+
+class Card:
+    """Everything that is found in one recording."""
+
+    def __init__(self, path: str, columns: Sequence[TopicMessages], condition: Condition) -> None:
+        self._path, self._notes = path, [*condition.notes]
+        logged = np.sort(np.concatenate([np.frombuffer(topic.log_ns, np.int64) for topic in columns]))
+        logged = self._of_one_clock(logged)
+        self._start_ns, self._end_ns = int(logged[0]), int(logged[-1])
+        lost = {name: counts for topic in columns for name, counts in topic.lost.items()}
+        has_counts = any(topic.topic.message_type == LOST_TYPE for topic in columns)
+        times = [
+            topic.times(self._start_ns, self._end_ns, lost.get(topic.topic.name, (0, 0)) if has_counts else None)
+            for topic in columns
+        ]
+        losses = [topic.find_losses(self._end_ns) for topic in times]
+        pauses = _find_pauses(logged, losses)
+        self._note_clocks(columns, times, losses)
+        if is_simulated(self._start_ns):
+            self._notes.append("the log times are of a simulation's clock, or count from the start of a machine")
+        silent = sorted({topic.name for topic in condition.topics} - {topic.topic.name for topic in columns})
+        if silent:
+            more = f" and {len(silent) - 3} more" if len(silent) > 3 else ""
+            self._notes.append(f"no message of {', '.join(silent[:3])}{more}")
+        self.rows: list[Row] = []
+        self.holes: list[dict[str, object]] = []
+        self.strips: list[tuple[float, ...]] = []
+        for topic, of_topic, found in zip(columns, times, losses, strict=True):
+            self._add(topic, of_topic, found, pauses)
+        has_holes = pauses or any((row["missing_low"] or 0) for row in self.rows)
+        duration_ns = self._end_ns - self._start_ns
+        paused_ns = sum(end - start for start, end in pauses)
+        self.health = RecordingHealth(
+            path,
+            DAMAGED if condition.damages else HOLES if has_holes else WHOLE,
+            self._start_ns,
+            duration_ns,
+            sum(len(topic.log_ns) for topic in columns),
+            len(condition.chunks),
+            1 - paused_ns / duration_ns if duration_ns else 1.0,
+            tuple(condition.damages),
+            (*self._notes, *_overlaps(condition.chunks)),
+            tuple(((start - self._start_ns) / 1e9, (end - start) / 1e9) for start, end in pauses),
+        )
+
+    def _of_one_clock(self, logged: Int64) -> Int64:
+        kept = of_one_clock(logged)
+        if not kept.all():
+            away_ns = float(np.abs(np.median(logged[~kept]) - np.median(logged[kept])))
+            self._notes.append(
+                f"{counted(int((~kept).sum()), 'message')} logged {apart(away_ns)} from the others: of another clock (a simulation before "
+                "its first /clock?), left out of rates and holes"
+            )
+        return logged[kept]
+
+    def _note_clocks(
+        self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes], losses: Sequence[Losses]
+    ) -> None:
+        other_clock: dict[str, float] = {}
+        for topic, of_topic, found in zip(columns, times, losses, strict=True):
+            name, stamped = topic.topic.name, of_topic.stamp_ns != NONE
+            self._notes += copied_messages(name, topic.copies)
+            self._notes += set_back(name, np.frombuffer(topic.log_ns, np.int64))
+            if found.clock_steps:
+                steps = counted(found.clock_steps, "time")
+                self._notes.append(
+                    f"the recorder's clock was set forward {steps}: the stamps of {name} go on without a gap"
+                )
+            if stamped.any():
+                age_ns = abs(float(np.median((of_topic.log_ns - of_topic.stamp_ns)[stamped])))
+                if age_ns > OTHER_CLOCK_NS:
+                    other_clock[name] = age_ns
+                self._notes += stamp_jumps(name, of_topic.log_ns[stamped], of_topic.stamp_ns[stamped])
+        self._notes += _other_clock(other_clock)
+
+    def _add(self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Sequence[tuple[int, int]]) -> None:
+        regularity, about = losses.regularity, topic.topic
+        inside = [
+            any(hole.start_ns < end and start < hole.start_ns + hole.duration_ns for start, end in pauses)
+            for hole in losses.holes
+        ]
+        transport, recorder = times.lost or (None, None)
+        row: Row = {
+            "recording": self._path,
+            "topic": about.name,
+            "message_type": about.message_type,
+            "encoding": about.encoding,
+            "messages": len(topic.log_ns),
+            **timing(times.log_ns),
+            "jitter_ns": arrival_jitter_ns(times.log_ns, regularity),
+            **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),
+            **ages(times.log_ns, times.publish_ns, times.stamp_ns),
+            "expected_rate_hz": regularity.rate_hz if regularity else None,
+            "missing_from": losses.known_from,
+            "missing": losses.missing,
+            "missing_low": losses.low,
+            "missing_high": losses.high,
+            "missing_inside": None
+            if losses.missing is None
+            else max(
+                sum(hole.missing for hole, is_in in zip(losses.holes, inside, strict=True) if is_in), recorder or 0
+            ),
+            "lost_in_transport": transport,
+            "lost_in_recorder": recorder,
+            "copies": topic.copies,
+            "qos": qos_words(about.qos),
+        }
+        self.rows.append(row)
+        self.strips.append(self._strip(times.log_ns, losses))
+        largest = sorted(zip(losses.holes, inside, strict=True), key=lambda pair: -pair[0].duration_ns)[:_MOST_HOLES]
+        self.holes += [
+            {
+                "recording": self._path,
+                "topic": about.name,
+                "start_s": (hole.start_ns - self._start_ns) / 1e9,
+                "duration_s": hole.duration_ns / 1e9,
+                "missing": hole.missing,
+                "inside": is_in,
+            }
+            for hole, is_in in sorted(largest, key=lambda pair: pair[0].start_ns)
+        ]
+
+    def _strip(self, log_ns: Int64, losses: Losses) -> tuple[float, ...]:
+        edges = np.linspace(self._start_ns, max(self._end_ns, self._start_ns + 1), STRIP_PARTS + 1)
+        part_ns = edges[1] - edges[0]
+        if losses.regularity is None:
+            return tuple(np.minimum(np.histogram(log_ns, edges)[0], 1).astype(float).tolist())
+        share = np.ones(STRIP_PARTS)
+        before = int(log_ns[0])
+        for start, end in [
+            (self._start_ns, before),
+            *((hole.start_ns, hole.start_ns + hole.duration_ns) for hole in losses.holes),
+        ]:
+            share -= np.maximum(np.minimum(edges[1:], end) - np.maximum(edges[:-1], start), 0) / part_ns
+        return tuple(np.clip(share, 0, 1).tolist())
+
+
+def _find_pauses(logged: Int64, losses: Sequence[Losses]) -> list[tuple[int, int]]:
+    """Return the times in which no topic had a message and at least two should have had."""
+    regular = [found for found in losses if found.regularity is not None]
+    rate_hz = sum(found.regularity.rate_hz for found in regular if found.regularity)
+    if len(regular) < 2 or not rate_hz:
+        return []
+    steps_ns = np.diff(logged)
+    pauses = [
+        (int(logged[at]), int(logged[at + 1])) for at in np.flatnonzero(steps_ns > _PAUSE_MESSAGES / rate_hz * 1e9)
+    ]
+    return [
+        (start, end)
+        for start, end in pauses
+        if sum(any(_overlap(hole, start, end) for hole in found.holes) for found in regular) >= 2
+    ]
+
+
+def _overlap(hole: Hole, start_ns: int, end_ns: int) -> bool:
+    return hole.start_ns < end_ns and start_ns < hole.start_ns + hole.duration_ns
+
+
+def _overlaps(chunks: Sequence[tuple[int, int, int]]) -> Iterator[str]:
+    latest_ns, overlapping = -(2**63), 0
+    for first_ns, last_ns, _ in chunks:
+        overlapping += first_ns < latest_ns
+        latest_ns = max(latest_ns, last_ns)
+    if overlapping:
+        yield f"{overlapping} of {counted(len(chunks), 'chunk')} {'begins' if overlapping == 1 else 'begin'} before the end of an earlier one"
+
+
+def _other_clock(ages_ns: dict[str, float]) -> Iterator[str]:
+    """Yield a note on the topics with stamps of another clock."""
+    if ages_ns:
+        topic, age_ns = max(ages_ns.items(), key=itemgetter(1))
+        more = f" and {counted(len(ages_ns) - 1, 'more topic')}" if len(ages_ns) > 1 else ""
+        yield (
+            f"stamps of {topic}{more} are {apart(age_ns)} from the log times: of another clock (a simulation?), not an age"
+        )

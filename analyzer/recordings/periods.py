@@ -1,0 +1,251 @@
+"""How regular a topic is, and so how many of its messages are missing, and where.
+
+A publisher with a timer sends one message a period: an interval of k periods lacks k - 1. Several publishers on one topic, or a driver
+that sends batches, repeat a pattern of m messages. What has neither has no period, and nothing is known to be missing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Int64 = NDArray[np.int64]
+Float64 = NDArray[np.float64]
+
+_FEWEST = 8
+_TOLERANCE = 0.35
+"""Deviation of an interval, in mean intervals, up to which it is one period."""
+
+_LEAST_SHARE = 0.5
+_MOST_IN_PATTERN = 16
+_STEADY = 20
+"""So many equal intervals in a row are another rate, not losses."""
+
+_MOST_PAUSED = 2.5
+"""Expected messages per message from which on a topic that pauses again and again is not periodic."""
+
+_MOST_TWICE = 0.9
+"""Expected messages per message below which a pattern is not one."""
+
+_NEIGHBOURS, _PHASE_LOST = 8, 0.65
+"""Messages on either side whose phase is compared, and by how many periods it must differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """Time without the messages that were due; `start_ns` is when the first of them was."""
+
+    start_ns: int
+    duration_ns: int
+    missing: int
+
+
+@dataclass(frozen=True, slots=True)
+class Regularity:
+    """What the times of a topic show; times in ns.
+
+    Attributes:
+        period_ns: of the pattern, which has `in_pattern` messages.
+        jitter_ns: robust standard deviation (of the median deviation) of the period.
+        missing: best estimate, with the interval `low` to `high`.
+        share: of the intervals, of those that fit.
+    """
+
+    period_ns: float
+    in_pattern: int
+    jitter_ns: float
+    missing: int
+    low: int
+    high: int
+    share: float = 1.0
+    holes: list[Hole] = field(default_factory=list)
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages per second while none is missing."""
+        return self.in_pattern / self.period_ns * 1e9
+
+
+def spread(values: Int64 | Float64) -> float:
+    """Return a standard deviation that a few outliers do not change."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+def find_regularity(times_ns: Int64) -> Regularity | None:
+    """Return the regularity of ascending times; None of a topic without a period."""
+    found = [pattern for m in range(1, _MOST_IN_PATTERN + 1) if (pattern := _pattern(times_ns, m)) is not None]
+    if not found:
+        return None
+    fewest = min(pattern.expected for pattern in found)
+    near = [pattern for pattern in found if pattern.expected <= 1.15 * fewest + 1]
+    best = max(near, key=lambda pattern: (round(pattern.share, 2), -pattern.length))
+    period_ns, in_pattern = best.period_ns, best.length
+    regularity = _single(times_ns, period_ns) if in_pattern == 1 else _several(times_ns, period_ns, in_pattern)
+    pauses = len(regularity.holes) > 2 and len(times_ns) + regularity.missing > _MOST_PAUSED * len(times_ns)
+    return None if pauses else replace(regularity, share=best.share)
+
+
+def joined(parts: Sequence[Regularity]) -> Regularity:
+    """Return the regularity of a topic whose publishers were looked at one by one; holes are those of all at once."""
+    first = parts[0]
+    holes = [hole for hole in first.holes if all(_has_hole(part, hole) for part in parts[1:])]
+    rate = sum(part.rate_hz for part in parts)
+    slowest = max(parts, key=lambda part: part.period_ns)
+    return replace(
+        slowest,
+        in_pattern=max(round(rate * slowest.period_ns / 1e9), 1),
+        jitter_ns=float(np.median([part.jitter_ns for part in parts])),
+        missing=sum(part.missing for part in parts),
+        low=sum(part.low for part in parts),
+        high=sum(part.high for part in parts),
+        share=min(part.share for part in parts),
+        holes=holes,
+    )
+
+
+def _has_hole(part: Regularity, hole: Hole) -> bool:
+    end_ns = hole.start_ns + hole.duration_ns
+    return any(other.start_ns < end_ns and hole.start_ns < other.start_ns + other.duration_ns for other in part.holes)
+
+
+class _Pattern(NamedTuple):
+    """A pattern of `length` messages that a `share` of the intervals have, and the messages that it expects."""
+
+    length: int
+    period_ns: float
+    share: float
+    expected: float
+
+
+def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
+    """Return the pattern of m messages, None if there is none."""
+    if len(times_ns) < max(_FEWEST, 4 * m):
+        return None
+    periods_ns = times_ns[m:] - times_ns[:-m]
+    typical_ns = float(np.median(periods_ns))
+    if typical_ns <= 0:
+        return None
+    regular = np.abs(periods_ns - typical_ns) < _TOLERANCE * typical_ns / m
+    share = float(regular.mean())
+    if share < _LEAST_SHARE:
+        return None
+    period_ns = float(periods_ns[regular].mean())
+    expected = m * float(times_ns[-1] - times_ns[0]) / period_ns + 1
+    return _Pattern(m, period_ns, share, expected) if expected >= _MOST_TWICE * len(times_ns) else None
+
+
+def _single(times_ns: Int64, period_ns: float) -> Regularity:
+    ratio = np.diff(times_ns) / period_ns
+    edges = _rate_changes(ratio)
+    if not edges:
+        return _one_rate(times_ns, period_ns)
+    bounds = [0, *edges, len(ratio)]
+    parts = [
+        _one_rate(times_ns[start : stop + 1], float(np.median(np.diff(times_ns[start : stop + 1]))))
+        for start, stop in pairwise(bounds)
+    ]
+    return replace(
+        max(parts, key=lambda part: part.rate_hz),
+        missing=sum(part.missing for part in parts),
+        low=sum(part.low for part in parts),
+        high=sum(part.high for part in parts),
+        holes=[hole for part in parts for hole in part.holes],
+    )
+
+
+def _rate_changes(ratio: Float64) -> list[int]:
+    """Return where stretches begin in which nearly all intervals are those of another rate."""
+    is_same = np.concatenate([[False], np.abs(np.diff(ratio)) < 0.15]) & (np.abs(ratio - 1) > 0.25)
+    starts = np.flatnonzero(np.diff(np.concatenate([[0], is_same.astype(np.int8), [0]])))
+    if not (np.diff(starts)[::2] >= _STEADY).any():
+        return []
+    padded = np.pad(ratio, _STEADY, mode="reflect")
+    typical = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _STEADY + 1), axis=1)
+    edges = (np.flatnonzero(np.diff((np.abs(typical - 1) > 0.25).astype(np.int8))) + 1).tolist()
+    return [edge for edge, after in zip(edges, [*edges[1:], len(ratio)], strict=True) if after - edge >= _STEADY < edge]
+
+
+def _one_rate(times_ns: Int64, period_ns: float) -> Regularity:
+    intervals_ns = np.diff(times_ns)
+    ratio = intervals_ns / period_ns
+    steps = _settled(ratio, np.rint(ratio).astype(np.int64))
+    regular_ns = intervals_ns[(steps == 1) & (np.abs(ratio - 1) < _TOLERANCE)]
+    slow_ns, fast_ns = _extremes(regular_ns, period_ns)
+    is_gap = steps >= 2
+    fewer = int((steps[is_gap] - np.minimum(steps[is_gap], np.rint(intervals_ns[is_gap] / slow_ns))).sum())
+    more = int((np.maximum(steps[is_gap], np.rint(intervals_ns[is_gap] / fast_ns)) - steps[is_gap]).sum())
+    unsure = round(2 * np.sqrt(int((np.abs(ratio - np.rint(ratio)) > _TOLERANCE).sum())))
+    missing = max(int(steps.sum()) - len(steps), 0)
+    return Regularity(
+        period_ns,
+        1,
+        spread(regular_ns) if len(regular_ns) else 0.0,
+        missing,
+        max(missing - fewer - unsure, 0),
+        missing + more + unsure,
+        holes=[
+            Hole(int(times_ns[at] + period_ns), int(intervals_ns[at] - period_ns), int(steps[at] - 1))
+            for at in np.flatnonzero(is_gap).tolist()
+        ],
+    )
+
+
+def _extremes(regular_ns: Int64, period_ns: float) -> tuple[float, float]:
+    """Return the slowest and the fastest period, as means of 32 intervals."""
+    if len(regular_ns) < 64:
+        return period_ns, period_ns
+    means = regular_ns[: len(regular_ns) // 32 * 32].reshape(-1, 32).mean(axis=1)
+    return float(np.quantile(means, 0.95)), float(np.quantile(means, 0.05))
+
+
+def _settled(ratio: Float64, steps: Int64) -> Int64:
+    """Correct the steps of late messages: what follows them is in phase again."""
+    for at in np.flatnonzero((np.abs(ratio - np.rint(ratio)) > 0.25) & (ratio < 16)).tolist():
+        start = max(at - _NEIGHBOURS, 0)
+        phase = np.cumsum((ratio - steps)[start : at + _NEIGHBOURS])
+        before = np.append(0.0, phase[: at - start])
+        shift = float(np.median(phase[at - start :]) - np.median(before))
+        if abs(shift) > _PHASE_LOST:
+            steps[at] = max(steps[at] + round(shift), 0)
+    for at in np.flatnonzero(steps[1:-1] == 0).tolist():  # one late message is not a missing one
+        late = at + 2 * int(steps[at + 2] > steps[at])
+        if steps[late] > 1:
+            steps[[late, at + 1]] += [-1, 1]
+    return steps
+
+
+def _several(times_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
+    intervals_ns = np.diff(times_ns)
+    largest = np.sort(intervals_ns)[-max(len(intervals_ns) // in_pattern, 1) :]
+    usual_ns = float(np.median(largest))
+    if usual_ns > period_ns / 2:  # batches with a pause between them
+        starts = times_ns[np.append(0, np.flatnonzero(intervals_ns > usual_ns / 2) + 1)]
+        expected = in_pattern * int(np.rint(np.diff(starts) / period_ns).sum() + 1)
+        missing = max(expected - len(times_ns), 0)
+    else:
+        since = (times_ns - times_ns[0]) / period_ns
+        last = int(np.flatnonzero(np.abs(since - np.rint(since)) < 0.1)[-1])  # the last one at the place of the first
+        missing = max(round(float(since[last])) * in_pattern - last, 0)
+    periods_ns = times_ns[in_pattern:] - times_ns[:-in_pattern]
+    gaps = np.flatnonzero(intervals_ns > usual_ns + 0.8 * period_ns)
+    lost = np.rint((intervals_ns[gaps] - usual_ns) / period_ns).astype(np.int64) * in_pattern
+    unsure = 0 if missing == 0 else in_pattern
+    return Regularity(
+        period_ns,
+        in_pattern,
+        spread(periods_ns),
+        missing,
+        max(missing - unsure, 0),
+        missing + in_pattern,
+        holes=[
+            Hole(int(times_ns[at] + usual_ns), int(intervals_ns[at] - usual_ns), count)
+            for at, count in zip(gaps.tolist(), lost.tolist(), strict=True)
+        ],
+    )

@@ -1,0 +1,101 @@
+"""Rows of the table of topics: rate, sizes and ages of what was received."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.metrics import frame_schema
+from .losses import NONE
+
+if TYPE_CHECKING:
+    from .periods import Int64
+
+    Row = dict[str, str | int | float | None]
+    """Column of `TOPIC_SCHEMA` -> value; a column that is missing is null."""
+
+GAP_PERIODS = 2.0
+"""Least length of a gap in median intervals."""
+
+_FEWEST_FOR_P99 = 100
+
+TOPIC_SCHEMA = frame_schema(
+    "recording:str topic:str message_type:str encoding:str messages:u64 start_ns:i64 duration_ns:i64 "
+    "rate_hz:f64 period_p50_ns:f64 period_p99_ns:f64 jitter_ns:f64 gaps:u64 gap_max_ns:i64 "
+    "payload_mean_bytes:f64 payload_min_bytes:u64 payload_max_bytes:u64 rate_bytes_per_s:f64 age_from:str "
+    "age_messages:u64 age_negative:u64 age_min_ns:i64 age_p50_ns:f64 age_p99_ns:f64 age_max_ns:i64 "
+    "stamps_backwards:u64 expected_rate_hz:f64 missing_from:str missing:u64 missing_low:u64 missing_high:u64 "
+    "missing_inside:u64 lost_in_transport:u64 lost_in_recorder:u64 copies:u64 qos:str"
+)
+
+HOLE_SCHEMA = frame_schema("recording:str topic:str start_s:f64 duration_s:f64 missing:u64 inside:bool")
+
+
+def timing(log_ns: Int64) -> Row:
+    """Return the columns about ascending log times."""
+    duration_ns = int(log_ns[-1] - log_ns[0])
+    row: Row = {"start_ns": int(log_ns[0]), "duration_ns": duration_ns}
+    if duration_ns:
+        period_ns = np.diff(log_ns)
+        median = float(np.median(period_ns))
+        row |= {
+            "rate_hz": len(period_ns) / (duration_ns / 1e9),
+            "period_p50_ns": median,
+            "period_p99_ns": float(np.quantile(period_ns, 0.99)) if len(period_ns) >= _FEWEST_FOR_P99 else None,
+            "gaps": int((period_ns > GAP_PERIODS * median).sum()),
+            "gap_max_ns": int(period_ns.max()),
+        }
+    return row
+
+
+def sizes(payload_bytes: Int64, duration_ns: int) -> Row:
+    """Return the columns about sizes."""
+    total = int(payload_bytes.sum())
+    return {
+        "payload_mean_bytes": total / len(payload_bytes),
+        "payload_min_bytes": int(payload_bytes.min()),
+        "payload_max_bytes": int(payload_bytes.max()),
+        "rate_bytes_per_s": total / (duration_ns / 1e9) if duration_ns else None,
+    }
+
+
+def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> Row:
+    """Return the columns about ages, from the header stamp where there is one."""
+    stamped = stamp_ns != NONE
+    published = publish_ns != NONE
+    if stamped.any():
+        age_from, age_ns = "header", (log_ns - stamp_ns)[stamped]
+    elif (published & (publish_ns != log_ns)).any():  # most recorders write the log time twice
+        age_from, age_ns = "publish", (log_ns - publish_ns)[published]
+    else:
+        return {"age_from": None}
+    return {
+        "age_from": age_from,
+        "age_messages": len(age_ns),
+        "age_negative": int((age_ns < 0).sum()),
+        "age_min_ns": int(age_ns.min()),
+        "age_p50_ns": float(np.median(age_ns)),
+        "age_p99_ns": float(np.quantile(age_ns, 0.99)) if len(age_ns) >= _FEWEST_FOR_P99 else None,
+        "age_max_ns": int(age_ns.max()),
+        "stamps_backwards": int((np.diff(stamp_ns[stamped]) < 0).sum()) if age_from == "header" else None,
+    }
+
+
+_QOS_KEYS = re.compile(r"^[-\s]*(reliability|durability|history|depth): *(\S+)", re.MULTILINE)
+_QOS_NUMBERS = {
+    "reliability": {"1": "reliable", "2": "best_effort"},
+    "durability": {"1": "transient_local", "2": "volatile"},
+    "history": {"1": "keep_last", "2": "keep_all"},
+}
+
+
+def qos_words(profiles: str) -> str:
+    """Return the first QoS profile of a recording's YAML in words: `reliable, volatile, keep_last 10`."""
+    found: dict[str, str] = {}
+    for key, value in _QOS_KEYS.findall(profiles):
+        found.setdefault(key, _QOS_NUMBERS.get(key, {}).get(value, value))
+    if found.get("history") == "keep_last" and "depth" in found:
+        found["history"] += f" {found['depth']}"
+    return ", ".join(found[key] for key in ("reliability", "durability", "history") if found.get(key, "0") != "0")

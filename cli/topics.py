@@ -1,0 +1,108 @@
+"""`dds-analyze --topics`: the health of other tools' recordings, its files, limits and exit code."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from dds_trace.analyzer.exports.tables import EXPORTERS
+from dds_trace.analyzer.recordings.card import DAMAGED, HOLES
+from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.base.errors import OptionError, OutputError
+from dds_trace.base.files import replacing
+from dds_trace.base.streams import say
+from dds_trace.reports.topics import document, markdown, page
+from dds_trace.reports.topics.terminal import print_topics
+from dds_trace.reports.topics.words import JudgedTopic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+    from typing import Any
+
+    from dds_trace.analyzer.recordings.topics import TopicReport
+    from dds_trace.analyzer.verdicts.topic_gate import TopicGate
+
+HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
+_FILES = {
+    "html": ("topics.html", page.render),
+    "md": ("topics.md", markdown.render),
+    "json": ("topics.json", document.render),
+}
+
+
+def report_topics(
+    paths: Sequence[Path], folder: Path, kinds: Sequence[str], exports: Sequence[str], gates: Sequence[TopicGate]
+) -> tuple[int, list[Path]]:
+    """Print the health of recordings and write the reports asked for; return the exit code and the files.
+
+    Raises:
+        OptionError: a limit names no topic of the recordings.
+        OutputError: a file cannot be written.
+    """
+    report = analyze_topics(paths, skip=[folder])
+    judged = list(_judge(report, gates))
+    print_topics(report, judged)
+    for source in report.sources:
+        if source.status != "read" or source.detail:
+            say(f"{source.path}: {source.status}: {source.detail}")
+    files = [_FILES[kind] for kind in dict.fromkeys(kinds) if kind in _FILES]
+    written = [_write(folder / name, render(report, judged)) for name, render in files]
+    written += [_export(report.topics, folder / f"topics.{kind}", kind) for kind in exports]
+    return _exit_code(report, judged, gates), written
+
+
+def _exit_code(report: TopicReport, judged: Sequence[JudgedTopic], gates: Sequence[TopicGate]) -> int:
+    if report.verdict == DAMAGED:
+        return DAMAGED_EXIT_CODE
+    if gates:  # they say which holes are too many
+        outcomes = {one.outcome for one in judged}
+        worst = (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED)
+        return next(outcome for outcome in worst if outcome in outcomes).exit_code
+    return HOLES_EXIT_CODE if report.verdict == HOLES else 0
+
+
+def _judge(report: TopicReport, gates: Sequence[TopicGate]) -> Iterator[JudgedTopic]:
+    for gate in gates:
+        rows = [row for row in report.topics.iter_rows(named=True) if gate.is_about(row["topic"])]
+        if not rows:
+            raise OptionError(f"--fail-if {gate.text!r}: no recording has the topic {gate.topic}")
+        for row in rows:
+            low, high = _ends(row, report.holes, gate.metric)
+            yield JudgedTopic(gate, row["recording"], row["topic"], gate.judge(low, high))
+
+
+def _ends(row: Mapping[str, Any], holes: pl.DataFrame, metric: str) -> tuple[float | None, float | None]:
+    """Return the interval of a topic's value; None at an end that is not known."""
+    if metric == "jitter":
+        return row["jitter_ns"], row["jitter_ns"]
+    if row["missing"] is None:
+        return None, None
+    if metric == "missing":
+        low, high = row["missing_low"], row["missing_high"]
+        return low / max(row["messages"] + low, 1), high / max(row["messages"] + high, 1)
+    of_topic = holes.filter((pl.col("recording") == row["recording"]) & (pl.col("topic") == row["topic"]))
+    longest_ns = max(of_topic["duration_s"].to_list(), default=0.0) * 1e9
+    return longest_ns, longest_ns
+
+
+def _write(path: Path, text: str) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as draft:
+            draft.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as err:
+        raise OutputError(f"{path} cannot be written ({err.strerror}); give another folder with --out") from err
+    return path
+
+
+def _export(topics: pl.DataFrame, path: Path, kind: str) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as draft:
+            EXPORTERS[kind](topics.lazy(), draft)
+    except (OSError, pl.exceptions.PolarsError) as err:
+        raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
+    return path

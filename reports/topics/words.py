@@ -1,0 +1,162 @@
+"""The health of a recording in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS
+from dds_trace.base.printable import printable
+from dds_trace.base.units import counted, format_duration, format_rate, format_size
+
+from ..book.overview import utc_words
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from dds_trace.analyzer.recordings.card import RecordingHealth
+    from dds_trace.analyzer.recordings.topics import TopicReport
+    from dds_trace.analyzer.verdicts.gate import GateOutcome
+    from dds_trace.analyzer.verdicts.topic_gate import TopicGate
+
+    Row = Mapping[str, Any]
+    """A row of `TopicReport.topics` or `.holes`."""
+
+COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Jitter", "Size", "Age")
+HOW_TO_READ = (
+    "Missing: messages that the rate of the topic, its sequence numbers or the recorder's own counts call for, with the interval they are "
+    "certain within; a topic that is not periodic has no known number. Jitter: typical deviation of an interval; a hole does not change it. "
+    "Age: median from the header's stamp, or from publishing, to the recording; between two machines it includes the difference of their clocks."
+)
+_MOST_HOLES_SHOWN = 3
+_KNOWN_FROM = {"sequence": "by sequence numbers", "recorder": "by the recorder's counts", "period": ""}
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedTopic:
+    """A limit of `--fail-if` on one topic, and its outcome."""
+
+    gate: TopicGate
+    recording: str
+    topic: str
+    outcome: GateOutcome
+
+
+def clock_words(seconds: float) -> str:
+    """Return a time within a recording: `00:30`, `1:02:03`."""
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes:02}:{rest:02}"
+
+
+def seconds_words(seconds: float) -> str:
+    """Return a length of time: `2.55 s`, `4 min 10 s`."""
+    if seconds < 120:
+        return format_duration(seconds * 1e9)
+    return f"{int(seconds) // 60} min {int(seconds) % 60} s"
+
+
+def verdict_words(health: RecordingHealth, rows: Sequence[Row]) -> str:
+    """Return the verdict on a recording in one sentence."""
+    lacking = [row for row in rows if row["missing_low"]]
+    missing = sum(row["missing"] for row in lacking)
+    said = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
+    if health.verdict == "damaged":
+        damages = counted(len(health.damages), "damage")
+        return f"damaged: {damages}" + (f"; {said} of what can be read" if lacking else "")
+    if health.verdict == "holes":
+        return f"holes: {said}" if lacking else f"holes: all topics stopped {counted(len(health.pauses), 'time')}"
+    unknown = sum(row["missing"] is None for row in rows)
+    more = f" (of {counted(unknown, 'topic')} nothing is known: not periodic)" if unknown else ""
+    return f"whole: nothing is known to be missing{more}"
+
+
+def facts_words(health: RecordingHealth, topics: int) -> str:
+    """Return duration, start, messages and chunks of a recording."""
+    chunks = f", {counted(health.chunks, 'chunk')}" if health.chunks else ""
+    return (
+        f"{seconds_words(health.duration_ns / 1e9)} from {utc_words(health.start_ns)}, {health.messages:,} messages, "
+        f"{counted(topics, 'topic')}{chunks}; recording {health.coverage:.1%} of the time"
+    )
+
+
+def pause_lines(health: RecordingHealth) -> Iterator[str]:
+    """Yield a line for each of the longest times in which all topics stopped."""
+    longest = sorted(health.pauses, key=lambda pause: -pause[1])[:_MOST_HOLES_SHOWN]
+    for start_s, duration_s in sorted(longest):
+        yield (
+            f"all topics: nothing for {seconds_words(duration_s)} at {clock_words(start_s)}: lost inside the recorder, or it was paused"
+        )
+    if len(health.pauses) > len(longest):
+        yield f"and {counted(len(health.pauses) - len(longest), 'shorter pause')} of all topics"
+
+
+def hole_lines(row: Row, holes: Sequence[Row]) -> Iterator[str]:
+    """Yield a line for each of a topic's longest holes, and one for the others."""
+    period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
+    large = sorted(
+        (hole for hole in holes if hole["duration_s"] > 1.5 * period_s), key=lambda hole: -hole["duration_s"]
+    )
+    shown = sorted(large[:_MOST_HOLES_SHOWN], key=lambda hole: hole["start_s"])
+    for hole in shown:
+        inside = ", as of all topics" if hole["inside"] else ""
+        count = counted(hole["missing"], "message") if hole["missing"] else "none was sent"
+        yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
+    left = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
+    if left > 0:
+        yield f"{counted(left, 'message')} {'more is' if shown and left == 1 else 'more are' if shown else 'is' if left == 1 else 'are'} missing, in short holes"
+
+
+def missing_words(row: Row) -> str:
+    """Return how many messages a topic lacks."""
+    missing, low, high = row["missing"], row["missing_low"], row["missing_high"]
+    if missing is None:
+        return "not periodic"
+    expected = row["messages"] + missing
+    share = f" ({missing / expected:.1%})" if missing else ""
+    interval = f" [{low:,}, {high:,}]" if (low, high) != (missing, missing) else ""
+    return f"{missing:,}{share}{interval}"
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """Return a topic's cells of `COLUMNS`."""
+    age = "" if row["age_p50_ns"] is None else f"{format_duration(row['age_p50_ns'])} ({row['age_from']})"
+    if age and abs(row["age_p50_ns"]) > OTHER_CLOCK_NS:
+        age = "other clock"
+    rate_hz = row["expected_rate_hz"] or row["rate_hz"]
+    return (
+        printable(row["topic"]),
+        f"{row['messages']:,}",
+        "" if rate_hz is None else format_rate(rate_hz),
+        missing_words(row),
+        "" if row["jitter_ns"] is None else format_duration(row["jitter_ns"]),
+        format_size(round(row["payload_mean_bytes"])),
+        age,
+    )
+
+
+def topic_notes(row: Row) -> Iterator[str]:
+    """Yield what else is worth a word about a topic."""
+    if _KNOWN_FROM.get(row["missing_from"]) and row["missing"]:
+        yield f"{counted(row['missing'], 'message')} missing {_KNOWN_FROM[row['missing_from']]}"
+    if row["missing_inside"]:
+        yield f"{counted(row['missing_inside'], 'message')} of them lost inside the recorder, or while it was paused"
+    if row["lost_in_transport"] or row["lost_in_recorder"]:
+        yield f"rosbag2 counted {row['lost_in_transport']} lost on the way to it and {row['lost_in_recorder']} inside"
+    if row["stamps_backwards"]:
+        yield f"{counted(row['stamps_backwards'], 'header stamp')} {'runs' if row['stamps_backwards'] == 1 else 'run'} backwards"
+    if row["age_negative"]:
+        yield f"{counted(row['age_negative'], 'message')} logged before the header's stamp: two clocks, or a stamp of the future"
+
+
+def topics_of(report: TopicReport, path: str) -> list[tuple[Row, list[Row], tuple[float, ...]]]:
+    """Return row, holes and strip of each topic of a recording."""
+    holes: dict[str, list[Row]] = {}
+    for hole in report.holes.iter_rows(named=True):
+        if hole["recording"] == path:
+            holes.setdefault(hole["topic"], []).append(hole)
+    return [
+        (row, holes.get(row["topic"], []), strip)
+        for row, strip in zip(report.topics.iter_rows(named=True), report.strips, strict=True)
+        if row["recording"] == path
+    ]

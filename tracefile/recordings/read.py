@@ -1,0 +1,155 @@
+"""The messages of one recording: a file of any kind, or a rosbag2 folder with the files that it lists."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import zstandard
+
+from dds_trace.base.errors import TraceFormatError
+
+from ..format.bag_metadata import METADATA_NAME
+from ..format.encoding import MAGIC
+from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
+from ..mcapfile.chunks import unpack_zstd
+from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile
+from ..reading.source import ZSTD_MAGIC
+from .bag1 import BAG1_MAGIC, bag1_messages
+from .mcap_walk import McapWalk, WalkedMessage
+from .recorded import Condition, RawMessage, RecordedTopic, UnreadableError, checked_time
+from .recording_files import missing_messages, open_recording
+from .sqlite_rows import SQLITE_MAGIC, sqlite_messages
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from mcap.records import Channel, Schema
+
+
+def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
+    """Yield the messages of a recording, file by file, those packed by themselves unpacked.
+
+    What was delivered is compared with what the recording says it has (metadata.yaml, statistics of MCAP); what is missing is added to
+    the damages of `condition`, which is complete after the last message.
+
+    Raises:
+        TraceFormatError: the path is not a recording, or its reading ends early; messages before that were yielded.
+    """
+    delivered = Counter[str]()
+    with open_recording(path) as recording:
+        condition.notes += recording.notes
+        condition.damages += recording.damages
+        for file, name in zip(recording.files, recording.names, strict=True):
+            of_file, about_file = Counter[str](), Condition()
+            budget = _UnpackedBytes(file.stat().st_size)
+            try:
+                for message in _reader_of(file)(file, about_file):
+                    of_file[message.topic.name] += 1
+                    checked_time(message.publish_ns or 0)
+                    yield message._replace(log_ns=checked_time(message.log_ns), data=budget.unpacked(message))
+            except UnreadableError as err:
+                raise TraceFormatError(name, f"the recording cannot be read on: {err}") from err
+            finally:
+                where = f"{name.name}: " if len(recording.files) > 1 else ""
+                condition.damages += [f"{where}{damage}" for damage in about_file.damages]
+                condition.notes += [f"{where}{note}" for note in about_file.notes]
+                condition.chunks += about_file.chunks
+                condition.topics |= about_file.topics
+            if not about_file.damages:
+                _compare(about_file.claimed, of_file, name.name, condition)
+            delivered += of_file
+        _compare(recording.claimed, delivered, METADATA_NAME, condition)
+    if condition.damages and not delivered:
+        raise TraceFormatError(path, f"the recording cannot be read: {condition.damages[0]}")
+
+
+def _compare(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str, condition: Condition) -> None:
+    for topic, note in missing_messages(claimed, delivered, who):
+        (condition.damages if delivered.get(topic, 0) < claimed[topic] else condition.notes).append(note)
+
+
+class _UnpackedBytes:
+    """The bytes that the messages of a file, packed by themselves, may still unpack to."""
+
+    def __init__(self, size_bytes: int) -> None:
+        self._left = most_unpacked_bytes(size_bytes)
+
+    def unpacked(self, message: RawMessage) -> bytes:
+        """Return the data; serialized CDR begins with a zero byte, so it is never taken for a zstd frame."""
+        if message.topic.encoding != "cdr" or message.data[:4] != ZSTD_MAGIC:
+            return message.data
+        try:
+            data = unpack_zstd(message.data, MAX_RECORD_BYTES + 1)
+        except (zstandard.ZstdError, MemoryError):
+            return message.data
+        self._left -= len(data)
+        if len(data) > MAX_RECORD_BYTES:
+            raise UnreadableError(f"a piece of it unpacks to more than {MAX_RECORD_BYTES >> 20} MiB")
+        if self._left < 0:
+            raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO} times its size")
+        return data
+
+
+def _reader_of(file: Path) -> Callable[[Path, Condition], Iterator[RawMessage]]:
+    """Choose by content, and by the name where the content is damaged."""
+    with file.open("rb") as stream:
+        start = stream.read(len(SQLITE_MAGIC))
+    for magic, _, reader in _READERS:
+        if start.startswith(magic):
+            return reader
+    for _, suffix, reader in _READERS:
+        if file.suffix == suffix:
+            return reader
+    raise UnreadableError("it is neither MCAP nor a ROS 1 bag nor a SQLite database")
+
+
+def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
+    with closing(RecordFile(path)) as file:
+        walk = McapWalk(file)
+        topics: dict[int, tuple[Channel, RecordedTopic]] = {}
+        try:
+            for item in walk:
+                if not isinstance(item, WalkedMessage):
+                    continue
+                known = topics.get(item.channel.id)
+                if known is None or known[0] is not item.channel:
+                    known = item.channel, _topic_of(item.channel, walk.schemas.get(item.channel.schema_id))
+                    topics[item.channel.id] = known
+                yield RawMessage(known[1], item.log_ns, item.publish_ns, item.sequence, item.data)
+        finally:
+            condition.damages += walk.damages
+            condition.notes += walk.notes
+            condition.chunks += walk.chunks
+            condition.topics |= {
+                _topic_of(channel, walk.schemas.get(channel.schema_id)) for channel in walk.channels.values()
+            }
+            for channel_id, count in walk.claims.items():
+                if channel_id in walk.channels:
+                    name = walk.channels[channel_id].topic
+                    condition.claimed[name] = condition.claimed.get(name, 0) + count
+
+
+def _topic_of(channel: Channel, schema: Schema | None) -> RecordedTopic:
+    is_text = schema is not None and schema.encoding in TEXT_ENCODINGS
+    return RecordedTopic(
+        channel.topic,
+        schema.name if schema else "",
+        channel.message_encoding,
+        schema.data.decode(errors="replace") if schema and is_text else "",
+        schema.encoding if schema else "",
+        channel.metadata.get("offered_qos_profiles", ""),
+        channel.metadata.get("callerid", ""),
+    )
+
+
+TEXT_ENCODINGS = frozenset({"ros1msg", "ros2msg", "ros2idl", "omgidl", "jsonschema"})
+
+_READERS: tuple[tuple[bytes, str, Callable[[Path, Condition], Iterator[RawMessage]]], ...] = (
+    (MAGIC, ".mcap", _mcap_messages),
+    (BAG1_MAGIC, ".bag", bag1_messages),
+    (SQLITE_MAGIC, ".db3", sqlite_messages),
+)
+"""First bytes, suffix, and reader of each kind."""

@@ -1,0 +1,84 @@
+"""What every kind of recording is read as: topics, messages, and what was found to be broken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+LATEST_NS = 2**63 - 1
+"""Latest time of a message that 64 bits with a sign hold (year 2262); MCAP has twice that."""
+
+_UNSUSPECTED_MESSAGES, _MESSAGE_BYTES = 2_000_000, 64
+"""More messages than this, of fewer bytes each, are no recording but an attack."""
+
+
+class UnreadableError(Exception):
+    """The reading of a file ends here, in words that follow the file's name."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """A topic as the recording declares it; a text is empty where there is none.
+
+    Attributes:
+        definition: text of the message definition in `definition_encoding` (`ros2msg`, `ros1msg`, ...).
+        qos: offered QoS profiles, YAML.
+        publisher: who published, where the recording distinguishes (rosbag1).
+    """
+
+    name: str
+    message_type: str
+    encoding: str
+    definition: str = ""
+    definition_encoding: str = ""
+    qos: str = ""
+    publisher: str = ""
+
+
+class RawMessage(NamedTuple):
+    """A serialized message; times in ns as recorded, None for one that the storage lacks."""
+
+    topic: RecordedTopic
+    log_ns: int
+    publish_ns: int | None
+    sequence: int | None
+    data: bytes
+
+
+@dataclass(slots=True)
+class Condition:
+    """What was found while a recording was read; complete after its last message.
+
+    Attributes:
+        damages: what is broken or missing, one line each.
+        notes: what else is worth a word.
+        topics: those that are declared, with or without messages.
+        claimed: messages of each topic by the file's own count.
+        chunks: first and last log time and number of messages of each chunk, in file order.
+    """
+
+    damages: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    topics: set[RecordedTopic] = field(default_factory=set)
+    claimed: dict[str, int] = field(default_factory=dict)
+    chunks: list[tuple[int, int, int]] = field(default_factory=list)
+
+
+class Budget:
+    """The messages that a file of some size may have."""
+
+    def __init__(self, size_bytes: int) -> None:
+        self._messages = _UNSUSPECTED_MESSAGES + size_bytes // _MESSAGE_BYTES
+
+    def take(self) -> None:
+        """Count one message; raise an `UnreadableError` beyond the bound."""
+        self._messages -= 1
+        if self._messages < 0:
+            raise UnreadableError("it has more messages than so few bytes hold")
+
+
+def checked_time(time_ns: int) -> int:
+    """Return a time; raise an `UnreadableError` if no clock shows it."""
+    if not -LATEST_NS <= time_ns <= LATEST_NS:
+        raise UnreadableError(f"{time_ns} ns is not a time")
+    return time_ns

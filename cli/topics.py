@@ -83,8 +83,8 @@ def _ends(row: Mapping[str, Any], holes: pl.DataFrame, metric: str) -> tuple[flo
     if metric == "missing":
         low, high = row["missing_low"], row["missing_high"]
         return low / max(row["messages"] + low, 1), high / max(row["messages"] + high, 1)
-    of_topic = holes.filter((pl.col("recording") == row["recording"]) & (pl.col("topic") == row["topic"]))
-    longest_ns = max(of_topic["duration_s"].to_list(), default=0.0) * 1e9
+    topic_holes = holes.filter((pl.col("recording") == row["recording"]) & (pl.col("topic") == row["topic"]))
+    longest_ns = max(topic_holes["duration_s"].to_list(), default=0.0) * 1e9
     return longest_ns, longest_ns
 
 

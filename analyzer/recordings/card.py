@@ -145,8 +145,8 @@ class Card:
         self.rows: list[Row] = []
         self.holes: list[dict[str, object]] = []
         self.strips: list[tuple[float, ...]] = []
-        for topic, of_topic, found in zip(columns, times, losses, strict=True):
-            self._add(topic, of_topic, found, pauses)
+        for topic, topic_times, found in zip(columns, times, losses, strict=True):
+            self._add(topic, topic_times, found, pauses)
         has_holes = pauses or any((row["missing_low"] or 0) for row in self.rows)
         duration_ns = self._end_ns - self._start_ns
         paused_ns = sum(end - start for start, end in pauses)
@@ -164,21 +164,21 @@ class Card:
         )
 
     def _of_one_clock(self, logged: Int64) -> Int64:
-        kept = of_one_clock(logged)
-        if not kept.all():
-            away_ns = float(np.abs(np.median(logged[~kept]) - np.median(logged[kept])))
+        is_of_clock = of_one_clock(logged)
+        if not is_of_clock.all():
+            away_ns = float(np.abs(np.median(logged[~is_of_clock]) - np.median(logged[is_of_clock])))
             self._notes.append(
-                f"{counted(int((~kept).sum()), 'message')} logged {apart(away_ns)} from the others: of another clock (a simulation before "
+                f"{counted(int((~is_of_clock).sum()), 'message')} logged {apart(away_ns)} from the others: of another clock (a simulation before "
                 "its first /clock?), left out of rates and holes"
             )
-        return logged[kept]
+        return logged[is_of_clock]
 
     def _note_clocks(
         self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes], losses: Sequence[Losses]
     ) -> None:
         other_clock: dict[str, float] = {}
-        for topic, of_topic, found in zip(columns, times, losses, strict=True):
-            name, stamped = topic.topic.name, of_topic.stamp_ns != NONE
+        for topic, topic_times, found in zip(columns, times, losses, strict=True):
+            name, stamped = topic.topic.name, topic_times.stamp_ns != NONE
             self._notes += copied_messages(name, topic.copies)
             self._notes += set_back(name, np.frombuffer(topic.log_ns, np.int64))
             if found.clock_steps:
@@ -187,10 +187,10 @@ class Card:
                     f"the recorder's clock was set forward {steps}: the stamps of {name} go on without a gap"
                 )
             if stamped.any():
-                age_ns = abs(float(np.median((of_topic.log_ns - of_topic.stamp_ns)[stamped])))
+                age_ns = abs(float(np.median((topic_times.log_ns - topic_times.stamp_ns)[stamped])))
                 if age_ns > OTHER_CLOCK_NS:
                     other_clock[name] = age_ns
-                self._notes += stamp_jumps(name, of_topic.log_ns[stamped], of_topic.stamp_ns[stamped])
+                self._notes += stamp_jumps(name, topic_times.log_ns[stamped], topic_times.stamp_ns[stamped])
         self._notes += _other_clock(other_clock)
 
     def _add(self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Sequence[tuple[int, int]]) -> None:
@@ -211,7 +211,7 @@ class Card:
             **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),
             **ages(times.log_ns, times.publish_ns, times.stamp_ns),
             "expected_rate_hz": regularity.rate_hz if regularity else None,
-            "missing_from": losses.known_from,
+            "missing_from": losses.evidence,
             "missing": losses.missing,
             "missing_low": losses.low,
             "missing_high": losses.high,

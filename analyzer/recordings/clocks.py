@@ -25,9 +25,9 @@ def of_one_clock(log_ns: Int64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     gaps = np.flatnonzero(np.diff(log_ns) > _APART_NS)
     edges = np.concatenate([[0], gaps + 1, [len(log_ns)]])
     largest = int(np.argmax(np.diff(edges)))
-    kept = np.zeros(len(log_ns), bool)
-    kept[edges[largest] : edges[largest + 1]] = True
-    return kept
+    selected = np.zeros(len(log_ns), bool)
+    selected[edges[largest] : edges[largest + 1]] = True
+    return selected
 
 
 def apart(time_ns: float) -> str:

@@ -30,10 +30,10 @@ _STOPPED_PERIODS, _STOPPED_NS = 3.0, 10**9
 class Losses:
     """What is known to be missing of a topic, within the interval `low` to `high`; None where nothing is known.
 
-    `known_from` is `sequence`, `period`, `recorder` (rosbag2's own counts) or empty.
+    `evidence` is `sequence`, `period`, `recorder` (rosbag2's own counts) or empty.
     """
 
-    known_from: str = ""
+    evidence: str = ""
     missing: int | None = None
     low: int | None = None
     high: int | None = None
@@ -63,11 +63,11 @@ class TopicTimes:
         if by_sequence is not None and (by_sequence or self.is_ros1):
             holes = [replace(hole, missing=self._steps_at(hole)) for hole in losses.holes]
             return replace(
-                losses, known_from="sequence", missing=by_sequence, low=by_sequence, high=by_sequence, holes=holes
+                losses, evidence="sequence", missing=by_sequence, low=by_sequence, high=by_sequence, holes=holes
             )
         if losses.missing is None and self.lost is not None:
             count = sum(self.lost)
-            return replace(losses, known_from="recorder", missing=count, low=count, high=count)
+            return replace(losses, evidence="recorder", missing=count, low=count, high=count)
         return losses
 
     def _by_sequence(self) -> int | None:
@@ -92,26 +92,26 @@ class TopicTimes:
         if regularity is None:
             return Losses()
         holes = [replace(hole, start_ns=hole.start_ns + shift_ns) for hole in regularity.holes]
-        kept = holes if shift_ns else [hole for hole in holes if not self._is_clock_step(hole)]
-        clock_steps = len(holes) - len(kept)
-        stepped = sum(hole.missing for hole in holes) - sum(hole.missing for hole in kept)
+        holes_left = holes if shift_ns else [hole for hole in holes if not self._is_clock_step(hole)]
+        clock_steps = len(holes) - len(holes_left)
+        stepped = sum(hole.missing for hole in holes) - sum(hole.missing for hole in holes_left)
         due_ns = self.log_ns[-1] + regularity.period_ns
         tail = 0
         if end_ns - self.log_ns[-1] > max(_STOPPED_PERIODS * regularity.period_ns, _STOPPED_NS):
             tail = int((end_ns - self.log_ns[-1]) / regularity.period_ns) * regularity.in_pattern
-            kept.append(Hole(int(due_ns), int(end_ns - due_ns), tail))
+            holes_left.append(Hole(int(due_ns), int(end_ns - due_ns), tail))
         return Losses(
             "period",
             max(regularity.missing - stepped, 0) + tail,
             max(regularity.low - stepped, 0) + max(tail - 1, 0),
             max(regularity.high - stepped, 0) + tail + min(tail, 1),
-            kept,
+            holes_left,
             regularity,
             clock_steps,
         )
 
     def _regularity(self, times_ns: Int64) -> Regularity | None:
-        """Return that of the whole topic, or of its publishers where they can be told apart and are more regular."""
+        """Return the whole topic's, or its publishers' where they can be distinguished and are more regular."""
         best = find_regularity(times_ns)
         for keys in (self.publisher, self.frame, self.payload_bytes):
             parts = _by_key(times_ns, keys)

@@ -80,11 +80,11 @@ def spread(values: Int64 | Float64) -> float:
 
 def find_regularity(times_ns: Int64) -> Regularity | None:
     """Return the regularity of ascending times; None of a topic without a period."""
-    found = [pattern for m in range(1, _MOST_IN_PATTERN + 1) if (pattern := _pattern(times_ns, m)) is not None]
-    if not found:
+    patterns = [pattern for m in range(1, _MOST_IN_PATTERN + 1) if (pattern := _pattern(times_ns, m)) is not None]
+    if not patterns:
         return None
-    fewest = min(pattern.expected for pattern in found)
-    near = [pattern for pattern in found if pattern.expected <= 1.15 * fewest + 1]
+    fewest = min(pattern.expected for pattern in patterns)
+    near = [pattern for pattern in patterns if pattern.expected <= 1.15 * fewest + 1]
     best = max(near, key=lambda pattern: (round(pattern.share, 2), -pattern.length))
     period_ns, in_pattern = best.period_ns, best.length
     regularity = _single(times_ns, period_ns) if in_pattern == 1 else _several(times_ns, period_ns, in_pattern)
@@ -93,7 +93,7 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
 
 
 def joined(parts: Sequence[Regularity]) -> Regularity:
-    """Return the regularity of a topic whose publishers were looked at one by one; holes are those of all at once."""
+    """Return the regularity of a topic whose publishers were looked at one by one; holes are when all stopped."""
     first = parts[0]
     holes = [hole for hole in first.holes if all(_has_hole(part, hole) for part in parts[1:])]
     rate = sum(part.rate_hz for part in parts)
@@ -161,7 +161,7 @@ def _single(times_ns: Int64, period_ns: float) -> Regularity:
 
 
 def _rate_changes(ratio: Float64) -> list[int]:
-    """Return where stretches begin in which nearly all intervals are those of another rate."""
+    """Return where stretches begin in which nearly all intervals are of another rate."""
     is_same = np.concatenate([[False], np.abs(np.diff(ratio)) < 0.15]) & (np.abs(ratio - 1) > 0.25)
     starts = np.flatnonzero(np.diff(np.concatenate([[0], is_same.astype(np.int8), [0]])))
     if not (np.diff(starts)[::2] >= _STEADY).any():

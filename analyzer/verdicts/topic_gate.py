@@ -35,7 +35,7 @@ class TopicGate:
         return fnmatchcase(topic, self.topic)
 
     def judge(self, low: float | None, high: float | None) -> GateOutcome:
-        """Judge a value that lies from `low` to `high`; one that is not known may be anything."""
+        """Judge a value from `low` to `high`; one that is not known may be anything."""
         ends = (-math.inf if low is None else low, math.inf if high is None else high)
         fails = [OPERATORS[self.operator](end, self.limit) for end in ends]
         if all(fails):

@@ -54,11 +54,11 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
     if not (path.is_file() or path.is_dir()):  # a pipe would wait for a writer
         raise OptionError(f"--data bag:{where}: {path} is not a file or a folder")
     condition = Condition()
-    found = _read_topic(path, topic, condition, stop)
+    messages_read = _read_topic(path, topic, condition, stop)
     chosen = _chosen_topic(condition.topics, topic, path)
     with _own_words(path):
         stamper = _Stamper(chosen, path, own_types)
-        messages = [stamper(data) for _, data in found]
+        messages = [stamper(data) for _, data in messages_read]
     if not messages:
         raise OptionError(f"--data bag:{where}: the bag has no messages of that topic")
     name = chosen.name
@@ -68,8 +68,10 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
         for note in (*condition.damages, *condition.notes)
         if not any(f" {other} has " in note for other in about_others)
     ]
-    notes += copied_messages(name, len(found) - len({(time_ns, content_hash(data)) for time_ns, data in found}))
-    rate_hz, typical_hz, clocks = _rates_hz([time_ns for time_ns, _ in found])
+    notes += copied_messages(
+        name, len(messages_read) - len({(time_ns, content_hash(data)) for time_ns, data in messages_read})
+    )
+    rate_hz, typical_hz, clocks = _rates_hz([time_ns for time_ns, _ in messages_read])
     if clocks > 1:
         notes.append(f"{name} has times of {clocks} clocks, years apart; the rate is of the intervals within each")
     if rate_hz and typical_hz and typical_hz > _UNEVEN * rate_hz:
@@ -88,17 +90,17 @@ def _read_topic(path: Path, topic: str, condition: Condition, stop: threading.Ev
     """Return log time in ns and bytes of the messages of a topic, by log time."""
     from dds_trace.tracefile.recordings.read import read_messages  # noqa: PLC0415 - SQLite
 
-    found, size_bytes = list[tuple[int, bytes]](), 0
+    messages_read, size_bytes = list[tuple[int, bytes]](), 0
     try:
         for message in read_messages(path, condition):
             check_stop(stop)
             if message.topic.name.lstrip("/") == topic.lstrip("/"):
                 size_bytes += len(message.data)
                 check_size(size_bytes, path)
-                found.append((message.log_ns, message.data))
+                messages_read.append((message.log_ns, message.data))
     except TraceFormatError as err:
         raise OptionError(f"--data bag:{err}") from err
-    return sorted(found, key=itemgetter(0))
+    return sorted(messages_read, key=itemgetter(0))
 
 
 def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None, int]:
@@ -146,7 +148,7 @@ def _chosen_topic(topics: Collection[RecordedTopic], topic: str, path: Path) -> 
 
 
 def _types_of(topic: RecordedTopic) -> Typestore:
-    """Return the types that the recording has for a topic, else those of ROS 2, which have hardly changed."""
+    """Return the types that the recording has for a topic, else the types of ROS 2, which have hardly changed."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore  # noqa: PLC0415 - only bags need it
 
     if not topic.definition:

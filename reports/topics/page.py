@@ -63,7 +63,7 @@ def _recording(report: TopicReport, health: RecordingHealth) -> dict[str, Any]:
             {
                 "cells": cells(row),
                 "lines": [*hole_lines(row, holes), *topic_notes(row)],
-                "qos": row["qos"],
+                "qos": printable(row["qos"]),
                 "blocks": _blocks(health, row, holes, strip),
             }
             for row, holes, strip in topics

@@ -29,7 +29,7 @@ HOW_TO_READ = (
     "Age: median from the header's stamp, or from publishing, to the recording; between two machines it includes the difference of their clocks."
 )
 _MOST_HOLES_SHOWN = 3
-_KNOWN_FROM = {"sequence": "by sequence numbers", "recorder": "by the recorder's counts", "period": ""}
+_EVIDENCE = {"sequence": "by sequence numbers", "recorder": "by the recorder's counts", "period": ""}
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +137,8 @@ def cells(row: Row) -> tuple[str, ...]:
 
 def topic_notes(row: Row) -> Iterator[str]:
     """Yield what else is worth a word about a topic."""
-    if _KNOWN_FROM.get(row["missing_from"]) and row["missing"]:
-        yield f"{counted(row['missing'], 'message')} missing {_KNOWN_FROM[row['missing_from']]}"
+    if _EVIDENCE.get(row["missing_from"]) and row["missing"]:
+        yield f"{counted(row['missing'], 'message')} missing {_EVIDENCE[row['missing_from']]}"
     if row["missing_inside"]:
         yield f"{counted(row['missing_inside'], 'message')} of them lost inside the recorder, or while it was paused"
     if row["lost_in_transport"] or row["lost_in_recorder"]:

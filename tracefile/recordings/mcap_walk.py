@@ -65,7 +65,7 @@ Item: TypeAlias = "WalkedMessage | Attachment | Metadata"
 
 
 class _Unpacked:
-    """The records of a chunk, read as those of a file are."""
+    """The records of a chunk, read as the records of a file."""
 
     def __init__(self, data: bytes | bytearray | memoryview) -> None:
         self._data = bytes(data)
@@ -176,7 +176,7 @@ class McapWalk:
         return header
 
     def _chunk_at(self, at: int) -> RecordHeader | None:
-        """Return a chunk with the length that its own fields give, or that of its record where the fields cannot be right."""
+        """Return a chunk with the length that its own fields give, or the length of its record where the fields cannot be right."""
         if self._file.size - at < RECORD_HEADER.size or self._file.peek(at, 1)[0] != Opcode.CHUNK:
             return None
         rest = RecordHeader(Opcode.CHUNK, at, self._file.size - at - RECORD_HEADER.size)
@@ -292,8 +292,8 @@ class McapWalk:
                 yield item
             at = header.end
         self.doubtful += count
-        kept = f"{counted(count, 'message')} of it {'is' if count == 1 else 'are'} used"
-        self.damages.append(f"the chunk at byte {chunk.offset} is damaged ({why}); {kept}")
+        used = f"{counted(count, 'message')} of it {'is' if count == 1 else 'are'} used"
+        self.damages.append(f"the chunk at byte {chunk.offset} is damaged ({why}); {used}")
 
     def _single(self, source: RecordFile | _Unpacked, header: RecordHeader) -> Iterator[Item]:
         """Yield what a record outside of whole chunks is."""

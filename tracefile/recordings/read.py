@@ -43,11 +43,11 @@ def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
         condition.notes += recording.notes
         condition.damages += recording.damages
         for file, name in zip(recording.files, recording.names, strict=True):
-            of_file, about_file = Counter[str](), Condition()
+            counts, about_file = Counter[str](), Condition()
             budget = _UnpackedBytes(file.stat().st_size)
             try:
                 for message in _reader_of(file)(file, about_file):
-                    of_file[message.topic.name] += 1
+                    counts[message.topic.name] += 1
                     checked_time(message.publish_ns or 0)
                     yield message._replace(log_ns=checked_time(message.log_ns), data=budget.unpacked(message))
             except UnreadableError as err:
@@ -59,8 +59,8 @@ def read_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
                 condition.chunks += about_file.chunks
                 condition.topics |= about_file.topics
             if not about_file.damages:
-                _compare(about_file.claimed, of_file, name.name, condition)
-            delivered += of_file
+                _compare(about_file.claimed, counts, name.name, condition)
+            delivered += counts
         _compare(recording.claimed, delivered, METADATA_NAME, condition)
     if condition.damages and not delivered:
         raise TraceFormatError(path, f"the recording cannot be read: {condition.damages[0]}")
@@ -114,11 +114,11 @@ def _mcap_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             for item in walk:
                 if not isinstance(item, WalkedMessage):
                     continue
-                known = topics.get(item.channel.id)
-                if known is None or known[0] is not item.channel:
-                    known = item.channel, _topic_of(item.channel, walk.schemas.get(item.channel.schema_id))
-                    topics[item.channel.id] = known
-                yield RawMessage(known[1], item.log_ns, item.publish_ns, item.sequence, item.data)
+                declared = topics.get(item.channel.id)
+                if declared is None or declared[0] is not item.channel:
+                    declared = item.channel, _topic_of(item.channel, walk.schemas.get(item.channel.schema_id))
+                    topics[item.channel.id] = declared
+                yield RawMessage(declared[1], item.log_ns, item.publish_ns, item.sequence, item.data)
         finally:
             condition.damages += walk.damages
             condition.notes += walk.notes

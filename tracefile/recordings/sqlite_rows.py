@@ -35,7 +35,7 @@ _USUAL_PAGE_BYTES = 4096
 
 
 def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
-    """Yield the messages in stored order, then those of damaged pages; what is missing goes to `condition`.
+    """Yield the messages in stored order, then messages of damaged pages; what is missing goes to `condition`.
 
     Raises:
         UnreadableError: it is not a rosbag2 database, or made to keep a reader busy.

@@ -22,6 +22,8 @@ from .model.unsent import with_unsent
 from .pairing.rows import RowStore
 from .saving.folder import read_folder, write_folder
 from .saving.records import Content, from_json, to_json
+from .topics.frames import TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
+from .topics.hops import HOP_SCHEMA
 
 if TYPE_CHECKING:
     import os
@@ -99,6 +101,9 @@ class Analysis:
         timeline_decimated: whether `timeline` leaves rows out.
         outputs: files written, by kind (`roundtrips`, `summary`).
         unsent: run_id -> messages that were due and never left.
+        topics: topics that taps heard, a row for each topic and pair of devices (`topics.frames.TOPIC_SCHEMA`).
+        topic_messages: their messages, with the columns of the round trips and more (`topics.frames.TOPIC_MESSAGE_SCHEMA`).
+        topic_hops: what each hop of a chain of topics takes (`topics.frames.HOP_SCHEMA`).
     """
 
     title: str
@@ -115,6 +120,9 @@ class Analysis:
     details: Details
     outputs: Mapping[str, Path] = field(default_factory=dict)
     unsent: Mapping[int, int] = field(default_factory=dict)
+    topics: pl.DataFrame = field(default_factory=lambda: pl.DataFrame(schema=TOPIC_SCHEMA))
+    topic_messages: pl.DataFrame = field(default_factory=lambda: pl.DataFrame(schema=TOPIC_MESSAGE_SCHEMA))
+    topic_hops: pl.DataFrame = field(default_factory=lambda: pl.DataFrame(schema=HOP_SCHEMA))
 
     def __repr__(self) -> str:
         """Return one line with counts: notebooks store it next to `_repr_html_`."""
@@ -131,8 +139,11 @@ class Analysis:
         return self.rows.load()
 
     def load_messages(self) -> pl.DataFrame:
-        """Read the round trips and the unsent messages (`unsent.with_unsent`) into memory."""
-        return with_unsent(self.load_roundtrips(), self.unsent)
+        """Read the round trips, the unsent messages (`unsent.with_unsent`) and the messages of topics into memory."""
+        messages = with_unsent(self.load_roundtrips(), self.unsent)
+        if self.topic_messages.is_empty():
+            return messages
+        return pl.concat([messages.cast({"outcome": pl.String}), self.topic_messages], how="diagonal")
 
     @property
     def barred_groups(self) -> pl.DataFrame:
@@ -212,6 +223,8 @@ class Analysis:
 
 _MOST_TITLE = 200
 _CONTENT, _ROUNDTRIPS = "content.json", "roundtrips.parquet"
+_TOPIC_FRAMES = frozenset({"topics", "topic_messages", "topic_hops"})
+"""Frames that earlier saves lack."""
 _FRAMES, DETAIL_FRAMES = (
     tuple(field.name for field in fields(kind) if field.type == "pl.DataFrame") for kind in (Analysis, Details)
 )
@@ -226,7 +239,8 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
     files = read_folder(Path(folder))
     try:
         content = from_json(Content, json.loads(files[_CONTENT].read_bytes()))
-        frames = {name: pl.read_parquet(files[f"{name}.parquet"]) for name in (*_FRAMES, *DETAIL_FRAMES)}
+        names = [name for name in (*_FRAMES, *DETAIL_FRAMES) if name not in _TOPIC_FRAMES or f"{name}.parquet" in files]
+        frames = {name: pl.read_parquet(files[f"{name}.parquet"]) for name in names}
         rows = RowStore.of(files[_ROUNDTRIPS], frames["summary"])
     except (KeyError, ValueError, RecursionError, OSError, PolarsError) as err:
         raise TraceFormatError(
@@ -242,7 +256,7 @@ def load_analysis(folder: str | os.PathLike[str]) -> Analysis:
         sessions=tuple(Session.from_json(text, where) for text in content.sessions),
         runs=tuple(Run.from_json(text, where) for text in content.runs),
         rows=rows,
-        **{name: frames[name] for name in _FRAMES},
+        **{name: frames[name] for name in _FRAMES if name in frames},
         timeline_decimated=content.timeline_decimated,
         findings=content.findings,
         details=Details(

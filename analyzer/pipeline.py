@@ -27,6 +27,7 @@ from .pairing.parquet import write_summary
 from .pairing.provenance import provenance
 from .pairing.rows import RowWriter
 from .saving.results import replacing_results
+from .topics.frames import find_topics
 from .verdicts.cases import UnbarredRows
 from .verdicts.ranking import RankingOptions
 
@@ -154,6 +155,7 @@ def _analyze(
     step(JUDGING, 0.0)
     rows = writer.store()
     rows.locate(merged.summary.frame)
+    topics = find_topics(campaign, rows)
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
     unsent = merged.summary.unsent_by_run(grouping)
@@ -192,6 +194,9 @@ def _analyze(
         outputs=outputs,
         details=details,
         unsent=unsent,
+        topics=topics.topics,
+        topic_messages=topics.topic_messages,
+        topic_hops=topics.topic_hops,
     )
 
 

@@ -68,10 +68,13 @@ HTML, TERMINAL = "html", "terminal"
 
 
 class ExportKind(str, Enum):
-    """Kinds of export, keys of `EXPORTERS`."""
+    """Kinds of export, keys of `EXPORT_KINDS`."""
 
     CSV = "csv"
     ARROW = "arrow"
+    OPENMETRICS = "openmetrics"
+    HDR = "hdr"
+    PERFETTO = "perfetto"
 
 
 def _check_kinds(kinds: list[str] | None) -> list[str] | None:
@@ -172,7 +175,12 @@ def main_command(
         bool, option("--trust-order", "Compare setups that were recorded one after the other, too.")
     ] = False,
     export: Annotated[
-        list[ExportKind] | None, option("--export KIND", "Write csv or arrow in addition to Parquet; repeatable.")
+        list[ExportKind] | None,
+        option(
+            "--export KIND",
+            "Write csv or arrow in addition to Parquet, openmetrics (text for dashboards), hdr (a log of HdrHistograms) or "
+            "perfetto (one timeline of all devices, with the extra perfetto); repeatable.",
+        ),
     ] = None,
     derived_mcap: Annotated[
         bool, option("--derived-mcap", "Write the latency of every message as MCAP, and a layout for Foxglove.")
@@ -213,7 +221,7 @@ def main_command(
         dds-analyze drive/ --topics
     """
     values = locals()
-    from dds_trace.analyzer.exports.tables import export_tables
+    from dds_trace.analyzer.exports.kinds import export as write_export
     from dds_trace.analyzer.model.finding import Severity
     from dds_trace.analyzer.pairing.provenance import read_provenance
     from dds_trace.analyzer.pipeline import WRITING, analyze, default_output
@@ -245,7 +253,7 @@ def main_command(
     def write_more(analysis: Analysis, folder: Path) -> None:
         bar.step(WRITING, 0.0)
         reports = write_reports(analysis, [kind for kind in kinds if kind != TERMINAL], folder)
-        exported = [path for kind in export or [] for path in export_tables(analysis, kind.value, folder)]
+        exported = [path for kind in export or [] for path in write_export(analysis, kind.value, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
         cards = _write_card(analysis, folder) if card else []
         written.extend(target / path.name for path in (*reports, *exported, *derived, *cards) if path is not None)

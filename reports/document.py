@@ -53,6 +53,8 @@ def _document(book: Book) -> dict[str, object]:
         "sessions": [json.loads(session.to_json()) for session in analysis.sessions],
         "runs": [json.loads(run.to_json()) for run in analysis.runs],
         "groups": analysis.summary,
+        "topics": analysis.topics,
+        "topic_hops": analysis.topic_hops,
         **{name: getattr(details, name) if details.requested else None for name in DETAIL_FRAMES},
         "answers": details.answers if details.requested else None,
         "deadline_ns": details.deadline_ns,

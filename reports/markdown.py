@@ -54,6 +54,11 @@ def render(book: Book) -> str:
         *_sizes(book),
         _list(markdown(remark) for remark in answer.remarks),
         markdown(answer.rule),
+        *(
+            part
+            for table in book.topic_tables
+            for part in (f"## {table.title}", _table(table.columns, table.rows), table.how)
+        ),
         "## What was measured",
         _list(f"{markdown(fact.label)}: {markdown(fact.value)}" for fact in overview.facts),
         markdown(LATENCY_MEANING),

@@ -82,6 +82,7 @@ def _report(book: Book) -> RenderableType:
         *((Text(answer.rule, style="dim"),) if answer.rule else ()),
         Text(),
         *_findings(book),
+        *_topics(book),
         *_tables(book),
         _brief(book),
     )
@@ -170,6 +171,18 @@ def _findings(book: Book) -> list[RenderableType]:
         lines.append(Text.assemble(*heading, f"{first.where}: {first.what}"))
         lines.append(Padding(Text(first.action, style="dim"), (0, 0, 0, 2)))
     return [*lines, Text()] if lines else []
+
+
+def _topics(book: Book) -> list[RenderableType]:
+    parts: list[RenderableType] = []
+    for topics in book.topic_tables:
+        table = _new_table()
+        for name in topics.columns:
+            table.add_column(name, overflow="fold")
+        for row in topics.rows:
+            table.add_row(*map(Text, row))
+        parts += [Text(topics.title, style="bold"), table, Text(topics.how, style="dim"), Text()]
+    return parts
 
 
 def _tables(book: Book) -> list[RenderableType]:

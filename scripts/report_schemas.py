@@ -26,6 +26,8 @@ from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.model.parameters import PARAMETER_COLUMNS, PARAMETER_NAMES
 from dds_trace.analyzer.run_statistics.change import DetectableChange
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
+from dds_trace.analyzer.topics.frames import TOPIC_SCHEMA
+from dds_trace.analyzer.topics.hops import HOP_SCHEMA
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import Contender
 from dds_trace.analyzer.verdicts.compare import MATCH_COLUMNS, CompareOptions
@@ -86,7 +88,7 @@ NARROW: Schema = {
     "findings.groups": {"items": {"type": "integer", "minimum": 0}},
     "groups.domain_mode": {"enum": ["same", "different"]},
     "groups.received_ratio": {"minimum": 0, "maximum": 1},
-    "sessions.role": {"enum": ["ping", "relay"]},
+    "sessions.role": {"enum": ["ping", "relay", "tap"]},
     "sources.status": {"enum": ["read", "truncated", "duplicate", "skipped"]},
 }
 """Field of a part of the report -> what narrows its type."""
@@ -199,6 +201,17 @@ def of_groups() -> Schema:
     return a_list(an_object(columns), "one for each combination of parameters: the rows of summary.parquet")
 
 
+def of_topics(columns: Mapping[str, type[pl.DataType]], words: str) -> Schema:
+    """Return the schema of the rows of a frame of topics."""
+    typed = {name: of_dtype(dtype()) for name, dtype in columns.items()}
+    return a_list(
+        an_object(
+            {name: or_null(one) if columns[name] in (pl.Float64, pl.Int64) else one for name, one in typed.items()}
+        ),
+        words,
+    )
+
+
 def parameters() -> Schema:
     """Return the schema of the parameters of a compared group."""
     columns = {}
@@ -227,6 +240,8 @@ def report_schema() -> Schema:
         ),
         "runs": a_list(of_record(Run, "runs", RUN_FIELDS), "as docs/reference/trace-format.md has them"),
         "groups": of_groups(),
+        "topics": of_topics(TOPIC_SCHEMA, "topics that taps heard, one for each pair of devices"),
+        "topic_hops": of_topics(HOP_SCHEMA, "what each hop of a chain of topics takes"),
         **{name: of_frame(name, getattr(details, name)) for name in DETAIL_FRAMES},
         "answers": or_null(a_list(of_record(CaseAnswer, "answers"), f"{words['answers']}. {without}")),
         "deadline_ns": {"type": ["integer", "null"], "description": words["deadline_ns"]},
@@ -237,7 +252,11 @@ def report_schema() -> Schema:
         },
         "own_cost": a_list(of_record(OwnCost), " ".join((getdoc(OwnCost) or "").partition("\n")[0].split())),
     }
-    added = {name for name in properties if name in (*DETAIL_FRAMES, "answers", "deadline_ns", "deadline_metric")}
+    added = {
+        name
+        for name in properties
+        if name in (*DETAIL_FRAMES, "topics", "topic_hops", "answers", "deadline_ns", "deadline_metric")
+    }
     return {
         "$schema": DIALECT,
         "title": f"dds-trace report, format {document.FORMAT_VERSION}",

@@ -44,6 +44,8 @@ def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
     and cached results of the rest stay valid.
     """
     exchanges, groups = grouping.exchanges, grouping.group_of_exchange
+    if not exchanges:  # only taps recorded: frames without rows have their columns
+        return [Batch((), groups, 0, whole=True, options=options)]
     events_before = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()
 
     def events(first: int, after: int) -> int:

@@ -54,14 +54,13 @@ def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch:
         frames.append(result.frames)
         counts.append(result.counts)
         copies |= result.copies
-        group = int(result.statistics.frame["group"][0])
-        if spool and (result.values is None or spool.group != group):
+        if spool and (result.values is None or spool.group != _first_group(result)):
             statistics.append(spool.measure())
             spool = None
         if result.values is None:
             statistics.append(result.statistics)
         else:
-            spool = spool or _ValueSpool(group)
+            spool = spool or _ValueSpool(_first_group(result))
             spool.add(result.values)
     if spool:
         statistics.append(spool.measure())
@@ -71,6 +70,10 @@ def merge_results(results: Iterable[BatchResult], grouping: Grouping, *, sketch:
         frames=concatenate_frames(frames),
         copies=tuple(copied for copies_of_key in copies.values() for copied in copies_of_key),
     )
+
+
+def _first_group(result: BatchResult) -> int:
+    return int(result.statistics.frame["group"][0])
 
 
 class _ValueSpool:

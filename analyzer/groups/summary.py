@@ -60,7 +60,7 @@ def metric_values(roundtrips: PairedRows, metric: str, first: int, after: int) -
 def measure_batch(roundtrips: PairedRows, group_of_exchange: NDArray[np.uint32]) -> Statistics:
     """Measure every group of a batch, in ascending order."""
     groups, first = np.unique(group_of_exchange, return_index=True)
-    after = np.append(first[1:], len(group_of_exchange))
+    after = np.append(first, len(group_of_exchange))[1:]
     return measure_groups(
         (group, metric, np.sort(metric_values(roundtrips, metric, start, stop)))
         for group, start, stop in zip(groups.tolist(), first.tolist(), after.tolist(), strict=True)

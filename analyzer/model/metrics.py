@@ -77,6 +77,10 @@ METRICS: Mapping[str, Metric] = {
 """Name -> metric, in the order of their columns."""
 
 
+TOPIC_METRICS: Mapping[str, str] = {"one_way": "One way", "age": "Age"}
+"""Times of a message of a topic, name -> label: publishing to reception, and its header's stamp to reception."""
+
+
 def with_metrics(stamps: pl.DataFrame) -> pl.DataFrame:
     """Append the column of every metric to stamps (i64 ns, null if missing)."""
     return stamps.with_columns(metric.formula.alias(metric.column.name) for metric in METRICS.values())

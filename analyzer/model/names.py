@@ -89,6 +89,11 @@ def _word(name: str, group: Mapping[str, ParameterValue]) -> str:
     return str(value) if name in _PLAIN else f"{name} {value}"
 
 
+def is_topic(data_type: object) -> bool:
+    """Return whether the kind of data is the name of a topic that a tap heard."""
+    return isinstance(data_type, str) and data_type.startswith("/")
+
+
 def varying_parameters(groups: pl.DataFrame, columns: Iterable[str]) -> list[str]:
     """Return the columns in which groups differ, and always vendor, bridge and message."""
     always = {*_FIRST, *CELL_COLUMNS}
@@ -96,8 +101,9 @@ def varying_parameters(groups: pl.DataFrame, columns: Iterable[str]) -> list[str
 
 
 def group_words(group: Mapping[str, ParameterValue], columns: Iterable[str]) -> str:
-    """Write columns of a group as `vendor=fastdds payload_bytes=33000 ...`."""
-    values = ((name, group[name]) for name in columns)
+    """Write columns of a group as `vendor=fastdds payload_bytes=33000 ...`; a topic has no size and rate of its own."""
+    left_out = CELL_COLUMNS[1:] if is_topic(group.get(CELL_COLUMNS[0])) else ()
+    values = ((name, group[name]) for name in columns if name not in left_out)
     return " ".join(f"{n}={v:g}" if isinstance(v, float) else f"{n}={v}" for n, v in values)
 
 

@@ -77,6 +77,23 @@ class RunRows:
         return not self.received.any()
 
 
+MOST_BLOCKS, LEAST_OF_A_BLOCK = 10, 200
+"""Blocks of a recording of a topic, and messages of each."""
+
+
+def topics_in_blocks(rows: pl.DataFrame) -> pl.DataFrame:
+    """Cut recordings of topics into blocks of time with run ids of their own: a limit of one recording rests on its parts.
+
+    Other runs stay as they are.
+    """
+    blocks = (pl.len() // LEAST_OF_A_BLOCK).clip(1, MOST_BLOCKS).cast(pl.UInt64)
+    number = pl.col("publish_ns").rank("ordinal").cast(pl.UInt64) - 1
+    block = (number * blocks // pl.len().cast(pl.UInt64)).over("run_id")
+    return rows.with_columns(
+        run_id=pl.when(pl.col("data_type").str.starts_with("/")).then(pl.col("run_id") ^ block).otherwise("run_id")
+    )
+
+
 def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
     """Cut round trips into runs, in their order."""
     parts = rows.partition_by("run_id", maintain_order=True)

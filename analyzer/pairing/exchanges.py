@@ -164,7 +164,7 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
                     run, ping, relay_id, relay, start_ns, end_ns, counts, relays=len(relays) or 1, replied_ns=replied_ns
                 )
             )
-    if not placed:
+    if not placed and not any(stage is Stage.TAP for stage, _, _ in campaign.events):
         raise MissingEventsError(_nothing_to_pair(campaign, unplaced))
     placed_keys = {key for exchange in placed for key in exchange.event_keys()}
     unplaced_parts = (

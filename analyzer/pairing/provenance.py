@@ -41,10 +41,9 @@ def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
         }
         for session in sessions[:MOST_NAMED]
     ]
-    recorded = {
-        "first": utc_text(min(exchange.start_ns for exchange in exchanges.placed)),
-        "last": utc_text(max(exchange.end_ns for exchange in exchanges.placed)),
-    }
+    spans = [(exchange.start_ns, exchange.end_ns) for exchange in exchanges.placed]
+    spans = spans or [(session.wall_anchor_ns, session.wall_anchor_ns) for session in sessions]  # only taps
+    recorded = {"first": utc_text(min(first for first, _ in spans)), "last": utc_text(max(last for _, last in spans))}
     values = {
         "sources": {"folder": campaign.folder.resolve().name, "count": len(read), "names": read[:MOST_NAMED]},
         "recorded": recorded,

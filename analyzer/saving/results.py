@@ -25,6 +25,7 @@ RESULT_NAMES = (
     *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),
     *(f"report.{kind}" for kind in ("html", "md", "json")),
     *("card.svg", "card.png"),
+    *("openmetrics.txt", "latency.hlog", "timeline.pftrace"),
     "latency.derived.mcap",
     "latency.derived.foxglove.json",
 )

@@ -14,9 +14,10 @@ import polars as pl
 
 from dds_trace.base.units import counted
 
+from ..model.metrics import TOPIC_METRICS
 from ..model.parameters import MATCH_COLUMNS
 from ..model.presenter import presenter
-from ..model.runs import pass_numbers, passes_of
+from ..model.runs import pass_numbers, passes_of, topics_in_blocks
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.change import (
     Change,
@@ -38,6 +39,7 @@ from .comparison_rows import (
     DeliveryRow,
     DistributionRow,
     at_levels,
+    with_clock_bounds,
 )
 from .ignoring import check_match, ignored_sentences
 from .matching import (
@@ -177,6 +179,10 @@ class ComparedSide(Protocol):
         """One row per group."""
 
     @property
+    def topic_messages(self) -> pl.DataFrame:
+        """The messages of the topics that taps heard."""
+
+    @property
     def barred_groups(self) -> pl.DataFrame:
         """The parameter columns of the groups in which a setting was not applied."""
 
@@ -191,13 +197,17 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         OptionError: without the columns that are not matched, two groups of one side would be one.
     """
     options = options or CompareOptions()
+    options = with_topic_metrics(options, base, new)
     match = options.match
-    check_match(base.summary, "base", match)
-    check_match(new.summary, "new side", match)
+    base_groups, new_groups = _groups_of(base), _groups_of(new)
+    check_match(base_groups, "base", match)
+    check_match(new_groups, "new side", match)
     before, after = base.load_messages(), new.load_messages()
+    if base is new:
+        before = after = topics_in_blocks(before)
     run_partners = interleaved_keys(before, after, base.runs, new.runs, match)
     partners = partner_groups(after, run_partners, match)
-    names = replaced_devices(base.summary, new.summary)
+    names = replaced_devices(base_groups, new_groups)
     comparison = compare_roundtrips(
         before,
         with_partners(after, run_partners, match) if run_partners else after,
@@ -219,7 +229,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
         barred=frozenset([*keys_of(base.barred_groups, {}), *keys_of(new.barred_groups, names)]),
         environment=difference_sentences(differences),
         interleaved=partner_differences(partners, match),
-        ignored=ignored_sentences(base.summary, new.summary, match),
+        ignored=ignored_sentences(base_groups, new_groups, match),
         order=recorded_apart(base.sessions, new.sessions),
         same_recordings=before.equals(after),
         errors=(
@@ -227,6 +237,20 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
             *errors_of("new", new.findings, keys_of(new.summary, names)),
         ),
     )
+
+
+def with_topic_metrics(options: CompareOptions, *sides: ComparedSide) -> CompareOptions:
+    """Add the metrics of topics if a side has any, first where there is nothing else."""
+    if all(side.topic_messages.is_empty() for side in sides):
+        return options
+    first = TOPIC_METRICS if all(side.summary.is_empty() for side in sides) else ()
+    return replace(options, metrics=tuple(dict.fromkeys([*first, *options.metrics, *TOPIC_METRICS])))
+
+
+def _groups_of(side: ComparedSide) -> pl.DataFrame:
+    """Return the match columns of all groups, topics last."""
+    topics = side.topic_messages.select(MATCH_COLUMNS).unique(maintain_order=True)
+    return pl.concat([side.summary.select(MATCH_COLUMNS), topics]) if len(topics) else side.summary
 
 
 def compare_roundtrips(
@@ -325,6 +349,8 @@ def _changes(
     paired = passes_of(base.runs, new.runs, passes) if options.paired else None
     p_of_losses = 1.0 if received.p_value is None else received.p_value
     for metric in options.metrics:
+        if (metric in TOPIC_METRICS) != base.is_topic:
+            continue
         before, after = base.delivered(metric), new.delivered(metric)
         superiority = probability_of_superiority(before.ordered, after.ordered)
         statistics = [STATISTIC_BY_NAME[name] for name in options.statistics]
@@ -366,7 +392,7 @@ def _changes(
                 p_adjusted=None,
                 smallest_ratio=change.smallest_ratio,
             )
-            changes.append((row, change))
+            changes.append((with_clock_bounds(row, base.bound_ns, new.bound_ns), change))
         yield DistributionRow(metric, at_levels(before.ordered), at_levels(after.ordered)), changes
 
 

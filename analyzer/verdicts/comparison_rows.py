@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,6 +80,31 @@ class ChangeRow:
     p_value: float | None
     p_adjusted: float | None
     smallest_ratio: float | None
+
+
+def with_clock_bounds(row: ChangeRow, base_ns: int, new_ns: int) -> ChangeRow:
+    """Widen the intervals of a row by the largest error of each side's clocks; a difference within both is no verdict."""
+    if not base_ns and not new_ns:
+        return row
+    both_ns = base_ns + new_ns
+    share = both_ns / row.base_ns if row.base_ns else math.inf
+    is_within = row.difference_ns is not None and abs(row.difference_ns) <= both_ns
+    return replace(
+        row,
+        base_low_ns=_moved(row.base_low_ns, -base_ns),
+        base_high_ns=_moved(row.base_high_ns, base_ns),
+        new_low_ns=_moved(row.new_low_ns, -new_ns),
+        new_high_ns=_moved(row.new_high_ns, new_ns),
+        difference_low_ns=_moved(row.difference_low_ns, -both_ns),
+        difference_high_ns=_moved(row.difference_high_ns, both_ns),
+        ratio_low=None if row.ratio_low is None else max(0.0, row.ratio_low - share),
+        ratio_high=_moved(row.ratio_high, share),
+        verdict="inconclusive" if is_within and row.verdict in {"better", "worse"} else row.verdict,
+    )
+
+
+def _moved(end: float | None, by: float) -> float | None:
+    return None if end is None else end + by
 
 
 @dataclass(frozen=True, slots=True)

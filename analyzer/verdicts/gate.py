@@ -1,7 +1,7 @@
 """Gates for CI: `--fail-if "latency_p99 > +10%"` against a comparison (grammar: `docs/how-to/ci.md`).
 
 A limit with a sign is a change against the base (`+10%`, `+2ms`, `-0.5 points` of a ratio), one without is the new
-side's own value (`20ms`, `99%` of a ratio).
+side's own value (`20ms`, `99%` of a ratio). `age_p99(/camera/image)` is of a topic that a tap heard.
 
 A gate fails where the whole confidence interval is beyond the limit, passes where none of it is, and is inconclusive in
 between, where a sample does not support the percentile, and where a requested setting was not applied.
@@ -15,19 +15,26 @@ import operator
 import re
 from dataclasses import dataclass
 from enum import Enum
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import UNIT_NS, split_quantity
 
-from ..model.metrics import METRICS
+from ..model.metrics import METRICS, TOPIC_METRICS
+from ..model.names import is_topic
 from .compare import COMPARED_STATISTICS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
 RECEIVED_RATIO = "received_ratio"
-_GATE_METRICS = (*(f"{metric}_{statistic}" for metric in METRICS for statistic in COMPARED_STATISTICS), RECEIVED_RATIO)
+_SPLIT = {
+    f"{metric}_{statistic}": (metric, statistic)
+    for metric in (*METRICS, *TOPIC_METRICS)
+    for statistic in COMPARED_STATISTICS
+}
+_GATE_METRICS = (*_SPLIT, RECEIVED_RATIO)
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     ">=": operator.ge,
@@ -35,7 +42,9 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le,
 }
 _POINTS = "points"
-_GATE = re.compile(r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*")
+_GATE = re.compile(
+    r"\s*(?P<metric>[A-Za-z0-9_.]+)\s*(\(\s*(?P<topic>/[^()\s]*)\s*\))?\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*"
+)
 
 
 class GateOutcome(Enum):
@@ -76,6 +85,7 @@ class Gate:
         metric: a metric of time or `received_ratio`.
         statistic: `mean` or a percentile; empty for `received_ratio`.
         limit: a ratio new / base for `RATIO`, otherwise ns (for `received_ratio` a share).
+        topic: a topic that a tap heard, or a pattern of such; empty for all results that have the metric.
     """
 
     text: str
@@ -84,6 +94,11 @@ class Gate:
     operator: str
     against: Against
     limit: float
+    topic: str = ""
+
+    def applies_to(self, data_type: object) -> bool:
+        """Return whether a result with this kind of data is judged."""
+        return not self.topic or (is_topic(data_type) and fnmatchcase(str(data_type), self.topic))
 
     def judge(self, value: float | None, low: float | None, high: float | None) -> GateOutcome:
         """Judge an estimate by its interval; an end that is None may be anywhere."""
@@ -116,8 +131,13 @@ def parse_gate(text: str) -> Gate:
     if match is None:
         raise OptionError(f"--fail-if {text!r}: write METRIC > LIMIT, for example 'latency_p99 > +10%'")
     metric, statistic = _parse_metric(text, match["metric"])
+    topic = match["topic"] or ""
+    if topic and metric in METRICS:
+        raise OptionError(
+            f"--fail-if {text!r}: a topic has {', '.join((*TOPIC_METRICS, RECEIVED_RATIO))}; write 'age_p99({topic}) > 50ms'"
+        )
     against, limit = _parse_limit(text, match["limit"], metric)
-    return Gate(text.strip(), metric, statistic, match["operator"], against, limit)
+    return Gate(text.strip(), metric, statistic, match["operator"], against, limit, topic)
 
 
 def _parse_metric(text: str, name: str) -> tuple[str, str]:
@@ -125,10 +145,7 @@ def _parse_metric(text: str, name: str) -> tuple[str, str]:
     if spelled not in _GATE_METRICS:
         near = difflib.get_close_matches(spelled, _GATE_METRICS, n=1, cutoff=0)[0]
         raise OptionError(f"--fail-if {text!r}: no metric {name!r}; did you mean {near!r}?")
-    if spelled == RECEIVED_RATIO:
-        return spelled, ""
-    metric, _, statistic = spelled.partition("_")
-    return metric, statistic
+    return _SPLIT.get(spelled, (spelled, ""))
 
 
 def _parse_limit(text: str, limit: str, metric: str) -> tuple[Against, float]:

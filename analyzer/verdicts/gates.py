@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted, format_number
 
-from ..model.names import group_words, varying_parameters
+from ..model.names import group_words, is_topic, varying_parameters
 from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from ..statistics.distributions import student_cdf, student_quantile
 from ..statistics.intervals import MIN_RUNS, Basis
@@ -34,6 +34,8 @@ ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", A
 NOT_APPLIED = "a requested setting was not applied"
 
 FAMILY = "Holm over groups"
+
+_MOST_TOPICS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +156,8 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     confidence = comparison.options.confidence
     measure = _received if gate.metric == RECEIVED_RATIO else _times
     groups = list(measure(comparison, gate, names))
+    if gate.topic and not groups:
+        yield GateResult(gate, gate.topic, GateOutcome.INCONCLUSIVE, None, None, None, _no_such_topic(comparison))
     outcomes = [gate.judge(group.value, group.low, group.high) for group in groups]
     beyond = [
         index
@@ -184,6 +188,11 @@ def _judge(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
         )
 
 
+def _no_such_topic(comparison: Comparison) -> str:
+    topics = sorted({name for name in comparison.delivery["data_type"] if is_topic(name)})
+    return f"no tap heard it on both sides; topics: {', '.join(topics[:_MOST_TOPICS]) or 'none'}"
+
+
 def _reason(comparison: Comparison, group: _Measured, outcome: GateOutcome, by_chance_of: int) -> str:
     errors = [error.text for error in comparison.errors if error.is_about(group.group)]
     if errors:
@@ -199,7 +208,7 @@ def _times(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator
     unit = "" if gate.against is Against.RATIO else "_ns"
     is_of_new, alpha = gate.against is Against.NEW, 1 - comparison.options.confidence
     for row, change in zip(comparison.rows.iter_rows(named=True), comparison.changes, strict=True):
-        if row["metric"] != gate.metric or row["statistic"] != gate.statistic:
+        if row["metric"] != gate.metric or row["statistic"] != gate.statistic or not gate.applies_to(row["data_type"]):
             continue
         yield _Measured(
             where=group_words(row, names),
@@ -254,6 +263,8 @@ def _runs_would_decide(runs: int, sides: Sequence[Interval]) -> str:
 def _received(comparison: Comparison, gate: Gate, names: Sequence[str]) -> Iterator[_Measured]:
     is_of_new = gate.against is Against.NEW
     for row, change in zip(comparison.delivery.iter_rows(named=True), comparison.deliveries, strict=True):
+        if not gate.applies_to(row["data_type"]):
+            continue
         sides = [change.new] if is_of_new else [change.base, change.new]
         value, low, high = (
             (change.new.value, *change.new.range)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from ..model.names import group_words, value_word, varying_parameters
+from ..model.names import group_words, is_topic, value_word, varying_parameters
 from ..model.runs import delivered_runs, split_runs
 from ..model.setting import without_relay
 from ..model.unsent import UNSENT
@@ -54,13 +54,19 @@ LEAST_OF_A_RUN = 0.5
 
 
 class MatchedGroup:
-    """The round trips of one group by run; `unfinished` counts the runs of `unfinished` ids, the fragments left out included."""
+    """The round trips of one group by run; `unfinished` counts the runs of `unfinished` ids, the fragments left out included.
+
+    Of a topic they are the messages that a tap heard, and `bound_ns` the largest error of their times.
+    """
 
     def __init__(self, rows: pl.DataFrame, unfinished: Collection[int] = ()) -> None:
         runs = split_runs(rows)
         least = LEAST_OF_A_RUN * max((len(run.rows) for run in runs), default=0)
         self.runs = tuple(run for run in runs if run.run_id not in unfinished or len(run.rows) >= least)
         self.unfinished = sum(run.run_id in unfinished for run in runs)
+        self.is_topic = "bound_ns" in rows.columns and len(rows) > 0 and is_topic(rows["data_type"][0])
+        bound_ns = rows["bound_ns"].max() if self.is_topic else None
+        self.bound_ns = int(bound_ns) if isinstance(bound_ns, int) else 0
         self._published = int((rows["outcome"] != UNSENT).sum())
         self._delivered: dict[str, Runs] = {}
         self._survivors: dict[str, Run] = {}

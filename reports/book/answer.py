@@ -27,6 +27,7 @@ from .headline import avoid_sentence, bridge_sentence, loss_sentence, tail_sente
 from .numbers import finite
 from .outcomes import outcome_of
 from .places import place_sentence
+from .topics import topic_sentences
 from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, place_label, verdicts_info
 
 if TYPE_CHECKING:
@@ -58,8 +59,10 @@ class Conclusion:
 def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: Intervals) -> Conclusion:
     """Derive headline, verdicts and remarks from `analysis.details`."""
     metric = values.default_metric
+    topics = topic_sentences(analysis.topics)
     if not groups.groups:
-        return Conclusion("No measurement was found.", metric, (), (), "")
+        headline, *points = topics or ["No measurement was found."]
+        return Conclusion(headline, metric, (), (), "", tuple(points), "open" if topics else "")
     if not values.has(metric):
         headline = "No message was received, so there is no time to compare."
         return Conclusion(headline, metric, (), (_losses(values),), "")
@@ -86,7 +89,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
         bridge_sentence(costs, groups.vendors),
         where_sentence(analysis, groups, values),
     )
-    headline, *points = filter(None, sentences)
+    headline, *points = filter(None, (*topics, *sentences))
     is_decided = any(outcome_of(answer).is_decided for answer in answers)
     outcome = "lossy" if sentences[1] else "" if sentences[0] else "decided" if is_decided else "open"
     return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points), outcome)

@@ -26,6 +26,7 @@ from .recording import (
     run_times,
 )
 from .sizes import SizeTable, size_table
+from .topics import TopicTable, topic_tables
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -119,6 +120,11 @@ class Book:
     def record_tables(self) -> tuple[RecordTable, ...]:
         """Tables of the sessions and files."""
         return record_tables(self.analysis)
+
+    @cached_property
+    def topic_tables(self) -> tuple[TopicTable, ...]:
+        """Tables of the topics that taps heard."""
+        return topic_tables(self.analysis)
 
     @cached_property
     def environment(self) -> RecordedEnvironment | None:

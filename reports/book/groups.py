@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.analyzer.model.names import tell_apart, where_it_helps, where_it_varies
+from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
+from dds_trace.analyzer.model.names import is_topic, tell_apart, where_it_helps, where_it_varies
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
@@ -74,6 +74,9 @@ LATENCY_MEANING = (
 )
 
 METRIC_LABELS = {name: METRICS[name].label for name in ("latency", *METRICS)}
+
+ALL_METRIC_LABELS = {**METRIC_LABELS, **TOPIC_METRICS}
+"""The same with the times of topics."""
 
 METRIC_MENU = {"intermediate": "Time in relay (the paper's intermediate-process time)"}
 
@@ -164,7 +167,9 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """Label of the cell, as in `Binary 33 KB at 10 Hz`."""
+        """Label of the cell, as in `Binary 33 KB at 10 Hz`; a topic's name."""
+        if is_topic(self.data_type):
+            return printable(self.data_type)
         return f"{data_type_label(self.data_type)} {format_size(self.payload_bytes)} at {format_rate(self.rate_hz)}"
 
 

@@ -10,7 +10,7 @@ from dds_trace.analyzer.verdicts.gate import Against
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import MISSING, format_duration, format_number, three_digits
 
-from ..book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio, joined
+from ..book.groups import ALL_METRIC_LABELS, STATISTIC_LABELS, format_ratio, joined
 from ..book.verdicts import episodes_words
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ VERDICTS = {"worse": "slower", "better": "faster", "same": "the same", "inconclu
 
 def metric_words(metric: str) -> str:
     """Return the label of a metric, or the metric itself."""
-    return METRIC_LABELS.get(metric, metric)
+    return ALL_METRIC_LABELS.get(metric, metric)
 
 
 def statistic_words(statistic: str) -> str:

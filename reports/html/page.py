@@ -122,6 +122,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         left_out=[figure for _, figure in made if isinstance(figure, LeftOut)],
         environment=book.environment,
         record_tables=book.record_tables,
+        topic_tables=book.topic_tables,
     )
 
 

@@ -1,0 +1,189 @@
+"""The clocks of all devices of a folder: instants of one on the clock of another, over others where needed, each with its bound."""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from ..clocks.boots import boot_id_of, session_of_run
+from ..clocks.fit import RelayedMessages
+from ..clocks.track import UNKNOWN_NS, track_clock
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from dds_trace.tracefile.format.descriptions import Run, Session
+
+    from ..clocks.fit import Int64
+    from ..clocks.track import ClockTrack
+    from ..pairing.rows import RowStore
+
+ANCHOR_NS = 5_000
+"""Error of a reading of wall and monotonic clock one after the other."""
+
+_SAME_ZERO_NS = 2_000_000_000
+_THINNED_NS = 100_000_000
+"""Of each such time only the fastest message shapes a fit."""
+
+
+class Machine(NamedTuple):
+    """A device in one boot; `boot_id` is empty where unknown."""
+
+    boot_id: str
+    device: str
+
+
+def machine_of_session(session: Session) -> Machine:
+    """Return the machine that recorded a session."""
+    return Machine(boot_id_of(session) or "", session.device)
+
+
+class Instants(NamedTuple):
+    """Instants on one clock in ns, and the largest error of each; `UNKNOWN_NS` where it is not known."""
+
+    at_ns: Int64
+    bound_ns: Int64
+
+
+@dataclass(frozen=True, slots=True)
+class _Link:
+    track: ClockTrack
+    is_ping: bool
+
+    def across(self, at_ns: Int64) -> Instants:
+        """Convert from the clock of the ping, or of the relay, to the other one."""
+        offsets = self.track.at(at_ns) if self.is_ping else self.track.at_relay(at_ns)
+        return Instants(at_ns + offsets.offset_ns if self.is_ping else at_ns - offsets.offset_ns, offsets.bound_ns)
+
+
+class DeviceClocks:
+    """Clocks of the machines that recorded `sessions`, fitted by the round trips `rows` of `runs`."""
+
+    def __init__(self, sessions: Collection[Session], runs: Collection[Run], rows: RowStore) -> None:
+        self._anchors: dict[Machine, list[tuple[int, int]]] = defaultdict(list)
+        for session in sessions:
+            self._anchors[machine_of_session(session)].append((session.wall_anchor_ns, session.monotonic_anchor_ns))
+        self._links: dict[Machine, dict[Machine, list[_Link]]] = defaultdict(lambda: defaultdict(list))
+        for (ping, relay), messages in _messages_by_pair(sessions, runs, rows).items():
+            track = track_clock(messages)
+            self._links[ping][relay].append(_Link(track, is_ping=True))
+            self._links[relay][ping].append(_Link(track, is_ping=False))
+
+    @property
+    def machines(self) -> tuple[Machine, ...]:
+        """All machines, sorted."""
+        return tuple(sorted(self._anchors))
+
+    def machine_named(self, device: str) -> Machine | None:
+        """Return the machine with a device's name that started last, None if no session is of it."""
+        named = [machine for machine in self._anchors if machine.device == device]
+        return max(named, key=lambda machine: max(self._anchors[machine]), default=None)
+
+    def convert(self, at_ns: Int64, start: Machine, end: Machine) -> Instants:
+        """Return instants of the monotonic clock of `start` on the one of `end`."""
+        path = self._path(start, end)
+        if path is None:
+            return Instants(at_ns, np.full(len(at_ns), UNKNOWN_NS, np.int64))
+        bound_ns = np.zeros(len(at_ns), np.int64)
+        for links in path:
+            found = [link.across(at_ns) for link in links]
+            best = np.argmin([one.bound_ns for one in found], axis=0)
+            rows = np.arange(len(at_ns))
+            at_ns = np.stack([one.at_ns for one in found])[best, rows]
+            bound_ns = np.minimum(bound_ns + np.stack([one.bound_ns for one in found])[best, rows], UNKNOWN_NS)
+        return Instants(at_ns, bound_ns)
+
+    def of_wall(self, wall_ns: Int64, machine: Machine) -> Instants:
+        """Return instants of a machine's wall clock on its monotonic one, by the nearest readings of both.
+
+        The bound includes by how much the wall clock was set between two readings.
+        """
+        anchors = np.array(sorted(self._anchors[machine]), np.int64).reshape(-1, 2)
+        zero_ns = anchors[:, 0] - anchors[:, 1]
+        after = np.clip(np.searchsorted(anchors[:, 0], wall_ns), 0, len(anchors) - 1)
+        before = np.clip(after - 1, 0, None)
+        is_first = np.abs(wall_ns - anchors[before, 0]) <= np.abs(anchors[after, 0] - wall_ns)
+        return Instants(
+            wall_ns - np.where(is_first, zero_ns[before], zero_ns[after]),
+            ANCHOR_NS + np.abs(zero_ns[after] - zero_ns[before]),
+        )
+
+    def to_wall(self, at_ns: Int64, machine: Machine) -> Instants:
+        """Return instants of a machine's monotonic clock on its wall clock; see `of_wall`."""
+        anchors = sorted(self._anchors[machine])
+        zero_ns = anchors[0][0] - anchors[0][1]
+        back = self.of_wall(at_ns + zero_ns, machine)
+        return Instants(at_ns + zero_ns + (at_ns - back.at_ns), back.bound_ns)
+
+    def share_clock(self, one: Machine, other: Machine) -> bool:
+        """Return whether two machines are one, by its boot, and no messages between them say otherwise."""
+        if one == other:
+            return True
+        if not one.boot_id or one.boot_id != other.boot_id:
+            return False
+        links = self._links[one][other] if one in self._links else []
+        if links:
+            return all(link.track.same_clock for link in links)
+        first, second = (max(self._anchors[machine]) for machine in (one, other))
+        return abs((first[0] - first[1]) - (second[0] - second[1])) < _SAME_ZERO_NS
+
+    def _path(self, start: Machine, end: Machine) -> list[list[_Link]] | None:
+        """Return the links of the shortest way from one machine to another; machines of one clock are one step without links."""
+        paths: dict[Machine, list[list[_Link]]] = {start: []}
+        left = deque([start])
+        while left:
+            here = left.popleft()
+            if here == end or self.share_clock(here, end):
+                return paths[here]
+            for other in self._anchors:
+                if other in paths:
+                    continue
+                links = self._links[here][other] if here in self._links and other in self._links[here] else []
+                if links or self.share_clock(here, other):
+                    paths[other] = [*paths[here], *([links] if links else [])]
+                    left.append(other)
+        return None
+
+
+def _messages_by_pair(
+    sessions: Collection[Session], runs: Collection[Run], rows: RowStore
+) -> Mapping[tuple[Machine, Machine], RelayedMessages]:
+    """Return the round trips of each pair of machines, thinned."""
+    by_id = {session.session_id: machine_of_session(session) for session in sessions}
+    pings = {run.run_id: by_id[session_id] for run in runs if (session_id := session_of_run(run)) in by_id}
+    started = sorted(sessions, key=lambda session: session.wall_anchor_ns)
+    relays = {one.relay_id: machine_of_session(one) for one in started if one.relay_id is not None}
+    stamps = ["publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns"]
+    under_way = pl.col("receive_ns") - pl.col("publish_ns") - pl.col("relay_out_ns") + pl.col("relay_in_ns")
+    thinned = (
+        rows.scan()
+        .select("run_id", "relay_id", *stamps, under_way.alias("under_way"))
+        .filter(pl.all_horizontal(pl.col(stamps).is_not_null()), pl.col("under_way") >= 0)
+        .sort("under_way")
+        .group_by("run_id", "relay_id", pl.col("publish_ns") // _THINNED_NS, maintain_order=True)
+        .agg(pl.col(name).first() if name != "publish_ns" else pl.col(name).first().alias("sent_ns") for name in stamps)
+        .collect()
+    )
+    found: dict[tuple[Machine, Machine], list[pl.DataFrame]] = defaultdict(list)
+    for (run_id, relay_id), part in thinned.partition_by("run_id", "relay_id", as_dict=True).items():
+        if run_id in pings and relay_id in relays:
+            found[pings[run_id], relays[relay_id]].append(part)
+    return {pair: _joined(pair, pl.concat(parts)) for pair, parts in found.items()}
+
+
+def _joined(pair: tuple[Machine, Machine], messages: pl.DataFrame) -> RelayedMessages:
+    ping, relay = pair
+    return RelayedMessages(
+        publish_ns=messages["sent_ns"].to_numpy(),
+        relay_in_ns=messages["relay_in_ns"].to_numpy(),
+        relay_out_ns=messages["relay_out_ns"].to_numpy(),
+        receive_ns=messages["receive_ns"].to_numpy(),
+        ping_device=ping.device,
+        relay_device=relay.device,
+        relay_boot=relay.boot_id or None,
+        same_boot=ping.boot_id == relay.boot_id if ping.boot_id and relay.boot_id else None,
+    )

@@ -1,0 +1,158 @@
+"""Tables of what taps heard: a row for each message, for each topic and pair of devices, and for each hop of a chain."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from hashlib import blake2b
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from dds_trace.base.units import SECOND_NS
+
+from ..model.columns import ROUNDTRIP_COLUMNS
+from ..model.foreign import number_of
+from ..model.metrics import TOPIC_METRICS, frame_schema, schema_of
+from ..model.parameters import PARAMETER_COLUMNS
+from .device_clocks import DeviceClocks
+from .hops import HOP_SCHEMA, find_sources, hop_rows, origin_name, quantile, stamper
+from .join import MESSAGE_COLUMNS, deliver, find_streams, with_ages
+from .taps import has_taps, heard_by_taps
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ..loading.campaign import Campaign
+    from ..model.parameters import ParameterValue
+    from ..pairing.rows import RowStore
+    from .join import Delivery
+
+TOPIC_MESSAGE_SCHEMA = {**schema_of(ROUNDTRIP_COLUMNS), **MESSAGE_COLUMNS}
+
+_STATISTICS = ("p50", "p90", "p99", "max")
+
+TOPIC_SCHEMA = frame_schema(
+    "topic:str message_type:str ping_device:str relay_device:str clock:str publishers:u32 runs:u64 published:u64 received:u64 "
+    "lost_outbound:u64 lost_unknown:u64 duplicates:u64 reordered:u64 received_ratio:f64 duration_ns:i64 rate_hz:f64 "
+    "message_bytes:f64 transfer_rate_bytes_per_s:f64 period_p50_ns:f64 period_p99_ns:f64 jitter_ns:f64 "
+    + " ".join(f"{metric}_{statistic}_ns:f64" for metric in TOPIC_METRICS for statistic in _STATISTICS)
+    + " bound_ns:i64"
+)
+"""`ping_device` is the publisher's, `relay_device` the tap's; `bound_ns` the largest of its messages. `jitter_ns` is 1.4826 times the
+median absolute deviation of the intervals between arrivals."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Topics:
+    """Frames `topics` (`TOPIC_SCHEMA`), `topic_messages` (`TOPIC_MESSAGE_SCHEMA`) and `topic_hops` (`HOP_SCHEMA`)."""
+
+    topics: pl.DataFrame
+    topic_messages: pl.DataFrame
+    topic_hops: pl.DataFrame
+
+    @classmethod
+    def none(cls) -> Topics:
+        """Return empty frames."""
+        return cls(*(pl.DataFrame(schema=schema) for schema in (TOPIC_SCHEMA, TOPIC_MESSAGE_SCHEMA, HOP_SCHEMA)))
+
+
+def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
+    """Join the taps of a campaign, by the clocks that its round trips give."""
+    if not has_taps(campaign):
+        return Topics.none()
+    clocks = DeviceClocks(campaign.sessions.values(), campaign.runs.values(), rows)
+    deliveries = [one for stream in find_streams(heard_by_taps(campaign)) for one in deliver(stream, clocks)]
+    deliveries = [one for one in deliveries if len(one.messages)]
+    sources = find_sources(deliveries)
+    deliveries = [with_ages(one, stamper(number, deliveries, sources), clocks) for number, one in enumerate(deliveries)]
+    by_result: dict[tuple[str, str, str], list[Delivery]] = defaultdict(list)
+    for one in deliveries:
+        by_result[one.heard.topic, origin_name(one), one.heard.session.device].append(one)
+    ordered = [by_result[key] for key in sorted(by_result)]
+    messages = [_with_parameters(one) for of_result in ordered for one in of_result]
+    return Topics(
+        pl.DataFrame([_topic_row(of_result) for of_result in ordered], TOPIC_SCHEMA),
+        pl.concat(messages) if messages else pl.DataFrame(schema=TOPIC_MESSAGE_SCHEMA),
+        pl.DataFrame(list(hop_rows(deliveries, sources)), HOP_SCHEMA),
+    )
+
+
+def _with_parameters(delivery: Delivery) -> pl.DataFrame:
+    """Return the messages with the columns of round trips; size and rate, which the robot chooses, are no part of the key."""
+    session, qos = delivery.heard.session, delivery.heard.qos
+    values: dict[str, ParameterValue] = {
+        "vendor": session.vendor,
+        "backend": session.backend,
+        "rmw": session.rmw,
+        "bridge": "none",
+        "relay_vendor": session.vendor,
+        "relay_backend": session.backend,
+        "ping_domain_id": session.domain_id,
+        "relay_domain_id": session.domain_id,
+        "domain_mode": "same",
+        "data_type": delivery.heard.topic,
+        "payload_bytes": 0,
+        "rate_hz": 0.0,
+        **{name: str(qos.get(name, "unknown")) for name in ("reliability", "durability", "history")},
+        "depth": int(number_of(qos.get("depth")) or 0),
+        "serialization": "raw",
+        "ping_device": origin_name(delivery),
+        "relay_device": session.device,
+        "connectivity": session.connectivity,
+        "setting": "",
+    }
+    run = f"{delivery.heard.topic} {origin_name(delivery)} {session.session_id:016x}"
+    run_id = int.from_bytes(blake2b(run.encode(), digest_size=8).digest(), "little")
+    described = [pl.lit(values[column.name], column.dtype).alias(column.name) for column in PARAMETER_COLUMNS]
+    messages = delivery.messages.with_columns(
+        pl.lit(run_id, pl.UInt64).alias("run_id"), pl.lit(0, pl.UInt32).alias("relay_id"), *described
+    )
+    missing = [pl.lit(None, dtype).alias(n) for n, dtype in TOPIC_MESSAGE_SCHEMA.items() if n not in messages.columns]
+    return messages.with_columns(missing).select(*TOPIC_MESSAGE_SCHEMA)
+
+
+def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
+    messages = pl.concat([one.messages for one in deliveries])
+    arrivals = [np.sort(part.to_numpy()) for part in _arrivals_by_tap(deliveries)]
+    periods = np.concatenate([np.diff(part) for part in arrivals])
+    lasted_ns = int(sum(part[-1] - part[0] for part in arrivals))
+    outcomes = dict(messages["outcome"].value_counts().iter_rows())
+    received = outcomes.get("completed", 0)
+    received_bytes = messages.filter(outcome="completed")["message_bytes"]
+    return {
+        "topic": deliveries[0].heard.topic,
+        "message_type": deliveries[0].heard.message_type,
+        "ping_device": origin_name(deliveries[0]),
+        "relay_device": deliveries[0].heard.session.device,
+        "clock": ", ".join(sorted({one.clock for one in deliveries})),
+        "publishers": len({one.heard.publisher for one in deliveries}),
+        "runs": len({one.heard.session.session_id for one in deliveries}),
+        "published": len(messages),
+        "received": received,
+        **{name: outcomes.get(name, 0) for name in ("lost_outbound", "lost_unknown")},
+        **{name: int(messages[name].sum()) for name in ("duplicates", "reordered")},
+        "received_ratio": received / len(messages),
+        "duration_ns": lasted_ns,
+        "rate_hz": len(periods) * SECOND_NS / lasted_ns if lasted_ns else None,
+        "message_bytes": received_bytes.mean(),
+        "transfer_rate_bytes_per_s": int(received_bytes.sum()) * SECOND_NS / lasted_ns if lasted_ns else None,
+        "period_p50_ns": quantile(periods, "p50"),
+        "period_p99_ns": quantile(periods, "p99"),
+        "jitter_ns": 1.4826 * float(np.median(np.abs(periods - np.median(periods)))) if len(periods) > 1 else None,
+        **{
+            f"{metric}_{statistic}_ns": quantile(messages[f"{metric}_ns"].drop_nulls().to_numpy(), statistic)
+            for metric, statistic in product(TOPIC_METRICS, _STATISTICS)
+        },
+        "bound_ns": messages["bound_ns"].max(),
+    }
+
+
+def _arrivals_by_tap(deliveries: Sequence[Delivery]) -> Iterator[pl.Series]:
+    """Yield when each tap received its messages, of all publishers."""
+    sessions: dict[int, list[pl.Series]] = defaultdict(list)
+    for one in deliveries:
+        sessions[one.heard.session.session_id].append(one.messages["relay_in_ns"].drop_nulls())
+    yield from map(pl.concat, sessions.values())

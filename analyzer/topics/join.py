@@ -1,0 +1,326 @@
+"""Messages of a publisher at all taps that heard it: which are the same, where they came from, when each tap had them.
+
+The same message has the same publisher and sequence number at each tap; without numbers the same source stamp and content; after
+a bridge, which publishes again, the same content. Contents that repeat are then not joined.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from ..clocks.track import UNKNOWN_NS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from ..clocks.fit import Int64
+    from .device_clocks import DeviceClocks, Machine
+    from .taps import Heard
+
+LEAST_ALIKE = 0.5
+"""Share of the messages of the shorter of two streams that the other has, if they are one behind a bridge."""
+
+OTHER_CLOCK_NS = 86_400 * 1_000_000_000
+"""Age from which on a header stamp is of another clock (a simulation's)."""
+
+_MOST_MISSING = 1_000
+"""Missing numbers in a row, or ten for each message that was heard; beyond, the publisher counts anew."""
+
+NOT_BOUNDED_NS = UNKNOWN_NS // 4
+"""Bound from which on nothing is known; sums of two fit into 64 bits."""
+
+Key = tuple[str, ...]
+SEQUENCE, SOURCE, CONTENT = ("publication_sequence",), ("source_ns", "content_hash"), ("content_hash",)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """One publisher at all taps that heard it, and the columns that identify its messages."""
+
+    heard: tuple[Heard, ...]
+    key: Key
+
+    @property
+    def machines(self) -> tuple[Machine, ...]:
+        """Machines of its taps."""
+        return tuple(sorted({one.machine for one in self.heard}))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Delivery:
+    """The messages of a stream at one tap.
+
+    Attributes:
+        origin: the publisher's machine; None if unknown.
+        clock: `same`, `fit`, `assumed` (nothing says that the publisher ran here) or `unknown`.
+        messages: by publishing; the columns of `MESSAGE_COLUMNS`, ages null before `with_ages`.
+    """
+
+    heard: Heard
+    origin: Machine | None
+    clock: str
+    messages: pl.DataFrame
+
+
+_BY_CLOCK = ("one_way_ns", "age_ns", "bound_ns", "stamp_to_publish_ns")
+
+MESSAGE_COLUMNS = {
+    "sequence": pl.UInt64,
+    "publish_ns": pl.Int64,
+    "relay_in_ns": pl.Int64,
+    "header_ns": pl.Int64,
+    "one_way_ns": pl.Int64,
+    "age_ns": pl.Int64,
+    "bound_ns": pl.Int64,
+    "stamp_to_publish_ns": pl.Int64,
+    "message_bytes": pl.UInt32,
+    "outcome": pl.String,
+    "duplicates": pl.UInt16,
+    "reordered": pl.Boolean,
+}
+"""`publish_ns` on the publisher's monotonic clock, `relay_in_ns` on the tap's, null if lost; `header_ns` as it was sent, null without;
+`one_way_ns` and `age_ns` are wrong by at most `bound_ns`; the rest as in `roundtrips`."""
+
+
+def find_streams(heard: Sequence[Heard]) -> Iterator[Stream]:
+    """Yield the streams of each topic."""
+    by_topic: dict[str, list[Heard]] = defaultdict(list)
+    for one in heard:
+        by_topic[one.topic].append(one)
+    for of_topic in by_topic.values():
+        by_publisher: dict[str, list[Heard]] = defaultdict(list)
+        for number, one in enumerate(of_topic):
+            by_publisher[one.publisher or f"unknown {number}"].append(one)
+        left = [
+            Stream(tuple(parts), SEQUENCE if all(one.has_sequence for one in parts) else SOURCE)
+            for parts in by_publisher.values()
+        ]
+        while left:
+            stream = left.pop(0)
+            for other in list(left):
+                key = _shared_key(stream, other)
+                if key is not None:
+                    stream = Stream((*stream.heard, *other.heard), key)
+                    left.remove(other)
+            yield stream
+
+
+def _shared_key(one: Stream, other: Stream) -> Key | None:
+    """Return what identifies messages of two streams that are one at different taps, None if they are not."""
+    if {tap.session.session_id for tap in one.heard} & {tap.session.session_id for tap in other.heard}:
+        return None
+    for key in (SOURCE, CONTENT):
+        sides = [pl.concat([tap.messages.select(key) for tap in stream.heard]).unique() for stream in (one, other)]
+        if key is SOURCE and any((side["source_ns"] == 0).any() for side in sides):
+            continue
+        alike = len(sides[0].join(sides[1], on=key, how="semi"))
+        if alike >= LEAST_ALIKE * min(map(len, sides)) > 0:
+            return key
+    return None
+
+
+def deliver(stream: Stream, clocks: DeviceClocks) -> Iterator[Delivery]:
+    """Yield the messages of a stream at each of its taps."""
+    arrivals = [_arrivals(one, stream.key) for one in stream.heard]
+    sent = _sent(stream.key, arrivals)
+    origin, is_assumed = _origin(stream, arrivals, clocks)
+    machine = stream.heard[0].machine if origin is None else origin
+    sent = _with_publish(stream, arrivals, sent, machine, clocks)
+    for one, arrived in zip(stream.heard, arrivals, strict=True):
+        messages = _messages(stream.key, one, arrived, sent, machine, clocks)
+        clock = "assumed" if is_assumed else "same" if clocks.share_clock(machine, one.machine) else "fit"
+        if origin is None or messages["bound_ns"].null_count() == len(messages):
+            clock = "unknown"
+            messages = messages.with_columns(pl.lit(None, pl.Int64).alias(name) for name in _BY_CLOCK)
+        missing = [pl.lit(None, pl.Int64).alias(name) for name in _BY_CLOCK if name not in messages.columns]
+        messages = messages.with_columns(missing).select(pl.col(n).cast(t) for n, t in MESSAGE_COLUMNS.items())
+        yield Delivery(one, origin, clock, messages)
+
+
+def _arrivals(heard: Heard, key: Key) -> pl.DataFrame:
+    """Return the first arrival of each message, in their order, with `duplicates` and `reordered`."""
+    if key == CONTENT:
+        return heard.messages.filter(~pl.col("content_hash").is_duplicated()).with_columns(
+            duplicates=pl.lit(0, pl.UInt16), reordered=pl.lit(value=False)
+        )
+    order = pl.col(key[0])
+    return (
+        heard.messages.with_columns(reordered=order < order.cum_max())
+        .group_by(key, maintain_order=True)
+        .agg(pl.all().first(), (pl.len() - 1).clip(0, 65535).cast(pl.UInt16).alias("duplicates"))
+    )
+
+
+def _sent(key: Key, arrivals: Sequence[pl.DataFrame]) -> pl.DataFrame:
+    """Return every message that any tap heard, and the numbers in between, where `is_heard` is null."""
+    names = ["source_ns", "header_ns", "payload_bytes"]
+    sent = (
+        pl.concat([part.select(*dict.fromkeys([*key, *names])) for part in arrivals])
+        .group_by(key, maintain_order=True)
+        .agg(pl.col(name).max() for name in names if name not in key)
+        .with_columns(is_heard=pl.lit(value=True))
+    )
+    if key != SEQUENCE:
+        return sent
+    sent = sent.sort("publication_sequence")
+    missing = _missing_numbers(sent["publication_sequence"].to_numpy())
+    numbers = pl.DataFrame({"publication_sequence": missing}, {"publication_sequence": pl.UInt64})
+    return pl.concat([sent, numbers], how="diagonal").sort("publication_sequence")
+
+
+def _missing_numbers(sequence: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    gaps = np.diff(sequence)
+    most = max(_MOST_MISSING, 10 * len(sequence))
+    holes = np.flatnonzero((gaps > 1) & (gaps <= most))
+    lengths = (gaps[holes] - 1).astype(np.int64)
+    if lengths.sum() > most:
+        return np.empty(0, np.uint64)
+    starts = np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return np.repeat(sequence[holes] + 1, lengths) + (np.arange(lengths.sum()) - starts).astype(np.uint64)
+
+
+def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceClocks) -> tuple[Machine | None, bool]:
+    """Return the publisher's machine, None if unknown, and whether nothing but its being the only one speaks for it.
+
+    Of several taps it is the one that hears most messages first; of one, the machine whose clock can have made the stamps.
+    """
+    if len(clocks.machines) == 1:
+        return clocks.machines[0], True
+    if len(stream.machines) == 1:
+        possible = [one for one in clocks.machines if _can_be_origin(stream, arrivals, one, clocks)]
+        return (possible[0], False) if len(possible) == 1 else (None, False)
+    here = stream.machines[0]
+    reached = [
+        clocks.convert(part["received_ns"].to_numpy(), one.machine, here) for one, part in _zip(stream, arrivals)
+    ]
+    if any((one.bound_ns >= NOT_BOUNDED_NS).all() for one in reached):
+        return None, False
+    heard_by = [
+        part.select(*stream.key, at_ns=one.at_ns, tap=pl.lit(number))
+        for number, (part, one) in enumerate(zip(arrivals, reached, strict=True))
+    ]
+    first = pl.concat(heard_by).sort("at_ns").group_by(stream.key).agg(pl.col("tap").first(), heard=pl.len())
+    taps = first.filter(pl.col("heard") > 1)["tap"].mode().sort()
+    return (stream.heard[taps[0]].machine if len(taps) else None), False
+
+
+def _can_be_origin(stream: Stream, arrivals: Sequence[pl.DataFrame], origin: Machine, clocks: DeviceClocks) -> bool:
+    """Return whether no message arrives before this machine's clock can have stamped it."""
+    for one, part in _zip(stream, arrivals):
+        stamped = part.filter(pl.col("source_ns") != 0)
+        publish = clocks.of_wall(stamped["source_ns"].to_numpy(), origin)
+        reached = clocks.convert(stamped["received_ns"].to_numpy(), one.machine, origin)
+        slack_ns = publish.bound_ns + np.minimum(reached.bound_ns, NOT_BOUNDED_NS)
+        is_bounded = slack_ns < NOT_BOUNDED_NS
+        if not is_bounded.any() or (reached.at_ns - publish.at_ns + slack_ns < 0).any():
+            return False
+    return True
+
+
+def _with_publish(
+    stream: Stream, arrivals: Sequence[pl.DataFrame], sent: pl.DataFrame, machine: Machine, clocks: DeviceClocks
+) -> pl.DataFrame:
+    """Add when each message was published on its publisher's clock, and the bound: by its stamp, else by a tap next to it."""
+    source_ns = sent["source_ns"].fill_null(0).to_numpy()
+    stamped = clocks.of_wall(source_ns, machine)
+    at_ns = np.where(source_ns == 0, 0, stamped.at_ns)
+    bound_ns = np.where(source_ns == 0, NOT_BOUNDED_NS, stamped.bound_ns)
+    for one, part in _zip(stream, arrivals):
+        received = sent.select(stream.key).join(
+            part.select(*stream.key, "received_ns"), on=stream.key, how="left", maintain_order="left"
+        )["received_ns"]
+        reached = clocks.convert(received.fill_null(0).to_numpy(), one.machine, machine)
+        fills = (at_ns == 0) & received.is_not_null().to_numpy()
+        at_ns[fills] = reached.at_ns[fills]
+        if clocks.share_clock(machine, one.machine):
+            bound_ns[fills] = reached.bound_ns[fills]
+    known = np.flatnonzero(at_ns)  # what nobody heard was sent between its neighbours
+    if len(known) < len(at_ns):
+        first_ns = at_ns[known[0]]
+        at_ns = first_ns + np.interp(np.arange(len(at_ns)), known, at_ns[known] - first_ns).astype(np.int64)
+    return sent.with_columns(publish_ns=at_ns, publish_bound_ns=bound_ns)
+
+
+def _messages(
+    key: Key, heard: Heard, arrived: pl.DataFrame, sent: pl.DataFrame, machine: Machine, clocks: DeviceClocks
+) -> pl.DataFrame:
+    own = arrived.select(*key, "duplicates", "reordered", relay_in_ns=pl.col("received_ns"))
+    joined = sent.join(own, on=key, how="left", maintain_order="left")
+    reached = clocks.convert(joined["relay_in_ns"].fill_null(0).to_numpy(), heard.machine, machine)
+    publish_ns, publish_bound_ns = joined["publish_ns"].to_numpy(), joined["publish_bound_ns"].to_numpy()
+    bound_ns = np.minimum(reached.bound_ns, NOT_BOUNDED_NS) + publish_bound_ns
+    is_bounded = joined["relay_in_ns"].is_not_null().to_numpy() & (bound_ns < NOT_BOUNDED_NS)
+    has_arrived = joined["relay_in_ns"].is_not_null()
+    is_heard = joined["is_heard"].fill_null(value=False)
+    messages = joined.select(
+        (pl.col(SEQUENCE) if key == SEQUENCE else pl.int_range(pl.len(), dtype=pl.UInt64)).alias("sequence"),
+        "publish_ns",
+        "relay_in_ns",
+        pl.col("header_ns").replace(0, None),
+        _present("one_way_ns", is_bounded, _not_before(reached.at_ns - publish_ns, bound_ns)),
+        _present("bound_ns", is_bounded, bound_ns),
+        pl.col("payload_bytes").alias("message_bytes"),
+        outcome=pl.when(has_arrived)
+        .then(pl.lit("completed"))
+        .when(is_heard)
+        .then(pl.lit("lost_outbound"))
+        .otherwise(pl.lit("lost_unknown")),
+        duplicates=pl.col("duplicates").fill_null(0),
+        reordered=pl.col("reordered").fill_null(value=False),
+    )
+    (end_ns,) = clocks.convert(np.array([heard.end_ns]), heard.machine, machine).at_ns.tolist()
+    under_way_ns = int((reached.at_ns - publish_ns)[has_arrived.to_numpy()].max()) if has_arrived.any() else 0
+    return _in_service(messages.sort("publish_ns", maintain_order=True), end_ns - under_way_ns)
+
+
+def with_ages(delivery: Delivery, stamper: Machine, clocks: DeviceClocks) -> Delivery:
+    """Add the age of each message, by stamps of `stamper`, and the time from its stamp to its publishing."""
+    messages, origin = delivery.messages, delivery.origin
+    if origin is None or delivery.clock == "unknown":
+        return delivery
+    header_ns = messages["header_ns"].fill_null(0).to_numpy()
+    stamped = clocks.of_wall(header_ns, stamper)
+    received = messages["relay_in_ns"]
+    reached = clocks.convert(received.fill_null(0).to_numpy(), delivery.heard.machine, stamper)
+    published = clocks.convert(messages["publish_ns"].to_numpy(), origin, stamper)
+    age_ns, delay_ns = reached.at_ns - stamped.at_ns, published.at_ns - stamped.at_ns
+    bound_ns = np.minimum(reached.bound_ns, NOT_BOUNDED_NS) + stamped.bound_ns
+    delay_bound_ns = np.minimum(published.bound_ns, NOT_BOUNDED_NS) + 2 * stamped.bound_ns
+    is_stamped = (header_ns != 0) & received.is_not_null().to_numpy() & (np.abs(age_ns) < OTHER_CLOCK_NS)
+    has_age, has_delay = is_stamped & (bound_ns < NOT_BOUNDED_NS), is_stamped & (delay_bound_ns < NOT_BOUNDED_NS)
+    ages = messages.with_columns(
+        _present("age_ns", has_age, _not_before(age_ns, bound_ns)),
+        _present("stamp_to_publish_ns", has_delay, _not_before(delay_ns, delay_bound_ns)),
+        pl.max_horizontal("bound_ns", _present("age_bound_ns", has_age, bound_ns)).alias("bound_ns"),
+    )
+    return replace(delivery, messages=ages)
+
+
+def _in_service(messages: pl.DataFrame, settled_ns: int) -> pl.DataFrame:
+    """Leave out what was published before the tap heard its first message, or too late to have arrived before its end."""
+    arrived = np.flatnonzero(messages["relay_in_ns"].is_not_null().to_numpy())
+    if not len(arrived):
+        return messages.clear()
+    after = max(int(arrived[-1]) + 1, int((messages["publish_ns"] <= settled_ns).sum()))
+    return messages[int(arrived[0]) : after]
+
+
+def _not_before(value_ns: Int64, bound_ns: Int64) -> Int64:
+    """Return times that are not below zero, if their bound allows it: nothing arrives before it is sent."""
+    return np.where((value_ns < 0) & (value_ns >= -bound_ns), 0, value_ns)
+
+
+def _present(name: str, is_present: NDArray[np.bool_], values: Int64) -> pl.Series:
+    series = pl.Series(name, values, pl.Int64)
+    return series if is_present.all() else series.set(pl.Series(~is_present), None)
+
+
+def _zip(stream: Stream, arrivals: Sequence[pl.DataFrame]) -> Iterator[tuple[Heard, pl.DataFrame]]:
+    return zip(stream.heard, arrivals, strict=True)

@@ -1,0 +1,149 @@
+"""OpenMetrics, HdrHistogram logs and Perfetto timelines, each read by a reader that is not ours."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+from analyses import empty_folder, hostile, make_analysis, one_message, ping_without_relay
+from tap_traces import FAR_NS, LAPTOP, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
+
+from dds_trace.analyzer.exports.hdr_log import encode_histogram, hdr_log
+from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, export
+from dds_trace.analyzer.exports.openmetrics import openmetrics_text
+from dds_trace.analyzer.exports.perfetto import timeline_slices, write_perfetto
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.cli.analyze import ExportKind
+
+
+@pytest.fixture(scope="module")
+def with_topics(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("taps")
+    published = camera(seconds=10)
+    write_tap(folder / "robot.mcap", ROBOT, [Hearing(published, arrivals(published, 60_000))], session_id=1)
+    far = arrivals(published, FAR_NS, lost=[7])
+    write_tap(folder / "laptop.mcap", LAPTOP, [Hearing(published, far)], session_id=2)
+    write_beacon(folder, LAPTOP, ROBOT, seconds=13)
+    return analyze(folder)
+
+
+def all_analyses(with_topics):
+    return [with_topics, make_analysis(), empty_folder(), one_message(), ping_without_relay(), hostile()]
+
+
+def test_the_command_offers_every_kind():
+    assert [kind.value for kind in ExportKind] == list(EXPORT_KINDS)
+
+
+def test_openmetrics_is_read_by_the_parser_of_prometheus(with_topics):
+    parser = pytest.importorskip("prometheus_client.openmetrics.parser")
+    for analysis in all_analyses(with_topics):
+        families = {family.name: family for family in parser.text_string_to_metric_families(openmetrics_text(analysis))}
+        samples = families["dds_trace_latency_seconds"].samples
+        medians = analysis.summary["latency_p50_ns"].drop_nulls().to_list()
+        found = [one.value for one in samples if one.labels["quantile"] == "0.5"]
+        assert found == pytest.approx([value / 1e9 for value in medians])
+        published = sum(one.value for one in families["dds_trace_published_messages"].samples)
+        assert published == analysis.summary["published"].sum() + analysis.topics["published"].sum()
+
+
+def test_openmetrics_of_a_topic(with_topics):
+    parser = pytest.importorskip("prometheus_client.openmetrics.parser")
+    families = {one.name: one for one in parser.text_string_to_metric_families(openmetrics_text(with_topics))}
+    ages = {
+        (one.labels["relay_device"], one.labels["quantile"]): one.value
+        for one in families["dds_trace_age_seconds"].samples
+    }
+    (row,) = with_topics.topics.filter(relay_device="laptop").iter_rows(named=True)
+    assert ages["laptop", "0.5"] == pytest.approx(row["age_p50_ns"] / 1e9)
+    bounds = families["dds_trace_clock_error_bound_seconds"].samples
+    assert max(one.value for one in bounds) == pytest.approx(row["bound_ns"] / 1e9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_histogram_is_read_by_hdrhistogram(seed):
+    histogram = pytest.importorskip("hdrh.histogram").HdrHistogram
+    import base64
+
+    draw = np.random.default_rng(seed)
+    values = np.unique(np.exp(draw.uniform(0, 25, 300)).astype(np.int64) * (draw.random(300) < 0.98))
+    count = draw.integers(1, 10 ** draw.integers(1, 7), len(values))
+    read = histogram.decode(base64.b64encode(encode_histogram(values, count)).decode())
+    assert read.get_total_count() == count.sum()
+    for share in (0.01, 0.5, 0.9, 0.99, 1.0):
+        expected = values[np.searchsorted(np.cumsum(count), math.ceil(share * count.sum()))]
+        assert read.get_value_at_percentile(100 * share) == pytest.approx(expected, rel=1.1e-3, abs=1)
+
+
+def read_log(path, text):
+    """Tag -> histogram, as the reader of HdrHistogram has it."""
+    log, histogram = pytest.importorskip("hdrh.log"), pytest.importorskip("hdrh.histogram").HdrHistogram
+    path.write_text(text, encoding="utf-8")
+    reader, read = log.HistogramLogReader(str(path), histogram(1, 2**62, 3)), {}
+    while (one := reader.get_next_interval_histogram()) is not None:
+        read[one.get_tag()] = one
+    reader.close()
+    return read
+
+
+def test_a_log_is_read_by_hdrhistogram(tmp_path, with_topics):
+    for analysis in all_analyses(with_topics):
+        read = read_log(tmp_path / "latency.hlog", hdr_log(analysis))
+        counted = analysis.distributions.filter(analysis.distributions["value_ns"] >= 0)["count"].sum()
+        topics = sum(int(analysis.topic_messages[f"{name}_ns"].count()) for name in ("one_way", "age"))
+        assert sum(one.get_total_count() for one in read.values()) == counted + topics
+    (row,) = with_topics.topics.filter(relay_device="laptop").iter_rows(named=True)
+    read = read_log(tmp_path / "latency.hlog", hdr_log(with_topics))
+    ages = read["/camera/image_robot_to_laptop_age"]
+    assert ages.get_value_at_percentile(50) == pytest.approx(row["age_p50_ns"], rel=0.01)
+
+
+def test_a_timeline_is_read_by_the_protobufs_of_perfetto(tmp_path, with_topics):
+    pytest.importorskip("perfetto")
+    from perfetto.protos.perfetto.trace.perfetto_trace_pb2 import Trace, TrackEvent
+
+    for analysis in all_analyses(with_topics):
+        write_perfetto(analysis, tmp_path / "timeline.pftrace")
+        trace = Trace.FromString((tmp_path / "timeline.pftrace").read_bytes())
+        tracks = {
+            one.track_descriptor.uuid: one.track_descriptor for one in trace.packet if one.HasField("track_descriptor")
+        }
+        assert all(track.parent_uuid in tracks for track in tracks.values() if track.parent_uuid)
+        opened = dict.fromkeys(tracks, 0)
+        events = [one for one in trace.packet if one.HasField("track_event")]
+        assert all(event.trusted_packet_sequence_id for event in events)
+        by_track = Counter()
+        last_ns = dict.fromkeys(tracks, 0)
+        for event in events:
+            uuid, kind = event.track_event.track_uuid, event.track_event.type
+            opened[uuid] += 1 if kind == TrackEvent.TYPE_SLICE_BEGIN else -1
+            assert opened[uuid] in (0, 1)  # slices of a lane never overlap
+            assert event.timestamp >= last_ns[uuid]
+            last_ns[uuid] = event.timestamp
+            by_track[uuid] += 1
+        assert not any(opened.values())
+        assert sum(by_track.values()) == 2 * len(list(timeline_slices(analysis)))
+
+
+def test_all_devices_are_on_one_timeline(with_topics):
+    slices = list(timeline_slices(with_topics))
+    assert {one.device for one in slices} == {"robot", "laptop"}
+    ways = [one for one in slices if one.device == "laptop" and "one way" in one.name]
+    stamps = {one.message: one for one in slices if one.device == "robot" and one.name.endswith("stamp")}
+    joined = [(stamps[one.message], one) for one in ways]
+    assert len(joined) == 299
+    # The robot's clock was fitted to the laptop's: the way begins where the stamp's slice ends.
+    assert all(abs(stamp.end_ns - way.begin_ns) < 1_000 for stamp, way in joined)
+    trips = [one for one in slices if "beacon" in one.name]
+    assert max(one.end_ns for one in trips) - min(one.begin_ns for one in ways) < 14 * 10**9
+
+
+def test_without_the_extra_the_command_names_it(tmp_path, monkeypatch):
+    import sys
+
+    for name in ("perfetto.protos.perfetto.trace.perfetto_trace_pb2", "perfetto.trace_builder.proto_builder"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ModuleNotFoundError, match="perfetto"):
+        export(one_message(), "perfetto", tmp_path)

@@ -1,0 +1,139 @@
+"""Topics in comparisons and gates: limits of one recording rest on its parts, changes on recordings, both on the clocks' bound."""
+
+from __future__ import annotations
+
+import pytest
+from tap_traces import FAR_NS, LAPTOP, MS, NEAR_NS, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
+from typer.testing import CliRunner
+
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
+from dds_trace.analyzer.verdicts.gate import Against, GateOutcome, parse_gate
+from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
+from dds_trace.base.errors import OptionError
+from dds_trace.cli.compare import app
+
+SECONDS = 40
+
+
+def record(folder, *, recordings=1, way_ns=FAR_NS, lost=(), beacon=True):
+    for number in range(recordings):
+        published = camera(seconds=SECONDS)
+        near = Hearing(published, arrivals(published, NEAR_NS, seed=20 + number))
+        far = Hearing(published, arrivals(published, way_ns, lost=lost, seed=40 + number))
+        write_tap(folder / f"robot{number}.mcap", ROBOT, [near], session_id=0x100 + number)
+        write_tap(folder / f"laptop{number}.mcap", LAPTOP, [far], session_id=0x200 + number)
+    if beacon:
+        write_beacon(folder, LAPTOP, ROBOT, seconds=SECONDS + 3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def one_recording(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("one"), lost=[5, 500, 501])
+
+
+def outcomes(base, new, *texts):
+    gates = [parse_gate(text) for text in texts]
+    results = judge_gates(compare(base, new, options_for(gates, CompareOptions())), gates)
+    return {(result.gate.text, "relay_device=laptop" in result.where): result for result in results}
+
+
+@pytest.mark.parametrize(
+    ("text", "topic", "metric", "statistic", "against", "limit"),
+    [
+        ("age_p99(/camera/image) > 50ms", "/camera/image", "age", "p99", Against.NEW, 50 * MS),
+        ("one_way_p99.9( /tf ) > +10%", "/tf", "one_way", "p99_9", Against.RATIO, 1.1),
+        ("received_ratio(/camera/*) < 99%", "/camera/*", "received_ratio", "", Against.NEW, 0.99),
+        ("age_mean > 1s", "", "age", "mean", Against.NEW, 1000 * MS),
+        ("latency_p50 > +10%", "", "latency", "p50", Against.RATIO, 1.1),
+    ],
+)
+def test_gates_are_read(text, topic, metric, statistic, against, limit):
+    gate = parse_gate(text)
+    assert (gate.topic, gate.metric, gate.statistic, gate.against) == (topic, metric, statistic, against)
+    assert gate.limit == pytest.approx(limit)
+
+
+@pytest.mark.parametrize(
+    "text", ["latency_p99(/camera) > 1ms", "age_p99(camera) > 1ms", "age_p99( > 1ms", "age(/tf) > 1ms"]
+)
+def test_gates_that_make_no_sense_are_refused(text):
+    with pytest.raises(OptionError, match="--fail-if"):
+        parse_gate(text)
+
+
+def test_limits_of_one_recording(one_recording):
+    analysis = analyze(one_recording)
+    found = outcomes(
+        analysis,
+        analysis,
+        "age_p99(/camera/image) > 50ms",
+        "age_p50(/camera/image) > 3ms",
+        "received_ratio(/camera/image) < 90%",
+        "latency_p50 > 100ms",
+    )
+    by_gate = {text: result.outcome for (text, over), result in found.items() if over or "latency" in text}
+    assert by_gate == {
+        "age_p99(/camera/image) > 50ms": GateOutcome.PASSED,
+        "age_p50(/camera/image) > 3ms": GateOutcome.REGRESSED,
+        "received_ratio(/camera/image) < 90%": GateOutcome.PASSED,
+        "latency_p50 > 100ms": GateOutcome.INCONCLUSIVE,  # one run of the beacon
+    }
+
+
+def test_the_bound_of_the_clocks_is_part_of_the_interval(one_recording):
+    analysis = analyze(one_recording)
+    (row,) = analysis.topics.filter(relay_device="laptop").iter_rows(named=True)
+    limit_us = (row["one_way_p50_ns"] + row["bound_ns"] // 2) // 1000
+    results = outcomes(analysis, analysis, f"one_way_p50(/camera/image) > {limit_us}us")
+    (gate,) = [result for (_, over), result in results.items() if over]
+    assert gate.outcome is GateOutcome.INCONCLUSIVE
+    assert gate.high - gate.low >= 2 * row["bound_ns"]
+
+
+def test_a_topic_that_no_tap_heard_is_not_passed(one_recording):
+    analysis = analyze(one_recording)
+    gates = [parse_gate("age_p99(/lidar) > 50ms")]
+    (result,) = judge_gates(compare(analysis, analysis, options_for(gates, CompareOptions())), gates)
+    assert result.outcome is GateOutcome.INCONCLUSIVE
+    assert "/camera/image" in result.reason
+
+
+def test_changes_between_recordings(tmp_path):
+    base = analyze(record(tmp_path / "base", recordings=3))
+    slower = analyze(record(tmp_path / "new", recordings=3, way_ns=3 * FAR_NS))
+    found = outcomes(base, slower, "one_way_p50(/camera/image) > +50%", "age_p50(/camera/image) > +20%")
+    assert {over: result.outcome for (text, over), result in found.items() if "one_way" in text} == {
+        True: GateOutcome.REGRESSED,
+        False: GateOutcome.PASSED,  # on the robot itself nothing changed
+    }
+    comparison = compare(base, slower)
+    verdicts = comparison.rows.filter(metric="one_way", statistic="p50").sort("relay_device")["verdict"].to_list()
+    assert verdicts[0] == "worse"
+    assert verdicts[1] in {"same", "inconclusive"}
+    assert set(comparison.rows["metric"].unique()) == {"latency", "rtt", "one_way", "age"}
+
+
+def test_one_recording_a_side_is_no_verdict(tmp_path, one_recording):
+    slower = analyze(record(tmp_path / "new", way_ns=3 * FAR_NS))
+    comparison = compare(analyze(one_recording), slower)
+    assert set(comparison.rows["verdict"]) == {"inconclusive"}
+
+
+def test_the_command_writes_them_as_junit(one_recording):
+    gates = ["--fail-if", "age_p99(/camera/image) > 50ms", "--fail-if", "one_way_p50(/camera/image) > 100us"]
+    result = CliRunner().invoke(app, [str(one_recording), *gates, "--report", "junit"])
+    assert result.exit_code == 20, result.output
+    assert "/camera/image" in result.output
+    assert result.output.count("<failure") == 1
+    for report in ("md", "json", "html", "github", "badge", "terminal"):
+        assert CliRunner().invoke(app, [str(one_recording), *gates[:2], "--report", report]).exit_code == 0, report
+
+
+def test_only_taps_can_be_judged(tmp_path):
+    folder = record(tmp_path, beacon=False)
+    result = CliRunner().invoke(app, [str(folder), "--fail-if", "received_ratio(/camera/image) < 90%"])
+    assert result.exit_code == 0, result.output
+    result = CliRunner().invoke(app, [str(folder), "--fail-if", "age_p50(/camera/image) > 3ms"])
+    assert result.exit_code == 21, result.output

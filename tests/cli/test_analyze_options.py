@@ -10,7 +10,7 @@ import pytest
 from commands import run_main
 from trace_files import Message, run, write_pair
 
-from dds_trace.analyzer.exports.tables import EXPORTERS
+from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.cli.analyze import ExportKind
 from dds_trace.tracefile.reading.reader import read_trace
@@ -37,7 +37,7 @@ def test_exports_hold_the_same_rows(runs, capsys):
     assert pl.read_csv(folder / "roundtrips.csv")["latency_ns"].to_list() == expected == [MS] * 120
     assert pl.read_ipc(folder / "roundtrips.arrow")["latency_ns"].to_list() == expected
     assert pl.read_csv(folder / "summary.csv").height == 1
-    assert {kind.value for kind in ExportKind} == set(EXPORTERS)
+    assert {kind.value for kind in ExportKind} == set(EXPORT_KINDS)
 
 
 @pytest.mark.parametrize(("is_terminal", "answer", "code"), [(False, "", 0), (True, "y\n", 0), (True, "n\n", 2)])

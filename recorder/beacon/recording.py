@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 DATA = "string"
 RUN_S = 3600
 """Length of a run: a new one keeps the ledger of messages small."""
+WAIT_S = 1.0
+"""Longest wait between two looks at the end, before another beacon is met."""
 REPORT_S = 10.0
 """Time between two reports of the clocks."""
 SERVICE_S = 60.0
@@ -137,14 +139,14 @@ class BeaconRecording(BaseRecording):
                 self.pings.append(ping)
                 self.exchanges.run_ids.add(ping.run_id)
                 enough = threading.Event()
-                future = pool.submit(ping.run, noting, enough, enough)
+                future = pool.submit(_run_once_met, ping, noting, enough)
                 while not future.done():
                     self.stop.wait(LOOK_S)
                     self._look(node, upkeep)
                     if self.stop.is_set() or self.left_s(end_ns) <= 0 or node.error is not None:
                         enough.set()
                         break
-                run = future.result()
+                run = future.result() or run
                 raise_error_of(node)
                 ping.close()
         return run
@@ -183,3 +185,11 @@ class BeaconRecording(BaseRecording):
         parts = [ping.progress() for ping in self.pings]
         clocks = self.exchanges.words(anchor.monotonic_ns, anchor.offset_ns)
         return BeaconProgress(sum(part.sent for part in parts), sum(part.received for part in parts), tuple(clocks))
+
+
+def _run_once_met(ping: AnyPing, sink: TraceSink, enough: threading.Event) -> Run | None:
+    """Run once another beacon has echoed a probe: what nobody could receive is not lost."""
+    while not enough.is_set():
+        if ping.wait_for_echo(WAIT_S, enough):
+            return ping.run(sink, enough)
+    return None

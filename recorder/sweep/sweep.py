@@ -17,6 +17,7 @@ from .plan.schedule import number_groups, schedule, schedule_pass
 from .run.runner import Runner
 from .run.state import Status
 from .search import find_max_rates, search_plan
+from .station.clock_check import compare_clocks
 from .station.station import open_station
 
 if TYPE_CHECKING:
@@ -110,6 +111,8 @@ def run_sweep(
             progress.note(warning)
         cells = [cell for group in groups for cell in group.cells]
         runner = Runner(plan, folder, station, progress, missing_middlewares(plan, cells) if command is None else {})
+        if plan.relay.ssh is not None and command is None:
+            compare_clocks(plan, station, folder, progress.note)
         runner.run(groups)
         too_wide: dict[str, float] = {}
         if until is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
 from dds_trace.recorder.beacon.estimate import ClockEstimate
 
 SECOND = 1_000_000_000
@@ -39,6 +40,21 @@ def test_the_difference_is_inside_its_bound(seconds, drift_ppm):
             assert result.bound_ns < 400_000
         elif seconds == 3:
             assert result.drift_ppm is None
+
+
+@pytest.mark.parametrize("drift_ppm", [0.0, 20.0])
+def test_it_agrees_with_the_analysis_of_the_same_round_trips(drift_ppm):
+    stamps, other = round_trips(np.random.default_rng(7), seconds=300, drift_ppm=drift_ppm)
+    estimate = ClockEstimate()
+    for row in stamps.tolist():
+        estimate.add(*row)
+    publish, relay_in, relay_out, receive = np.ascontiguousarray(stamps.T)
+    ((_, offsets),) = fit_clocks([RelayedMessages(publish, relay_in, relay_out, receive)])
+    at_ns = int(publish[-1] + receive[-1]) // 2
+    live, whole_ns, bound_ns = estimate.at(at_ns), int(offsets.offset_ns[-1]), int(offsets.bound_ns[-1])
+    assert abs(live.offset_ns - whole_ns) <= live.bound_ns + bound_ns
+    assert abs(whole_ns - (other(at_ns) - at_ns)) <= bound_ns
+    assert live.bound_ns < 2 * bound_ns + 100_000
 
 
 def test_a_stepped_clock_is_followed():

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 LEAST_VARIANCE_SHARE = 0.25
 """Runs that are alike by chance do not make the share surer than this part of the variance of independent messages."""
 
+OUTAGE_SHARE = 0.5
+"""Runs that are alike by chance do not make the share surer than outages of this part of the mean one would."""
+
 
 def received_interval(received: Sequence[Bools], confidence: float = 0.95) -> Interval:
     """Return the share of received messages, a bool for each message of each run in the order of time, with its interval.
@@ -103,12 +106,16 @@ def _loss_angles(base: Sequence[Bools], new: Sequence[Bools]) -> tuple[Float64, 
     """Return the arcsine of the square root of the share lost by each run of both sides, and the least variance of one.
 
     The arcsine gives single losses the variance 1 / (4 messages), whatever their share (M. S. Bartlett, Biometrics 3, 1947).
-    Its mean depends on the length of the runs, so longer ones count with their first messages only.
+    Its mean depends on the length of the runs, so longer ones count with their first messages only. Outages vary as fewer, larger messages would.
     """
     sides = [[run for run in side if len(run)] for side in (base, new)]
     messages = min(max(map(len, side)) for side in sides)
-    angles = (np.array([math.asin(math.sqrt(1 - float(run[:messages].mean()))) for run in side]) for side in sides)
-    return next(angles), next(angles), 1 / (4 * messages)
+    before, after = (
+        np.array([math.asin(math.sqrt(1 - float(run[:messages].mean()))) for run in side]) for side in sides
+    )
+    outages = np.concatenate([episode_sizes(np.flatnonzero(~run), len(run)) for side in sides for run in side])
+    together = OUTAGE_SHARE * float(outages.mean()) if len(outages) else 0.0
+    return before, after, max(1.0, together) / (4 * messages)
 
 
 def loss_test(base: Float64, new: Float64, least_variance: float) -> StudentTest:

@@ -4,7 +4,8 @@ The logarithm of a run's statistic is `x[k, c, i]` of kind of message k, setup c
 is known with P - 1 degrees of freedom. Where the spreads of the kinds are alike by Bartlett's test (1937), a setup has
 one spread, the mean of the kinds' variances, with `(P - 1) (tr S)^2 / tr(S^2)` degrees (S the covariance of the kinds
 over the repeats; F. E. Satterthwaite, Biometrics Bulletin 2, 1946): with one relay for all sizes these move together
-and count as one. Rates, true and false: docs/explanation/statistics.md.
+and count as one. A kind that spreads more than the others by an F test keeps its own. Rates, true and
+false: docs/explanation/statistics.md.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..statistics.distributions import chi_square_cdf
+from ..statistics.distributions import chi_square_cdf, incomplete_beta
 from .two_samples import StudentTest
 
 if TYPE_CHECKING:
@@ -30,7 +31,10 @@ if TYPE_CHECKING:
     """Kind of message and setup."""
 
 ALIKE_FROM = 0.2
-"""P value of Bartlett's test from which on spreads are pooled: high, as few repeats hide unlike spreads."""
+"""P value from which on spreads are pooled: high, as few repeats hide unlike spreads."""
+
+MORE_UP_TO = 0.05
+"""P value of an F test up to which one kind of message keeps its own spread."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,8 +80,9 @@ def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
     for pool, keys in pools.items():
         rows = residuals[pool]
         pooled = pooled_variance(rows)
-        for key, row in zip(keys, rows, strict=True):
-            variance, degrees = pooled if is_pooled else pooled_variance(row[np.newaxis])
+        for index, (key, row) in enumerate(zip(keys, rows, strict=True)):
+            has_own = not is_pooled or spreads_more(rows, index)
+            variance, degrees = pooled_variance(row[np.newaxis]) if has_own else pooled
             means[key] = SetupMean(float(runs[key].values.mean()), variance / len(row), degrees)
     return means
 
@@ -106,6 +111,17 @@ def spreads_are_alike(residuals: Iterable[Float64]) -> bool:
         statistic += (repeats - 1) * float(unlike) / correction
         freedom += kinds - 1
     return not freedom or 1 - chi_square_cdf(statistic, freedom) >= ALIKE_FROM
+
+
+def spreads_more(residuals: Float64, index: int) -> bool:
+    """Return whether one kind of message spreads more than the others, by an F test: few repeats hide one noisy kind from Bartlett's."""
+    if len(residuals) < 2:
+        return False
+    (own, degrees), (others, others_degrees) = (
+        pooled_variance(part) for part in (residuals[index : index + 1], np.delete(residuals, index, axis=0))
+    )
+    share = others * others_degrees / (others * others_degrees + own * degrees) if own else 1.0
+    return incomplete_beta(share, others_degrees / 2, degrees / 2) <= MORE_UP_TO
 
 
 def tier_letters(names: Sequence[str], different: Collection[tuple[str, str]]) -> dict[str, str]:

@@ -167,10 +167,11 @@ def test_one_outage_in_one_run_of_five_is_no_verdict(length):
     assert change.verdict() is Verdict.INCONCLUSIVE
     assert change.difference_low < 0 < change.difference_high
     assert change.p_value > 0.3
-    # The mean angle is a fifth of the run's, and so is its error.
+    # The mean angle is a fifth of the run's, and so is its error; each run has at least the variance of outages half as long.
     angle = math.asin(math.sqrt(length / 400)) / 5
+    least = 0.025 * math.sqrt(length / 2)
     assert change.p_value == pytest.approx(
-        2 * student_cdf(-angle / math.hypot(angle, 0.025 / math.sqrt(5)), change.degrees)
+        2 * student_cdf(-angle / math.hypot(max(angle, least / math.sqrt(5)), least / math.sqrt(5)), change.degrees)
     )
 
 
@@ -222,13 +223,14 @@ def test_the_ends_of_a_change_are_those_of_its_sides():
     one, other = received_interval(base, 0.9), received_interval(new, 0.9)
     assert (change.base, change.new, change.basis) == (one, other, Basis.BETWEEN_RUNS)
     assert change.difference == other.value - one.value == pytest.approx(-7 / 400)
-    # Newcombe's ends are the farther ones.
+    # The lower of Newcombe's ends is the farther one, the upper one that of the test.
     low = change.difference - math.hypot(other.value - other.lower, one.upper - one.value)
     high = change.difference + math.hypot(other.upper - other.value, one.value - one.lower)
-    assert (change.difference_low, change.difference_high) == pytest.approx((low, high))
-    # No spread: each run has the variance of single losses, 1 / 1600; two degrees, as the side with fewer runs has.
+    assert change.difference_low == pytest.approx(low)
+    assert 0 < high < change.difference_high
+    # No spread: each run has the variance of outages of half the mean of 6, 3 / 1600; two degrees, as the side with fewer runs has.
     angles = [math.asin(math.sqrt(lost / 400)) for lost in (2, 9)]
-    errors = [1 / 40 / math.sqrt(runs) for runs in (3, 4)]
+    errors = [math.sqrt(3) / 40 / math.sqrt(runs) for runs in (3, 4)]
     error = math.hypot(*errors)
     assert change.p_value == pytest.approx(2 * student_cdf(-(angles[1] - angles[0]) / error, 2))
     farthest = angles[0] + smallest_shift(error, 2, 0.9)

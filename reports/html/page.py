@@ -15,6 +15,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.exports.tables import summary_parquet
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES, planned_messages
 from dds_trace.base.files import replacing
 from dds_trace.base.printable import printable
 from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
@@ -22,6 +23,7 @@ from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_s
 from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
 from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
+from ..book.job import commands_of
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
 from ..figures import drawn_figures, opened_figures
@@ -58,6 +60,7 @@ SCRIPTS = (
     "figures.js",
     "group.js",
     "output/paper.js",
+    "job.js",
     "page.js",
 )
 """Scripts of the page, each after those that it needs."""
@@ -204,7 +207,11 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             "cell": [group.cell for group in groups.groups],
             "filters": {one.key: one.index for one in filters},
         },
-        "series": [{"label": label} for label in groups.labels],
+        "series": [
+            {"label": label, "domain": series.domain_mode, "commands": commands_of(series)}
+            for label, series in zip(groups.labels, groups.series, strict=True)
+        ],
+        "needed": {p.name: planned_messages(p.quantile) for p in PERCENTILES if p.name in STATISTIC_LABELS},
         "facets": {"made_of": MADE_OF, "atoms": ATOMS, "most_lines": MOST_LINES},
         "dimensions": {
             key: {
@@ -221,6 +228,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             {
                 "label": cell.label,
                 "data": data_type_label(cell.data_type),
+                "kind": printable(cell.data_type),
                 "bytes": cell.payload_bytes,
                 "size": format_size(cell.payload_bytes),
                 "hz": cell.rate_hz,

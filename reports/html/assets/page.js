@@ -310,6 +310,7 @@ function start() {
     saveCsv("dds-trace-groups", columns, rows);
   });
   refreshAll();
+  buildJob();
   showGroup();
 }
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from dds_trace.tracefile.format.events import HOST_TOPIC
 
 from .backends import open_node
+from .choices import Security
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
 from .host.process import apply_privileges
 from .host.sampling import HostSampler
@@ -19,9 +20,11 @@ from .roles.floor import measured_cost, measured_floor
 from .roles.read_back import ReadBack
 from .roles.session import default_connectivity, describe_session
 from .roles.wire_record import open_wire
+from .security.keys import public_hash
 
 if TYPE_CHECKING:
     import threading
+    from collections.abc import Callable
     from contextlib import AbstractContextManager
 
     from dds_trace.base.errors import TraceError
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.writing.destination import ClosedTrace
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from .backends.node import Node
+    from .backends.node import Node, NodeOptions
     from .bridges.process.running import RunningBridge
     from .options import PingOptions, RecordOptions
     from .roles.progress import Progress, Watch
@@ -57,9 +60,20 @@ class Recorded:
 
 
 class BaseRecording:
-    """One recording of any role; `stop` ends it, `watch` receives notes and progress."""
+    """One recording of any role; `stop` ends it, `watch` receives notes and progress.
 
-    def __init__(self, options: RecordOptions, stop: threading.Event, watch: Watch, *, rehearses: bool) -> None:
+    `load_fields` returns the session's field `load`, if the machine is loaded.
+    """
+
+    def __init__(
+        self,
+        options: RecordOptions,
+        stop: threading.Event,
+        watch: Watch,
+        *,
+        rehearses: bool,
+        load_fields: Callable[[], JsonObject] = dict,
+    ) -> None:
         self.options = options
         self.rehearses = rehearses
         self.stop = stop
@@ -72,12 +86,25 @@ class BaseRecording:
         self.clock_step_ns = measured_step_ns()
         self.environment = dict(os.environ)  # before a node adds what it needs
         self._noted_disk = False
+        self._node: Node | None = None
+        self._load_fields = load_fields
+
+    @property
+    def has_bridge(self) -> bool:
+        """Whether messages go through a bridge."""
+        return self.options.ping is not None and self.options.ping.bridge != "none"
+
+    @property
+    def node_options(self) -> NodeOptions:
+        """The options of the role's node; with a bridge it is not secured, but the bridge's link."""
+        node = self.options.node
+        return replace(node, security=Security.OFF, keys=None) if self.has_bridge else node
 
     def measure_costs(self, rate_hz: float | None = None) -> None:
         """Measure at a run's rate, before there is a node to disturb."""
         if self.rehearses or not self.options.own_cost:
             return
-        floor = measured_floor(self.options.backend, self.options.node, rate_hz)
+        floor = measured_floor(self.options.backend, self.node_options, rate_hz)
         self.costs = {**measured_cost(), **floor}
 
     def open_wire(self, ping_options: PingOptions | None = None) -> AbstractContextManager[WireRecord]:
@@ -96,7 +123,8 @@ class BaseRecording:
         # Unique, so that the node recognizes its own endpoints.
         name = f"dds_trace_{role}_{self.session_id:016x}"
         listens = role == "relay" or (role == "beacon" and not self.options.node.peers)
-        return open_node(self.options.backend, replace(self.options.node, name=name, listens=listens))
+        self._node = open_node(self.options.backend, replace(self.node_options, name=name, listens=listens))
+        return self._node
 
     def read_back(self, node: Node) -> ReadBack:
         """Return the settings to read back."""
@@ -134,9 +162,17 @@ class BaseRecording:
             },
         )
 
-    def clock_at_end(self) -> JsonObject:
-        """Return the session's `clock`: the kernel's correction at start and end."""
-        return {"clock": {"resolution_ns": self.clock_step_ns, "begin": self.correction, "end": read_adjtimex()}}
+    def fields_at_end(self) -> JsonObject:
+        """Return the session's `clock` (the kernel's correction at start and end), `load` and `security`."""
+        clock: JsonObject = {"resolution_ns": self.clock_step_ns, "begin": self.correction, "end": read_adjtimex()}
+        keys, security = self.options.node.keys, {}
+        if keys is not None and self._node is not None:
+            security = {
+                "level": self.options.node.security.value,
+                "keys_sha256": public_hash(keys),
+                "applied": "TLS of the bridge's link" if self.has_bridge else self._node.read_security(),
+            }
+        return {"clock": clock, **self._load_fields(), **({"security": security} if security else {})}
 
     def note_disk(self, sink: TraceSink) -> None:
         """Note a disk that cannot be written, once."""

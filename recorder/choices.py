@@ -37,6 +37,25 @@ class Transport(Enum):
     TCP = "tcp"
 
 
+class Security(Enum):
+    """What of the messages is protected; every level but `OFF` checks certificates of both sides."""
+
+    OFF = "off"
+    AUTHENTICATE = "authenticate"
+    SIGN = "sign"
+    ENCRYPT_DATA = "encrypt-data"
+    ENCRYPT_RTPS = "encrypt-rtps"
+
+
+class Load(Enum):
+    """What is loaded on the machine while a recording runs."""
+
+    NONE = "none"
+    CPU = "cpu"
+    MEMORY = "memory"
+    NETWORK = "network"
+
+
 class Role(Enum):
     """What a recorder does: one end of a measurement, both, or listening to other programs."""
 

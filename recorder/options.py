@@ -15,7 +15,7 @@ from dds_trace.base.errors import OptionError, OutputExistsError
 from dds_trace.base.units import parse_size
 from dds_trace.tracefile.format.descriptions import Qos
 
-from .choices import Discovery, Role, Serialization
+from .choices import Discovery, Load, Role, Serialization
 from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, detail, option
 from .option_values import KeepFree, Rotation, parse_pairs, parse_rates, parse_topics
 from .payloads import check_data
@@ -278,6 +278,24 @@ class RecordOptions:
         Panel.PROCESS,
         "Run under SCHED_FIFO with this priority, 1 to 99, and all memory locked.",
         limit=limits.REALTIME_PRIORITY,
+    )
+    load: Load = option(
+        Load.NONE,
+        "--load KIND",
+        Panel.PROCESS,
+        "Load this machine while recording, once for all its recordings; network is 100 Mbit/s of UDP that the ping sends:",
+        axis=Axis(
+            meaning="load of the machine of each side while it records: every processor, copies in memory, or 100 Mbit/s of UDP "
+            "from the ping to the relay's device ([load](../how-to/sweep.md#under-load))"
+        ),
+    )
+    load_to: str | None = detail(
+        None,
+        "--load-to HOST",
+        Panel.PROCESS,
+        "Where the UDP of --load network goes. Default: the first --peer, else this machine",
+        limit=limits.HOST,
+        role=Role.PING,
     )
     strict: bool = detail(
         False,

@@ -7,6 +7,7 @@ import secrets
 import threading
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -17,8 +18,10 @@ from .backends.qos import warn_of_depth
 from .base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
 from .beacon.recording import BeaconRecording
 from .bridges.requested import open_requested_bridge
+from .choices import Load
 from .domains import check_domain
 from .errors import BridgeError, NoEchoError, NotAppliedError, RelayLostError
+from .host.load import loaded
 from .host.process import tuned_gc
 from .payloads import open_payload, served_data_types
 from .roles.echo import explain_silence, find_loss, look_for_relays
@@ -26,6 +29,7 @@ from .roles.ping import open_ping
 from .roles.plan import check_serialization, plan_run
 from .roles.relay import Relay
 from .roles.session import strangers_field
+from .security.keys import opened_keys
 from .service.upkeep import Upkeep
 from .tap.recording import TapRecording
 
@@ -72,12 +76,21 @@ def record(options: RecordOptions, stop: threading.Event, watch: Watch, *, rehea
     options.check()
     for warning in check_domain(options.node.domain_id):
         watch.note(warning)
-    if options.tap is not None:
-        return TapRecording(options, stop, watch, rehearses=rehearses).record(options.tap)
-    if options.beacon_rate_hz is not None:
-        return BeaconRecording(options, stop, watch, rehearses=rehearses).record(options.beacon_rate_hz)
-    recording = _Recording(options, stop, watch, rehearses=rehearses)
-    return recording.relay() if options.ping is None else recording.ping(options.ping)
+    load = Load.NONE if rehearses else options.load
+    # Only a ping, which knows where the messages go, sends a load of the network.
+    to = options.load_to or next(iter(options.node.peers), "127.0.0.1").partition(":")[0] if options.ping else None
+    with (
+        opened_keys(options.node.security, options.node.keys) as keys,
+        loaded(load.value, to) as load_fields,
+    ):
+        options = replace(options, node=replace(options.node, keys=keys))
+        if options.tap is not None:
+            return TapRecording(options, stop, watch, rehearses=rehearses, load_fields=load_fields).record(options.tap)
+        if options.beacon_rate_hz is not None:
+            beacon = BeaconRecording(options, stop, watch, rehearses=rehearses, load_fields=load_fields)
+            return beacon.record(options.beacon_rate_hz)
+        recording = _Recording(options, stop, watch, rehearses=rehearses, load_fields=load_fields)
+        return recording.relay() if options.ping is None else recording.ping(options.ping)
 
 
 class _Recording(BaseRecording):
@@ -112,7 +125,7 @@ class _Recording(BaseRecording):
                 read_back.read_end(relay.traffic)
                 relay.close()
                 trace = upkeep.close_trace(
-                    **read_back.fields(), **self.clock_at_end(), **strangers_field(node.strangers)
+                    **read_back.fields(), **self.fields_at_end(), **strangers_field(node.strangers)
                 )
                 read_back.report(trace.path)
                 return Recorded(trace, session, relay.progress(), error=upkeep.shortage)
@@ -156,7 +169,7 @@ class _Recording(BaseRecording):
             if bridge is not None:
                 described = {**described, "bridge": bridge.describe()}
             trace = sink.close(
-                **described, **read_back.fields(), **self.clock_at_end(), **strangers_field(node.strangers)
+                **described, **read_back.fields(), **self.fields_at_end(), **strangers_field(node.strangers)
             )
             read_back.report(trace.path)
             return Recorded(trace, session, ping.progress(), run, error)

@@ -7,7 +7,21 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
-from . import applied, clocks, groups, left_out, losses, runs, sending, sessions, shapes, sides, sources, wire
+from . import (
+    applied,
+    clocks,
+    groups,
+    left_out,
+    losses,
+    runs,
+    sending,
+    sessions,
+    shapes,
+    sides,
+    sources,
+    surroundings,
+    wire,
+)
 
 if TYPE_CHECKING:
     from .check import Check
@@ -15,6 +29,8 @@ if TYPE_CHECKING:
 
 CHECKS: tuple[Check, ...] = (
     applied.settings_not_applied,
+    surroundings.missing_loads,
+    surroundings.late_links,
     sessions.recorder_drops,
     sessions.failed_bridges,
     sessions.failed_recordings,
@@ -85,6 +101,8 @@ CHECKS: tuple[Check, ...] = (
     wire.discovery_traffic,
     shapes.falls_with_size,
     shapes.jumps_with_size,
+    surroundings.loads,
+    surroundings.replayed_links,
     groups.few_samples,
     sessions.missing_files,
     sources.skipped_traces,

@@ -26,7 +26,8 @@ HOST_SAMPLE_SCHEMA = frame_schema(
     "cpu_busiest_percent:f64 cpu_mhz:f64 temperature_c:f64 memory_used_bytes:f64 "
     "memory_available_bytes:f64 load_1min:f64 node_cpu_percent:f64 node_memory_bytes:f64 "
     "bridge_cpu_percent:f64 wifi_signal_dbm:f64 udp_receive_errors:f64 sampling_cpu_ns:f64 "
-    "monotonic_raw_ns:i64 cpu_free_processors:f64 cpu_steal_ns:f64 cpu_pressure_us:f64"
+    "monotonic_raw_ns:i64 cpu_free_processors:f64 cpu_steal_ns:f64 cpu_pressure_us:f64 "
+    "link_rate_mbit_s:f64 link_delay_ms:f64 link_loss_percent:f64"
 )
 
 
@@ -36,7 +37,7 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
     `wall_ns` is since 1970; `node_*` the recording process and `bridge_cpu_percent` the bridge's, of one processor each;
     `wifi_signal_dbm` the weakest interface; `udp_receive_errors` drops for lack of buffer since the first sample;
     `sampling_cpu_ns` the cost of the previous sample; `cpu_steal_ns` and `cpu_pressure_us` time since boot that a hypervisor
-    gave to others and in which some task waited for a processor.
+    gave to others and in which some task waited for a processor; `link_*` what an emulated link did from then on.
     """
     rows: dict[tuple[int, float], dict[str, object]] = {}
     for trace in traces:
@@ -60,8 +61,14 @@ def host_sample_frame(traces: Sequence[Trace]) -> pl.DataFrame:
             .otherwise(index.over("session_id")),
         )
         .filter(
-            pl.col("cpu_busiest_percent").fill_null(0).rank("ordinal", descending=True).over("session_id", "stretch")
-            == 1
+            pl.col("link_delay_ms").is_not_null()
+            | (
+                pl.col("cpu_busiest_percent")
+                .fill_null(0)
+                .rank("ordinal", descending=True)
+                .over("session_id", "stretch")
+                == 1
+            )
         )
         .drop("stretch")
     )
@@ -76,7 +83,7 @@ def _session_at(sessions: Sequence[Session], wall_ns: float | None) -> Session |
 
 def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
     host, processes = object_of(sample.get("host")), object_of(sample.get("processes"))
-    node = object_of(processes.get("self"))
+    node, link = object_of(processes.get("self")), object_of(sample.get("link_now"))
     processors = host.get("cpu_percent_each")
     busy = _numbers(processors if isinstance(processors, list) else [])
     wall_ns, monotonic_ns = number_of(sample.get("log_time_ns")), number_of(sample.get("monotonic_ns"))
@@ -108,6 +115,7 @@ def _row(sample: Mapping[str, object]) -> dict[str, float | None]:
         "monotonic_raw_ns": None if raw_ns is None else int(raw_ns),
         "cpu_steal_ns": number_of(host.get("steal_ns")),
         "cpu_pressure_us": number_of(object_of(host.get("pressure_us")).get("cpu")),
+        **{f"link_{name}": number_of(link.get(name)) for name in ("rate_mbit_s", "delay_ms", "loss_percent")},
         "cpu_free_processors": sum(100 - percent for percent in busy) / 100 if busy else None,
     }
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
-CONDITIONS = frozenset({"link", "flows", "relays", "data"})
+CONDITIONS = frozenset({"link", "flows", "relays", "data", "load"})
 """Keys that nobody chooses: groups that differ in these are no alternatives."""
 
 _OLD: Mapping[str, Callable[[str], str | None]] = {

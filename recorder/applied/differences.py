@@ -43,6 +43,7 @@ class Setting(Enum):
     SHARED_MEMORY = "shared_memory"
     MEMORY_NAMESPACE = "memory_namespace"
     CONGESTION_CONTROL = "congestion_control"
+    SECURITY = "security"
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base import limits
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
-from ..choices import Discovery, ExecutorKind, Transport
+from ..choices import Discovery, ExecutorKind, Security, Transport
 from ..domains import check_domain_id, first_port
 from ..host.environment import MiddlewareEnvironment
 
@@ -54,6 +54,7 @@ class Backend:
         make_pair: opens a node that subscribes and one that publishes, where nodes do not receive their own messages.
         has_ros: whether the ROS middleware and the executor can be chosen.
         has_congestion_control: whether TCP's congestion control can be chosen.
+        security: levels besides `off`.
         environment: variables and files that configure it.
         check_settings: raises an `OptionError` for further options that have no effect.
     """
@@ -71,6 +72,7 @@ class Backend:
     has_ros: bool = False
     has_congestion_control: bool = False
     transports: tuple[Transport, ...] = (Transport.DEFAULT,)
+    security: tuple[Security, ...] = ()
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     check_settings: Callable[[NodeOptions], None] | None = None
 
@@ -109,6 +111,9 @@ class Backend:
         if options.transport not in self.transports:
             names = ", ".join(transport.value for transport in self.transports)
             raise OptionError(f"--transport {options.transport.value}: the backend {self.name} only has {names}")
+        if options.security is not Security.OFF and options.security not in self.security:
+            levels = ", ".join(level.value for level in (Security.OFF, *self.security))
+            raise OptionError(f"--security {options.security.value}: the backend {self.name} only has {levels}")
         if options.peers and self.meeting is Meeting.DISCOVERY:
             raise OptionError(f"--peer {options.peers[0]}: the backend {self.name} discovers its peers; remove --peer")
         if self.check_settings is not None:

@@ -20,9 +20,10 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..choices import Durability, History, Reliability
+from ..choices import Durability, History, Reliability, Security
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
+from .cyclone_security import loaded_plugins, name_of_participant, security_settings, unlike_participant
 from .cyclone_settings import cyclone_loopback, cyclone_settings
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
 from .node import (
@@ -52,6 +53,10 @@ TYPE_CONSISTENCY = 24
 """DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of `dds_public_qosdefs.h`."""
 
 
+SUPPORTED = re.compile(r"(0\.10|11)\.")
+"""Versions of the Python package whose functions are used here."""
+
+
 class CycloneNode(ThreadedNode):
     """One participant with its readers' thread."""
 
@@ -62,12 +67,15 @@ class CycloneNode(ThreadedNode):
         from cyclonedds.qos import Qos as CycloneQos
 
         super().__init__(options)
+        _check_version()
         localhost = cyclone_loopback(options.discovery)
         settings = cyclone_settings(options.discovery, tuned=options.tuned)
         settings = ",".join(filter(None, (localhost, settings)))
         try:
-            self._domain = _configured_domain(options.domain_id, settings)
-            self._participant = DomainParticipant(options.domain_id, qos=CycloneQos(Policy.EntityName(options.name)))
+            configured = ",".join(filter(None, (settings, security_settings(options))))
+            self._domain = _configured_domain(options.domain_id, configured)
+            named = CycloneQos(Policy.EntityName(name_of_participant(options)))
+            self._participant = DomainParticipant(options.domain_id, qos=named)
         except DDSException as err:
             raise BackendUnavailableError(
                 f"Cyclone DDS cannot join domain {options.domain_id} ({err}); see its messages on stderr "
@@ -191,6 +199,8 @@ class CycloneNode(ThreadedNode):
         """Return a line for each side of a topic whose type differs: a QoS mismatch in the policy of type consistency."""
         from cyclonedds.core import DDSException
 
+        if _is_old():  # it has no such status
+            return set()
         statuses = [
             (publisher.writer.get_offered_incompatible_qos_status, "subscription's")
             for publisher in self._writers
@@ -206,6 +216,16 @@ class CycloneNode(ThreadedNode):
                 if read_status().last_policy_id == TYPE_CONSISTENCY:
                     lines.add(f"{topic}: a {others} type has the same name and another definition")
         return lines
+
+    def read_security(self) -> str:
+        return loaded_plugins() if self.options.keys is not None else ""
+
+    def explain_security(self) -> str:
+        return unlike_participant(self.options, self.participant_names())
+
+    def participant_names(self) -> list[str]:
+        """Return the names of the participants seen so far."""
+        return sorted(self._builtin.participants().values())
 
     def count_participants(self) -> int | None:
         return len(self._builtin.participants())
@@ -338,6 +358,16 @@ def _configured_domain(domain_id: int, settings: str) -> Any:
         raise
 
 
+def _is_old() -> bool:
+    return metadata.version("cyclonedds").startswith("0.10.")
+
+
+def _check_version() -> None:
+    version = metadata.version("cyclonedds")
+    if SUPPORTED.match(version) is None:
+        raise BackendUnavailableError(f"cyclonedds {version} is not supported; install 11, or 0.10.2 for DDS Security")
+
+
 def _c_layer() -> Any:
     return import_module("cyclonedds._clayer")
 
@@ -348,9 +378,11 @@ def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
     ddspy_take = _c_layer().ddspy_take
     everything = SampleState.Any | ViewState.Any | InstanceState.Any
 
+    selected = () if _is_old() else (everything,)
+
     def take(reader: int) -> list[tuple[bytes, Any]]:
         # One at a time: a time stamp must not wait for the next copy. Not DataReader.take, which deserializes.
-        samples = ddspy_take(reader, everything, 1)
+        samples = ddspy_take(reader, *selected, 1)
         if isinstance(samples, int):
             if samples == DDSException.DDS_RETCODE_ALREADY_DELETED:
                 return []
@@ -444,5 +476,6 @@ BACKEND = Backend(
     meeting=Meeting.DISCOVERY,
     meeting_needs=DDS_MEETING + " (else list peers in CYCLONEDDS_URI)",
     speaks_dds=True,
+    security=tuple(level for level in Security if level is not Security.OFF),
     environment=MiddlewareEnvironment(configuration=(ConfigurationVariable("CYCLONEDDS_URI", ","),)),
 )

@@ -13,7 +13,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..choices import Discovery, ExecutorKind, Transport
+from ..choices import Discovery, ExecutorKind, Security, Transport
 from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
 
 if TYPE_CHECKING:
@@ -107,6 +107,23 @@ class NodeOptions:
         Panel.MIDDLEWARE,
         "Congestion control of TCP, for the backend socket: cubic, bbr, reno ... Default: the system's",
         axis=Axis(),
+    )
+    security: Security = option(
+        Security.OFF,
+        "--security LEVEL",
+        Panel.MIDDLEWARE,
+        "DDS Security of Cyclone DDS and ROS 2 where they have its plugins, TLS (encrypt-rtps) of sockets, zenoh, and the link of a "
+        "zenoh bridge:",
+        axis=Axis(
+            meaning="what is protected, by DDS Security or TLS with keys made for the sweep ([security](../how-to/security.md))"
+        ),
+    )
+    keys: str | None = detail(
+        None,
+        "--keys FOLDER",
+        Panel.MIDDLEWARE,
+        "Keys for --security, the same for both sides. One that is not there is made, and removed at the end.",
+        limit=limits.TEXT,
     )
     listens: bool = field(default=False, metadata=OUTSIDE_OF_KEY)
 
@@ -321,6 +338,14 @@ class Node(ABC):
     @abstractmethod
     def look_at(self, topic: str) -> TopicView:
         """Return the endpoints on `topic` that the node sees now, its own included."""
+
+    def read_security(self) -> str:
+        """Return in words what secures the messages, as the middleware or a connection reports it; empty if nothing."""
+        return ""
+
+    def explain_security(self) -> str:
+        """Return in words that the other side is secured and this one is not, or the other way round; slow."""
+        return ""
 
     @abstractmethod
     def count_participants(self) -> int | None:

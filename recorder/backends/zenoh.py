@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS
 
-from ..choices import Discovery, Durability, Reliability, Transport
+from ..choices import Discovery, Durability, Reliability, Security, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
+from ..security.tls import unlike_tls, zenoh_tls
 from .base import Backend, Meeting, has_package
 from .dds_types import DDS_TYPES
 from .node import Endpoint, Middleware, Node, NodeSubscription, Publication, TopicView
@@ -79,6 +80,7 @@ class ZenohNode(Node):
                 "tuned": "nothing to tune: zenoh's TCP sizes its buffers itself" if options.tuned else "false",
             },
         )
+        self._secured_by = ""
         self._subscriptions: list[_ZenohSubscription] = []
         self._started = False
 
@@ -180,6 +182,17 @@ class ZenohNode(Node):
         parts = [key.split("/")[-2:] for key in keys]
         return [Endpoint(name, type_name.replace(".", "/")) for name, type_name in parts]
 
+    def read_security(self) -> str:
+        links = {str(link.dst).partition(":")[0] for link in self._session.info.links()}
+        # At the end the other side may have left.
+        self._secured_by = ", ".join(sorted(link for link in links if link.startswith("tls/"))) or self._secured_by
+        return self._secured_by
+
+    def explain_security(self) -> str:
+        if self.options.listens or MULTICAST in self.options.peers:
+            return ""
+        return unlike_tls(BACKEND.peer_addresses(self.options), is_secured=self.options.keys is not None)
+
     def count_participants(self) -> int | None:
         return 1 + len(self._session.info.peers_zid()) + len(self._session.info.routers_zid())
 
@@ -245,12 +258,20 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
     """Return zenoh's configuration; raise an `OptionError` if the ping has no relay."""
     multicast = MULTICAST in options.peers
     shared_memory = _SHARED_MEMORY[options.transport]
+    if options.security is not Security.OFF:
+        if options.transport is Transport.SHM:
+            raise OptionError("--transport shm: shared memory is not encrypted; leave it or --security out")
+        shared_memory = {"enabled": False}
+    transport: dict[str, Any] = {"shared_memory": shared_memory} if shared_memory else {}
+    if options.keys is not None:
+        transport["link"] = {"tls": zenoh_tls(options.keys, listens=options.listens)}
+    scheme = "tcp" if options.keys is None else "tls"
     listen, connect = [], []
     if options.listens:
         host = "127.0.0.1" if options.discovery is Discovery.LOCALHOST else "0.0.0.0"  # noqa: S104 - the range is the subnet
-        listen = [f"tcp/{host}:{BACKEND.port_of(options.domain_id)}"]
+        listen = [f"{scheme}/{host}:{BACKEND.port_of(options.domain_id)}"]
     elif not multicast:
-        connect = [f"tcp/{host}:{number}" for host, number in BACKEND.peer_addresses(options)]
+        connect = [f"{scheme}/{host}:{number}" for host, number in BACKEND.peer_addresses(options)]
     elif options.discovery is Discovery.LOCALHOST:
         raise OptionError("--peer multicast looks beyond this device; give --discovery subnet as well")
     return {
@@ -263,7 +284,7 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
             "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
         },
         "scouting": {"multicast": {"enabled": multicast}, "gossip": {"enabled": False}},
-        **({"transport": {"shared_memory": shared_memory}} if shared_memory else {}),
+        **({"transport": transport} if transport else {}),
     }
 
 
@@ -288,6 +309,7 @@ BACKEND = Backend(
     ),
     relay_port=9,
     transports=tuple(_SHARED_MEMORY),
+    security=(Security.ENCRYPT_RTPS,),
     environment=MiddlewareEnvironment(
         configuration=(
             ConfigurationVariable("ZENOH_CONFIG"),

@@ -95,7 +95,7 @@ class BeaconRecording(BaseRecording):
                     run = self._send(node, sink, upkeep, rate_hz)
                 relay.close()
                 read_back.read_end(relay.traffic)
-                fields = {**read_back.fields(), **self.clock_at_end(), **strangers_field(node.strangers)}
+                fields = {**read_back.fields(), **self.fields_at_end(), **strangers_field(node.strangers)}
                 sink.write_json(SESSION_TOPIC, relay_session.closed(sink.dropped_events, **fields).to_dict())
                 trace = upkeep.close_trace(**fields)
                 read_back.report(trace.path)

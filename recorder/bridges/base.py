@@ -97,6 +97,7 @@ class BridgeOptions:
         tuned: whether our own nodes, `ddsrouter` and the Cyclone DDS in zenoh's bridges are set for large messages.
         listen: `HOST:PORT` at which this half waits for the other.
         peers: `HOST:PORT` of each other half that this one connects to.
+        keys: folder of keys with which the link between two halves is TLS; None for a plain one.
 
     Raises:
         OptionError: a domain, a topic or an address cannot be used.
@@ -112,6 +113,7 @@ class BridgeOptions:
     half: Half = Half.BOTH
     listen: str | None = None
     peers: tuple[str, ...] = ()
+    keys: str | None = None
 
     def __post_init__(self) -> None:
         for domain_id in (self.ping_domain_id, self.relay_domain_id):
@@ -174,6 +176,7 @@ class Bridge:
         environment: returns the variables to add.
         up_pattern: regular expression of the log line when the bridge is up.
         compiled_in: vendor of the middleware in its program, where no loaded library shows it.
+        secures_link: whether the link between its halves can be TLS.
         needs_ros_nodes: whether it finds nodes by `ros_discovery_info`, which only ROS 2 publishes.
     """
 
@@ -189,6 +192,7 @@ class Bridge:
     halves: Halves = Halves.NEVER
     up_pattern: str | None = None
     compiled_in: str = ""
+    secures_link: bool = False
     needs_ros_nodes: bool = False
 
 

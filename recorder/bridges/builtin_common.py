@@ -46,6 +46,7 @@ def options_to_json(options: BridgeOptions) -> str:
         "tuned": options.tuned,
         "qos": options.qos.to_dict(),
         "topics": {topic.name: topic.type_name for topic in options.topics},
+        **({"keys": options.keys} if options.keys else {}),
     }
     return json.dumps(values, indent=2) + "\n"
 
@@ -67,6 +68,7 @@ def options_from_json(path: Path) -> BridgeOptions:
             half=Half(values["half"]),
             listen=values["listen"],
             peers=tuple(values["peers"]),
+            keys=values.get("keys"),
         )
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise TraceFormatError(

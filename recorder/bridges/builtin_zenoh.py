@@ -39,6 +39,7 @@ BRIDGE = Bridge(
     version=lambda _: f"{__version__} (eclipse-zenoh {metadata.version('eclipse-zenoh')})",
     arguments=lambda _: ("-m", __name__),
     halves=Halves.ALWAYS,
+    secures_link=True,
     up_pattern=f"^{UP_LINE}",
 )
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 
 from ..backends import load_backend
-from .base import BRIDGED_TOPICS, BridgedTopic, BridgeOptions, load_bridge, split_halves
+from ..choices import Security
+from .base import BRIDGE_MODULES, BRIDGED_TOPICS, BridgedTopic, BridgeOptions, load_bridge, split_halves
 from .process.running import open_bridge
 
 if TYPE_CHECKING:
@@ -46,6 +47,12 @@ def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type:
     if ping.bridge_running:
         return None
     node = options.node
+    if node.security is not Security.OFF and not (bridge.secures_link and node.security is Security.ENCRYPT_RTPS):
+        names = ", ".join(name for name in BRIDGE_MODULES if load_bridge(name).secures_link)
+        raise OptionError(
+            f"--security {node.security.value} with --bridge {ping.bridge}: what can be secured is the link between two halves, by "
+            f"TLS (encrypt-rtps) of {names}"
+        )
     topic = BridgedTopic(data_type.topic, data_type.type_name)
     bridge_options = BridgeOptions(
         node.domain_id,
@@ -57,6 +64,7 @@ def check_requested_bridge(options: RecordOptions, ping: PingOptions, data_type:
         tuned=node.tuned,
         listen=ping.bridge_listen,
         peers=ping.bridge_peers,
+        keys=node.keys,
     )
     split_halves(bridge, bridge_options)
     return bridge_options

@@ -45,5 +45,6 @@ BRIDGE = Bridge(
     arguments=lambda program: plugin_arguments(program, PLUGIN),
     environment=lambda options: zenoh_environment(options, names_loopback=True),
     halves=Halves.ALWAYS,
+    secures_link=True,
     compiled_in="cyclonedds",
 )

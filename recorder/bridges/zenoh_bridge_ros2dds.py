@@ -49,6 +49,7 @@ BRIDGE = Bridge(
     arguments=lambda program: plugin_arguments(program, PLUGIN),
     environment=lambda options: zenoh_environment(options, names_loopback=_is_before_iron()),
     halves=Halves.ALWAYS,
+    secures_link=True,
     compiled_in="cyclonedds",
     needs_ros_nodes=True,
 )

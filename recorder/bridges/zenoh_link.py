@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..backends.cyclone_settings import cyclone_loopback, cyclone_settings
+from ..security.tls import zenoh_tls
+from .base import Half
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,16 +20,19 @@ if TYPE_CHECKING:
 def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
     """Return `mode`, `listen`, `connect` and `scouting` of a zenoh configuration.
 
-    The halves meet at the given addresses only: no other zenoh program of the network joins in.
+    The halves meet at the given addresses only: no other zenoh program of the network joins in. With keys the link is TLS.
     """
+    tls = None if options.keys is None else zenoh_tls(options.keys, listens=options.half is Half.RELAY)
+    scheme = "tcp" if tls is None else "tls"
     return {
         "mode": mode,
-        "listen": {"endpoints": [f"tcp/{options.listen}"] if options.listen else []},
+        "listen": {"endpoints": [f"{scheme}/{options.listen}"] if options.listen else []},
         "connect": {
-            "endpoints": [f"tcp/{peer}" for peer in options.peers],
+            "endpoints": [f"{scheme}/{peer}" for peer in options.peers],
             "retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
         },
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        **({} if tls is None else {"transport": {"link": {"tls": tls}, "shared_memory": {"enabled": False}}}),
     }
 
 

@@ -13,7 +13,7 @@ from ..applied.differences import Setting
 from ..applied.memory import SHM, ports_of_others
 from ..backends import load_backend, load_backends
 from ..backends.qos import requested_durations
-from ..choices import Transport
+from ..choices import Security, Transport
 from ..domains import domain_port_range
 from ..errors import RelayLostError
 from ..payloads import data_types
@@ -78,6 +78,7 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float, not_applied: tup
     if not view.subscriptions and not view.publishers:  # connections and shared memory need a peer
         not_applied = tuple(difference for difference in not_applied if not difference.applied.startswith("no "))
     through = "" if plan.bridge == "none" else f", through the bridge {plan.bridge} to domain {plan.relay_domain_id}"
+    unlike = node.explain_security()
     where = f", at {', '.join(options.peers)}" if options.peers else ""
     count = node.count_participants()
     others = "an unknown number of other nodes" if count is None else counted(count - 1, "other node")
@@ -87,15 +88,20 @@ def explain_silence(node: Node, plan: RunPlan, waited_s: float, not_applied: tup
         f"{_listed(view.publishers)} publishing {data_type.relay_topic}",
         *view.incompatible,
         *view.unassignable,
+        *([unlike] if unlike else []),
+        *(counted(number, kind) for kind, number in node.strangers.counts.items()),
     ]
     return (
         f"no echo within {waited_s:g} s\n"
         f"  looked for: a relay of {data_type.topic} ({data_type.type_name}) in domain {options.domain_id}{through}; "
         f"middleware {middleware.rmw or middleware.vendor}, discovery range {options.discovery.value}{where}\n"
         f"  saw: {'; '.join(saw)}\n"
-        f"  try: {_advice(view, node, plan, not_applied)}"
+        f"  try: {_SAME_SECURITY if unlike else _advice(view, node, plan, not_applied)}"
         + ("\n  not applied: " + "; ".join(difference.words for difference in not_applied) if not_applied else "")
     )
+
+
+_SAME_SECURITY = "give ping and relay the same --security and --keys"
 
 
 def _advice(view: RelayView, node: Node, plan: RunPlan, not_applied: tuple[Difference, ...]) -> str:
@@ -158,6 +164,7 @@ def _meeting_options(options: NodeOptions) -> str:
             for policy in ("reliability", "durability")
             if (value := str(getattr(options.qos, policy))) != getattr(usual, policy)
         },
+        "security": "" if options.security is Security.OFF else f"{options.security.value} --keys {options.keys}",
         "deadline": spell_duration(durations["deadline"], digits=9) if "deadline" in durations else "",
     }
     return "".join(f"--{name} {value} " for name, value in given.items() if value)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from ..applied.applied import read_applied
 from ..applied.asked import Asked, asked_settings
 from ..applied.carried import with_path
-from ..applied.differences import differences
+from ..applied.differences import Difference, Setting, differences
+from ..choices import Security
 from ..errors import NotAppliedError
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
     from ..applied.applied import Applied
     from ..applied.carried import Traffic
-    from ..applied.differences import Difference, Setting
     from ..backends.node import Node
 
 NEWS_S = 0.02
@@ -46,6 +46,7 @@ class ReadBack:
             environment=environment,
             settings=middleware.settings,
         )
+        self._node = node
         self._strict = strict
         self._note = note
         self._applied: Applied | None = None
@@ -57,14 +58,21 @@ class ReadBack:
         """Read before the first message, on any thread."""
         if self._applied is None:
             applied = read_applied()
-            self._own = differences(self.requested, applied)
+            self._own = differences(self.requested, applied) + self._unsecured()
             self._applied = applied
 
     def read_end(self, traffic: Traffic) -> None:
         """Read after the last message; `traffic` counts from `read_begin`."""
         if self._applied is not None:
             self._applied = with_path(read_applied(self._applied), traffic)
-            self._own = differences(self.requested, self._applied, traffic)
+            self._own = differences(self.requested, self._applied, traffic) + self._unsecured()
+
+    def _unsecured(self) -> tuple[Difference, ...]:
+        level = self._node.options.security
+        if level is Security.OFF or self._node.read_security():
+            return ()
+        words = f"asked for --security {level.value}, and nothing in this process secures its messages"
+        return (Difference(Setting.SECURITY, level.value, "nothing", words),)
 
     def note_bridge(self, not_applied: tuple[Difference, ...]) -> None:
         """Replace the differences of the bridge's programs."""

@@ -85,7 +85,7 @@ class TapRecording(BaseRecording):
                 own_cost = use.taken(tap.messages)
                 mean_bytes = sum(stream.payload_bytes for stream in tap.streams) // max(tap.messages, 1)
                 read_back.read_end(Traffic(0, tap.messages, mean_bytes))
-                trace = upkeep.close_trace(**read_back.fields(), **self.clock_at_end(), own_cost=own_cost.to_json())
+                trace = upkeep.close_trace(**read_back.fields(), **self.fields_at_end(), own_cost=own_cost.to_json())
                 read_back.report(trace.path)
                 for line in summarize(tap.streams):
                     self.watch.note(line)

@@ -1,8 +1,8 @@
-"""Load of the devices and strength of the Wi-Fi while the latency was measured."""
+"""Load of the devices, strength of the Wi-Fi and a replayed link while the latency was measured."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -25,12 +25,15 @@ class DeviceLoad:
         elapsed_s: time since the planned first message of the run, rounded to 0.1 s.
         cpu_percent: of the busiest processor.
         signal_dbm: of the weakest Wi-Fi interface.
+        delay_ms, rate_mbit_s: of an emulated link that a file drives, from then on.
     """
 
     role: str
     elapsed_s: tuple[float, ...]
     cpu_percent: tuple[int | None, ...]
     signal_dbm: tuple[int | None, ...]
+    delay_ms: tuple[float | None, ...]
+    rate_mbit_s: tuple[float | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,24 +49,24 @@ def host_load_info(book: Book) -> HostLoad:
     if not book.analysis.details.host_samples.height:
         return HostLoad({}, decimated=False)
     samples = book.analysis.details.host_samples.filter(
-        pl.col("cpu_busiest_percent").is_not_null() | pl.col("wifi_signal_dbm").is_not_null()
+        pl.any_horizontal(pl.col("cpu_busiest_percent", "wifi_signal_dbm", "link_delay_ms").is_not_null())
     ).sort("wall_ns")
     during = _during_runs(samples, book)
     step = max(1, -(-during.height // SAMPLES_IN_PAGE))
     loads_of_group: dict[int, tuple[DeviceLoad, ...]] = {}
     for (group, role), rows in during.partition_by("group", "role", as_dict=True).items():
         drawn = rows.gather_every(step)
-        load = DeviceLoad(role, *(tuple(drawn[name].to_list()) for name in ("elapsed_s", "cpu_percent", "signal_dbm")))
+        load = DeviceLoad(role, *(tuple(drawn[column.name].to_list()) for column in fields(DeviceLoad)[1:]))
         loads_of_group[group] = (*loads_of_group.get(group, ()), load)
     return HostLoad(loads_of_group, decimated=step > 1)
 
 
 def host_load_figure(info: HostLoad) -> Figure | LeftOut:
     """Draw latency, load and signal over one time axis."""
-    name, title = "host_load", "Processor load and Wi-Fi signal against latency"
+    name, title = "host_load", "Processor load, Wi-Fi signal and replayed link against latency"
     how_to_read = (
         "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load "
-        "shown is the busiest processor's."
+        "shown is the busiest processor's, and a link that replays a file has a step for each of its rows."
     )
     if not info.groups:
         return LeftOut(name, title, "no device sampled its load during a run.")
@@ -115,6 +118,8 @@ def _during_runs(samples: pl.DataFrame, book: Book) -> pl.DataFrame:
             elapsed_s=((pl.col("wall_ns") - pl.col("first_ns")) / 1e9).round(1),
             cpu_percent=pl.col("cpu_busiest_percent").round().cast(pl.Int32),
             signal_dbm=pl.col("wifi_signal_dbm").round().cast(pl.Int32),
+            delay_ms=pl.col("link_delay_ms"),
+            rate_mbit_s=pl.col("link_rate_mbit_s"),
         )
         .sort("role", "elapsed_s", maintain_order=True)
     )

@@ -68,6 +68,12 @@ class FakeNode:
         """Let the subscription of `topic` receive `message`."""
         self.subscriptions[topic].receive(message, source_ns, received_ns)
 
+    def read_security(self) -> str:
+        return ""
+
+    def explain_security(self) -> str:
+        return ""
+
     def look_at(self, topic: str) -> TopicView:
         return self.views.get(topic, TopicView(topic))
 

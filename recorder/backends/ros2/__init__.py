@@ -10,11 +10,19 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from ...applied.vendors import VENDORS
-from ...choices import Transport
+from ...choices import Security, Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import DDS_MEETING, Backend, Meeting
 from .fastdds_profile import applied_transport
-from .installation import INSTALL, check_installed, check_settings, check_vendor, find_rmws, set_discovery_range
+from .installation import (
+    INSTALL,
+    check_installed,
+    check_settings,
+    check_vendor,
+    find_rmws,
+    set_discovery_range,
+    set_security,
+)
 from .node import Ros2Node, running_rmw
 from .router import open_router
 
@@ -31,6 +39,7 @@ def _make_node(options: NodeOptions) -> Node:
         os.environ["RMW_IMPLEMENTATION"] = options.rmw
     check_installed()
     set_discovery_range(options.discovery)
+    set_security(options)
     rmw = running_rmw()
     check_vendor(options, rmw)
     with applied_transport(options, rmw) as settings, ExitStack() as undo:
@@ -52,6 +61,7 @@ BACKEND = Backend(
         DDS_MEETING + " (else name each other's device in ROS_STATIC_PEERS, which ROS 2 Iron and later read)"
     ),
     speaks_dds=True,
+    security=tuple(level for level in Security if level is not Security.OFF),
     has_ros=True,
     transports=(Transport.DEFAULT, Transport.UDP, Transport.SHM, Transport.LARGE_DATA),
     environment=MiddlewareEnvironment(

@@ -16,6 +16,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Discovery, Transport
+from ...security.keys import enclave
 from ..base import has_package
 from ..qos import requested_durations
 
@@ -77,6 +78,18 @@ def set_discovery_range(discovery: Discovery) -> None:
         os.environ["ROS_LOCALHOST_ONLY"] = "1" if is_local else "0"
     else:
         os.environ.pop("ROS_LOCALHOST_ONLY", None)
+
+
+def set_security(options: NodeOptions) -> None:
+    """Set the variables of ROS 2's security (SROS 2), whose keystore has the layout of our keys."""
+    if options.keys is not None:
+        own = enclave(options.keys, listens=options.listens)
+        os.environ |= {
+            "ROS_SECURITY_ENABLE": "true",
+            "ROS_SECURITY_STRATEGY": "Enforce",
+            "ROS_SECURITY_KEYSTORE": str(own.parents[1]),
+            "ROS_SECURITY_ENCLAVE_OVERRIDE": f"/{own.name}",
+        }
 
 
 def set_transport(options: NodeOptions, rmw: str) -> None:

@@ -48,9 +48,18 @@ class Ros2Node(ThreadedNode):
         self._on_closed = on_closed
         self._context = rclpy.Context()
         rclpy.init(context=self._context, domain_id=options.domain_id)
-        self._node = rclpy.create_node(
-            options.name, context=self._context, enable_rosout=False, start_parameter_services=False
-        )
+        try:
+            self._node = rclpy.create_node(
+                options.name, context=self._context, enable_rosout=False, start_parameter_services=False
+            )
+        except Exception as err:
+            if options.keys is None:
+                raise
+            rclpy.shutdown(context=self._context)
+            raise BackendUnavailableError(
+                f"--security {options.security.value}: {running_rmw()} has no security here, as no ROS 2 from pip has "
+                f"({str(err).splitlines()[0]}); use a ROS 2 from apt, or --backend cyclonedds, zenoh or socket"
+            ) from err
         self._executor, executor_name = _make_executor(options.executor, self._context)
         self._executor.add_node(self._node)
         self._middleware = _describe_middleware(options, executor_name, settings or {})
@@ -145,6 +154,10 @@ class Ros2Node(ThreadedNode):
 
     def message_to_cdr(self, message: RosMessage) -> bytes:
         return bytes(_rclpy().serialization.serialize_message(message))
+
+    def read_security(self) -> str:
+        # Under it no node opens without keys and plugins.
+        return "ROS_SECURITY_STRATEGY=Enforce" if self.options.keys is not None else ""
 
     def _make_round(self) -> Callable[[], None]:
         # EventsExecutor.spin() delivers nothing in a thread. One call makes at most one callback.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ...choices import Discovery, Reliability, Transport
+from ...choices import Discovery, Reliability, Security, Transport
 from ..base import Backend, Meeting
 from .node import PROTOCOLS, SocketNode
 
@@ -49,4 +49,5 @@ BACKEND = Backend(
     make_pair=_make_pair,
     has_congestion_control=True,
     transports=tuple(PROTOCOLS),
+    security=(Security.ENCRYPT_RTPS,),
 )

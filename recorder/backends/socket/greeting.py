@@ -34,6 +34,7 @@ MEMORY_BYTES = min(2 * MAX_MESSAGE_BYTES, os.sysconf("SC_PHYS_PAGES") * os.sysco
 
 MALFORMED, CROWD, SLOW = "frame that is none", "connection too many", "subscriber that did not read"
 HALF_OPEN, TOO_LARGE = "connection without a greeting", "frame too large for the memory"
+UNSECURED = "connection without TLS or a certificate of ours"
 
 Address: TypeAlias = tuple[str, int]
 Receivers: TypeAlias = "Mapping[str, tuple[Receive[RawMessage], ...]]"

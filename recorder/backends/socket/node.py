@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 
 from ...applied.vendors import BUFFER_BYTES
-from ...choices import Discovery, Durability, Reliability, Transport
+from ...choices import Discovery, Durability, Reliability, Security, Transport
+from ...security.tls import TlsSocket, tls_context, unlike_tls
 from ..node import Endpoint, Middleware, NodeSubscription, ThreadedNode, TopicView
 from ..qos import refuse_durations
 from .greeting import Greeting
@@ -41,6 +42,7 @@ class SocketNode(ThreadedNode):
     def __init__(self, options: NodeOptions, port: int, peers: Sequence[Address]) -> None:
         super().__init__(options)
         _check_qos(options.qos, PROTOCOLS[options.transport])
+        self._peers = peers
         self._receivers: dict[str, tuple[Receive[RawMessage], ...]] = {}
         self._own = Greeting(options.name)
         is_local = options.discovery is Discovery.LOCALHOST
@@ -54,6 +56,8 @@ class SocketNode(ThreadedNode):
         }
         self._links: TcpLinks | UdpLinks
         if options.transport is Transport.UDP:
+            if options.security is not Security.OFF:
+                raise OptionError(f"--security {options.security.value}: TLS is for TCP; leave --transport udp out")
             if options.congestion_control is not None:
                 raise OptionError(f"--congestion-control {options.congestion_control}: UDP has none; leave it out")
             buffer_bytes = BUFFER_BYTES if options.tuned else None
@@ -64,7 +68,11 @@ class SocketNode(ThreadedNode):
             prepare = partial(set_congestion_control, name=options.congestion_control)
             with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
                 settings["congestion_control"] = prepare(trial)
-            self._links = TcpLinks(self._own, listen, resolved, self._receivers, prepare, self.strangers)
+            secure = None
+            if options.keys is not None:
+                context = tls_context(options.keys, listens=options.listens)
+                secure = partial(TlsSocket, context=context, listens=options.listens)
+            self._links = TcpLinks(self._own, listen, resolved, self._receivers, prepare, self.strangers, secure)
             if options.tuned:
                 settings["tuned"] = "nothing to tune: the kernel sizes the buffers of TCP itself"
         self._middleware = Middleware("socket", "socket", None, {"kernel": platform.release()}, settings)
@@ -97,6 +105,14 @@ class SocketNode(ThreadedNode):
         if not self._receivers[topic]:
             self._own.subscriptions = _without(self._own.subscriptions, topic)
             self._links.announce()
+
+    def read_security(self) -> str:
+        return self._links.security if isinstance(self._links, TcpLinks) else ""
+
+    def explain_security(self) -> str:
+        if self.options.transport is Transport.UDP:
+            return ""
+        return unlike_tls(self._peers, is_secured=self.options.keys is not None)
 
     def _make_round(self) -> Callable[[], None]:
         return self._links.poll

@@ -29,6 +29,7 @@ from .greeting import (
     RETRY_S,
     SLOW,
     TOO_LARGE,
+    UNSECURED,
     Greeting,
     PeerError,
     bound_socket,
@@ -37,6 +38,7 @@ from .greeting import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Sequence
 
+    from ...security.tls import TlsSocket
     from ..node import RawMessage
     from .greeting import Address, Receivers
 
@@ -55,7 +57,7 @@ _HEADER = struct.Struct("<IH")  # bytes of the message, bytes of the topic's nam
 
 
 class TcpLinks:
-    """Connections to peers, and from peers; `prepare` sets the options of each socket."""
+    """Connections to peers, and from peers; `prepare` sets the options of each socket, `secure` shakes hands."""
 
     def __init__(
         self,
@@ -65,7 +67,10 @@ class TcpLinks:
         receivers: Receivers,
         prepare: Callable[[socket.socket], object],
         strangers: Strangers,
+        secure: Callable[[socket.socket], TlsSocket] | None = None,
     ) -> None:
+        self.security, self._secure = "", secure  # the latest secured connection in words
+        self._handshakes = threading.Semaphore(MAX_PEERS)
         self._strangers = strangers
         self._own = own
         self._receivers = receivers
@@ -156,10 +161,9 @@ class TcpLinks:
         self._retry_s[address] = float("inf")  # while it connects and is connected
         connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         connection.setblocking(False)
-        status = connection.connect_ex(address)
-        if status not in (0, errno.EINPROGRESS):
+        if connection.connect_ex(address) not in (0, errno.EINPROGRESS):
             connection.close()
-            self._retry_s[address] = time.monotonic() + RETRY_S
+            self._retry(address)
             return
 
         def connected() -> None:
@@ -167,7 +171,7 @@ class TcpLinks:
             # While nobody listens, a connection to a local port can connect to itself.
             if connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or connection.getsockname() == address:
                 connection.close()
-                self._retry_s[address] = time.monotonic() + RETRY_S
+                self._retry(address)
             else:
                 self._add(connection, address)
 
@@ -177,6 +181,29 @@ class TcpLinks:
         connection.setblocking(True)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._prepare(connection)
+        if self._secure is None:
+            self._join(connection, address)
+        elif self._handshakes.acquire(blocking=False):
+            threading.Thread(target=self._shake_hands, args=(connection, address), daemon=True).start()
+        else:
+            connection.close()
+            self._strangers.count(CROWD)
+
+    def _shake_hands(self, connection: socket.socket, address: Address | None) -> None:
+        assert self._secure is not None
+        try:
+            secured = self._secure(connection)
+        except OSError:
+            self._strangers.count(UNSECURED)
+            connection.close()
+            self._retry(address)
+        else:
+            self.security = secured.describe()
+            self._join(secured, address)
+        finally:
+            self._handshakes.release()
+
+    def _join(self, connection: socket.socket | TlsSocket, address: Address | None) -> None:
         peer = _TcpPeer(connection, self._has_memory, is_chosen=address is not None)
         with self._changing:
             if self._closing:
@@ -199,6 +226,9 @@ class TcpLinks:
             self._strangers.count(SLOW)
         self._remove(peer)
         peer.close()
+        self._retry(address)
+
+    def _retry(self, address: Address | None) -> None:
         if address is not None:
             self._retry_s[address] = time.monotonic() + RETRY_S
 
@@ -231,13 +261,12 @@ def _deliver(
     frames: list[tuple[bytes, str, bytearray]], receivers: Receivers, delivering: FastLock
 ) -> tuple[bytes, str, int]:
     """Call the callbacks; return head, topic and length of the last frame."""
-    head, topic, frame_bytes = b"", "", 0
-    for head, topic, message in frames:
-        frame_bytes = len(head) + len(message)
+    for _, topic, message in frames:
         with delivering:
             for receive in receivers.get(topic, ()):
                 receive(message)
-    return head, topic, frame_bytes
+    head, topic, message = frames[-1] if frames else (b"", "", bytearray())
+    return head, topic, len(head) + len(message)
 
 
 class _TcpPeer:
@@ -247,7 +276,7 @@ class _TcpPeer:
     """
 
     def __init__(
-        self, connection: socket.socket, has_memory: Callable[[_TcpPeer, int], bool], *, is_chosen: bool
+        self, connection: socket.socket | TlsSocket, has_memory: Callable[[_TcpPeer, int], bool], *, is_chosen: bool
     ) -> None:
         self.since_s = time.monotonic()
         self.has_greeted = False

@@ -227,6 +227,8 @@ def _start_half(bridge: Bridge, program: Path, version: str, options: BridgeOpti
     command = (str(program), *bridge.arguments(program), str(file))
     supervised = SupervisedProgram(command, folder, variables, bridge.up_pattern)
     read_back = ProgramReadBack(bridge, options, supervised.pid)
+    if options.keys is not None:  # a trace has no private path
+        text = text.replace(options.keys, "KEYS")
     return _RunningHalf(options, version, text, extra, supervised, read_back)
 
 

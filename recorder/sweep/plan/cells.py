@@ -139,6 +139,8 @@ class Cell:
     history: str = "keep_last"
     depth: int = 10
     tuned: bool = False
+    load: str = "none"
+    security: str = "off"
     environment: str = ""
     repeat: int = 1
 
@@ -167,6 +169,8 @@ class Cell:
             values |= {"backend": self.relay_backend, "rmw": self.relay_rmw}
         elif self.relay_rmw is not None:
             values["rmw"] = self.relay_rmw
+        if self.crosses_domains:  # what is secured is the link of the bridge
+            values["security"] = DEFAULTS["security"]
         return Cell(**values)
 
     @property

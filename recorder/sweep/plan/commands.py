@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from ...choices import Load
 from .cells import AXES, DEFAULTS, RELAY_AXES, environment_name
 from .plan import connects_to_relay
 
@@ -54,6 +55,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *_axis_arguments(cell, [name for name in AXES if name not in ("relay_backend", "relay_rmw")]),
         *(("--bridge-peer", f"{relay_address}:{plan.relay.bridge_port}") if plan.runs_halves(cell) else ()),
         *(("--peer", relay_address) if relay_address and connects_to_relay(cell.backend) else ()),
+        *(("--load-to", relay_address) if relay_address and cell.load == Load.NETWORK.value else ()),
         *("--messages", str(plan.run.messages_at(cell.rate)), "--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={replace(cell, repeat=1).name}"),

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, TypedDict
 
 from dds_trace.base import limits
 
 from .cells import plan_key
+from .drive import read_drive
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from .drive import Drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +57,18 @@ class Link:
     queue_ms: float = plan_key(
         100.0, limits.DELAY_MS, "longest wait of a frame for a full line; later ones are dropped (tail drop)", unit="ms"
     )
+    file: str = plan_key(
+        "",
+        limits.TEXT,
+        "CSV file of rate, delay, loss and jitter over time, from the folder of the plan; each run repeats it from its start "
+        "([drives](../how-to/sweep.md#a-link-from-a-file))",
+        default_words="none",
+    )
+
+    @property
+    def drive(self) -> Drive | None:
+        """What the file says; None without one."""
+        return read_drive(self.file) if self.file else None
 
     @property
     def connectivity(self) -> str:
@@ -62,16 +78,21 @@ class Link:
     @property
     def needs_only_rate(self) -> bool:
         """Whether a queue discipline for the rate is enough."""
-        return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms)
+        return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms or self.file)
 
     def to_dict(self) -> dict[str, str | float]:
         """Return the values as written to the trace."""
-        return asdict(self)
+        values = asdict(self)
+        path = values.pop("file")  # a key of later versions
+        return values if self.drive is None else {**values, "file": Path(path).name, "sha256": self.drive.sha256}
 
     @property
     def setting(self) -> str:
         """The link as a run's setting: `wifi-54(delay_ms=1,rate_mbit_s=54)`."""
         applied = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
+        file = applied.pop("file")
+        if self.drive is not None:
+            return f"{self.name}(file={Path(file).name}#{self.drive.sha256[:8]},queue_ms={self.queue_ms:g})"
         values = ",".join(f"{name}={value:g}" for name, value in sorted(applied.items()) if value)
         return f"{self.name}({values})"
 
@@ -82,6 +103,7 @@ class Link:
             f"jitter {self.jitter_ms:g} ms" if self.jitter_ms else "",
             f"loss {self.loss_percent:g} %" if self.loss_percent else "",
             f"outage {self.outage_ms:g} ms every {self.outage_every_s:g} s" if self.outage_ms else "",
+            f"as {Path(self.file).name} says" if self.file else "",
         ]
         return f"{self.name} ({', '.join(part for part in parts if part) or 'nothing shaped'})"
 
@@ -99,7 +121,7 @@ ForwarderReport: TypeAlias = "dict[str, dict[str, float | None]]"
 
 
 class LinkReport(TypedDict):
-    """Values of the link, what emulates it, and its traffic since the last report."""
+    """Values of the link, what emulates it, its traffic since the last report, and when its file started."""
 
     monotonic_ns: int
     link: dict[str, str | float] | None
@@ -108,6 +130,7 @@ class LinkReport(TypedDict):
     ping: EndCounters
     relay: EndCounters
     forwarder: ForwarderReport | None
+    drive_started_ns: int | None
 
 
 PRESETS: Mapping[str, Link] = {

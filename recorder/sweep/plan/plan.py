@@ -254,7 +254,7 @@ class Plan:
             },
             "devices": [(device.ssh, device.options) for device in (self.ping, self.relay)],
             "namespaces": self.namespaces,
-            "link": asdict(self.link) if self.link else None,
+            "link": self.link.to_dict() if self.link else None,
             "connectivity": self.connectivity,
         }
         return hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()[:16]

@@ -6,16 +6,19 @@ import itertools
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
-from dds_trace.base.files import open_regular
+from dds_trace.base.files import expand_home, open_regular
 from dds_trace.base.units import parse_size
 
+from ...choices import Security
 from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data
 from .cells import AXES, DEFAULTS, Cell
+from .drive import read_drive
 from .link import PRESETS, Link
 from .plan import DeviceSettings, Exclusion, Network, Plan, RunSettings, Search
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
@@ -23,7 +26,6 @@ from .toml_table import TomlTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
-    from pathlib import Path
 
     FindInstalled: TypeAlias = Callable[[], Collection[tuple[str, str | None]]]
     AxisValue: TypeAlias = str | int | float | bool | None
@@ -218,6 +220,10 @@ def _check(plan: Plan, where: str) -> None:
             "the axis environment needs both devices on this machine; remove it or the other device",
         ),
         (
+            plan.has_two_devices and any(cell.security != Security.OFF.value for cell in plan.cells),
+            "the axis security needs both devices on this machine, as no key is sent; use dds-record --security and --keys",
+        ),
+        (
             plan.ping.ssh is not None,
             "[devices.ping] has ssh, but the ping always runs on this machine; give ssh to [devices.relay]",
         ),
@@ -241,6 +247,17 @@ def _link(table: TomlTable) -> Link | None:
         link = replace(link, name=f"{base.name}-changed")
     if (link.outage_ms > 0) != (link.outage_every_s > 0):
         raise OptionError(f"{table.where}: an outage has both outage_every_s and outage_ms; give both or none")
+    if link.file:
+        ours = table.values.keys() - {"file", "name", "queue_ms"}
+        if ours:
+            raise OptionError(f"{table.where}: file has rate, delay, jitter and loss; remove {', '.join(sorted(ours))}")
+        path = Path(table.path).parent / expand_home(link.file)
+        link = replace(link, file=str(path), name=link.name if "name" in table.values else path.stem)
+        limits.check(limits.FILE_NAME, link.name, f"{table.where}: the name of the file")
+        try:
+            read_drive(link.file)
+        except OptionError as err:
+            raise OptionError(f"{table.where}: {err}") from err
     return link
 
 

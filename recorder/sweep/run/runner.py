@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import BackendUnavailableError, OptionError, TraceError, TraceFormatError
 from dds_trace.base.files import output_error
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.ring import ring_path
 
 from ...errors import RelayLostError
 from ..folder import TRACE_ENDINGS, clear_parts, make_parts, remove_files
@@ -45,6 +46,8 @@ START_ALLOWANCE_S = 40.0
 """Time for a ping to start, with its bridge."""
 
 POLL_S = 0.2
+START_POLL_S = 0.01
+"""Polling period until the first message, with which a link's file starts."""
 
 ENDED_CODES = (0, RelayLostError.exit_code)
 """Exit codes of a ping whose trace counts: while the relay runs, silence is the loss that the cell measures."""
@@ -251,6 +254,9 @@ class Runner:
 
     def _attempt(self, cell: Cell, relay: GroupRelay, draft: Path) -> tuple[CellResult, LinkReport | None]:
         self._report_link()  # traffic counts for this attempt from here on
+        drive_link = self._station.drive_link
+        if drive_link is not None:
+            drive_link(starts=False)
         began_s = time.monotonic()
         log = draft.with_name(draft.name + ".log")
         command = [
@@ -267,8 +273,13 @@ class Runner:
             + self.plan.run.cutoff_seconds
         )
         try:
-            while program.wait(POLL_S) is None and time.monotonic() - began_s < limit_s:
+            while program.wait(POLL_S if drive_link is None else START_POLL_S) is None and (
+                time.monotonic() - began_s < limit_s
+            ):
                 relay.check()
+                if drive_link is not None and ring_path(draft).exists():  # the first message follows
+                    drive_link(starts=True)
+                    drive_link = None
             cut_off = program.exit_code is None
         finally:  # also at Ctrl-C
             code = program.stop()
@@ -324,7 +335,10 @@ class Runner:
             self._progress.note(f"{err}; a trace that is no longer needed stays on the device")
 
     def _split(self, path: Path | None, cells: Mapping[str, CellState]) -> dict[int, int]:
-        parts = [CellPart(int(cell.run_id, 16), self.relay_path(name), cell.link) for name, cell in cells.items()]
+        drive = self.plan.link.drive if self.plan.link else None
+        parts = [
+            CellPart(int(cell.run_id, 16), self.relay_path(name), cell.link, drive) for name, cell in cells.items()
+        ]
         try:
             return split_relay_trace(path, parts) if path is not None else {}
         except (TraceFormatError, OSError) as err:

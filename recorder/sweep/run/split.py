@@ -19,6 +19,8 @@ from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.event_chunks import slots_in_time
 from dds_trace.tracefile.writing.writer import TraceWriter
 
+from ..plan.drive import COLUMNS
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.ring import Slots
     from dds_trace.tracefile.reading.trace import Trace
 
+    from ..plan.drive import Drive
     from ..plan.link import LinkReport
 
 _SAMPLE_MARGIN_NS = 1_000_000_000
@@ -35,11 +38,12 @@ _SAMPLE_MARGIN_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class CellPart:
-    """The part for one cell; the link's counters become a host sample."""
+    """The part for one cell; the link's counters become a host sample, and so does each change of its drive."""
 
     run_id: int
     path: Path
     link: LinkReport | None = None
+    drive: Drive | None = None
 
 
 def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
@@ -79,6 +83,12 @@ def _write(part: CellPart, trace: Trace, slots: Slots, mode: int) -> None:
     ]
     if part.link is not None:
         samples.append((session.wall_ns(part.link["monotonic_ns"]), part.link))
+        if part.drive is not None and (started_ns := part.link["drive_started_ns"]) is not None:
+            ends_ns = (int(slots["monotonic_ns"][place]) for place in (0, -1))
+            samples += [
+                (session.wall_ns(at_ns), {"monotonic_ns": at_ns, "link_now": dict(zip(COLUMNS, row, strict=True))})
+                for at_ns, row in part.drive.between(started_ns, *ends_ns)
+            ]
     samples.sort(key=lambda timed: timed[0])
     ends = np.searchsorted(times_ns, [time_ns for time_ns, _ in samples], side="right").tolist()
     with replacing(part.path) as draft, TraceWriter(draft, session, mode=mode) as writer:

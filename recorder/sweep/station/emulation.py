@@ -9,6 +9,7 @@ import shutil
 import struct
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -104,12 +105,17 @@ def open_tap(name: str, namespace: str) -> int:
 def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
     """Start `tap_forwarder.py`."""
     program = Path(__file__).with_name("tap_forwarder.py")
-    # -I -S starts fastest: only the standard library.
-    return subprocess.Popen(
-        [sys.executable, "-I", "-S", str(program), *map(str, taps), json.dumps(link.to_dict())],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        pass_fds=taps,
-        start_new_session=True,  # Ctrl-C is for the sweep, which still needs the link to end a run cleanly
-    )
+    drive = link.drive
+    values = {"rows": drive.rows, "has_rate": drive.has_rate} if drive else {"rows": ()}
+    with tempfile.TemporaryFile("w+") as file:  # a drive is longer than an argument may be
+        json.dump({**link.to_dict(), **values}, file)
+        file.seek(0)
+        # -I -S starts fastest: only the standard library.
+        return subprocess.Popen(
+            [sys.executable, "-I", "-S", str(program), *map(str, taps), str(file.fileno())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            pass_fds=(*taps, file.fileno()),
+            start_new_session=True,  # Ctrl-C is for the sweep, which still needs the link to end a run cleanly
+        )

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay)")
 _ROLES = ("ping", "relay")
+_LINK_ENDED = "the emulated link ended by itself; run the sweep again"
 _counter = itertools.count()
 
 
@@ -62,6 +63,7 @@ class NamespacePair:
         self.commands: list[str] = []
         self._forwarder: subprocess.Popen[str] | None = None
         self._taps: list[int] = []
+        self._drive_started_ns: int | None = None
         self._counted: dict[Side, EndCounters] = {}
 
     def __enter__(self) -> Self:
@@ -89,7 +91,13 @@ class NamespacePair:
             "ping": self._traffic_since(self.ping),
             "relay": self._traffic_since(self.relay),
             "forwarder": self._ask_forwarder(),
+            "drive_started_ns": self._drive_started_ns,
         }
+
+    def drive(self, *, starts: bool) -> None:
+        """Start the link's file now, or go back to its first row."""
+        self._drive_started_ns = time.monotonic_ns() if starts else None
+        self._say(f"start {self._drive_started_ns}" if starts else "rest")
 
     def _traffic_since(self, side: Side) -> EndCounters:
         now = count_traffic(side.namespace)
@@ -108,7 +116,9 @@ class NamespacePair:
             ip("-n", side.namespace, "link", "set", "lo", "up")
         link = self.link
         needs_forwarder = (
-            link is not None and not link.needs_only_rate and (bool(link.outage_ms) or not self._has_netem())
+            link is not None
+            and not link.needs_only_rate
+            and (bool(link.outage_ms or link.file) or not self._has_netem())
         )
         if needs_forwarder:
             self._taps = [
@@ -144,15 +154,23 @@ class NamespacePair:
         return True
 
     def _ask_forwarder(self) -> ForwarderReport | None:
-        if self._forwarder is None or self._forwarder.stdin is None or self._forwarder.stdout is None:
+        if self._forwarder is None or self._forwarder.stdout is None:
             return None
+        self._say("report")
         try:
-            self._forwarder.stdin.write("report\n")
-            self._forwarder.stdin.flush()
             report: ForwarderReport = json.loads(self._forwarder.stdout.readline())
-        except (OSError, ValueError) as err:
-            raise BackendUnavailableError("the emulated link ended by itself; run the sweep again") from err
+        except ValueError as err:
+            raise BackendUnavailableError(_LINK_ENDED) from err
         return report
+
+    def _say(self, line: str) -> None:
+        assert self._forwarder is not None
+        assert self._forwarder.stdin is not None
+        try:
+            self._forwarder.stdin.write(f"{line}\n")
+            self._forwarder.stdin.flush()
+        except OSError as err:
+            raise BackendUnavailableError(_LINK_ENDED) from err
 
     def _remove(self) -> None:
         if self._forwarder is not None:

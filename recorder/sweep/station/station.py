@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.files import expand_home
 
 from ...options import DEFAULT_WAIT_S
+from ...security.keys import shared_keys
 from ..folder import make_parts
 from .devices import LocalDevice, PrintedDevice
 from .namespaces import NamespacePair
@@ -36,6 +37,7 @@ class Station:
         lock: file descriptor of the folder's lock, for the programs to inherit.
         relay_address: address of the relay's device, None on one machine.
         report_link: `NamespacePair.report`, None without an emulated link.
+        drive_link: `NamespacePair.drive`, None for a link without a file.
         environments: folder of each other Python environment of the plan -> command of the ping and device of the relay.
     """
 
@@ -45,6 +47,7 @@ class Station:
     wait_s: float = DEFAULT_WAIT_S
     relay_address: str | None = None
     report_link: Callable[[], LinkReport | None] | None = None
+    drive_link: Callable[..., None] | None = None
     environments: Mapping[str, tuple[Sequence[str], RelayDevice]] = field(default_factory=dict)
 
     def within(self, environment: str) -> Station:
@@ -79,15 +82,17 @@ def open_station(
         return
     with ExitStack() as stack:
         pair = stack.enter_context(NamespacePair(plan.link)) if plan.namespaces else None
+        keys = stack.enter_context(shared_keys({cell.security for cell in plan.cells}))
         ping_prefix, relay_prefix = (pair.ping.prefix, pair.relay.prefix) if pair else ([], [])
 
         def both(program: Sequence[str]) -> tuple[Sequence[str], RelayDevice]:
-            return [*ping_prefix, *program], LocalDevice(parts, [*relay_prefix, *program], lock)
+            return [*ping_prefix, *keys, *program], LocalDevice(parts, [*relay_prefix, *keys, *program], lock)
 
         yield Station(
             *both(own),
             lock,
             relay_address=pair.relay.address if pair else None,
             report_link=pair.report if pair else None,
+            drive_link=pair.drive if pair and plan.link and plan.link.file else None,
             environments={environment: both(program) for environment, program in others.items()},
         )

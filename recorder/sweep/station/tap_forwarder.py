@@ -1,12 +1,14 @@
 """The forwarder of an emulated link, for kernels without netem: carries frames between two TAP devices.
 
 It applies delay, jitter, loss and outages; the kernel's token bucket applies the rate, which slows the sender as a
-network card does. As its own process it is not delayed by the sweep:
+network card does. With a `Drive` it applies the rate too, by a queue that drops what comes when it is full, as a radio
+does. As its own process it is not delayed by the sweep:
 
-    tap_forwarder.py FD FD JSON
+    tap_forwarder.py FD FD FD
 
-takes the TAP devices as file descriptors and a `Link`. It answers every line on standard input with a line of JSON
-(`Wire.report` of both directions) and ends when standard input closes.
+takes the TAP devices, and a file with a `Link` and its `Drive` as JSON, as file descriptors. Of the lines on standard
+input it answers `report` with a line of JSON (`Wire.report` of both directions); `start NS` starts the drive at a time of
+CLOCK_MONOTONIC, `rest` goes back to its first row. It ends when standard input closes.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import random
 import select
 import sys
 import time
+from bisect import bisect_right
 from collections import Counter, deque
 
 FRAME_BYTES = 65536
@@ -32,10 +35,28 @@ PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 WIRE_PRIORITY = 10
 
 
+class Replay:
+    """The rows of a drive (time, rate, delay, loss, jitter) as time goes on; at rest the first one is valid."""
+
+    def __init__(self, rows: list[list[float]]) -> None:
+        self._rows = rows
+        self._times_ns = [round(row[0] * 1e9) for row in rows]
+        self.started_ns: int | None = None
+
+    def at(self, now_ns: int) -> list[float]:
+        """Return the valid row."""
+        if self.started_ns is None:
+            return self._rows[0]
+        elapsed_ns = (now_ns - self.started_ns) % self._times_ns[-1]
+        return self._rows[bisect_right(self._times_ns, elapsed_ns) - 1]
+
+
 class Wire:
     """One direction between two TAP devices; outages count from `started_ns`."""
 
-    def __init__(self, source: int, sink: int, link: dict[str, float], started_ns: int) -> None:
+    def __init__(
+        self, source: int, sink: int, link: dict[str, float], started_ns: int, replay: Replay | None = None
+    ) -> None:
         self.source = source
         self._sink = sink
         self._delay_ns = link["delay_ms"] * 1e6
@@ -44,6 +65,11 @@ class Wire:
         self._outage_every_ns = int(link["outage_every_s"] * 1e9)
         self._outage_ns = int(link["outage_ms"] * 1e6)
         self._started_ns = started_ns
+        self._replay = replay
+        self._has_rate = bool(link.get("has_rate"))
+        self._queue_ns = link["queue_ms"] * 1e6
+        self._rate_bit_ns = 0.0
+        self._free_ns = 0.0  # when the line has sent all that was taken
         self._chance = random.Random()  # noqa: S311 - losses, not a secret
         self._last_due_ns = 0
         self._in_flight: deque[tuple[int, bytes]] = deque()
@@ -56,10 +82,18 @@ class Wire:
             while True:
                 frame = os.read(self.source, FRAME_BYTES)
                 now_ns = time.monotonic_ns()
+                if self._replay is not None:
+                    _, rate_mbit_s, delay_ms, loss_percent, jitter_ms = self._replay.at(now_ns)
+                    self._rate_bit_ns, self._loss = rate_mbit_s / 1e3, loss_percent / 100
+                    self._delay_ns, self._jitter_ns = delay_ms * 1e6, jitter_ms * 1e6
                 fate = self._fate(frame, now_ns)
                 self._counts[fate] += 1
                 if fate == "carried":
-                    due_ns = now_ns + max(0, int(self._chance.gauss(self._delay_ns, self._jitter_ns)))
+                    sent_ns = now_ns
+                    if self._has_rate:
+                        self._free_ns = max(now_ns, self._free_ns) + len(frame) * 8 / self._rate_bit_ns
+                        sent_ns = int(self._free_ns)
+                    due_ns = sent_ns + max(0, int(self._chance.gauss(self._delay_ns, self._jitter_ns)))
                     self._last_due_ns = max(self._last_due_ns, due_ns)  # frames keep their order
                     self._in_flight.append((self._last_due_ns, frame))
 
@@ -68,6 +102,10 @@ class Wire:
             return "in_outage"
         if self._loss and frame[12:14] in IP_FRAMES and self._chance.random() < self._loss:
             return "lost"
+        if self._has_rate and not self._rate_bit_ns:
+            return "in_outage"
+        if self._has_rate and self._free_ns - now_ns > self._queue_ns:
+            return "overflow"
         return "carried" if len(self._in_flight) < MOST_FRAMES else "overflow"
 
     def _in_outage(self, now_ns: int) -> bool:
@@ -123,10 +161,12 @@ def run_ahead_of_others() -> None:
 def main() -> None:
     """Carry frames until standard input closes."""
     first, second = int(sys.argv[1]), int(sys.argv[2])
-    link = json.loads(sys.argv[3])
+    with open(int(sys.argv[3])) as file:  # noqa: PTH123 - a descriptor
+        link = json.load(file)
     run_ahead_of_others()
     started_ns = time.monotonic_ns()
-    wires = (Wire(first, second, link, started_ns), Wire(second, first, link, started_ns))
+    replay = Replay(link["rows"]) if link["rows"] else None
+    wires = (Wire(first, second, link, started_ns, replay), Wire(second, first, link, started_ns, replay))
     stdin = sys.stdin.fileno()
     while True:
         due_ns = [wire.due_ns for wire in wires if wire.due_ns is not None]
@@ -138,9 +178,14 @@ def main() -> None:
                 wire.take()
             wire.release()
         if stdin in ready:
-            if not os.read(stdin, 4096):
+            lines = os.read(stdin, 4096).decode().splitlines()
+            if not lines:
                 return
-            print(json.dumps({"from_ping": wires[0].report(), "from_relay": wires[1].report()}), flush=True)
+            for word, *values in map(str.split, lines):
+                if word == "report":
+                    print(json.dumps({"from_ping": wires[0].report(), "from_relay": wires[1].report()}), flush=True)
+                elif replay is not None:
+                    replay.started_ns = int(values[0]) if word == "start" else None
 
 
 if __name__ == "__main__":

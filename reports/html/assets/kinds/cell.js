@@ -15,6 +15,9 @@ const cellTitle = () =>
 const seenInCell = (groups) =>
   groups.filter((group) => !isHidden("choice", optionOf("choice", group))).slice(0, MOST_LINES);
 
+// Panels of a link that a file drives.
+const LINK_PANELS = { delay_ms: ["Delay of the link", "ms"], rate_mbit_s: ["Rate of the link", "Mbit/s"] };
+
 Object.assign(KINDS, {
   percentile_curve(_, width) {
     return distribution(width, true);
@@ -167,9 +170,11 @@ Object.assign(KINDS, {
               x: (point) => point.at,
               y: (point) => point.value,
               size: 6,
+              ...(key in LINK_PANELS ? { mode: "lines" } : {}),
               hover: (point) => groupHover(group, `${load.role}: ${format(point.value)}`),
             });
-            if (load.role === "relay")
+            if (key in LINK_PANELS) trace.line = { ...trace.line, shape: "hv" };
+            else if (load.role === "relay")
               Object.assign(trace.marker, { size: 8, line: { color: theme().ink, width: 1.6 } });
             return trace;
           }),
@@ -203,7 +208,16 @@ Object.assign(KINDS, {
         y: { type: "linear", nticks: 4 },
         height: 90,
       });
-    const drawn = gridOf(cpu.length || signal.length ? panels : [], width, { minWidth: width, below: 46 });
+    const steps = Object.entries(LINK_PANELS).map(([key, [title, unit]]) => ({
+      title: `${title} (${unit})`,
+      traces: lines(key, (value) => `${digits(value)} ${unit}`),
+      x: seconds,
+      y: { type: "linear", rangemode: "tozero", nticks: 4 },
+      height: 90,
+    }));
+    const link = steps.filter((panel) => panel.traces.length);
+    panels.push(...link);
+    const drawn = gridOf(cpu.length || signal.length || link.length ? panels : [], width, { minWidth: width, below: 46 });
     panels.forEach((_, place) => {
       if (place && drawn.layout[`xaxis${place + 1}`]) drawn.layout[`xaxis${place + 1}`].matches = "x";
     });
@@ -220,11 +234,19 @@ Object.assign(KINDS, {
         { label: "Time", unit: "s", format: digits },
         { label: "Busiest processor", unit: "%", format: digits },
         { label: "Wi-Fi signal", unit: "dBm", format: digits },
+        ...Object.values(LINK_PANELS).map(([label, unit]) => ({ label, unit, format: digits })),
       ],
       rows: groups.flatMap((group) =>
         plan.groups[group].flatMap((load) =>
           load.elapsed_s.map((at, place) =>
-            groupRow(group, load.role, at, load.cpu_percent[place], load.signal_dbm[place]),
+            groupRow(
+              group,
+              load.role,
+              at,
+              load.cpu_percent[place],
+              load.signal_dbm[place],
+              ...Object.keys(LINK_PANELS).map((key) => load[key][place]),
+            ),
           ),
         ),
       ),

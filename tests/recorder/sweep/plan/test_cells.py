@@ -37,6 +37,8 @@ CHANGES = {name: {bool: True, int: 3, float: 3.0}.get(axis.kind, "other") for na
     "tuned": True,
     "environment": "/opt/kilted",
     "congestion_control": "reno",
+    "load": "cpu",
+    "security": "sign",
     "repeat": 2,
 }
 
@@ -49,9 +51,14 @@ def test_every_parameter_shows_in_the_name():
 
 def test_every_axis_is_a_field_and_a_relay_differs_only_in_those_that_concern_it():
     assert {*AXES, "repeat"} == {field.name for field in fields(Cell)}
-    given = Cell(**{name: CHANGES[name] for name in AXES})
+    given = Cell(**{name: CHANGES[name] for name in AXES if name != "bridge"})
     changed = {name for name in AXES if getattr(given.relay, name) != getattr(Cell(), name)}
     assert changed == set(RELAY_AXES)
+
+
+def test_across_a_bridge_the_link_is_secured_and_not_the_relay():
+    assert Cell(security="sign").relay.security == "sign"
+    assert Cell(security="encrypt-rtps", bridge="builtin-zenoh").relay == Cell().relay
 
 
 def test_one_relay_serves_all_data_rates_and_bridges():

@@ -9,7 +9,7 @@ from collections import Counter
 import pytest
 
 from dds_trace.recorder.sweep.plan.link import Link
-from dds_trace.recorder.sweep.station.tap_forwarder import MOST_FRAMES, Wire, quantile
+from dds_trace.recorder.sweep.station.tap_forwarder import MOST_FRAMES, Replay, Wire, quantile
 
 FRAME = b"\xff" * 12 + b"\x08\x00" + b"payload"
 ARP = b"\xff" * 12 + b"\x08\x06" + b"who has"
@@ -142,3 +142,66 @@ def test_quantile_of_counted_values():
     assert quantile(Counter(), 0.5) is None
     assert quantile(Counter({1: 99, 7: 1}), 0.99) == 1
     assert quantile(Counter({1: 98, 7: 2}), 0.99) == 7
+
+
+DRIVE = [[0, 8, 20, 0, 0], [1, 4, 50, 0, 0], [2, 0, 50, 0, 0], [3, 8, 30, 100, 0], [4, 8, 20, 0, 0]]
+"""Rows of time in s, rate in Mbit/s, delay in ms, loss in percent, jitter in ms."""
+LONG_FRAME = FRAME.ljust(1000, b"x")
+SECOND = 1_000_000_000
+
+
+def replaying(ends, clock, **link):
+    replay = Replay(DRIVE)
+    values = {**Link(**link).to_dict(), "has_rate": True}
+    made = Wire(ends[1].fileno(), ends[2].fileno(), values, clock.now_ns, replay)
+    return made, replay
+
+
+def carried_after(ends, clock, line):
+    """Nanoseconds from a frame's way in to its way out."""
+    began_ns = clock.now_ns
+    ends[0].send(LONG_FRAME)
+    line.take()
+    if line.due_ns is None:
+        return None
+    clock.now_ns = line.due_ns
+    line.release()
+    assert received(ends) == [LONG_FRAME]
+    return clock.now_ns - began_ns
+
+
+def test_each_row_of_a_drive_has_its_rate_and_delay_from_its_time_on(ends, clock):
+    line, replay = replaying(ends, clock)
+    replay.started_ns = started_ns = clock.now_ns
+    times = []
+    for at_s in (0, 0.9, 1, 1.9, 2, 3, 4, 5):  # starts over at 4 s
+        clock.now_ns = started_ns + round(at_s * SECOND)
+        times.append(carried_after(ends, clock, line))
+    # 8,000 bits take 1 ms at 8 Mbit/s and 2 ms at 4
+    assert times == [21_000_000, 21_000_000, 52_000_000, 52_000_000, None, None, 21_000_000, 52_000_000]
+    report = line.report()
+    assert (report["carried"], report["in_outage"], report["lost"]) == (6, 1, 1)
+
+
+def test_a_drive_at_rest_stays_in_its_first_row(ends, clock):
+    line, _ = replaying(ends, clock)
+    for _ in range(3):
+        clock.now_ns += SECOND
+        assert carried_after(ends, clock, line) == 21_000_000
+
+
+def test_a_full_line_has_its_rate_and_drops_what_waits_too_long(ends, clock):
+    line, _ = replaying(ends, clock, queue_ms=5)
+    sent_ns = clock.now_ns
+    for _ in range(10):
+        ends[0].send(LONG_FRAME)
+    line.take()
+    due = []
+    while line.due_ns is not None:
+        clock.now_ns = line.due_ns
+        due.append(line.due_ns - sent_ns)
+        line.release()
+        received(ends)
+    # a frame is sent each ms, the seventh would wait for more than 5
+    assert due == [(21 + number) * 1_000_000 for number in range(6)]
+    assert line.report()["overflow"] == 4

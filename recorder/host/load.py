@@ -1,0 +1,67 @@
+"""A load of this machine while a recording runs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import psutil
+
+from .process import ending_with_parent
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from dds_trace.tracefile.format.json_fields import JsonObject
+
+PROGRAM = Path(__file__).with_name("load_program.py")
+
+
+@contextmanager
+def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObject]]:
+    """Load the machine within the block; yields a function that returns the session's field `load`, if there is a load.
+
+    Args:
+        kind: `none`, `cpu`, `memory` or `network`.
+        host: where `network` sends; None sends nothing.
+    """
+    if kind == "none" or (kind == "network" and host is None):
+        yield dict
+        return
+    # -I -S starts fastest: only the standard library.
+    command = [*ending_with_parent(), sys.executable, "-I", "-S", str(PROGRAM), kind, host or ""]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL) as process:
+        assert process.stdout is not None
+        os.set_blocking(process.stdout.fileno(), False)
+        began_s, said = time.monotonic(), b""
+
+        def describe() -> JsonObject:
+            nonlocal said
+            said += process.stdout.read() or b""  # type: ignore[union-attr]
+            program = said.decode().strip()
+            cpu_s = _cpu_seconds(process.pid) if program else 0.0
+            described: JsonObject = {"kind": kind, "program": program, "elapsed_s": time.monotonic() - began_s}
+            return {"load": {**described, "cpu_s": cpu_s, "is_running": process.poll() is None}}
+
+        try:
+            yield describe
+        finally:
+            process.terminate()
+
+
+def _cpu_seconds(pid: int) -> float:
+    """Return the CPU time of a process and its children."""
+    total_s = 0.0
+    try:
+        own = psutil.Process(pid)
+        for process in (own, *own.children(recursive=True)):
+            times = process.cpu_times()
+            total_s += times.user + times.system
+    except psutil.Error:
+        return total_s
+    return total_s

@@ -1,0 +1,81 @@
+"""Load for a machine, in a process of its own with the standard library only: `load_program.py KIND HOST`.
+
+`cpu` keeps every processor busy, `memory` copies 64 MiB again and again on half of them, by stress-ng where it is
+installed; `network` sends UDP to the discard port of HOST. Of `cpu` and `memory` a machine has one at a time: a second
+program waits for the first. It prints what makes the load once it starts, and runs until it is killed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import hashlib
+import os
+import shutil
+import socket
+import sys
+import tempfile
+import threading
+import time
+
+DISCARD_PORT = 9
+DATAGRAM_BYTES = 1400
+NETWORK_BIT_S = 100_000_000
+BURST_S = 0.002
+COPIED_BYTES = 64 << 20
+
+PROCESSORS = os.cpu_count() or 1
+STRESS_NG = {"cpu": ("--cpu", PROCESSORS), "memory": ("--stream", max(1, PROCESSORS // 2))}
+
+
+def compute() -> None:
+    """Keep one processor busy; hashing lets other threads run meanwhile."""
+    data = bytes(1 << 20)
+    while True:
+        hashlib.sha256(data)
+
+
+def copy() -> None:
+    """Keep the memory busy; a C function lets other threads run meanwhile."""
+    source, target = (ctypes.create_string_buffer(COPIED_BYTES) for _ in range(2))
+    while True:
+        ctypes.memmove(target, source, COPIED_BYTES)
+
+
+def send(host: str) -> None:
+    """Send datagrams at `NETWORK_BIT_S`, or as fast as a slower line takes them."""
+    data, next_s, address = bytes(DATAGRAM_BYTES), time.monotonic(), socket.gethostbyname(host)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        while True:
+            for _ in range(round(NETWORK_BIT_S * BURST_S / 8 / DATAGRAM_BYTES)):
+                with contextlib.suppress(OSError):  # nobody receives there
+                    sender.sendto(data, (address, DISCARD_PORT))
+            next_s = max(next_s + BURST_S, time.monotonic() - BURST_S)
+            time.sleep(max(0.0, next_s - time.monotonic()))
+
+
+def main() -> None:
+    """Make the load."""
+    kind, host = sys.argv[1:]
+    # The recorder may have a real-time priority and only some processors.
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.sched_setaffinity(0, range(PROCESSORS))
+    if kind == "network":
+        print("own", flush=True)
+        send(host)
+    lock = os.open(f"{tempfile.gettempdir()}/dds-trace-load-{os.getuid()}.lock", os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    stress_ng = shutil.which("stress-ng")
+    print("stress-ng" if stress_ng else "own", flush=True)
+    if stress_ng:
+        os.set_inheritable(lock, True)
+        option, workers = STRESS_NG[kind]
+        os.execv(stress_ng, [stress_ng, option, str(workers), "--timeout", "0", "--quiet"])  # noqa: S606 - no shell
+    for _ in range(int(STRESS_NG[kind][1])):
+        threading.Thread(target=compute if kind == "cpu" else copy, daemon=True).start()
+    threading.Event().wait()
+
+
+if __name__ == "__main__":
+    main()

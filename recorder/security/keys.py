@@ -1,0 +1,190 @@
+"""A folder with the keys of one measurement: an authority of its own, and what it signed for ping and relay.
+
+It has the layout of a ROS 2 keystore: `enclaves/ping/{cert,key}.pem` and so on. Nothing of it is written to a trace but a
+hash of what is public.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import tempfile
+from contextlib import contextmanager, suppress
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+
+from ..choices import Security
+from .dds_documents import governance, permissions
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+
+VARIABLE = "DDS_TRACE_KEYS"
+"""Folder with a folder of keys for each level, which a sweep makes for its programs."""
+
+SIDES = ("ping", "relay")
+LEVEL_FILE = "level"
+_VALID = timedelta(days=400)
+_FOLDER = re.compile(r"dds-trace-keys-(\d+)-\w+")
+
+
+def enclave(keys: str, *, listens: bool) -> Path:
+    """Return the folder of one side's certificate and key."""
+    return Path(keys).absolute() / "enclaves" / SIDES[listens]
+
+
+def public_hash(keys: str) -> str:
+    """Return a hash of the authority, governance and both permissions, as it is written to traces."""
+    files = [path for path in sorted(Path(keys).rglob("*")) if path.name != "key.pem" and path.is_file()]
+    return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()
+
+
+@contextmanager
+def opened_keys(level: Security, folder: str | None) -> Iterator[str | None]:
+    """Yield the folder of keys of a recording, made and removed by the one that finds none; None without security.
+
+    Raises:
+        OptionError: no folder is given, others can read it, or it is of another level.
+        BackendUnavailableError: it has to be made, and the package cryptography is not installed.
+    """
+    if level is Security.OFF:
+        yield None
+        return
+    shared = os.environ.get(VARIABLE)
+    path = Path(folder) if folder else Path(shared) / level.value if shared else None
+    if path is None:
+        raise OptionError(
+            f"--security {level.value} needs --keys FOLDER, the same for both sides; a folder that is not there yet is made, and "
+            "removed at the end"
+        )
+    is_ours = not path.exists()
+    if is_ours:
+        make_keys(path, level)
+    try:
+        _check(path, level)
+        yield str(path)
+    finally:
+        if is_ours:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _check(path: Path, level: Security) -> None:
+    try:
+        status, made_for = path.stat(), (path / LEVEL_FILE).read_text().strip()
+    except OSError as err:
+        raise OptionError(f"--keys {path}: {err.strerror}; give a folder that dds-trace made, or a new name") from err
+    if status.st_uid != os.geteuid() or status.st_mode & 0o077:
+        raise OptionError(f"--keys {path}: others can read it; chmod 700 it, as your own user")
+    if made_for != level.value:
+        raise OptionError(f"--keys {path}: made for --security {made_for}, not {level.value}; give another folder")
+
+
+@contextmanager
+def shared_keys(levels: Collection[str]) -> Iterator[Sequence[str]]:
+    """Yield the words before a command that give it keys for these levels; the keys are removed after the block."""
+    secured = [Security(level) for level in levels if level != Security.OFF.value]
+    if not secured:
+        yield ()
+        return
+    _remove_stale()
+    with tempfile.TemporaryDirectory(prefix=f"dds-trace-keys-{os.getpid()}-") as folder:  # mode 0700
+        for level in secured:
+            make_keys(Path(folder) / level.value, level)
+        yield ("env", f"{VARIABLE}={folder}")
+
+
+def _remove_stale() -> None:
+    """Remove the keys of killed sweeps."""
+    for path in Path(tempfile.gettempdir()).glob("dds-trace-keys-*"):
+        match = _FOLDER.fullmatch(path.name)
+        if match and not Path("/proc", match[1]).exists() and path.stat().st_uid == os.geteuid():
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def make_keys(path: Path, level: Security) -> None:
+    """Write keys for a level into a new folder of mode 0700."""
+    try:
+        from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat  # noqa: PLC0415
+    except ImportError as err:
+        raise BackendUnavailableError(
+            f"keys are made by the package cryptography ({err}); pip install 'dds-trace[security]' (in a clone '.[security]')"
+        ) from err
+    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))  # mode 0700
+    authority = _Authority()
+    signed = {
+        "identity_ca.cert.pem": authority.pem,
+        "permissions_ca.cert.pem": authority.pem,
+        "governance.p7s": authority.sign_text(governance(level)),
+    }
+    for side in SIDES:
+        folder = draft / "enclaves" / side
+        folder.mkdir(parents=True)
+        certificate, key = authority.issue(f"dds_trace_{side}")
+        own = {
+            "cert.pem": certificate.public_bytes(Encoding.PEM),
+            "key.pem": key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
+            "permissions.p7s": authority.sign_text(
+                permissions(f"CN=dds_trace_{side}", *(f"{time:%Y-%m-%dT%H:%M:%S}" for time in authority.valid))
+            ),
+        }
+        for name, data in {**signed, **own}.items():
+            (folder / name).write_bytes(data)
+    (draft / LEVEL_FILE).write_text(level.value)
+    with suppress(OSError):  # the other side was faster
+        draft.rename(path)
+        return
+    shutil.rmtree(draft)
+
+
+class _Authority:
+    """A certificate authority whose key is never written."""
+
+    def __init__(self) -> None:
+        now = datetime.now(timezone.utc)
+        self.valid = (now - timedelta(days=1), now + _VALID)
+        self.certificate, self.key = self._make("dds_trace_authority", None)
+
+    @property
+    def pem(self) -> bytes:
+        from cryptography.hazmat.primitives.serialization import Encoding  # noqa: PLC0415
+
+        pem: bytes = self.certificate.public_bytes(Encoding.PEM)
+        return pem
+
+    def issue(self, name: str) -> tuple[Any, Any]:
+        return self._make(name, self)
+
+    def _make(self, name: str, issuer: _Authority | None) -> tuple[Any, Any]:
+        from cryptography import x509  # noqa: PLC0415
+        from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
+        from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
+
+        key = ec.generate_private_key(ec.SECP256R1())
+        subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name)])
+        begin, end = self.valid
+        builder = (
+            x509.CertificateBuilder()
+            .subject_name(subject)
+            .issuer_name(subject if issuer is None else issuer.certificate.subject)
+            .public_key(key.public_key())
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(begin)
+            .not_valid_after(end)
+            .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=None), critical=True)
+        )
+        if issuer is not None:  # TLS of zenoh requires a name
+            builder = builder.add_extension(x509.SubjectAlternativeName([x509.DNSName(name)]), critical=False)
+        return builder.sign(key if issuer is None else issuer.key, hashes.SHA256()), key
+
+    def sign_text(self, text: str) -> bytes:
+        from cryptography.hazmat.primitives import hashes  # noqa: PLC0415
+        from cryptography.hazmat.primitives.serialization import Encoding, pkcs7  # noqa: PLC0415
+
+        options = [pkcs7.PKCS7Options.DetachedSignature, pkcs7.PKCS7Options.Text]
+        builder = pkcs7.PKCS7SignatureBuilder().set_data(text.encode())
+        return builder.add_signer(self.certificate, self.key, hashes.SHA256()).sign(Encoding.SMIME, options)

@@ -1,0 +1,73 @@
+"""Findings about a load on purpose and a link that replays a file."""
+
+from __future__ import annotations
+
+import pytest
+from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
+
+from dds_trace.analyzer.pipeline import analyze
+
+PERIOD = 100_000_000
+COUNT = 50
+
+
+def recorded(folder, *, load=None, host=()):
+    messages = [
+        Message(s, t0=s * PERIOD, t1=s * PERIOD + 50, t3=s * PERIOD, t4=s * PERIOD + 20, t2=s * PERIOD + 1000 + s % 7)
+        for s in range(COUNT)
+    ]
+    described = run(planned_messages=COUNT, published=COUNT)
+    extra = {} if load is None else {"load": load}
+    write_trace(folder / "ping.mcap", ping_session(), [described], ping_events(messages))
+    write_trace(folder / "relay.mcap", relay_session(extra=extra), (), relay_events(messages), host=host)
+    return {finding.code: finding for finding in analyze(folder).findings}
+
+
+@pytest.mark.parametrize(
+    ("kind", "cpu_s", "code"),
+    [
+        ("cpu", 19.0, "loaded"),
+        ("cpu", 0.5, "load_missing"),
+        ("network", 1.0, "loaded"),
+        ("network", 0.0, "load_missing"),
+    ],
+)
+def test_a_load_is_reported_with_what_it_used(tmp_path, sentences, kind, cpu_s, code):
+    load = {"kind": kind, "program": "stress-ng", "cpu_s": cpu_s, "elapsed_s": 10.0, "is_running": True}
+    found = recorded(tmp_path, load=load)
+    assert {"loaded", "load_missing"} & found.keys() == {code}
+    assert found[code].groups == (0,)
+    sentences(found[code].what)
+
+
+@pytest.mark.parametrize("load", [{}, {"program": "", "cpu_s": 0, "elapsed_s": 5}, {"cpu_s": "x"}, []])
+def test_a_recording_that_made_no_load_has_no_finding(tmp_path, load):
+    assert not {"loaded", "load_missing"} & recorded(tmp_path, load=load).keys()
+
+
+def link_samples(late_us):
+    rows = [(27.1, 35.8, 0.13), (0, 62.4, 0.81), (12, 68, 0.87)]
+    names = ("rate_mbit_s", "delay_ms", "loss_percent")
+    return [
+        *({"monotonic_ns": 0, "link_now": dict(zip(names, row, strict=True))} for row in rows),
+        {
+            "link": {"name": "lte-drive", "file": "lte-drive.csv", "sha256": "3f"},
+            "forwarder": {"from_ping": {"lateness_p50_us": late_us}, "from_relay": {"lateness_p50_us": None}},
+        },
+    ]
+
+
+@pytest.mark.parametrize(("late_us", "is_late"), [(100, False), (357, False), (400, True)])
+def test_a_replayed_link_is_reported_and_how_late_it_was(tmp_path, sentences, late_us, is_late):
+    found = recorded(tmp_path, host=link_samples(late_us))
+    assert ("link_late" in found) is is_late
+    replayed = found["link_replayed"].what
+    assert "lte-drive.csv" in replayed
+    sentences(replayed, *([found["link_late"].what] if is_late else []))
+
+
+def test_what_a_link_did_is_among_the_host_samples(tmp_path):
+    recorded(tmp_path, host=link_samples(100))
+    samples = analyze(tmp_path).details.host_samples
+    assert samples["link_delay_ms"].drop_nulls().to_list() == [35.8, 62.4, 68]
+    assert samples["link_rate_mbit_s"].drop_nulls().to_list() == [27.1, 0, 12]

@@ -1,0 +1,81 @@
+"""A load of the machine: it works while it is asked for, once for a machine, and ends with the recording."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+
+import psutil
+import pytest
+from waiting import wait_until
+
+from dds_trace.recorder.host import load as load_module
+from dds_trace.recorder.host.load import loaded
+
+
+@pytest.fixture(autouse=True)
+def own_lock(monkeypatch, tmp_path):
+    """Loads of tests beside this one do not wait for each other."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(load_module, "ending_with_parent", list)
+
+
+def program_of(fields):
+    return fields()["load"]["program"]
+
+
+def children():
+    return {child.pid for child in psutil.Process().children(recursive=True)}
+
+
+@pytest.mark.parametrize("kind", ["cpu", "memory"])
+def test_a_load_uses_processors_and_ends_with_the_block(kind):
+    before = children()
+    with loaded(kind) as fields:
+        wait_until(lambda: fields()["load"]["cpu_s"] > 0.1)
+        described = fields()["load"]
+        assert described["kind"] == kind
+        assert described["program"] in ("own", "stress-ng")
+        assert described["is_running"]
+    assert children() == before
+
+
+def test_of_two_loads_of_a_machine_one_waits():
+    with loaded("cpu") as first:
+        wait_until(lambda: program_of(first))
+        with loaded("memory") as second:
+            time.sleep(0.2)
+            assert program_of(second) == ""
+            assert second()["load"]["cpu_s"] == 0
+
+
+def test_a_network_load_sends_to_the_other_side():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as discard:
+        try:
+            discard.bind(("127.0.0.1", 9))
+        except OSError:
+            pytest.skip("port 9 cannot be opened here")
+        discard.settimeout(20)
+        with loaded("network", "127.0.0.1"):
+            assert len(discard.recv(2000)) == 1400
+
+
+@pytest.mark.parametrize(("kind", "host"), [("none", "127.0.0.1"), ("network", None)])
+def test_nothing_to_load(kind, host):
+    before = children()
+    with loaded(kind, host) as fields:
+        assert children() == before
+        assert fields() == {}
+
+
+def test_a_load_keeps_neither_priority_nor_processors_of_the_recorder():
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        with loaded("cpu") as fields:
+            wait_until(lambda: program_of(fields))
+            (pid,) = (child.pid for child in psutil.Process().children())
+            assert os.sched_getaffinity(pid) >= before
+    finally:
+        os.sched_setaffinity(0, before)

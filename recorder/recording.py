@@ -79,10 +79,7 @@ def record(options: RecordOptions, stop: threading.Event, watch: Watch, *, rehea
     load = Load.NONE if rehearses else options.load
     # Only a ping, which knows where the messages go, sends a load of the network.
     to = options.load_to or next(iter(options.node.peers), "127.0.0.1").partition(":")[0] if options.ping else None
-    with (
-        opened_keys(options.node.security, options.node.keys) as keys,
-        loaded(load.value, to) as load_fields,
-    ):
+    with opened_keys(options.node.security, options.node.keys) as keys, loaded(load.value, to) as load_fields:
         options = replace(options, node=replace(options.node, keys=keys))
         if options.tap is not None:
             return TapRecording(options, stop, watch, rehearses=rehearses, load_fields=load_fields).record(options.tap)

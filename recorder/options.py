@@ -295,7 +295,7 @@ class RecordOptions:
         Panel.PROCESS,
         "Where the UDP of --load network goes. Default: the first --peer, else this machine",
         limit=limits.HOST,
-        role=Role.PING,
+        roles=(Role.PING,),
     )
     strict: bool = detail(
         False,

@@ -1,6 +1,6 @@
 """`cyclonedds`: native Cyclone DDS through its Python package, with the topics and types of ROS 2.
 
-Messages pass in serialized form: the package's serializer takes 32 ms for a megabyte. Only this file imports
+Messages pass in serialized form: the package's serializer takes 32 ms for a megabyte. Only this file and `cyclone_policies` import
 cyclonedds.
 """
 
@@ -16,13 +16,14 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..choices import Durability, History, Reliability, Security
+from ..choices import Security
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
+from .cyclone_policies import cyclone_qos, qos_of
 from .cyclone_security import loaded_plugins, name_of_participant, security_settings, unlike_participant
 from .cyclone_settings import cyclone_loopback, cyclone_settings
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
@@ -36,14 +37,13 @@ from .node import (
     ThreadedNode,
     TopicView,
 )
-from .qos import duration_extra, incompatible_pairs, requested_durations
+from .qos import incompatible_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription, TapReceive, TopicPatterns
 
-FOREVER_NS = (1 << 63) - 1
 MAX_ENDPOINTS = 10_000
 MAX_TRIGGERS = 256
 """Most readers that one wait reports."""
@@ -102,7 +102,7 @@ class CycloneNode(ThreadedNode):
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         from cyclonedds.pub import DataWriter
 
-        writer = DataWriter(self._participant, self._topic(topic, type_name), qos=_cyclone_qos(qos or self.options.qos))
+        writer = DataWriter(self._participant, self._topic(topic, type_name), qos=cyclone_qos(qos or self.options.qos))
         publisher = _CyclonePublisher(topic, writer)
         self._writers.append(publisher)
         return publisher
@@ -118,7 +118,7 @@ class CycloneNode(ThreadedNode):
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
 
-        reader = DataReader(self._participant, topic, qos=_cyclone_qos(qos))
+        reader = DataReader(self._participant, topic, qos=cyclone_qos(qos))
         condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
         self._waitset.attach(condition)
         self._readers = {**self._readers, reader._ref: condition}  # noqa: SLF001 - see `_take`
@@ -295,7 +295,7 @@ class _BuiltinReaders:
         """Return the `publications` or `subscriptions` of a topic of DDS."""
         names = self.participants()
         return [
-            Endpoint(names.get(endpoint.participant_key, ""), ros_name(endpoint.type_name), _qos(endpoint.qos))
+            Endpoint(names.get(endpoint.participant_key, ""), ros_name(endpoint.type_name), qos_of(endpoint.qos))
             for endpoint in self._read(kind)
             if endpoint.topic_name == topic
         ]
@@ -305,7 +305,7 @@ class _BuiltinReaders:
         names = self.participants()
         return [
             Publication(
-                topic, ros_name(data.type_name), data.key.hex, names.get(data.participant_key, ""), _qos(data.qos)
+                topic, ros_name(data.type_name), data.key.hex, names.get(data.participant_key, ""), qos_of(data.qos)
             )
             for data in self._read("publications")
             if matches(topic := _shown_topic(data.topic_name)) and names.get(data.participant_key) != own_name
@@ -411,47 +411,6 @@ def _member_type(text: str) -> Any:
     if length is None:
         return element
     return idl.array[element, length] if length else idl.sequence[element]
-
-
-def _cyclone_qos(qos: Qos) -> Any:
-    from cyclonedds.qos import Policy
-    from cyclonedds.qos import Qos as CycloneQos
-
-    values: dict[str, Any] = {
-        # As in ROS 2 a writer waits for a slow reader and drops nothing.
-        Reliability.RELIABLE: Policy.Reliability.Reliable(max_blocking_time=FOREVER_NS),
-        Reliability.BEST_EFFORT: Policy.Reliability.BestEffort,
-        Durability.VOLATILE: Policy.Durability.Volatile,
-        Durability.TRANSIENT_LOCAL: Policy.Durability.TransientLocal,
-        History.KEEP_LAST: Policy.History.KeepLast(qos.depth),
-        History.KEEP_ALL: Policy.History.KeepAll,
-    }
-    try:
-        policies = [values[value] for value in (qos.reliability, qos.durability, qos.history)]
-    except KeyError as err:
-        raise OptionError(f"Cyclone DDS has no quality of service {err}") from err
-    durations = {"deadline": Policy.Deadline, "lifespan": Policy.Lifespan}
-    policies += [durations[policy](duration_ns) for policy, duration_ns in requested_durations(qos).items()]
-    if qos.durability == Durability.TRANSIENT_LOCAL:  # late readers get as much as in ROS 2
-        policies.append(Policy.DurabilityService(0, values[qos.history], -1, -1, -1))
-    return CycloneQos(*policies)
-
-
-def _qos(policies: Any) -> Qos:
-    from cyclonedds.qos import Policy
-
-    reliability, durability = (
-        re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(policies[policy]).__name__.rpartition(".")[2]).lower()
-        if policy in policies
-        else ""
-        for policy in (Policy.Reliability, Policy.Durability)
-    )
-    durations_ns = {
-        policy.__scope__.lower(): getattr(policies[policy], policy.__scope__.lower())
-        for policy in (Policy.Deadline, Policy.Lifespan)
-        if policy in policies
-    }
-    return Qos(reliability, durability, "", 0, duration_extra(durations_ns))
 
 
 def _delete(entity: Any) -> None:

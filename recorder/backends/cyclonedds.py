@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.base.units import SECOND_NS
-from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Security
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
@@ -41,6 +40,8 @@ from .qos import incompatible_pairs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
+
+    from dds_trace.tracefile.format.descriptions import Qos
 
     from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription, TapReceive, TopicPatterns
 

@@ -78,6 +78,11 @@ class Side:
         """None."""
         return self.rows.head(0)
 
+    @property
+    def topic_messages(self) -> pl.DataFrame:
+        """None."""
+        return self.rows.head(0)
+
     def load_messages(self) -> pl.DataFrame:
         """All messages."""
         return self.rows

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
+    from dds_trace.analyzer.verdicts.gate import Gate
 
 
 def expand_paths(texts: Sequence[str]) -> list[Path]:
@@ -192,9 +193,21 @@ def main_command(
             "For recordings of other tools: is the bag whole? What is missing of every topic, when, rate, jitter and age.",
         ),
     ] = False,
+    clock: Annotated[
+        str | None,
+        option(
+            "--clock FOLDER",
+            "With --topics: correct the ages by the clocks in traces of ping and relay between both devices: runs/, or "
+            "'runs/ stamped=robot recorded=laptop topics=/camera/*'.",
+        ),
+    ] = None,
     fail_if: Annotated[
         list[str] | None,
-        option("--fail-if LIMIT", "With --topics: fail if it holds, e.g. 'missing(/camera) > 1%'; repeatable."),
+        option(
+            "--fail-if LIMIT",
+            "Fail if it holds, of topics that taps heard: 'age_p99(/camera) > 50ms'; with --topics: 'missing(/camera) > 1%'; "
+            "repeatable.",
+        ),
     ] = None,
     card: Annotated[
         bool,
@@ -242,12 +255,13 @@ def main_command(
     least_lead = 0.05 if margin is None else parse_percentage("--margin", margin)
     kinds = list(dict.fromkeys([*(report or []), *([HTML] if open_it else [])]))
     if topics:
-        _report_topics(traces, target, kinds, [kind.value for kind in export or []], fail_if or [], open_it=open_it)
-        return
-    if fail_if:
-        raise OptionError(
-            "--fail-if is for --topics; limits of latency: dds-analyze compare RUNS --fail-if 'latency_p99 > 20ms'"
+        _report_topics(
+            traces, target, kinds, [kind.value for kind in export or []], fail_if or [], clock, open_it=open_it
         )
+        return
+    if clock is not None:
+        raise OptionError("--clock is for recordings of other tools: dds-analyze bag/ --topics --clock runs/")
+    gates = _parse_limits(fail_if or [])
     written: list[Path] = []
 
     def write_more(analysis: Analysis, folder: Path) -> None:
@@ -286,6 +300,38 @@ def main_command(
     if left and earlier is not None and earlier != read_provenance(target):
         say(f"{target}: {', '.join(left)}: of an earlier analysis of other traces, and not replaced")
     _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
+    if gates:
+        _judge_topics(analysis, gates)
+
+
+def _parse_limits(texts: list[str]) -> list[Gate]:
+    """Read limits of topics that taps heard."""
+    from dds_trace.analyzer.model.metrics import METRICS
+    from dds_trace.analyzer.verdicts.gate import Against, parse_gates
+
+    gates = parse_gates(texts)
+    if any(gate.against is not Against.NEW or gate.metric in METRICS for gate in gates):
+        raise OptionError(
+            "--fail-if takes limits of topics here, such as 'age_p99(/camera/image) > 50ms'; limits of latency: "
+            "dds-analyze compare RUNS --fail-if 'latency_p99 > 20ms'"
+        )
+    return gates
+
+
+def _judge_topics(analysis: Analysis, gates: list[Gate]) -> None:
+    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
+    from dds_trace.analyzer.verdicts.gate import GateOutcome
+    from dds_trace.analyzer.verdicts.gates import judge_gates, options_for, overall_outcome
+    from dds_trace.reports.comparison.info import comparison_info
+
+    comparison = compare(analysis, analysis, options_for(gates, CompareOptions()))
+    results = judge_gates(comparison, gates)
+    for gated in comparison_info(comparison, results).gates:
+        print(gated.line)
+    outcome = overall_outcome(results)
+    print(f"dds-analyze: {outcome.value}", file=sys.stderr)
+    if outcome is not GateOutcome.PASSED:
+        raise typer.Exit(outcome.exit_code)
 
 
 def _show_page(pages: list[Path], *, open_it: bool) -> None:
@@ -314,14 +360,28 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
 
 
 def _report_topics(
-    paths: list[Path], target: Path, kinds: list[str], exports: list[str], limits_: list[str], *, open_it: bool
+    paths: list[Path],
+    target: Path,
+    kinds: list[str],
+    exports: list[str],
+    limits_: list[str],
+    clock: str | None,
+    *,
+    open_it: bool,
 ) -> None:
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.topics.stamp_clock import ClockRequest, StampClock
     from dds_trace.analyzer.verdicts.topic_gate import parse_topic_gate
 
     from .topics import report_topics
 
     gates = [parse_topic_gate(text) for text in limits_]  # before anything is read
-    code, written = report_topics(paths, target, kinds, exports, gates)
+    request = None if clock is None else ClockRequest.parse(clock)
+    stamp_clock = None
+    if request is not None:
+        measured = analyze(request.folder, details=False)
+        stamp_clock = StampClock(request, measured.sessions, measured.runs, measured.rows)
+    code, written = report_topics(paths, target, kinds, exports, gates, stamp_clock)
     for path in written:
         print(f"Wrote {path}")
     _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from dds_trace.analyzer.recordings.topics import TopicReport
+    from dds_trace.analyzer.recordings.topics import StampCorrector, TopicReport
     from dds_trace.analyzer.verdicts.topic_gate import TopicGate
 
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
@@ -34,7 +34,12 @@ _FILES = {
 
 
 def report_topics(
-    paths: Sequence[Path], folder: Path, kinds: Sequence[str], exports: Sequence[str], gates: Sequence[TopicGate]
+    paths: Sequence[Path],
+    folder: Path,
+    kinds: Sequence[str],
+    exports: Sequence[str],
+    gates: Sequence[TopicGate],
+    clock: StampCorrector | None = None,
 ) -> tuple[int, list[Path]]:
     """Print the health of recordings and write the reports asked for; return the exit code and the files.
 
@@ -42,7 +47,9 @@ def report_topics(
         OptionError: a limit names no topic of the recordings.
         OutputError: a file cannot be written.
     """
-    report = analyze_topics(paths, skip=[folder])
+    if others := sorted({*exports} - EXPORTERS.keys()):
+        raise OptionError(f"--topics exports {' and '.join(EXPORTERS)}; leave out --export {others[0]}")
+    report = analyze_topics(paths, skip=[folder], clock=clock)
     judged = list(_judge(report, gates))
     print_topics(report, judged)
     for source in report.sources:
@@ -78,6 +85,9 @@ def _ends(row: Mapping[str, Any], holes: pl.DataFrame, metric: str) -> tuple[flo
     """Return the interval of a topic's value; None at an end that is not known."""
     if metric == "jitter":
         return row["jitter_ns"], row["jitter_ns"]
+    if metric.startswith("age"):
+        value, bound = row[f"{metric}_ns"], row["age_bound_ns"] or 0
+        return (None, None) if value is None else (value - bound, value + bound)
     if row["missing"] is None:
         return None, None
     if metric == "missing":

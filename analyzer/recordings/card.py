@@ -62,7 +62,7 @@ class RecordingHealth:
 
 @dataclass(slots=True)
 class TopicMessages:
-    """The messages of one topic while a recording is read: 64 bytes each."""
+    """The messages of one topic while a recording is read: 64 bytes each; `bound_ns` is of stamps on the recorder's clock."""
 
     topic: Topic
     log_ns: array[int] = field(default_factory=lambda: array("q"))
@@ -74,6 +74,7 @@ class TopicMessages:
     publisher: array[int] = field(default_factory=lambda: array("q"))
     frame: array[int] = field(default_factory=lambda: array("q"))
     lost: dict[str, tuple[int, int]] = field(default_factory=dict)
+    bound_ns: int | None = None
 
     def add(self, message: RecordedMessage) -> None:
         """Append a message."""
@@ -210,6 +211,7 @@ class Card:
             "jitter_ns": arrival_jitter_ns(times.log_ns, regularity),
             **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),
             **ages(times.log_ns, times.publish_ns, times.stamp_ns),
+            "age_bound_ns": topic.bound_ns,
             "expected_rate_hz": regularity.rate_hz if regularity else None,
             "missing_from": losses.evidence,
             "missing": losses.missing,

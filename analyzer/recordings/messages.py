@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
-import struct
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.base.errors import MissingEventsError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
+from dds_trace.tracefile.format.header_stamps import Field, parse_definition, plain_name, stamp_reader
 from dds_trace.tracefile.recordings.read import read_messages
 from dds_trace.tracefile.recordings.recorded import Condition
 from dds_trace.tracefile.recordings.recording_files import content_hash
@@ -21,9 +21,12 @@ from dds_trace.tracefile.recordings.recording_files import content_hash
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
 
+    from dds_trace.tracefile.format.header_stamps import Fields
     from dds_trace.tracefile.recordings.recorded import RecordedTopic
 
 _LONGEST_FRAME_BYTES = 256
+
+_TEXTS = ("ros1msg", "ros2msg")
 
 _SUFFIXES = (".mcap", ".bag", ".bag.active", ".db3", ".mcap.zstd", ".db3.zstd")
 
@@ -32,7 +35,7 @@ _SUFFIXES = (".mcap", ".bag", ".bag.active", ".db3", ".mcap.zstd", ".db3.zstd")
 class Topic:
     """A topic of a recording.
 
-    `message_type` is empty if unknown; a topic `has_stamp` if its messages start with a header or a time; `qos` as recorded.
+    `message_type` is empty if unknown; a topic `has_stamp` if its messages have a header, at any depth, or start with a time; `qos` as recorded.
     """
 
     name: str
@@ -97,15 +100,14 @@ def iter_messages(path: Path, condition: Condition | None = None) -> Iterator[Re
     Raises:
         TraceFormatError: the path is not a recording, or its reading ends early; messages before that were yielded.
     """
-    topics: dict[RecordedTopic, Topic] = {}
+    readers: dict[RecordedTopic, _Readers] = {}
     for raw in read_messages(path, Condition() if condition is None else condition):
-        topic = topics.get(raw.topic)
-        if topic is None:
-            topic = topics[raw.topic] = _topic_of(raw.topic)
+        if raw.topic not in readers:
+            readers[raw.topic] = _readers_of(raw.topic)
+        topic, stamp, begins_with_header = readers[raw.topic]
         data = raw.data
-        stamp_ns, frame, sequence = None, 0, raw.sequence
-        if topic.has_stamp:
-            stamp_ns = _STAMP_READERS[topic.encoding](data[:24])
+        stamp_ns, frame, sequence = stamp(data) if stamp else None, 0, raw.sequence
+        if begins_with_header:
             frame = hash(_frame(data))
             if topic.encoding == "ros1":
                 sequence = int.from_bytes(data[:4], "little")
@@ -123,11 +125,21 @@ def iter_messages(path: Path, condition: Condition | None = None) -> Iterator[Re
         )
 
 
-def _topic_of(topic: RecordedTopic) -> Topic:
-    has_stamp = topic.encoding in _STAMP_READERS and (
-        begins_with_stamp(topic.definition) if topic.definition else topic.message_type in _stamped_types()
-    )
-    return Topic(topic.name, topic.message_type, topic.encoding, has_stamp, topic.qos)
+class _Readers(NamedTuple):
+    """A topic, how its stamp is read, and whether its messages begin with a header."""
+
+    topic: Topic
+    stamp: Callable[[bytes], int | None] | None
+    begins_with_header: bool
+
+
+def _readers_of(topic: RecordedTopic) -> _Readers:
+    definition = topic.definition if topic.definition_encoding in _TEXTS else ""
+    stamp = stamp_reader(topic.message_type, definition, topic.encoding, _stored_type)
+    name = plain_name(topic.message_type)
+    fields = parse_definition(name, definition).get(name) or _stored_type(name) or ()
+    begins = stamp is not None and fields[0].type == "std_msgs/Header" and fields[0].length is None
+    return _Readers(Topic(topic.name, topic.message_type, topic.encoding, stamp is not None, topic.qos), stamp, begins)
 
 
 def _frame(data: bytes) -> bytes:
@@ -137,45 +149,17 @@ def _frame(data: bytes) -> bytes:
 
 
 @cache
-def _stamped_types() -> frozenset[str]:
-    types = get_typestore(Stores.LATEST).fielddefs.items()
-    return frozenset(name for name, (_, fields) in types if fields and fields[0][1][1] == "std_msgs/msg/Header")
+def _stored_type(name: str) -> Fields | None:
+    """Return the fields of a type that ROS 2 itself has, by `package/Type`."""
+    package, _, rest = name.partition("/")
+    found = get_typestore(Stores.LATEST).fielddefs.get(f"{package}/msg/{rest}")
+    return None if found is None else tuple(_stored_field(field_name, *kind) for field_name, kind in found[1])
 
 
-_COMMENT_OR_CONSTANT = re.compile(r"\s*(#.*)?|\s*[^#\s]+\s+\w+\s*=.*")
-_STAMPED = re.compile(r"\s*((std_msgs/(msg/)?)?Header\s+\w+|builtin_interfaces/(msg/)?Time\s+\w+)\s*(#.*)?")
+def _stored_field(name: str, kind: int, of: Any) -> Field:
+    (kind_of_one, of_one), length = of if kind in _SEVERAL else ((kind, of), None)
+    spelled = of_one if kind_of_one == Nodetype.NAME else of_one[0]
+    return Field(name, plain_name(spelled), -1 if kind == Nodetype.SEQUENCE else length)
 
 
-def begins_with_stamp(definition: str) -> bool:
-    """Return whether the first field in the text of a `.msg` file is a `std_msgs/Header` or a time."""
-    for line in definition.splitlines():
-        if line.startswith("==="):
-            return False
-        if not _COMMENT_OR_CONSTANT.fullmatch(line):
-            return _STAMPED.fullmatch(line) is not None
-    return False
-
-
-_CDR_ORDER = {0: ">", 1: "<", 6: ">", 7: "<"}
-"""Byte order by the second byte of the encapsulation: plain CDR, version 1 and 2 (OMG DDS-XTypes 1.3, 7.6.3.1.2)."""
-
-
-def _cdr_stamp(data: bytes) -> int | None:
-    if len(data) < 12 or data[0] or data[1] not in _CDR_ORDER:
-        return None
-    seconds, nanoseconds = struct.unpack_from(f"{_CDR_ORDER[data[1]]}iI", data, 4)
-    return seconds * 1_000_000_000 + nanoseconds or None
-
-
-def _ros1_stamp(data: bytes) -> int | None:
-    if len(data) < 12:
-        return None
-    seconds, nanoseconds = struct.unpack_from("<II", data, 4)  # after the sequence number
-    return seconds * 1_000_000_000 + nanoseconds or None
-
-
-def _no_stamp(_: bytes) -> None:
-    return None
-
-
-_STAMP_READERS: dict[str, Callable[[bytes], int | None]] = {"cdr": _cdr_stamp, "ros1": _ros1_stamp}
+_SEVERAL = (Nodetype.ARRAY, Nodetype.SEQUENCE)

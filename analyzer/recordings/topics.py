@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from array import array
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
 import polars as pl
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
@@ -13,13 +15,15 @@ from dds_trace.tracefile.recordings.recorded import Condition
 
 from ..model.finding import Source
 from .card import DAMAGED, HOLES, STRIP_PARTS, WHOLE, Card, RecordingHealth, TopicMessages
+from .losses import NONE
 from .messages import find_recordings, iter_messages
 from .rows import GAP_PERIODS, HOLE_SCHEMA, TOPIC_SCHEMA
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
+    from .periods import Int64
     from .rows import Row
 
 _MOST_NOTES = 10
@@ -34,7 +38,7 @@ class TopicReport:
     `rate_hz` = (messages - 1) / duration, `expected_rate_hz` while no message is missing; `jitter_ns` a robust standard deviation of the
     intervals between log times (1.4826 median deviations); `gaps` over `GAP_PERIODS` medians; `missing` null where nothing is known
     (not periodic, no counter), `missing_inside` while all topics stopped; `age_from` `header` (log time - header stamp), `publish` (log
-    time - publish time) or null; `age_negative` logged before their stamp; `stamps_backwards` header stamps older than the previous one.
+    time - publish time) or null; `age_negative` logged before their stamp; `age_bound_ns` the largest error of corrected ages, null for others; `stamps_backwards` header stamps older than the previous one.
 
     `strips` has for each row of `topics` the share of the time without holes in `STRIP_PARTS` equal parts of the recording.
     """
@@ -54,11 +58,39 @@ class TopicReport:
         return HOLES if HOLES in verdicts else WHOLE
 
 
+class StampCorrector(Protocol):
+    """Knows the clock by which messages were stamped."""
+
+    def corrections(
+        self, topics: Mapping[str, tuple[Int64, Int64]]
+    ) -> tuple[Mapping[str, tuple[Int64, Int64]], list[str]]:
+        """Return stamps on the recorder's clock and their bounds by topic, and notes, from log times and stamps."""
+
+
+def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[str]:
+    """Replace the stamps of topics by corrected ones; return notes."""
+    times = {}
+    for topic in columns:
+        log_ns, stamp_ns = (np.frombuffer(column, np.int64) for column in (topic.log_ns, topic.stamp_ns))
+        has_stamp = stamp_ns != NONE
+        times[topic.topic.name] = log_ns[has_stamp], stamp_ns[has_stamp]
+    found, notes = clock.corrections(times)
+    for topic in columns:
+        if topic.topic.name in found:
+            placed_ns, bound_ns = found[topic.topic.name]
+            stamp_ns = np.array(topic.stamp_ns)
+            stamp_ns[stamp_ns != NONE] = placed_ns
+            topic.stamp_ns = array("q", stamp_ns.tobytes())
+            topic.bound_ns = int(bound_ns.max())
+    return notes
+
+
 def analyze_topics(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
     skip: Collection[str | os.PathLike[str]] = (),
     progress: Callable[[Path], None] | None = None,
+    clock: StampCorrector | None = None,
 ) -> TopicReport:
     """Analyze the topics of every recording in a folder and below it, or of one recording.
 
@@ -66,6 +98,7 @@ def analyze_topics(
         path: a folder, a `.mcap`, `.bag` or `.db3` file, or a rosbag2 folder; or a list of such.
         skip: files and folders to leave out.
         progress: called before each recording is read.
+        clock: places header stamps of another device on the recorder's clock.
 
     Raises:
         MissingEventsError: there is no recording, or none of them can be read at all.
@@ -90,6 +123,8 @@ def analyze_topics(
         except TraceFormatError as err:
             failure = err.what
             condition.damages.append(err.what)
+        if clock is not None:
+            condition.notes += _correct(columns.values(), clock)
         if columns:
             card = Card(str(recording), [columns[key] for key in sorted(columns)], condition)
             rows += card.rows

@@ -12,7 +12,7 @@ from dds_trace.base.units import UNIT_NS, split_quantity
 
 from .gate import OPERATORS, GateOutcome
 
-TOPIC_METRICS = {"missing": "%", "jitter": "time", "hole": "time"}
+TOPIC_METRICS = {"missing": "%", "jitter": "time", "hole": "time", "age_p50": "time", "age_p99": "time"}
 """Name of a value of a topic -> the kind of its limit: a share in %, or a time."""
 
 _GATE = re.compile(

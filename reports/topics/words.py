@@ -121,6 +121,8 @@ def missing_words(row: Row) -> str:
 def cells(row: Row) -> tuple[str, ...]:
     """Return a topic's cells of `COLUMNS`."""
     age = "" if row["age_p50_ns"] is None else f"{format_duration(row['age_p50_ns'])} ({row['age_from']})"
+    if age and row["age_bound_ns"] is not None:
+        age = f"{format_duration(row['age_p50_ns'])} ± {format_duration(row['age_bound_ns'])}"
     if age and abs(row["age_p50_ns"]) > OTHER_CLOCK_NS:
         age = "other clock"
     rate_hz = row["expected_rate_hz"] or row["rate_hz"]

@@ -16,7 +16,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.analyzer.recordings.messages import begins_with_stamp, find_recordings, iter_messages
+from dds_trace.analyzer.recordings.messages import find_recordings, iter_messages
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.reports.topics.terminal import print_topics
@@ -140,21 +140,40 @@ def test_stamps_ahead_of_the_log_and_backwards_are_counted(tmp_path):
     assert (row["age_min_ns"], row["age_max_ns"]) == (-(10**9), 10 * 10**9)
 
 
-@pytest.mark.parametrize(
-    ("definition", "expected"),
-    [
-        ("std_msgs/Header header\nfloat64 x\n", True),
-        ("std_msgs/msg/Header header", True),
-        ("Header header", True),
-        ("# text\n\nint32 A = 3\nbuiltin_interfaces/Time stamp\n", True),
-        ("float64 x\nstd_msgs/Header header\n", False),
-        ("std_msgs/Header[] headers\n", False),
-        ("\n=====\nMSG: std_msgs/Header\n", False),
-        ("", False),
-    ],
-)
-def test_first_fields(definition, expected):
-    assert begins_with_stamp(definition) is expected
+def write_transforms(path, store, *, ros1=False):
+    """`/tf` at 10 Hz: two transforms in each message, stamped 30 ms before; every fifth message is empty."""
+    types = store.types
+    vector, turn = types["geometry_msgs/msg/Vector3"](1, 2, 3), types["geometry_msgs/msg/Quaternion"](0, 0, 0, 1)
+    more = {"seq": 3} if ros1 else {}
+    bag = Bag1Writer(path) if ros1 else Bag2Writer(path, version=9)
+    with bag:
+        connection = bag.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=store)
+        for number in range(50):
+            log_ns = START_NS + number * 100 * MS
+            stamps = [] if number % 5 == 4 else [log_ns - 30 * MS, log_ns - 10 * MS]
+            headers = [
+                types["std_msgs/msg/Header"](
+                    stamp=types["builtin_interfaces/msg/Time"](one // 10**9, one % 10**9), frame_id="map", **more
+                )
+                for one in stamps
+            ]
+            transform = types["geometry_msgs/msg/Transform"](vector, turn)
+            message = types["tf2_msgs/msg/TFMessage"](
+                [types["geometry_msgs/msg/TransformStamped"](one, "base", transform) for one in headers]
+            )
+            serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+            bag.write(connection, log_ns, serialize(message, "tf2_msgs/msg/TFMessage"))
+
+
+@pytest.mark.parametrize("ros1", [False, True])
+def test_ages_of_transforms_are_of_the_first_header(tmp_path, ros1):
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
+    if ros1:
+        ours = get_typestore(Stores.ROS2_JAZZY).fielddefs
+        store.register({"tf2_msgs/msg/TFMessage": ours["tf2_msgs/msg/TFMessage"]})
+    write_transforms(tmp_path / ("a.bag" if ros1 else "a"), store, ros1=ros1)
+    (row,) = analyze_topics(tmp_path).topics.iter_rows(named=True)
+    assert (row["age_from"], row["age_messages"], row["age_p50_ns"]) == ("header", 40, 30 * MS)
 
 
 @pytest.mark.parametrize(

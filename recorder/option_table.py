@@ -106,7 +106,11 @@ class CommandOptions:
         None, "--keep N", Panel.FILES, "With --rotate: keep only the newest N files of this recording.", kind=int
     )
     recover_path: Path | None = option(
-        None, "--recover TRACE", Panel.TOOLS, "Turn what a killed recorder left into a closed trace.", kind=Path
+        None,
+        "--recover PATH",
+        Panel.TOOLS,
+        "Turn what a killed recorder left, or a damaged bag of another program, into a whole copy.",
+        kind=Path,
     )
     self_test: bool = option(False, "--self-test", Panel.TOOLS, "Measure what recording itself costs on this machine.")
     check: bool = option(

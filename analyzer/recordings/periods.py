@@ -183,6 +183,9 @@ def _one_rate(times_ns: Int64, period_ns: float) -> Regularity:
     more = int((np.maximum(steps[is_gap], np.rint(intervals_ns[is_gap] / fast_ns)) - steps[is_gap]).sum())
     unsure = round(2 * np.sqrt(int((np.abs(ratio - np.rint(ratio)) > _TOLERANCE).sum())))
     missing = max(int(steps.sum()) - len(steps), 0)
+    gaps = np.flatnonzero(is_gap)
+    gaps = gaps[np.argsort(-intervals_ns[gaps], kind="stable")]
+    gaps = np.sort(gaps[: np.searchsorted(np.cumsum(steps[gaps] - 1), missing) + 1] if missing else gaps[:0])
     return Regularity(
         period_ns,
         1,
@@ -192,7 +195,7 @@ def _one_rate(times_ns: Int64, period_ns: float) -> Regularity:
         missing + more + unsure,
         holes=[
             Hole(int(times_ns[at] + period_ns), int(intervals_ns[at] - period_ns), int(steps[at] - 1))
-            for at in np.flatnonzero(is_gap).tolist()
+            for at in gaps.tolist()
         ],
     )
 

@@ -66,7 +66,9 @@ def main_command(
     given = given_values(values)
     if recover_path := given.get("recover_path"):
         limits.check(limits.INPUT, str(recover_path), "--recover")
-        recover_trace(recover_path)
+        out = given.get("out")
+        limits.check(limits.PATH, None if out is None else str(out), "--out")
+        recover_trace(recover_path, out)
         return
     command = read_record(CommandOptions, given)
     backend = load_backend(given.get("backend", OPTIONS["backend"].field_default))

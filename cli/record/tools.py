@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from dds_trace.recorder.roles.progress import Progress
 
 
-def recover_trace(path: Path) -> None:
-    """Close the trace at `path`; print its path and what was recovered."""
+def recover_trace(path: Path, out: Path | None = None) -> None:
+    """Close the trace at `path`, or make a whole copy of another program's recording; print its path and what was recovered."""
+    from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
     from dds_trace.tracefile.recovery.recover import recover  # reads traces: a recording needs no SQLite
 
-    report = recover(path)
+    report = recover_recording(path, out) if is_of_others(path) else recover(path, out)
     if report.recovered is not None:
         print(f"Wrote {report.recovered}")
     print("\n".join(report.lines()))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base.files import OWNER_AND_GROUP, create_file, replacing
@@ -27,6 +28,22 @@ class TopicCount:
     schema_name: str
     type_hash: str
     messages: int
+    qos: str = ""
+    encoding: str = "cdr"
+
+    def plus(self, messages: int) -> TopicCount:
+        """Return it with more messages."""
+        return replace(self, messages=self.messages + messages)
+
+
+@dataclass(frozen=True, slots=True)
+class BagFile:
+    """A file of a bag: its name, the first log time in ns since 1970, duration and messages."""
+
+    name: str
+    start_ns: int
+    duration_ns: int
+    messages: int
 
 
 def write_metadata(
@@ -42,26 +59,53 @@ def write_metadata(
     It has no QoS profile: nothing was received over these topics, so a player uses its default.
     """
     start_ns, end_ns = time_range_ns
+    file = BagFile(trace.name, start_ns, end_ns - start_ns, sum(topic.messages for topic in topics))
+    write_bag_metadata(trace.parent, "mcap", [file], topics, mode=mode, fsync=fsync)
+
+
+def write_bag_metadata(
+    folder: Path,
+    storage: str,
+    files: Sequence[BagFile],
+    topics: Sequence[TopicCount],
+    *,
+    mode: int = OWNER_AND_GROUP,
+    fsync: bool = True,
+) -> None:
+    """Write `metadata.yaml` of a bag of several files; QoS stays as it was recorded where it is plain YAML."""
+    # Before version 9 the profiles are a text with numbers, since then a list with names.
+    qos = [topic.qos for topic in topics]
+    version = BAG_VERSION if any(map(_has_names, qos)) or not any(qos) else 8
+    start_ns = min((file.start_ns for file in files if file.messages), default=0)
+    end_ns = max((file.start_ns + file.duration_ns for file in files if file.messages), default=0)
     count = sum(topic.messages for topic in topics)
-    name = json.dumps(trace.name)  # a JSON string is a YAML string
     per_topic = "".join(
         _TOPIC.format(
             topic=json.dumps(topic.topic),
-            schema_name=topic.schema_name,
-            type_hash=topic.type_hash,
+            schema_name=json.dumps(topic.schema_name),
+            encoding=json.dumps(topic.encoding),
+            qos=_qos(topic.qos, version),
+            type_hash=json.dumps(topic.type_hash),
             messages=topic.messages,
         )
         for topic in topics
     )
     text = _METADATA.format(
-        version=BAG_VERSION,
-        name=name,
+        version=version,
+        storage=storage,
+        names="".join(f"\n    - {json.dumps(file.name)}" for file in files),  # a JSON string is a YAML string
+        files="".join(
+            _FILE.format(
+                name=json.dumps(file.name), start=file.start_ns, duration=file.duration_ns, count=file.messages
+            )
+            for file in files
+        ),
         start_ns=start_ns,
         duration_ns=end_ns - start_ns,
         count=count,
         topics=per_topic or " []\n",
     )
-    with replacing(trace.with_name(METADATA_NAME), fsync=fsync) as draft, create_file(draft, mode) as file:
+    with replacing(folder / METADATA_NAME, fsync=fsync) as draft, create_file(draft, mode) as file:
         file.write(text.encode())
 
 
@@ -69,15 +113,38 @@ _TOPIC = """
     - topic_metadata:
         name: {topic}
         type: {schema_name}
-        serialization_format: cdr
-        offered_qos_profiles: []
+        serialization_format: {encoding}
+        offered_qos_profiles: {qos}
         type_description_hash: {type_hash}
       message_count: {messages}"""
+
+_FILE = """
+    - path: {name}
+      starting_time:
+        nanoseconds_since_epoch: {start}
+      duration:
+        nanoseconds: {duration}
+      message_count: {count}"""
+
+_QOS_LINE = re.compile(r" *(- )?[a-z_]+:( [\w.-]+)?")
+
+
+def _has_names(qos: str) -> bool:
+    return re.search(r"^[- ]*history: [a-z]", qos, re.MULTILINE) is not None
+
+
+def _qos(qos: str, version: int) -> str:
+    """Return the profiles for a version; none where a line could be more than a key and a plain value."""
+    lines = qos.splitlines()
+    if not lines or not all(map(_QOS_LINE.fullmatch, lines)) or _has_names(qos) != (version > 8):
+        return "[]" if version > 8 else '""'
+    return "".join(f"\n          {line}" for line in lines) if version > 8 else json.dumps(qos)
+
 
 _METADATA = """\
 rosbag2_bagfile_information:
   version: {version}
-  storage_identifier: mcap
+  storage_identifier: {storage}
   duration:
     nanoseconds: {duration_ns}
   starting_time:
@@ -86,15 +153,8 @@ rosbag2_bagfile_information:
   topics_with_message_count:{topics}
   compression_format: ""
   compression_mode: ""
-  relative_file_paths:
-    - {name}
-  files:
-    - path: {name}
-      starting_time:
-        nanoseconds_since_epoch: {start_ns}
-      duration:
-        nanoseconds: {duration_ns}
-      message_count: {count}
+  relative_file_paths:{names}
+  files:{files}
   custom_data: ~
   ros_distro: dds-trace
 """

@@ -59,7 +59,7 @@ class PackedChunk:
 
     @classmethod
     def at(cls, file: RecordFile, header: RecordHeader, *, is_cut: bool = False) -> PackedChunk:
-        """Read the header of a chunk; of one that `is_cut` off the packed bytes that are there count.
+        """Read the header of a chunk; of one that `is_cut` off, the packed bytes are all that are there.
 
         Raises:
             DamagedChunkError: its fields are not valid MCAP, or claim more than a chunk may have.
@@ -72,7 +72,7 @@ class PackedChunk:
         except ValueError as err:
             raise DamagedChunkError(f"its header is damaged ({err})") from err
         data_offset = header.content + content.count
-        packed_bytes = min(packed_bytes, header.end - data_offset) if is_cut else packed_bytes
+        packed_bytes = max(header.end - data_offset, 0) if is_cut else packed_bytes
         if packed_bytes > header.end - data_offset:
             raise DamagedChunkError(f"it claims {counted(packed_bytes, 'packed byte')}, more than its record has")
         _check_claims(compression, packed_bytes, unpacked_bytes, is_cut=is_cut)

@@ -22,7 +22,7 @@ from ..mcapfile.records import parse_record, record_name
 from .recorded import Budget, UnreadableError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Generator, Iterator
 
     from ..mcapfile.file import RecordFile
 
@@ -90,8 +90,9 @@ class McapWalk:
 
     Attributes, final after the last item:
         closed: whether the file has its footer.
+        is_unpacked: whether no chunk so far was compressed.
         damages: one line for each damage; `notes` what else is worth a word.
-        doubtful: messages out of damaged chunks, which may be damaged themselves.
+        unchecked: messages without a checksum; `doubtful` messages out of damaged chunks, which may be damaged themselves.
         schemas, channels: by id; what the summary declares counts more, as it has a CRC.
         claims: messages of each channel id by the statistics.
         chunks: first and last log time and number of messages of each chunk.
@@ -110,9 +111,11 @@ class McapWalk:
         self._undeclared: dict[int, int] = {}
         self.header: Header | None = None
         self.closed = False
+        self.is_unpacked = True
         self.damages: list[str] = []
         self.notes: list[str] = []
         self.doubtful = 0
+        self.unchecked = 0
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.claims: dict[int, int] = {}
@@ -124,25 +127,17 @@ class McapWalk:
         self._in_summary = frozenset(self.schemas), frozenset(self.channels)
 
     def __iter__(self) -> Iterator[Item]:
-        at = len(MAGIC)
-        while not self.closed:
+        at: int | None = len(MAGIC)
+        while at is not None and not self.closed:
             header = self._record_at(self._file, at)
             if header is None:
                 yield from self._cut_chunk(at)
-                resumed_at = self._resume(self._file, at)
-                if resumed_at is None:
-                    left = counted(self._file.size - at, "byte")
-                    self.damages.append(
-                        f"it was not closed: {left} of an unfinished record and no index at its end"
-                        if self._file.size > at
-                        else "it was not closed: it has no index"
-                    )
-                    break
-                self.damages.append(f"at byte {at} {counted(resumed_at - at, 'byte is', 'bytes are')} no record")
-                at = resumed_at
+                at = self._next_record(at)
             elif header.opcode == Opcode.CHUNK:
-                yield from self._chunk(PackedChunk.at(self._file, header, is_cut=True))
-                at = header.end
+                chunk = PackedChunk.at(self._file, header, is_cut=True)
+                fits = self._fits_next(self._file, header.end)
+                is_sound = yield from self._chunk(chunk, uses_damaged=fits or bool(chunk.compression))
+                at = header.end if fits or is_sound else self._next_record(at)
             else:
                 yield from self._single(self._file, header)
                 if header.opcode == Opcode.FOOTER:
@@ -150,6 +145,18 @@ class McapWalk:
                 at = header.end
         for channel_id, count in self._undeclared.items():
             self.damages.append(f"{counted(count, 'message')} of channel {channel_id}, whose declaration is lost")
+
+    def _next_record(self, at: int) -> int | None:
+        """Return where the next record after damage is; None if there is none."""
+        resumed_at = self._resume(self._file, at)
+        if resumed_at is not None:
+            self.damages.append(f"at byte {at} {counted(resumed_at - at, 'byte is', 'bytes are')} no record")
+        elif self._file.size > at:
+            left = counted(self._file.size - at, "byte")
+            self.damages.append(f"it was not closed: {left} of an unfinished record and no index at its end")
+        else:
+            self.damages.append("it was not closed: it has no index")
+        return resumed_at
 
     def _check_end(self, at: int) -> None:
         self.closed = True
@@ -197,7 +204,11 @@ class McapWalk:
         try:
             return _has_shape(source.header_at(at))
         except TornRecordError:
-            return at == source.size or (source is self._file and source.read(at, source.size - at) == MAGIC)
+            left = source.read(at, min(max(source.size - at, 0), RECORD_HEADER.size))
+            if not left or (left == MAGIC and source is self._file):
+                return True
+            # A record that the end of the file cuts off.
+            return left[0] in _OPCODES and int.from_bytes(left[1:], "little") <= MAX_RECORD_BYTES
 
     def _resume(self, source: RecordFile | _Unpacked, damaged_at: int, stop: int | None = None) -> int | None:
         """Return the offset of the next bytes after `damaged_at` that are a record."""
@@ -248,18 +259,22 @@ class McapWalk:
         if chunk.compression:
             yield from self._doubtful_chunk(chunk, "it is cut off")
 
-    def _chunk(self, chunk: PackedChunk) -> Iterator[Item]:
+    def _chunk(self, chunk: PackedChunk, *, uses_damaged: bool) -> Generator[Item, None, bool]:
+        """Yield the messages of a chunk; return whether it is sound."""
         self._unpacked_bytes += chunk.unpacked_bytes
+        self.is_unpacked &= not chunk.compression
         if self._unpacked_bytes > most_unpacked_bytes(chunk.data_offset + chunk.packed_bytes):
             raise UnreadableError(f"it unpacks to more than {LARGEST_FILE_RATIO} times its size")
         try:
             data = chunk.unpack(self._file)
         except DamagedChunkError as err:
-            yield from self._doubtful_chunk(chunk, str(err))
-            return
+            if uses_damaged:
+                yield from self._doubtful_chunk(chunk, str(err))
+            return False
         if not chunk.crc and not _is_whole(data):
-            yield from self._doubtful_chunk(chunk, "a record in it is damaged")
-            return
+            if uses_damaged:
+                yield from self._doubtful_chunk(chunk, "a record in it is damaged")
+            return False
         first_ns, last_ns, count = 2**64, 0, 0
         at = 0
         while len(data) - at >= RECORD_HEADER.size:
@@ -276,6 +291,8 @@ class McapWalk:
         if count:
             self.chunks.append((first_ns, last_ns, count))
             self._saw(first_ns, last_ns)
+            self.unchecked += 0 if chunk.crc else count
+        return True
 
     def _doubtful_chunk(self, chunk: PackedChunk, why: str) -> Iterator[Item]:
         source, count, at = _Unpacked(chunk.unpack_prefix(self._file)), 0, 0
@@ -308,6 +325,7 @@ class McapWalk:
             channel_id, sequence, log_ns, publish_ns = MESSAGE_HEADER.unpack_from(content)
             if channel_id in self.channels and self._is_near(log_ns):
                 self._saw(log_ns, log_ns)
+            self.unchecked += source is self._file
             yield from self._message(channel_id, sequence, log_ns, publish_ns, content[MESSAGE_HEADER.size :])
             return
         try:

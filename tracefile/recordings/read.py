@@ -142,6 +142,7 @@ def _topic_of(channel: Channel, schema: Schema | None) -> RecordedTopic:
         schema.encoding if schema else "",
         channel.metadata.get("offered_qos_profiles", ""),
         channel.metadata.get("callerid", ""),
+        channel.metadata.get("topic_type_hash", ""),
     )
 
 

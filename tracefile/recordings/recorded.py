@@ -24,6 +24,7 @@ class RecordedTopic:
         definition: text of the message definition in `definition_encoding` (`ros2msg`, `ros1msg`, ...).
         qos: offered QoS profiles, YAML.
         publisher: who published, where the recording distinguishes (rosbag1).
+        type_hash: of the type (REP 2016).
     """
 
     name: str
@@ -33,6 +34,7 @@ class RecordedTopic:
     definition_encoding: str = ""
     qos: str = ""
     publisher: str = ""
+    type_hash: str = ""
 
 
 class RawMessage(NamedTuple):

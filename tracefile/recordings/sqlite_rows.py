@@ -9,6 +9,7 @@ from __future__ import annotations
 import sqlite3
 import struct
 from contextlib import closing, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, BinaryIO
 from urllib.parse import quote
 
@@ -24,8 +25,21 @@ if TYPE_CHECKING:
 
     from .recorded import Condition
 
+SQLITE_TABLES = """
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
+  offered_qos_profiles TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
+  encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema VALUES (4, 'unknown');
+"""
+"""The tables that rosbag2 makes since ROS 2 Iron."""
+
 SQLITE_MAGIC = b"SQLite format 3\0"
-_TOPICS = "SELECT id, name, type, serialization_format, {qos} FROM topics LIMIT 10000"
+_TOPICS = "SELECT id, name, type, serialization_format, {}, {} FROM topics LIMIT 10000"
 _MESSAGES = "SELECT id, topic_id, timestamp, data FROM messages ORDER BY id"
 _PAGE_SIZE = struct.Struct(">16xH2xB")
 _CELLS = struct.Struct(">H")
@@ -71,15 +85,21 @@ def _unreached_rows(
     path: Path, budget: Budget, seen: set[int], topics: dict[int, RecordedTopic]
 ) -> list[tuple[int, int, int, bytes]]:
     """Return the messages of all pages that are not `seen`, by row id; topics are added to `topics`."""
-    rows = list[tuple[int, int, int, bytes]]()
+    rows, definitions = list[tuple[int, int, int, bytes]](), dict[str, tuple[str, str]]()
     for row_id, values in _rows_of_pages(path, budget):
         kinds = [type(value) for value in values]
         if kinds == [type(None), int, int, bytes] and row_id not in seen:
             seen.add(row_id)
             rows.append((row_id, values[1], values[2], values[3]))
+        elif kinds == [type(None), str, str, str, str] and values[2] in {"ros2msg", "ros2idl"}:
+            definitions[values[1]] = values[3], values[2]
         elif kinds[:4] == [type(None), str, str, str] and len(values) < _MOST_COLUMNS and values[1].startswith("/"):
             qos = values[4] if len(values) > 4 and isinstance(values[4], str) else ""
             topics.setdefault(row_id, RecordedTopic(values[1], values[2], values[3], qos=qos))
+    for row_id, topic in topics.items():
+        if not topic.definition and topic.message_type in definitions:
+            text, encoding = definitions[topic.message_type]
+            topics[row_id] = replace(topic, definition=text, definition_encoding=encoding)
     return sorted(rows)
 
 
@@ -96,8 +116,8 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
     if tables != 2 or computed:
         raise UnreadableError("it is no rosbag2 database: no tables 'topics' and 'messages' as it makes them")
     columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
-    qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
-    rows = database.execute(_TOPICS.format(qos=qos))
+    later = [name if name in columns else "''" for name in ("offered_qos_profiles", "type_description_hash")]
+    rows = database.execute(_TOPICS.format(*later))
     definitions: dict[str, tuple[str, str]] = {}
     with suppress(sqlite3.Error):  # before ROS 2 Iron there is no such table
         definitions = {
@@ -107,8 +127,15 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
             )
         }
     return {
-        row_id: RecordedTopic(name, str(kind), str(encoding), *definitions.get(str(kind), ("", "")), qos=str(profiles))
-        for row_id, name, kind, encoding, profiles in rows.fetchall()
+        row_id: RecordedTopic(
+            name,
+            str(kind),
+            str(encoding),
+            *definitions.get(str(kind), ("", "")),
+            qos=str(profiles),
+            type_hash=str(type_hash),
+        )
+        for row_id, name, kind, encoding, profiles, type_hash in rows.fetchall()
         if isinstance(name, str)
     }
 

@@ -1,0 +1,74 @@
+"""Recovery of other programs' recordings: what is whole is kept, the original stays, other readers open the result."""
+
+import random
+import re
+
+import pytest
+from bags import imu, text, write_bag2
+from damaged_bags import KINDS, damage, make_good, read_recovered
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin
+
+from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.base.errors import OutputExistsError, TraceFormatError
+from dds_trace.cli.record.tools import recover_trace
+from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
+
+ROUNDS = 30
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_whole_message_of_a_damaged_file_is_kept(tmp_path, kind):
+    good, rng = make_good(kind, tmp_path, 7), random.Random(kind)
+    suffix = ".db3" if kind == "sqlite3" else ".mcap"
+    for number in range(ROUNDS):
+        content, whole = damage(good, rng)
+        path = tmp_path / f"{number}{suffix}"
+        path.write_bytes(content)
+        try:
+            report = recover_recording(path)
+        except TraceFormatError:
+            assert not whole
+            continue
+        kept = read_recovered(report.recovered)
+        assert whole <= kept
+        assert path.read_bytes() == content
+        if good.kind not in {"sqlite3", "mcap without chunks"}:  # they have no checksum
+            assert len(kept - good.needs.keys()) <= report.doubtful + len(report.damages)
+
+
+@pytest.mark.parametrize("plugin", StoragePlugin)
+def test_a_folder_without_metadata_and_with_a_cut_file_becomes_a_bag(tmp_path, plugin, capsys):
+    messages = {"/imu": [imu(n / 100) for n in range(40)], "/chatter": [text("x" * 3000)] * 20}
+    bag = write_bag2(tmp_path / "drive", messages, plugin)
+    (bag / "metadata.yaml").unlink()
+    (file,) = bag.iterdir()
+    file.write_bytes(file.read_bytes()[: -file.stat().st_size // 5])
+    before = file.read_bytes()
+    assert is_of_others(bag)
+    recover_trace(bag)
+    shown = capsys.readouterr().out
+    count = int(re.search(r"(\d+) messages recovered", shown)[1])
+    assert count > 0
+    assert file.read_bytes() == before
+    with AnyReader([tmp_path / "drive-recovered"]) as reader:
+        assert reader.message_count == len(list(reader.messages())) == count
+    assert analyze_topics(tmp_path / "drive-recovered").sources[0].status == "read"
+    with pytest.raises(OutputExistsError, match="--out"):
+        recover_recording(bag)
+
+
+def test_a_whole_bag_is_copied_with_its_qos(tmp_path):
+    bag = write_bag2(tmp_path / "drive", {"/imu": [imu(0.1)] * 3}, StoragePlugin.MCAP)
+    report = recover_recording(bag, tmp_path / "new")
+    assert (report.messages, report.damages, report.doubtful) == (3, [], 0)
+    topics = [analyze_topics(path).topics.drop("recording") for path in (bag, tmp_path / "new")]
+    assert topics[0].equals(topics[1])
+
+
+def test_what_holds_nothing_is_refused_in_one_line(tmp_path):
+    for name, content in (("a.mcap", b"\x89MCAP0\r\n" + bytes(500)), ("b.db3", bytes(5000)), ("c.mcap", b"text")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(TraceFormatError, match=name):
+            recover_recording(tmp_path / name)
+    assert {path.name for path in tmp_path.iterdir()} == {"a.mcap", "b.db3", "c.mcap"}

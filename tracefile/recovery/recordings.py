@@ -1,0 +1,263 @@
+"""Recovery of recordings of other programs: every whole message in new files; the originals stay as they are."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mcap.records import Attachment, Header, Metadata
+from mcap.writer import CompressionType, Writer
+
+from dds_trace.base.errors import OutputExistsError, TraceFormatError
+from dds_trace.base.files import flush_to_disk, mode_within, output_error
+from dds_trace.base.units import counted
+from dds_trace.base.version import __version__
+
+from ..format.bag_metadata import BagFile, TopicCount, write_bag_metadata
+from ..format.encoding import MAGIC
+from ..format.ring import RING_SUFFIX, ring_path
+from ..mcapfile.file import RecordFile, TornRecordError
+from ..reading.storage import ZSTD_SUFFIX
+from ..recordings.mcap_walk import McapWalk
+from ..recordings.recorded import Condition, RecordedTopic, UnreadableError
+from ..recordings.recording_files import open_recording
+from ..recordings.sqlite_rows import SQLITE_MAGIC, SQLITE_TABLES, sqlite_messages
+from ..writing.event_chunks import LIBRARY
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mcap.records import Channel
+
+_LATEST_NS = 2**63 - 1
+_HEADER_BYTES = 64
+
+
+@dataclass(slots=True)
+class RecordingRecovery:
+    """What was recovered of a recording.
+
+    Attributes:
+        recovered: the new file or folder.
+        doubtful: messages out of damaged chunks, which may be damaged themselves.
+        unchecked: messages without a checksum, whose damage cannot be seen.
+        damages: what was broken, one line each.
+    """
+
+    path: Path
+    recovered: Path
+    messages: int = 0
+    doubtful: int = 0
+    unchecked: int = 0
+    damages: list[str] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """Return the report as lines for a terminal."""
+        doubtful = f"; {self.doubtful} of them out of damaged chunks may be damaged themselves" if self.doubtful else ""
+        damages = self.damages or ["nothing was damaged"]
+        if self.unchecked:
+            unchecked = counted(self.unchecked, "message has", "messages have")
+            damages = [*damages, f"{unchecked} no checksum: damage inside is not seen"]
+        original = f"The original is left as it is: {self.path}"
+        return [f"{counted(self.messages, 'message')} recovered{doubtful}", *damages, original]
+
+
+@dataclass(slots=True)
+class _NewFile:
+    """One file while it is written."""
+
+    path: Path
+    messages: int = 0
+    unchecked: int = 0
+    first_ns: int = _LATEST_NS
+    last_ns: int = 0
+    topics: dict[str, TopicCount] = field(default_factory=dict)
+
+    def count(self, topic: str, log_ns: int) -> None:
+        self.messages += 1
+        self.first_ns, self.last_ns = min(self.first_ns, log_ns), max(self.last_ns, log_ns)
+        self.topics[topic] = self.topics[topic].plus(1)
+
+    @property
+    def described(self) -> BagFile:
+        first_ns = self.first_ns if self.messages else 0
+        return BagFile(self.path.name, first_ns, min(self.last_ns, _LATEST_NS) - first_ns, self.messages)
+
+
+def is_of_others(path: Path) -> bool:
+    """Return whether a recording is not a trace of ours: by its first record, unless a ring is next to it."""
+    trace = path / f"{path.name}_0.mcap" if path.is_dir() else path
+    if path.name.endswith(RING_SUFFIX) or ring_path(trace).exists() or not path.exists():
+        return False
+    if not trace.exists() or _is_sqlite(trace):
+        return True
+    try:
+        with closing(RecordFile(trace)) as file:
+            if file.size <= len(MAGIC):
+                return False
+            return not file.parse(Header, file.header_at(len(MAGIC))).library.startswith(LIBRARY)
+    except TraceFormatError:
+        return False
+    except TornRecordError:
+        return LIBRARY.encode() not in trace.read_bytes()[:_HEADER_BYTES]
+
+
+def recover_recording(path: Path, destination: Path | None = None) -> RecordingRecovery:
+    """Write every whole message of an MCAP file, a database or a rosbag2 folder into a new one, with index, statistics and metadata.yaml.
+
+    Args:
+        path: what another program wrote, whether or not it was closed.
+        destination: the new file or folder; by default `NAME.recovered.mcap`, or `NAME-recovered` of a folder, next to the original.
+
+    Raises:
+        TraceFormatError: nothing of it can be read.
+        OutputExistsError: the new file or folder exists already.
+        OutputError: it cannot be written.
+    """
+    is_folder = path.is_dir()
+    name = f"{path.name}-recovered" if is_folder else f"{path.stem}.recovered{path.suffix}"
+    target = path.with_name(name) if destination is None else destination
+    if os.path.lexists(target):
+        raise OutputExistsError(f"{target} is there already; choose another name with --out")
+    report, written = RecordingRecovery(path, target), list[_NewFile]()
+    with open_recording(path) as recording:
+        report.damages += recording.damages
+        try:
+            (target if is_folder else target.parent).mkdir(parents=True, exist_ok=True)
+            for source, original in zip(recording.files, recording.names, strict=True):
+                new = _NewFile(target / original.name.removesuffix(ZSTD_SUFFIX) if is_folder else target)
+                try:
+                    damages, doubtful = (_recover_sqlite if _is_sqlite(source) else _recover_mcap)(source, new)
+                except (TraceFormatError, UnreadableError) as err:
+                    report.damages.append(f"{original.name}: {err.what if isinstance(err, TraceFormatError) else err}")
+                    new.path.unlink(missing_ok=True)
+                    continue
+                new.path.chmod(mode_within(original.stat().st_mode))
+                flush_to_disk(new.path)
+                report.damages += [f"{original.name}: {damage}" for damage in damages]
+                report.messages += new.messages
+                report.doubtful += doubtful
+                report.unchecked += new.unchecked
+                written.append(new)
+            if is_folder and written:
+                storage = "sqlite3" if _is_sqlite(written[0].path) else "mcap"
+                write_bag_metadata(target, storage, [new.described for new in written], _joined_topics(written))
+        except OSError as err:
+            raise output_error(target, err, "the recording") from err
+        except sqlite3.Error as err:
+            raise output_error(target, OSError(0, str(err)), "the recording") from err
+    if not report.messages:
+        for new in written:
+            new.path.unlink(missing_ok=True)
+        if is_folder:
+            (target / "metadata.yaml").unlink(missing_ok=True)
+            target.rmdir()
+        raise TraceFormatError(path, f"holds no whole message: {'; '.join(report.damages[:3]) or 'it is empty'}")
+    return report
+
+
+def _joined_topics(files: list[_NewFile]) -> list[TopicCount]:
+    topics: dict[str, TopicCount] = {}
+    for file in files:
+        for name, count in file.topics.items():
+            topics[name] = topics[name].plus(count.messages) if name in topics else count
+    return list(topics.values())
+
+
+def _is_sqlite(file: Path) -> bool:
+    with file.open("rb") as stream:
+        return stream.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC or file.suffix == ".db3"
+
+
+def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
+    with closing(RecordFile(source)) as file, new.path.open("xb") as stream:
+        walk = McapWalk(file)
+        items = iter(walk)
+        item = next(items, None)  # now the header and the first chunk's compression are known
+        writer = Writer(stream, compression=CompressionType.NONE if walk.is_unpacked else CompressionType.ZSTD)
+        library = walk.header.library if walk.header else "unknown"
+        writer.start(
+            walk.header.profile if walk.header else _profile(walk), f"{library}; recovered by dds-trace {__version__}"
+        )
+        schemas, channels = dict[tuple[int, str], int](), dict[tuple[int, str, int], int]()
+
+        def declared(channel: Channel) -> int:
+            key = channel.id, channel.topic, channel.schema_id
+            if key not in channels:
+                schema = walk.schemas.get(channel.schema_id)
+                schema_id = 0
+                if schema is not None:
+                    if (schema.id, schema.name) not in schemas:
+                        new_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        schemas[schema.id, schema.name] = new_id
+                    schema_id = schemas[schema.id, schema.name]
+                channels[key] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schema_id, channel.metadata
+                )
+                about = TopicCount(
+                    channel.topic,
+                    schema.name if schema else "",
+                    channel.metadata.get("topic_type_hash", ""),
+                    0,
+                    channel.metadata.get("offered_qos_profiles", ""),
+                    channel.message_encoding,
+                )
+                new.topics.setdefault(channel.topic, about)
+            return channels[key]
+
+        while item is not None:
+            if isinstance(item, Attachment):
+                writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
+            elif isinstance(item, Metadata):
+                writer.add_metadata(item.name, item.metadata)
+            else:
+                channel_id = declared(item.channel)
+                writer.add_message(channel_id, item.log_ns, item.data, item.publish_ns, item.sequence)
+                new.count(item.channel.topic, item.log_ns)
+            item = next(items, None)
+        for channel in walk.channels.values():
+            declared(channel)
+        writer.finish()  # type: ignore[no-untyped-call]
+    new.unchecked = walk.unchecked
+    return walk.damages, walk.doubtful
+
+
+def _profile(walk: McapWalk) -> str:
+    """Return the profile of a file whose header is lost."""
+    encodings = {schema.encoding for schema in walk.schemas.values()}
+    return "ros2" if encodings & {"ros2msg", "ros2idl"} else "ros1" if "ros1msg" in encodings else ""
+
+
+def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:
+    condition, ids = Condition(), dict[RecordedTopic, int]()
+    messages = sqlite_messages(source, condition)
+    with closing(sqlite3.connect(new.path)) as database:
+        database.executescript(SQLITE_TABLES)
+
+        def declared(topic: RecordedTopic) -> int:
+            if topic not in ids:
+                ids[topic] = len(ids) + 1
+                row = (ids[topic], topic.name, topic.message_type, topic.encoding, topic.qos, topic.type_hash)
+                database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)", row)
+                if topic.definition:
+                    definition = (topic.message_type, topic.definition_encoding, topic.definition, topic.type_hash)
+                    database.execute(
+                        "INSERT INTO message_definitions (topic_type, encoding, encoded_message_definition, "
+                        "type_description_hash) VALUES (?, ?, ?, ?)",
+                        definition,
+                    )
+                about = TopicCount(topic.name, topic.message_type, topic.type_hash, 0, topic.qos, topic.encoding)
+                new.topics.setdefault(topic.name, about)
+            return ids[topic]
+
+        for message in messages:
+            row = (declared(message.topic), message.log_ns, message.data)
+            database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", row)
+            new.count(message.topic.name, message.log_ns)
+        for topic in condition.topics:
+            declared(topic)
+        database.commit()
+    return condition.damages, 0

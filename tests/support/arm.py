@@ -18,6 +18,7 @@ REPOSITORY = Path(__file__).parents[2]
 QEMU = shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
 PACKAGES = ("python3", "libexpat1")
 WHEELS = ("cramjam", "eclipse-zenoh", "mcap", "numpy", "psutil", "rich", "tomli", "typer>=0.26,<0.29", "zstandard")
+PIPS = ((sys.executable, "-m", "pip"), ("pip3",), ("pip",))
 PLATFORMS = ("manylinux2014_aarch64", "manylinux_2_17_aarch64", "manylinux_2_28_aarch64", "linux_aarch64")
 
 needs_arm = pytest.mark.skipif(
@@ -94,14 +95,20 @@ def _download_packages(folder: Path) -> list[Path]:
     return sorted((folder / "cache" / "archives").glob("*.deb"))
 
 
+def _runs(*command: str) -> bool:
+    try:
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except FileNotFoundError:
+        return False
+
+
 def _download_wheels(folder: Path, version: str) -> None:
+    pip = next((pip for pip in PIPS if _runs(*pip, "--version")), None)
+    if pip is None:
+        pytest.skip("pip is not installed")
     platforms = [word for platform in PLATFORMS for word in ("--platform", platform)]
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--dest", str(folder), "--only-binary", ":all:"]
-    if shutil.which("uv") and subprocess.run([*command[:3], "--version"], capture_output=True, check=False).returncode:
-        pytest.skip("pip is not installed in this environment")
-    done = subprocess.run(
-        [*command, "--python-version", version, *platforms, *WHEELS], capture_output=True, text=True, check=False
-    )
+    command = [*pip, "download", "--quiet", "--dest", str(folder), "--only-binary", ":all:", *platforms]
+    done = subprocess.run([*command, "--python-version", version, *WHEELS], capture_output=True, text=True, check=False)
     if done.returncode:
         pytest.skip(f"aarch64 wheels cannot be had here: {done.stderr.strip()[-200:]}")
 

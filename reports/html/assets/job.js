@@ -5,7 +5,10 @@ const JOB_SHARES = { p50: 0.5, p90: 0.9, p95: 0.95, p99: 0.99, p99_9: 0.999 };
 const JOB_METRIC = "response"; // from planned send to reply, so that a late sender does not look fast
 const JOB_RUNS = 3; // fewest runs of a verdict
 const FITS = ["meets", "likely", "unclear", "misses", "not known"];
-const TYPED_UNITS = { B: 1, KB: 1e3, MB: 1e6, GB: 1e9, KiB: 1024, MiB: 1048576, Hz: 1, ns: 1, us: 1e3, µs: 1e3, ms: 1e6, s: 1e9 };
+const TYPED_UNITS = {
+  ...{ B: 1, KB: 1e3, MB: 1e6, GB: 1e9, KiB: 1024, MiB: 1048576 },
+  ...{ Hz: 1, ns: 1, us: 1e3, µs: 1e3, ms: 1e6, s: 1e9 },
+};
 
 /** A number with a unit out of `units` (the first one where none is typed); null for anything else. */
 function typed(text, units) {
@@ -26,7 +29,8 @@ function readJob(form) {
     domain: form.elements.domain.value,
     link: form.elements.link.value,
   };
-  const wrong = ["size", "rate", "deadline"].find((name) => job[{ size: "bytes", rate: "hz", deadline: "deadline_ns" }[name]] === null);
+  const named = { size: job.bytes, rate: job.hz, deadline: job.deadline_ns };
+  const wrong = Object.keys(named).find((name) => named[name] === null);
   return wrong ? { wrong } : job;
 }
 
@@ -57,19 +61,20 @@ function fitOf(group, job) {
   const runs = DATA.values.plain.runs[group];
   const held = DATA.values.plain.achieved_rate_hz[group];
   const between = Boolean(DATA.intervals.is_between[JOB_METRIC]?.[job.share]?.[group]) && runs >= JOB_RUNS;
-  const told = (fit, why = "") => ({ group, fit, time, low, high, runs, why });
-  if (time === null) return told("not known", `too few messages for ${percentText(job.share)}`);
+  const rated = (fit, why = "") => ({ group, fit, time, low, high, runs, why });
+  if (time === null) return rated("not known", `too few messages for ${percentText(job.share)}`);
   if (held !== null && held < 0.98 * cellOf(group).hz)
-    return told("misses", `sent at ${formatHz(held)} where ${formatHz(cellOf(group).hz)} were planned`);
-  if (time === Infinity) return told(between ? "misses" : "unclear", `${formatRatio(1 - DATA.curves.shares[group])} lost`);
+    return rated("misses", `sent at ${formatHz(held)} where ${formatHz(cellOf(group).hz)} were planned`);
+  const lost = `${formatRatio(1 - DATA.curves.shares[group])} lost`;
+  if (time === Infinity) return rated(runs >= JOB_RUNS ? "misses" : "unclear", lost);
   if (time > job.deadline_ns) {
-    if (between && low !== null && low > job.deadline_ns) return told("misses");
-    return told("unclear", between ? "the deadline is within the interval" : `rests on ${counted(runs, "run")}`);
+    if (between && low !== null && low > job.deadline_ns) return rated("misses");
+    return rated("unclear", between ? "the deadline is within the interval" : `rests on ${counted(runs, "run")}`);
   }
-  if (!between) return told("likely", `rests on ${counted(runs, "run")}; a verdict needs ${JOB_RUNS}`);
-  if (DATA.curves.shares[group] < 1) return told("likely", `${formatRatio(1 - DATA.curves.shares[group])} lost`);
-  if (high === null || high > job.deadline_ns) return told("unclear", "the deadline is within the interval");
-  return told("meets");
+  if (!between) return rated("likely", `rests on ${counted(runs, "run")}; a verdict needs ${JOB_RUNS}`);
+  if (DATA.curves.shares[group] < 1) return rated("likely", lost);
+  if (high === null || high > job.deadline_ns) return rated("unclear", "the deadline is within the interval");
+  return rated("meets");
 }
 
 const percentText = (share) => `${digits(100 * JOB_SHARES[share])} %`;
@@ -114,8 +119,10 @@ function answerJob(job) {
     sentence =
       `${first.map(label).join("; ")} ${first.length === 1 ? "meets" : "meet"} it: ${deadline}` +
       `${first.length > 1 ? ", with no difference between them in these traces" : ""}.`;
-  else if (best.fit === "likely") sentence = `Nothing is shown to meet it; likely: ${named(["likely"]).map(label).join("; ")}.`;
-  else if (named(["misses"]).length === found.length) sentence = `Everything that was measured misses it: ${deadline}.`;
+  else if (best.fit === "likely")
+    sentence = `Nothing is shown to meet it; likely: ${named(["likely"]).map(label).join("; ")}.`;
+  else if (named(["misses"]).length === found.length)
+    sentence = `Everything that was measured misses it: ${deadline}.`;
   else sentence = "Nothing is shown to meet it, and not everything to miss it.";
   return { found, sentence, commands: open ? decidingCommands(DATA.groups.series[open.group], job) : [] };
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
@@ -20,15 +21,18 @@ from dds_trace.recorder.sweep.station.namespaces import NamespacePair, remove_st
 UDP_ECHO = Path(__file__).parents[3] / "support" / "udp_echo.py"
 
 
+FIRST = ("chrt", "-f", "5")
+"""Start of a command with real-time priority, which other programs do not delay."""
+
 skipped = needs_namespaces("tc", "iproute2")
 needs_tap = pytest.mark.skipif(not Path("/dev/net/tun").exists(), reason="no TAP devices here")
 
 
 @contextmanager
-def echo(pair):
-    """A UDP echo server at the relay's end."""
+def echo(pair, *words):
+    """A UDP echo server at the relay's end, by a command that starts with `words`."""
     server = subprocess.Popen(
-        [*pair.relay.prefix, sys.executable, str(UDP_ECHO), "serve"], stdout=subprocess.PIPE, text=True
+        [*pair.relay.prefix, *words, sys.executable, str(UDP_ECHO), "serve"], stdout=subprocess.PIPE, text=True
     )
     assert server.stdout.readline() == "ready\n"
     try:
@@ -38,11 +42,11 @@ def echo(pair):
         server.communicate()
 
 
-def ask(pair, size_bytes, count, timeout_s=20):
+def ask(pair, size_bytes, count, timeout_s=20, prefix=()):
     """Round-trip times in ms of the datagrams that came back."""
     words = [UDP_ECHO, "ask", pair.relay.address, size_bytes, count, timeout_s]
     done = subprocess.run(
-        [*pair.ping.prefix, sys.executable, *map(str, words)], capture_output=True, text=True, check=True
+        [*pair.ping.prefix, *prefix, sys.executable, *map(str, words)], capture_output=True, text=True, check=True
     )
     return [float(line) for line in done.stdout.split() if line != "lost"]
 
@@ -154,3 +158,27 @@ def test_without_root_the_error_says_what_to_do(monkeypatch):
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     with pytest.raises(OptionError, match="sudo"):
         require_root()
+
+
+@skipped
+@needs_tap
+@pytest.mark.slow
+def test_delay_and_rate_of_a_replayed_link_are_those_of_its_file_within_one_percent(tmp_path):
+    """The least of several round trips, as a busy machine only adds to the link's time."""
+    file = tmp_path / "two.csv"
+    file.write_text("time_s,rate_mbit_s,delay_ms\n0,8,20\n2,4,50\n1000,8,20\n")
+    with NamespacePair(Link(name="two", file=str(file))) as pair, echo(pair, *FIRST):
+        at_rest = min(ask(pair, 100, 30, prefix=FIRST))
+        pair.drive(starts=True)
+        started_ns = pair.report()["drive_started_ns"]
+        time.sleep(2.1)
+        small, large = min(ask(pair, 100, 30, prefix=FIRST)), min(ask(pair, 25_000, 20, prefix=FIRST))
+        measured = pair.report()
+    assert started_ns is not None
+    assert measured["forwarder"]["from_ping"]["carried"] >= 200  # 17 fragments of each large one
+    for seen_ms, delay_ms, frame_bytes, mbit_s in (
+        (at_rest, 20, 142, 8),
+        (small, 50, 142, 4),
+        (large, 50, 25_000 + 8 + 17 * 34, 4),
+    ):
+        assert seen_ms == pytest.approx(2 * (delay_ms + frame_bytes * 8 / mbit_s / 1000), rel=0.01)

@@ -98,7 +98,8 @@ class Result:
 
 def start(role: str, size: int, rate_hz: float, path: Path) -> subprocess.Popen[bytes]:
     """Start publisher or subscriber."""
-    return subprocess.Popen([sys.executable, "-c", NODE, role, str(size), str(rate_hz), str(path)], env=ENVIRONMENT)
+    command = [sys.executable, "-c", NODE, role, str(size), str(rate_hz), str(path)]
+    return subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.DEVNULL)
 
 
 def start_tap(folder: Path, backend: str) -> subprocess.Popen[str]:
@@ -106,7 +107,11 @@ def start_tap(folder: Path, backend: str) -> subprocess.Popen[str]:
     out = folder / f"tap{time.monotonic_ns()}.mcap"
     words = ("--role", "tap", "--topics", "/camera/image", "--backend", backend, "--no-own-cost", "--out", str(out))
     tap = subprocess.Popen(
-        [str(Path(sys.executable).with_name("dds-record")), *words], env=ENVIRONMENT, stderr=subprocess.PIPE, text=True
+        [str(Path(sys.executable).with_name("dds-record")), *words],
+        env=ENVIRONMENT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert tap.stderr is not None
     for line in tap.stderr:

@@ -33,7 +33,8 @@ def recover_trace(path: Path, out: Path | None = None) -> None:
 def check_start(options: RecordOptions) -> None:
     """Start a recording and end it before its first message."""
     rehearse(options, _Notes())
-    print(f"{'a relay' if options.ping is None else 'a ping'} can begin")
+    role = "ping" if options.ping else "tap" if options.tap else "beacon" if options.beacon_rate_hz else "relay"
+    print(f"a {role} can begin")
 
 
 class _Notes:

@@ -11,6 +11,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from dds_trace.tracefile.format.events import SESSION_TOPIC
+from dds_trace.tracefile.writing.destination import discard
 
 from ..base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
 from ..errors import NothingHeardError
@@ -59,8 +60,7 @@ class BeaconRecording(BaseRecording):
     def record(self, rate_hz: float) -> Recorded:
         """Compare clocks until done; errors as for `recorder.recording.record`.
 
-        Raises:
-            NothingHeardError: no other beacon answered; the trace stays.
+        With `NothingHeardError` in the result no other beacon answered, and there is no trace.
         """
         options = self.options
         if options.own_cost and not self.rehearses:
@@ -90,7 +90,8 @@ class BeaconRecording(BaseRecording):
                 node.start()
                 if self.rehearses:
                     self.stop.set()
-                self.watch.note(f"beacon {relay_id:08x} in domain {options.node.domain_id}; {self._service}")
+                else:
+                    self.watch.note(f"beacon {relay_id:08x} in domain {options.node.domain_id}; {self._service}")
                 with sampled(sink, wire):
                     run = self._send(node, sink, upkeep, rate_hz)
                 relay.close()
@@ -101,15 +102,10 @@ class BeaconRecording(BaseRecording):
                 read_back.report(trace.path)
                 progress = self._progress()
                 self._report(progress)
-                lonely = (
-                    NothingHeardError(
-                        f"no other beacon answered in domain {options.node.domain_id}: start `dds-record --role beacon` on another "
-                        "device with the same --domain, --discovery and --backend"
-                    )
-                    if not progress.clocks and not self.rehearses
-                    else None
-                )
-                return Recorded(trace, session, progress, run, lonely or upkeep.shortage)
+                if not progress.clocks and not self.rehearses:  # the next try may have the name
+                    discard(upkeep.destination)
+                    return Recorded(None, session, progress, error=_lonely(node))
+                return Recorded(trace, session, progress, run, upkeep.shortage)
 
     def _is_own(self, run_id: int, sequence: int) -> bool:
         return any(ping.is_own(run_id, sequence) for ping in self.pings[-2:])
@@ -185,6 +181,13 @@ class BeaconRecording(BaseRecording):
         parts = [ping.progress() for ping in self.pings]
         clocks = self.exchanges.words(anchor.monotonic_ns, anchor.offset_ns)
         return BeaconProgress(sum(part.sent for part in parts), sum(part.received for part in parts), tuple(clocks))
+
+
+def _lonely(node: Node) -> NothingHeardError:
+    return NothingHeardError(
+        f"no other beacon answered in domain {node.options.domain_id}: start `dds-record --role beacon` on another device "
+        "with the same --domain, --discovery and --backend"
+    )
 
 
 def _run_once_met(ping: AnyPing, sink: TraceSink, enough: threading.Event) -> Run | None:

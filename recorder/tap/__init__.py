@@ -5,5 +5,7 @@
 - stamps: where a message of a type has its first time stamp
 - page: the same on a local web page
 - diagnostics: the same as `diagnostic_msgs`
+- worker: the thread that hashes and stores, at a low priority
+- own_use: what a tap takes of the processor
 - recording: a tap's recording from its options to a closed trace
 """

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
+from dds_trace.tracefile.writing.destination import discard
 
 from ..applied.carried import Traffic
 from ..backends.node import TapNode, TopicPatterns
@@ -42,8 +43,7 @@ class TapRecording(BaseRecording):
     def record(self, tap_options: TapOptions) -> Recorded:
         """Listen until done; errors as for `recorder.recording.record`.
 
-        Raises:
-            NothingHeardError: no message came; the trace, which describes the session, stays.
+        With `NothingHeardError` in the result no message came, and there is no trace.
         """
         options = self.options
         if options.own_cost and not self.rehearses:
@@ -55,6 +55,7 @@ class TapRecording(BaseRecording):
                 )
             read_back = self.read_back(node)
             session = self.describe("tap", node, read_back, extra={"topics": list(tap_options.topics)})
+            publish = open_diagnostics(node, options.device or "") if tap_options.diagnostics else None
             with ExitStack() as stack:
                 upkeep = stack.enter_context(Upkeep(options, session, self.clock.monotonic_ns, self.watch.note))
                 live = LiveTable(tap_options.expected_hz)
@@ -67,8 +68,8 @@ class TapRecording(BaseRecording):
                     note=self.watch.note,
                     live=live,
                     clock=self.clock,
+                    has_worker=True,
                 )
-                publish = open_diagnostics(node, session.device) if tap_options.diagnostics else None
                 if tap_options.live_port is not None:
                     address = stack.enter_context(serve_page(tap_options.live_port, live.rows))
                     self.watch.note(f"live on {address}")
@@ -87,11 +88,15 @@ class TapRecording(BaseRecording):
                 read_back.read_end(Traffic(0, tap.messages, mean_bytes))
                 trace = upkeep.close_trace(**read_back.fields(), **self.fields_at_end(), own_cost=own_cost.to_json())
                 read_back.report(trace.path)
-                for line in summarize(tap.streams):
+                progress = self._progress(tap, live)
+                if self.rehearses:
+                    return Recorded(trace, session, progress)
+                if not tap.messages:  # the next try may have the name
+                    discard(upkeep.destination)
+                    return Recorded(None, session, progress, error=NothingHeardError(self._why_nothing(tap, node)))
+                for line in (*summarize(tap.streams), own_cost.words):
                     self.watch.note(line)
-                self.watch.note(own_cost.words)
-                lonely = None if tap.messages or self.rehearses else NothingHeardError(self._why_nothing(tap, node))
-                return Recorded(trace, session, self._progress(tap, live), error=lonely or upkeep.shortage)
+                return Recorded(trace, session, progress, error=upkeep.shortage)
 
     def _watch_tap(
         self,

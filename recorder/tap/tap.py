@@ -15,6 +15,7 @@ from ..choices import Durability, History, Reliability
 from ..host.clock import SystemClock
 from .stamps import known_first_member, stamp_kind, stamp_reader
 from .streams import State, Stream
+from .worker import Worker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 
     from ..backends.node import RawMessage, Subscription, TapNode, TopicPatterns
     from ..host.clock import Clock
-    from ..roles.live import LiveTable
+    from ..roles.live import LiveTable, LiveTopic
 
 TAP = 5
 """The ring's number of `Stage.TAP`."""
-GRAPH_PERIOD_NS = SECOND_NS
+GRAPH_PERIOD_NS = SECOND_NS // 2
 DEPTH = 32
 """Messages that wait for a busy tap; no publisher keeps them."""
 MOST_STREAMS = 10_000
@@ -46,21 +47,27 @@ def chosen_qos(reliability: Reliability | None, durability: Durability | None, d
     )
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class _Topic:
     """One topic and type: its subscription, and its publishers in the graph."""
 
     name: str
     type_name: str
     header: str | None
+    live: LiveTopic | None = None
     publications: list[Publication] = field(default_factory=list)
     subscription: Subscription | None = None
     streams: dict[Hashable, Stream] = field(default_factory=dict)
     """By `source` of a message; None is the only publisher, or all of several."""
 
+    def __post_init__(self) -> None:
+        self.read_stamp = stamp_reader(self.header)
+
 
 class Tap:
-    """The tap of `patterns` on a node, whose thread receives; `look` joins topics and finds those that stopped.
+    """The tap of `patterns` on a node, whose thread stamps arrivals; `look` joins topics and finds those that stopped.
+
+    With `has_worker` another thread does the rest, so that a message does not wait for the hash of the one before it.
 
     Attributes:
         streams: all publishers that were heard.
@@ -78,6 +85,7 @@ class Tap:
         note: Callable[[str], None],
         live: LiveTable | None = None,
         clock: Clock | None = None,
+        has_worker: bool = False,
     ) -> None:
         self.streams: list[Stream] = []
         self.refused: dict[str, str] = {}
@@ -89,6 +97,8 @@ class Tap:
         self._note = note
         self._live = live
         self._now = (clock or SystemClock()).monotonic_ns
+        self._worker = Worker(self.store) if has_worker else None
+        self._hand_over = self._worker.hand_over if self._worker else lambda item: self.store(*item)
         self._topics: dict[tuple[str, str], _Topic] = {}
         self._described = 0
         self._looked_ns: int | None = None
@@ -104,7 +114,9 @@ class Tap:
         return sorted({topic.name for topic in self._topics.values() if topic.subscription is not None})
 
     def look(self) -> None:
-        """Join new topics, and report publishers that stopped or are back; at most one look at the graph a second."""
+        """Join new topics, and report publishers that stopped or are back; at most two looks at the graph a second."""
+        if self._worker is not None and self._worker.error is not None:
+            raise self._worker.error
         now_ns = self._now()
         for stream in self.streams[self._described :]:
             self._describe(stream, State.HEARD)
@@ -120,6 +132,8 @@ class Tap:
         for topic in self._topics.values():
             if topic.subscription is not None:
                 topic.subscription.close()
+        if self._worker is not None:
+            self._worker.close()
         for stream in self.streams:
             self._describe(stream, State.CLOSED)
 
@@ -135,7 +149,8 @@ class Tap:
     def _join(self, name: str, type_name: str, publications: list[Publication]) -> None:
         try:
             header = stamp_kind(type_name, self._first_member)
-            topic = self._topics[name, type_name] = _Topic(name, type_name, header)
+            live = None if self._live is None else self._live.topic(name)
+            topic = self._topics[name, type_name] = _Topic(name, type_name, header, live)
             self._update(topic, publications)
             topic.subscription = self._node.create_tap(name, type_name, self._receiver(topic), qos=self._qos)
         except (BackendUnavailableError, OptionError) as error:
@@ -165,32 +180,42 @@ class Tap:
         self._describe(stream, State.STOPPED)
 
     def _receiver(self, topic: _Topic) -> Callable[[RawMessage, int, int, int, Hashable], None]:
-        now, record, streams = self._now, self._sink.record, topic.streams
-        read_stamp = stamp_reader(topic.header)
-        live = None if self._live is None else self._live.topic(topic.name).count
+        now, hand_over = self._now, self._hand_over
 
         def receive(message: RawMessage, source_ns: int, received_ns: int, sequence: int, source: Hashable, /) -> None:
-            arrival_ns = now()
-            stream = streams.get(source) or self._meet(topic, source)
-            if stream.publisher is None and source is None:
-                sequence = 0
-            header_ns, payload_bytes = read_stamp(message), len(message)
-            record(
-                TAP,
-                hash_content(message),
-                sequence,
-                arrival_ns,
-                header_ns,
-                source_ns,
-                received_ns,
-                payload_bytes,
-                stream.publisher_id,
-            )
-            stream.count(arrival_ns, sequence, payload_bytes)
-            if live is not None:
-                live(arrival_ns, header_ns or source_ns, stream.publisher_id, stream.missing)
+            hand_over((topic, now(), message, source_ns, received_ns, sequence, source))
 
         return receive
+
+    def store(
+        self,
+        topic: _Topic,
+        arrival_ns: int,
+        message: RawMessage,
+        source_ns: int,
+        received_ns: int,
+        sequence: int,
+        source: Hashable,
+    ) -> None:
+        """Store the event of a message, on one thread."""
+        stream = topic.streams.get(source) or self._meet(topic, source)
+        if stream.publisher is None and source is None:
+            sequence = 0
+        header_ns, payload_bytes = topic.read_stamp(message), len(message)
+        self._sink.record(
+            TAP,
+            hash_content(message),
+            sequence,
+            arrival_ns,
+            header_ns,
+            source_ns,
+            received_ns,
+            payload_bytes,
+            stream.publisher_id,
+        )
+        stream.count(arrival_ns, sequence, payload_bytes)
+        if topic.live is not None:
+            topic.live.count(arrival_ns, header_ns or source_ns, stream.publisher_id, stream.missing)
 
     def _meet(self, topic: _Topic, source: Hashable) -> Stream:
         """Return the stream of a source's first message."""

@@ -47,7 +47,10 @@ class Ros2Node(ThreadedNode):
         super().__init__(options)
         self._on_closed = on_closed
         self._context = rclpy.Context()
-        rclpy.init(context=self._context, domain_id=options.domain_id)
+        try:
+            rclpy.init(context=self._context, domain_id=options.domain_id)
+        except RuntimeError as err:  # RCLError: keys of a secured domain, a broken configuration
+            raise BackendUnavailableError(f"ROS 2 cannot start: {str(err).splitlines()[0]}") from err
         try:
             self._node = rclpy.create_node(
                 options.name, context=self._context, enable_rosout=False, start_parameter_services=False

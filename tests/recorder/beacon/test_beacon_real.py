@@ -90,4 +90,4 @@ def test_a_beacon_alone_says_so(tmp_path, domain_id, sentences):
     result = beacon.end()
     assert isinstance(result.error, NothingHeardError)
     sentences(str(result.error).replace(str(domain_id), "DOMAIN"))
-    assert read_trace(result.trace.path).sessions
+    assert not list(tmp_path.iterdir())  # the next try may have the name

@@ -96,7 +96,7 @@ def test_a_topic_that_appears_later_is_joined():
     assert bench.tap.topics == []
     bench.node.graph = [CAMERA]
     bench.look(after_ms=10)
-    assert bench.tap.topics == []  # the graph is looked at once a second
+    assert bench.tap.topics == []  # the graph is looked at twice a second
     bench.look()
     bench.hear(1)
     assert (bench.tap.topics, bench.tap.messages) == ([CAMERA.topic], 1)

@@ -15,7 +15,11 @@ from dds_trace.tracefile.format.wire import rows_of_text
 from dds_trace.tracefile.reading.reader import read_trace
 
 pytest.importorskip("rclpy", reason="no ROS 2 here")
-pytestmark = [pytest.mark.middleware, pytest.mark.skipif(os.geteuid() != 0, reason="a capture needs CAP_NET_RAW")]
+pytestmark = [
+    pytest.mark.middleware,
+    pytest.mark.slow,
+    pytest.mark.skipif(os.geteuid() != 0, reason="a capture needs CAP_NET_RAW"),
+]
 MESSAGES = 150
 ENOUGH = 20
 """The ping's topic is joined during its run, and a best-effort tap may lose messages on a busy machine."""

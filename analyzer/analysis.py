@@ -51,6 +51,9 @@ class Details:
         clock_knots: offsets to which the clocks are fitted (`one_way.KNOT_SCHEMA`).
         host_samples: load of the devices over time (`host_samples.HOST_SAMPLE_SCHEMA`).
         bridge_costs: different domains against the same domain (`bridge_cost.bridge_cost`).
+        interference: flows with others against each by itself (`interference.INTERFERENCE_SCHEMA`).
+        head_of_line: whether messages of a flow wait for another's (`interference.HEAD_OF_LINE_SCHEMA`).
+        recoveries: runs with an outage that the sweep made (`recovery.RECOVERY_SCHEMA`).
         wire: cost on the wire by group recorded with `--wire` (`groups.wire`).
         wire_classes: the same by class of traffic.
         wire_repeats: the same by number of repeats.
@@ -71,6 +74,9 @@ class Details:
     clock_knots: pl.DataFrame
     host_samples: pl.DataFrame
     bridge_costs: pl.DataFrame
+    interference: pl.DataFrame
+    head_of_line: pl.DataFrame
+    recoveries: pl.DataFrame
     wire: pl.DataFrame
     wire_classes: pl.DataFrame
     wire_repeats: pl.DataFrame

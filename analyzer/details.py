@@ -14,6 +14,7 @@ from .groups.batch import DEADLINE_METRIC, Batch
 from .groups.frames import DETAIL_MAKERS
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
+from .groups.recovery import RECOVERY_SCHEMA, recovery_frame
 from .groups.wire import no_wire_frames, wire_frames
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .model.metrics import schema_of
@@ -23,6 +24,7 @@ from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
 from .verdicts.answers import find_answers
 from .verdicts.bridge_cost import find_bridge_costs
+from .verdicts.interference import find_head_of_line, find_interference
 from .verdicts.recommend import recommend_settings
 
 if TYPE_CHECKING:
@@ -84,6 +86,9 @@ def collect_details(
         clock_fits=clock_fits.result(),
         host_samples=host_sample_frame(campaign.traces),
         bridge_costs=find_bridge_costs(judged, passes),
+        interference=find_interference(judged, passes),
+        head_of_line=find_head_of_line(judged, passes),
+        recoveries=recovery_frame(campaign.traces, grouping, rows),
         **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
         answers=answers,
         deadline_ns=options.deadline_ns,
@@ -106,6 +111,9 @@ def details_not_requested() -> Details:
         clock_fits=segment_table(()),
         host_samples=host_sample_frame(()),
         bridge_costs=find_bridge_costs(no_rows),
+        interference=find_interference(no_rows),
+        head_of_line=find_head_of_line(no_rows),
+        recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
         **no_wire_frames()._asdict(),
         answers=(),
         deadline_ns=None,

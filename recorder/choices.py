@@ -56,6 +56,14 @@ class Load(Enum):
     NETWORK = "network"
 
 
+class WhenFull(Enum):
+    """What a zenoh publisher does when the link is full; `DEFAULT` blocks if it is reliable."""
+
+    DEFAULT = "default"
+    BLOCK = "block"
+    DROP = "drop"
+
+
 class Role(Enum):
     """What a recorder does: one end of a measurement, both, or listening to other programs."""
 

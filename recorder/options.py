@@ -98,6 +98,20 @@ class PingOptions:
     wait_s: float = detail(
         DEFAULT_WAIT_S, "--wait SECONDS", Panel.SCHEDULE, "How long to wait for the first echo.", limit=limits.WAIT_S
     )
+    patience_s: float = detail(
+        3.0,
+        "--patience SECONDS",
+        Panel.SCHEDULE,
+        "How long a relay that is no longer seen may be silent before the run ends.",
+        limit=limits.WAIT_S,
+    )
+    start_at_s: float | None = detail(
+        None,
+        "--start-at SECONDS",
+        Panel.SCHEDULE,
+        "Do not send before this time (seconds since 1970), so that several pings start together. Default: at the first echo",
+        limit=limits.UNIX_S,
+    )
     relays: int = detail(1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS)
     bridge: str = detail(
         "none",
@@ -259,6 +273,13 @@ class RecordOptions:
         "Start a new file at this size or age: 1GB, 1h (30min, 7d), or 1GB,1h; --out NAME.mcap becomes NAME.00001.mcap and so on.",
         parse=Rotation.parse,
     )
+    flows: tuple[str, ...] = detail(
+        (),
+        "--flow NAME",
+        Panel.MIDDLEWARE,
+        "Name of a flow, which has topics of its own, so that several pings of one kind of data share a relay; for a relay repeatable.",
+        limit=limits.FLOW_NAME,
+    )
     types: tuple[str, ...] = detail(
         (),
         "--type TYPE",
@@ -344,6 +365,8 @@ class RecordOptions:
             raise OutputExistsError(f"{destination.path} is there already; choose another name or use --force")
         if self.ping is not None:
             self.ping.check()
+            if len(self.flows) > 1:
+                raise OptionError(f"--flow {' --flow '.join(self.flows)}: a ping is one flow; start a ping for each")
         if self.tap is not None:
             self.tap.check()
         slowest_hz, fastest_hz = BEACON_RATES_HZ

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import secrets
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import replace
@@ -94,7 +95,8 @@ class _Recording(BaseRecording):
     def relay(self) -> Recorded:
         options = self.options
         relay_id = options.relay_id or secrets.randbits(32) or 1
-        data_types = served_data_types(options.types)
+        served = served_data_types(options.types)
+        data_types = tuple(one.in_flow(flow) for flow in options.flows for one in served) or served
         check_serialization(data_types, options.serialization)
         self.measure_costs()
         with self.open_wire() as wire, self.open_node("relay") as node, tuned_gc():
@@ -133,6 +135,8 @@ class _Recording(BaseRecording):
             payload = stack.enter_context(self._open_payload(ping_options, seed))
             for note in payload.notes:
                 self.watch.note(note)
+            for flow in self.options.flows:
+                payload = payload.in_flow(flow)
             plan = plan_run(self.options, ping_options, payload, session_id=self.session_id, seed=seed)
             self._warn_of_depth(plan)
             self.measure_costs(plan.rate_hz)
@@ -155,6 +159,8 @@ class _Recording(BaseRecording):
             upkeep = stack.enter_context(Upkeep(self.options, session, self.clock.monotonic_ns, self.watch.note))
             sink = upkeep.sink
             wire.begin(ping.run_id)
+            if ping_options.start_at_s is not None:
+                self.stop.wait(max(0.0, ping_options.start_at_s - time.time()))
             with sampled(sink, wire, bridge):
                 run, error = self._run(ping, node, upkeep, bridge)
             run = wire.write_run(run, sink)
@@ -220,13 +226,14 @@ class _Recording(BaseRecording):
     ) -> tuple[Run, BridgeError | RelayLostError | OutputError | None]:
         """Run the ping on its own thread; return the run, and why it ended early."""
         end_ns, enough, hopeless = self.end_ns(), threading.Event(), threading.Event()
+        patience_s = 0.0 if self.options.ping is None else self.options.ping.patience_s
         error: BridgeError | RelayLostError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="ping") as pool:
             future = pool.submit(ping.run, upkeep.sink, enough, hopeless)
             while not future.done():
                 left_s = LOOK_S if enough.is_set() else max(self.left_s(end_ns), 0)
                 wait([future], timeout=min(LOOK_S, left_s))
-                error = error or _find_failure(ping, node, bridge, ended=False)
+                error = error or _find_failure(ping, node, bridge, patience_s)
                 if error is not None:
                     enough.set()
                     hopeless.set()
@@ -242,7 +249,7 @@ class _Recording(BaseRecording):
                 self.watch.progress(progress)
             run = future.result()
         raise_error_of(node)
-        return run, error or upkeep.shortage or _find_failure(ping, node, bridge, ended=True)
+        return run, error or upkeep.shortage or _find_failure(ping, node, bridge)
 
     def _watch_relay(self, relay: Relay, node: Node, upkeep: Upkeep, read_back: ReadBack, wire: WireRecord) -> None:
         end_ns, noted, quiet, relayed = self.end_ns(), set[str](), 0, 0
@@ -272,12 +279,13 @@ class _Recording(BaseRecording):
 
 
 def _find_failure(
-    ping: AnyPing, node: Node, bridge: RunningBridge | None, *, ended: bool
+    ping: AnyPing, node: Node, bridge: RunningBridge | None, patience_s: float | None = None
 ) -> BridgeError | RelayLostError | None:
-    """Return why nobody answers a ping any more, if so."""
+    """Return why nobody answers a ping any more, if so; without `patience_s` after its run."""
     if bridge is not None:
         try:
             bridge.check()
         except BridgeError as died:
             return died
-    return find_loss(node, ping.plan.payload.data_type, ping.silence, ended=ended)
+    ended = patience_s is None
+    return find_loss(node, ping.plan.payload.data_type, ping.silence, ended=ended, patience_s=patience_s or 0.0)

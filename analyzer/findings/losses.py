@@ -6,6 +6,8 @@ import math
 from collections import defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
+import polars as pl
+
 from dds_trace.base.units import counted, format_duration
 
 from ..model.finding import Severity, Subject
@@ -146,6 +148,26 @@ def outages(evidence: Evidence) -> Iterator[Observation]:
             group,
             f"{counted(rows.height, 'time')} several messages in a row were lost, {lost} in all{longest}{end}",
             lost / published[group],
+        )
+
+
+@check(
+    "never_came_back",
+    Severity.WARNING,
+    Subject.RUN,
+    "Start one side again after such an outage, or choose a setup that comes back; a larger outage_limit_seconds separates slow from never.",
+)
+def lost_connections(evidence: Evidence) -> Iterator[Observation]:
+    """Nothing came back after an outage that the sweep made."""
+    for row in evidence.details.recoveries.filter(pl.col("never")).iter_rows(named=True):
+        reached = (
+            "" if row["out_ns"] is None else f", though the relay received one after {format_duration(row['out_ns'])}"
+        )
+        yield evidence.run(
+            row["run_id"],
+            f"After an outage of {format_duration(row['outage_ns'])} ({row['by']}) no reply came within "
+            f"{format_duration(row['limit_ns'])}{reached}.",
+            (row["group"],),
         )
 
 

@@ -13,6 +13,7 @@ from ..model.finding import Severity, Subject
 from ..model.parameters import CASE_COLUMNS
 from ..pairing.flows import find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
+from ..verdicts.interference import flows_of
 from .check import check
 from .evidence import Observation, percent, some
 
@@ -35,15 +36,16 @@ if TYPE_CHECKING:
 def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
     """Runs went on at the same time on one machine.
 
-    Flows, runs of one result in the middle of each other, are counted in their setting instead.
+    Flows, runs of one result in the middle of each other or the `[[flows]]` of a plan, are in their setting instead.
     """
+    settings = evidence.grouping.parameters["setting"].to_list()
     group_of_run: dict[int, int] = {}
     for exchange, group in evidence.exchanges_by_group():
         group_of_run.setdefault(exchange.run.run_id, group)
     shared: dict[tuple[int, int], list[Overlap]] = defaultdict(list)
     for overlap in find_overlaps(exchange.span() for exchange in evidence.grouping.exchanges):
         one, other = sorted((group_of_run[overlap.one], group_of_run[overlap.other]))
-        if one != other or not overlap.is_mutual:
+        if (one != other or not overlap.is_mutual) and not _is_planned(*map(settings.__getitem__, (one, other))):
             shared[one, other].append(overlap)
     for pair, overlaps in sorted(shared.items()):
         groups = tuple(dict.fromkeys(pair))
@@ -57,6 +59,12 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
             groups,
             worst.share,
         )
+
+
+def _is_planned(one: str, other: str) -> bool:
+    """Return whether the settings name two flows that a plan ran together."""
+    (flow, own_with), (other_flow, other_with) = flows_of(one), flows_of(other)
+    return flow in other_with and other_flow in own_with
 
 
 @check(

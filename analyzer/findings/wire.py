@@ -65,6 +65,25 @@ def shared_counts(evidence: Evidence) -> Iterator[Observation]:
 
 
 @check(
+    "carried_twice",
+    Severity.WARNING,
+    Subject.RESULT,
+    "The slower of the two takes part of every message: name one interface on both sides (NetworkInterface in CYCLONEDDS_URI, "
+    "interfaceWhiteList in a Fast DDS profile), or switch the other off.",
+)
+def messages_carried_twice(evidence: Evidence) -> Iterator[Observation]:
+    """Messages left on two interfaces at once."""
+    for row in _rows(evidence):
+        if row["carried_twice"]:
+            share = percent(row["carried_twice"], row["messages"])
+            yield evidence.result(
+                row["group"],
+                f"{row['carried_twice']} of {counted(row['messages'], 'message')} ({share}), or their replies, left on more than one interface.",
+                row["carried_twice"] / row["messages"],
+            )
+
+
+@check(
     "fragments_lost",
     Severity.WARNING,
     Subject.RESULT,

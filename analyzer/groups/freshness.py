@@ -76,6 +76,20 @@ def _updates(generated: Int64, received: Int64) -> tuple[Int64, Int64]:
     return chosen_of(last, generated), chosen_of(last, received)
 
 
+def late_by(received: Int64, period_ns: int) -> tuple[Int64, int]:
+    """Return by how much each message after the first came later than one period after the newest before it, ns, and the empty periods.
+
+    A control loop of that period which begins at the first message has nothing new in an empty period. `received` are the times
+    of reception on one clock in the order of sending; a message that an older one overtook changes nothing.
+    """
+    newest = np.maximum.accumulate(received)
+    gaps = np.diff(newest[np.concatenate([[True], received[1:] >= newest[:-1]])]) if len(received) else received
+    if not len(gaps):
+        return gaps, 0
+    ticks = (np.cumsum(np.concatenate([[0], gaps])) + period_ns // 2) // period_ns
+    return np.maximum(gaps - period_ns, 0), int(ticks[-1] + 1 - len(np.unique(ticks)))
+
+
 OUTAGE_MESSAGES = 3
 """Lost messages in a row that make an outage: single losses are loss, not an outage."""
 
@@ -139,7 +153,8 @@ FRESHNESS_SCHEMA = frame_schema(
     "group:u32 run_id:u64 relay_id:u32 messages:u64 deadline_ns:i64 judged:u64 missed:u64 "
     "missed_ratio:f64 longest_missed:u64 longest_missed_ns:i64 age_mean_ns:f64 age_peak_mean_ns:f64 "
     "age_peak_max_ns:i64 relay_age_mean_ns:f64 relay_age_peak_max_ns:i64 clock_bound_ns:i64 outages:u32 "
-    "outage_longest_ns:i64 recovery_longest_ns:i64 unsure:u64"
+    "outage_longest_ns:i64 recovery_longest_ns:i64 unsure:u64 period_ns:i64 late_by_p50_ns:f64 late_by_p99_ns:f64 late_by_max_ns:i64 "
+    "empty_periods:u64"
 )
 
 OUTAGE_SCHEMA = frame_schema(
@@ -157,7 +172,8 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     Returns:
         Columns of `FRESHNESS_SCHEMA`. `judged` includes unsent messages; `unsure` are the others; `longest_missed` in a row and
         `longest_missed_ns` to the next message in time; `age_*` of information that went to the relay and back, `relay_age_*`
-        at the relay, wrong by at most `clock_bound_ns`.
+        at the relay, wrong by at most `clock_bound_ns`; `late_by_*` of the messages at the relay (without its trace: of the
+        replies), `empty_periods` of a control loop there (`late_by`).
     """
     unsent = roundtrips.counts["unsent"].to_list()
     rows: list[dict[str, object]] = []
@@ -169,6 +185,7 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
                 "messages": len(run.lost),
                 **_deadline(run, unsent[number]),
                 **_ages(run),
+                **_late_by(run, batch.exchanges[number].run.rate_hz),
                 "outages": len(outages),
                 "outage_longest_ns": max((o.duration_ns for o in outages if o.duration_ns is not None), default=None),
                 "recovery_longest_ns": max((o.recovery_ns for o in outages if o.recovery_ns is not None), default=None),
@@ -230,8 +247,10 @@ class _Run:
     receive_ns: Int64
     outbound_ns: Int64
     bound_ns: Int64
+    relay_in_ns: Int64
     lost: Bools
     seen: Bools
+    relayed: Bools
     judged: _Judged | None
 
 
@@ -245,6 +264,8 @@ def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
         "bound_ns": filled(measured["clock_bound_ns"]),
         "lost": roundtrips.outcome != OUTCOMES.index(Outcome.COMPLETED),
         "seen": is_present(measured["clock_bound_ns"]),
+        "relay_in_ns": filled(measured["relay_in_ns"]),
+        "relayed": is_present(measured["relay_in_ns"]),
     }
     deadline_ns = batch.options.deadline_ns
     judged = {} if deadline_ns is None else _judged_columns(roundtrips, f"{batch.options.deadline_metric}_ns")
@@ -333,3 +354,19 @@ def _ages(run: _Run) -> dict[str, object]:
             "clock_bound_ns": int(run.bound_ns[seen].max()),
         }
     return ages
+
+
+def _late_by(run: _Run, rate_hz: float) -> dict[str, object]:
+    period_ns = round(1e9 / rate_hz) if rate_hz > 0 else 0
+    times = (run.relay_in_ns, run.relayed) if run.relayed.any() else (run.receive_ns, ~run.lost)
+    received = chosen_of(times[1], times[0])
+    if not period_ns or len(received) < 2:
+        return {}
+    late_ns, empty = late_by(received, period_ns)
+    return {
+        "period_ns": period_ns,
+        "late_by_p50_ns": float(np.quantile(late_ns, 0.5)),
+        "late_by_p99_ns": float(np.quantile(late_ns, 0.99)),
+        "late_by_max_ns": int(late_ns.max()),
+        "empty_periods": empty,
+    }

@@ -33,12 +33,12 @@ WIRE_SCHEMA = frame_schema(
     "bytes_per_payload_byte:f64 again_bytes_share:f64 messages:u64 again_messages:u64 requests:u64 "
     "resent_after_p50_ns:f64 waited_heartbeats_p50:f64 match_p50_ns:f64 discovery_share:f64 "
     "discovery_bytes_per_minute:f64 reassembly_failed:u64 udp_receive_buffer_full:u64 tcp_again_bytes:u64 "
-    "shared_counts:u32 tcp_retransmitted_segments:u64 tcp_rtt_p50_ns:f64 tcp_congestion_window_p50:f64"
+    "shared_counts:u32 tcp_retransmitted_segments:u64 tcp_rtt_p50_ns:f64 tcp_congestion_window_p50:f64 carried_twice:u64"
 )
 """A row per group with counts. `complete`: no capture dropped a packet; `total_bytes` on the ping's interfaces, both ways, from
 Ethernet headers on; `payload_bytes` of messages and replies, warm-up included; `again_*`: sent again on either way;
 `waited_heartbeats_p50` of their writer; `match_p50_ns` from a participant's first announcement to the first echo; `discovery_*`
-SPDP, SEDP and liveliness; `tcp_*` from `TCP_INFO` of the ping's connections, null without TCP; `shared_counts` of a relay's
+SPDP, SEDP and liveliness; `carried_twice` messages or replies that left on more than one interface; `tcp_*` from `TCP_INFO` of the ping's connections, null without TCP; `shared_counts` of a relay's
 capture belong to other groups' runs, too: only their `kernel_drops` count."""
 
 WIRE_CLASS_SCHEMA = frame_schema("group:u32 wire_class:str packets:u64 bytes:u64 share:f64")
@@ -56,7 +56,7 @@ DISCOVERY_CLASSES = frozenset({"spdp", "sedp", "liveliness"})
 AGAIN_CLASSES = frozenset({"data_again", "data_frag_again", "tcp_data_again"})
 
 _KEY = ["run_id", "sequence"]
-_RECORD_COLUMNS = (*_KEY, "relay_id", "repeats", "resent_after_ns", "waited_heartbeats")
+_RECORD_COLUMNS = (*_KEY, "relay_id", "direction", "first_ns", "repeats", "resent_after_ns", "waited_heartbeats")
 _ROW_COLUMNS = (*_KEY, "relay_id", "rtt_ns", "latency_ns")
 
 
@@ -145,11 +145,16 @@ def _records(traces: Iterable[Trace]) -> pl.DataFrame:
     parts = [rows_of_text(text) for trace in traces for text in trace.wire]
     packed = np.concatenate([np.empty(0, MESSAGE_ROW), *parts])
     sent = packed[packed["direction"] != Direction.RECEIVED]
-    # On the loopback interface both captures have the message: one record is enough.
+    # On the loopback interface both captures have the message: one record is enough. A capture has a record for each other
+    # interface on which a message left; files may be copies.
+    is_sent = pl.col("direction") == Direction.SENT.value
     return (
         pl.DataFrame({name: np.ascontiguousarray(sent[name]) for name in _RECORD_COLUMNS})
         .group_by(*_KEY, "relay_id")
-        .agg(pl.col("repeats", "resent_after_ns", "waited_heartbeats").max())
+        .agg(
+            pl.col("repeats", "resent_after_ns", "waited_heartbeats").max(),
+            interfaces=pl.col("first_ns").filter(is_sent).n_unique(),
+        )
     )
 
 
@@ -163,6 +168,7 @@ def _joined(rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
         repeats=pl.col("repeats").cast(pl.UInt32) + pl.col("repeats_back").fill_null(0),
         resent_after_ns=pl.max_horizontal("resent_after_ns", "resent_after_ns_back"),
         waited_heartbeats=pl.max_horizontal("waited_heartbeats", "waited_heartbeats_back"),
+        interfaces=pl.max_horizontal("interfaces", "interfaces_back"),
     )
 
 
@@ -230,6 +236,7 @@ def _row(group: int, sums: _Sums, joined: pl.DataFrame) -> tuple[object, ...]:
         "again_bytes_share": again / total if total else None,
         "messages": joined.height,
         "again_messages": repeated.height,
+        "carried_twice": joined.filter(pl.col("interfaces") > 1).height,
         "resent_after_p50_ns": repeated["resent_after_ns"].median(),
         "waited_heartbeats_p50": repeated["waited_heartbeats"].median(),
         "match_p50_ns": median(sums.matches_ns) if sums.matches_ns else None,

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
-CONDITIONS = frozenset({"link", "flows", "relays", "data", "load"})
+FLOW, WITH, FLOWS = "flow", "with", "flows"
+"""A run's flow, the flows of its plan that ran with it (joined by +), and the number of runs of its machine."""
+
+CONDITIONS = frozenset({"link", "relays", "data", "load", "outage", "outage_by", FLOW, WITH, FLOWS})
 """Keys that nobody chooses: groups that differ in these are no alternatives."""
 
 _OLD: Mapping[str, Callable[[str], str | None]] = {
@@ -40,7 +43,7 @@ def setting_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 
     if relays > 1:
         values["relays"] = str(relays)
     if flows > 1:
-        values["flows"] = str(flows)
+        values[FLOWS] = str(flows)
     if relay is not None:
         values |= _relay_differences(ping, ping_settings, relay)
     return write_setting(values)

@@ -301,7 +301,9 @@ def compare_groups(
         for label, (key, partner), change, p_adjusted in zip(labels, pairs.items(), deliveries, losses, strict=True)
     ]
     return Comparison(
-        rows=_adjusted(pl.DataFrame(change_rows, {**match_schema, **COMPARISON_SCHEMA}), options.confidence),
+        rows=with_adjusted_verdicts(
+            pl.DataFrame(change_rows, {**match_schema, **COMPARISON_SCHEMA}), options.confidence
+        ),
         delivery=pl.DataFrame(delivery_rows, {**match_schema, **DELIVERY_SCHEMA}),
         distributions=pl.DataFrame(distributions, {**match_schema, **DISTRIBUTION_SCHEMA}),
         only_base=pl.DataFrame(list(unmatched(before, pairs)), match_schema, orient="row"),
@@ -401,7 +403,7 @@ def _adjusted_p_values(p_values: Sequence[float | None]) -> list[float | None]:
     return [None if p is None else next(adjusted) for p in p_values]
 
 
-def _adjusted(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
+def with_adjusted_verdicts(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
     """Fill `p_adjusted` over all rows, and withdraw verdicts that it does not support."""
     p_adjusted = pl.Series("p_adjusted", _adjusted_p_values(rows["p_value"].to_list()), pl.Float64)
     is_unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (

@@ -19,6 +19,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.limits import shown
 from dds_trace.base.units import UNIT_NS, split_quantity
 
 from ..model.metrics import METRICS, TOPIC_METRICS
@@ -127,46 +128,68 @@ def parse_gate(text: str) -> Gate:
     Raises:
         OptionError: the text is not a gate.
     """
+    where = f"--fail-if {text!r}"
     match = _GATE.fullmatch(text)
     if match is None:
-        raise OptionError(f"--fail-if {text!r}: write METRIC > LIMIT, for example 'latency_p99 > +10%'")
-    metric, statistic = _parse_metric(text, match["metric"])
+        raise OptionError(f"{where}: write METRIC > LIMIT, for example 'latency_p99 > +10%'")
+    metric, statistic = _parse_metric(where, match["metric"])
     topic = match["topic"] or ""
     if topic and metric in METRICS:
         raise OptionError(
-            f"--fail-if {text!r}: a topic has {', '.join((*TOPIC_METRICS, RECEIVED_RATIO))}; write 'age_p99({topic}) > 50ms'"
+            f"{where}: a topic has {', '.join((*TOPIC_METRICS, RECEIVED_RATIO))}; write 'age_p99({topic}) > 50ms'"
         )
-    against, limit = _parse_limit(text, match["limit"], metric)
+    against, limit = _parse_limit(where, match["limit"], metric)
     return Gate(text.strip(), metric, statistic, match["operator"], against, limit, topic)
 
 
-def _parse_metric(text: str, name: str) -> tuple[str, str]:
+_OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
+
+
+def parse_threshold(metric: str, condition: str) -> Gate:
+    """Read what a plan requires (`latency_p99`, `< 20 ms`) as the gate that fails where it is not met.
+
+    Raises:
+        OptionError: there is no such metric, or the condition is no limit of one side.
+    """
+    where = f"[thresholds] {shown(metric)} = {condition!r}"
+    match = _GATE.fullmatch(f"{metric} {condition}")
+    if match is None or match["metric"] != metric:
+        raise OptionError(f"{where}: write what passes, for example latency_p99 = '< 20 ms'")
+    name, statistic = _parse_metric(where, metric)
+    against, limit = _parse_limit(where, match["limit"], name)
+    if name not in (*METRICS, RECEIVED_RATIO):
+        raise OptionError(
+            f"{where}: a result of a plan has {', '.join(METRICS)} and {RECEIVED_RATIO}; choose one of them"
+        )
+    if against is not Against.NEW:
+        raise OptionError(f"{where}: a plan has one side; write a value such as 20 ms or 99 %, not a change")
+    text = f"{metric} {match['operator']} {match['limit']}"
+    return Gate(text, name, statistic, _OPPOSITE[match["operator"]], against, limit)
+
+
+def _parse_metric(where: str, name: str) -> tuple[str, str]:
     spelled = name.lower().replace(".", "_")  # p99.9 is meant as p99_9
     if spelled not in _GATE_METRICS:
         near = difflib.get_close_matches(spelled, _GATE_METRICS, n=1, cutoff=0)[0]
-        raise OptionError(f"--fail-if {text!r}: no metric {name!r}; did you mean {near!r}?")
+        raise OptionError(f"{where}: no metric {name!r}; did you mean {near!r}?")
     return _SPLIT.get(spelled, (spelled, ""))
 
 
-def _parse_limit(text: str, limit: str, metric: str) -> tuple[Against, float]:
+def _parse_limit(where: str, limit: str, metric: str) -> tuple[Against, float]:
     sign = limit[0] if limit[0] in "+-" else ""
     number, unit = split_quantity(limit[len(sign) :]) or (0.0, "")
     if unit == _POINTS and metric == RECEIVED_RATIO and sign:
         return Against.DIFFERENCE, (-number if sign == "-" else number) / 100
     if unit != "%" and unit not in UNIT_NS:
-        raise OptionError(
-            f"--fail-if {text!r}: no limit {limit!r}; write a change such as +10% or +2ms, or a value such as 20ms"
-        )
+        raise OptionError(f"{where}: no limit {limit!r}; write a change such as +10% or +2ms, or a value such as 20ms")
     number = -number if sign == "-" else number
     is_share, is_signed = unit == "%", bool(sign)
     if metric == RECEIVED_RATIO:
         if not is_share or is_signed:
-            raise OptionError(
-                f"--fail-if {text!r}: {RECEIVED_RATIO} takes a share such as 99%, or a change such as -0.5 points"
-            )
+            raise OptionError(f"{where}: {RECEIVED_RATIO} takes a share such as 99%, or a change such as -0.5 points")
         return Against.NEW, number / 100
     if is_share:
         if not is_signed:
-            raise OptionError(f"--fail-if {text!r}: write +{limit} for a change against the base")
+            raise OptionError(f"{where}: write +{limit} for a change against the base")
         return Against.RATIO, 1 + number / 100
     return Against.DIFFERENCE if is_signed else Against.NEW, number * UNIT_NS[unit]

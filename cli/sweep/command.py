@@ -24,6 +24,7 @@ from . import new
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.recorder.sweep.plan.plan import Plan
     from dds_trace.recorder.sweep.sweep import Until
 
@@ -105,6 +106,7 @@ def main_command(
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
     from .precision import precision
+    from .thresholds import read_thresholds
 
     _refuse_together(
         {"--max-rate": max_rate, "--until": until, "--against": against, "--print": printed},
@@ -115,6 +117,9 @@ def main_command(
     requested = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)
+    if requested.flows and (max_rate or against is not None):
+        raise OptionError("[[flows]] are swept as they are; remove --max-rate or --against")
+    gates = read_thresholds(requested, target, is_judged=not (max_rate or against))
     if dry_run or rehearse:
         code = dry_run_of(requested, out, other, target, max_rate=max_rate, as_json=as_json, rehearses=rehearse)
         raise typer.Exit(code)
@@ -127,7 +132,7 @@ def main_command(
         elif other is not None:
             code = run_sides(requested, other, out, as_json=as_json)
         else:
-            code = _sweep(requested, out, as_json, target)
+            code = _sweep(requested, out, as_json, target, gates)
     except KeyboardInterrupt:
         print("Interrupted; the same command continues here", file=sys.stderr)
         code = INTERRUPTED_EXIT_CODE
@@ -149,12 +154,13 @@ def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> 
         raise OptionError(f"{option} needs {needed}; give both or remove it")
 
 
-def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
+def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Sequence[Gate]) -> int:
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, TOO_WIDE_EXIT_CODE, run_sweep
 
     from .against import say_missing
     from .dry_run import relay_commands
+    from .thresholds import exit_code_of, judge, shown
 
     console = plain_console(stderr=True)
     progress = make_progress(console)
@@ -163,16 +169,20 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
             progress.note(line)
     done = run_sweep(plan, out, progress, until=until)
     complete = done.cells - len(done.missing)
+    judged = judge(done.folder, gates) if gates and complete else []
     if as_json:
         result = {"folder": str(done.folder), "cells": done.cells, "missing": done.missing}
         if until is not None:  # JSON has no infinity
             result["too_wide"] = {
                 name: width if math.isfinite(width) else None for name, width in done.too_wide.items()
             }
+        if gates:
+            result["thresholds"] = [one.to_json() for one in judged]
         print(json.dumps(result))
     else:
         print(f"Wrote {done.folder}")
         print(f"{complete} of {counted(done.cells, 'recording is', 'recordings are')} complete")
+        print("".join(f"{line}\n" for line in shown(judged)), end="")
     say_missing(done.missing)
     for name, width in done.too_wide.items():
         assert until is not None
@@ -180,7 +190,7 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None) -> int:
         print(f"{name}: {until.statistic} is {precision} after the last repeat", file=sys.stderr)
     if done.missing:
         return INCOMPLETE_EXIT_CODE
-    return TOO_WIDE_EXIT_CODE if done.too_wide else 0
+    return exit_code_of(judged) or (TOO_WIDE_EXIT_CODE if done.too_wide else 0)
 
 
 def _search(plan: Plan, out: Path, as_json: bool) -> int:

@@ -92,7 +92,7 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
     described: dict[str, object] = {
         "plan": plan.name,
         "seconds": seconds.seconds,
-        "cells": [{"name": cell.name, "seconds": plan.run.planned_seconds(cell.rate)} for cell in cells],
+        "cells": [{"name": cell.name, "seconds": plan.run.planned_seconds(cell.rate, cell.outage)} for cell in cells],
     }
     lines = []
     for group in groups:
@@ -100,7 +100,8 @@ def _shown(plan: Plan, until: Until | None) -> tuple[dict[str, object], list[str
             f"relay {group.need.relay_name}" + (f", half of {group.bridge} next to it" if group.bridge else "")
         )
         lines += [
-            f"  {cell.name}  {plan.run.planned_seconds(cell.rate):.0f} s{_doubt(plan, cell)}" for cell in group.cells
+            f"  {cell.name}  {plan.run.planned_seconds(cell.rate, cell.outage):.0f} s{_doubt(plan, cell)}"
+            for cell in group.cells
         ]
     lines += _remarks(plan)
     lines.append(

@@ -15,7 +15,7 @@ from .carried import SHARED_MEMORY, UNKNOWN, is_excluded, payload_path
 from .vendors import SEGMENT, TransportFacts, vendor_facts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from dds_trace.tracefile.format.json_fields import JsonObject
 
@@ -44,6 +44,8 @@ class Setting(Enum):
     MEMORY_NAMESPACE = "memory_namespace"
     CONGESTION_CONTROL = "congestion_control"
     SECURITY = "security"
+    PRIORITY = "priority"
+    WHEN_FULL = "when_full"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,15 @@ def differences(requested: Asked, applied: Applied, traffic: Traffic | None = No
     """Return every setting that was not applied; `traffic` is between the snapshots, or was sent in vain for an echo."""
     results = [rule(requested, applied, traffic) for rule in _RULES]
     return tuple(difference for difference in results if difference is not None)
+
+
+def publisher_differences(requested: Mapping[str, str], used: Mapping[str, str]) -> tuple[Difference, ...]:
+    """Return requested settings of publishers that differ from what these report."""
+    return tuple(
+        Difference(Setting(name), asked, used[name], f"asked for {name} {asked}, the publisher has {used[name]}")
+        for name, asked in requested.items()
+        if name in used and used[name] != asked
+    )
 
 
 def _transport(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:

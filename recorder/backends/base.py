@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base import limits
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
-from ..choices import Discovery, ExecutorKind, Security, Transport
+from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..domains import check_domain_id, first_port
 from ..host.environment import MiddlewareEnvironment
 
@@ -55,6 +55,8 @@ class Backend:
         has_ros: whether the ROS middleware and the executor can be chosen.
         has_congestion_control: whether TCP's congestion control can be chosen.
         security: levels besides `off`.
+        priorities: priorities that messages can have, None for none.
+        can_drop: whether a publisher can be told to block or to drop when the link is full.
         environment: variables and files that configure it.
         check_settings: raises an `OptionError` for further options that have no effect.
     """
@@ -73,6 +75,8 @@ class Backend:
     has_congestion_control: bool = False
     transports: tuple[Transport, ...] = (Transport.DEFAULT,)
     security: tuple[Security, ...] = ()
+    priorities: range | None = None
+    can_drop: bool = False
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     check_settings: Callable[[NodeOptions], None] | None = None
 
@@ -107,6 +111,13 @@ class Backend:
         if options.congestion_control is not None and not self.has_congestion_control:
             raise OptionError(
                 f"--congestion-control {options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
+            )
+        if options.priority is not None and options.priority not in (self.priorities or ()):
+            known = "none" if self.priorities is None else f"{self.priorities[0]} to {self.priorities[-1]}"
+            raise OptionError(f"--priority {options.priority}: the priorities of the backend {self.name}: {known}")
+        if options.when_full is not WhenFull.DEFAULT and not self.can_drop:
+            raise OptionError(
+                f"--when-full {options.when_full.value}: the backend {self.name} has no such choice; leave it out"
             )
         if options.transport not in self.transports:
             names = ", ".join(transport.value for transport in self.transports)

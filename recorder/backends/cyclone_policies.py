@@ -16,7 +16,7 @@ from .qos import duration_extra, requested_durations
 FOREVER_NS = (1 << 63) - 1
 
 
-def cyclone_qos(qos: Qos) -> Any:
+def cyclone_qos(qos: Qos, priority: int | None = None) -> Any:
     """Return a quality of service as the package has it; raise an `OptionError` for a policy that it lacks."""
     from cyclonedds.qos import Policy
     from cyclonedds.qos import Qos as CycloneQos
@@ -36,6 +36,8 @@ def cyclone_qos(qos: Qos) -> Any:
         raise OptionError(f"Cyclone DDS has no quality of service {err}") from err
     durations = {"deadline": Policy.Deadline, "lifespan": Policy.Lifespan}
     policies += [durations[policy](duration_ns) for policy, duration_ns in requested_durations(qos).items()]
+    if priority is not None:
+        policies.append(Policy.TransportPriority(priority))
     if qos.durability == Durability.TRANSIENT_LOCAL:  # late readers get as much as in ROS 2
         policies.append(Policy.DurabilityService(0, values[qos.history], -1, -1, -1))
     return CycloneQos(*policies)

@@ -103,7 +103,10 @@ class CycloneNode(ThreadedNode):
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
         from cyclonedds.pub import DataWriter
 
-        writer = DataWriter(self._participant, self._topic(topic, type_name), qos=cyclone_qos(qos or self.options.qos))
+        requested = cyclone_qos(qos or self.options.qos, self.options.priority)
+        writer = DataWriter(self._participant, self._topic(topic, type_name), qos=requested)
+        if self.options.priority is not None:
+            self.publisher_settings = {"priority": str(_priority_of(writer))}
         publisher = _CyclonePublisher(topic, writer)
         self._writers.append(publisher)
         return publisher
@@ -414,6 +417,13 @@ def _member_type(text: str) -> Any:
     return idl.array[element, length] if length else idl.sequence[element]
 
 
+def _priority_of(writer: Any) -> int:
+    from cyclonedds.qos import Policy
+
+    qos = writer.get_qos()
+    return int(qos[Policy.TransportPriority].priority) if Policy.TransportPriority in qos else 0
+
+
 def _delete(entity: Any) -> None:
     entity.__del__()
 
@@ -437,5 +447,6 @@ BACKEND = Backend(
     meeting_needs=DDS_MEETING + " (else list peers in CYCLONEDDS_URI)",
     speaks_dds=True,
     security=tuple(level for level in Security if level is not Security.OFF),
+    priorities=range(-(1 << 31), 1 << 31),
     environment=MiddlewareEnvironment(configuration=(ConfigurationVariable("CYCLONEDDS_URI", ","),)),
 )

@@ -13,7 +13,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..choices import Discovery, ExecutorKind, Security, Transport
+from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
 
 if TYPE_CHECKING:
@@ -124,6 +124,21 @@ class NodeOptions:
         Panel.MIDDLEWARE,
         "Keys for --security, the same for both sides. One that is not there is made, and removed at the end.",
         limit=limits.TEXT,
+    )
+    priority: int | None = option(
+        None,
+        "--priority N",
+        Panel.MIDDLEWARE,
+        "Priority of the messages: for zenoh 1 (first) to 7, for Cyclone DDS the transport priority. Default: the vendor's",
+        limit=limits.PRIORITY,
+        axis=Axis(),
+    )
+    when_full: WhenFull = option(
+        WhenFull.DEFAULT,
+        "--when-full KIND",
+        Panel.MIDDLEWARE,
+        "For zenoh, when the link is full: default (block if reliable, else drop), block or drop.",
+        axis=Axis(),
     )
     listens: bool = field(default=False, metadata=OUTSIDE_OF_KEY)
 
@@ -301,6 +316,7 @@ class Node(ABC):
     Attributes:
         error: the exception that ended a thread of the node.
         strangers: what peers sent and the node or its role did not accept.
+        publisher_settings: `priority` and `when_full` as its latest publisher reports them, where they were requested.
     """
 
     _middleware: Middleware
@@ -311,6 +327,7 @@ class Node(ABC):
         self._closing = False
         self.error: BaseException | None = None
         self.strangers = Strangers()
+        self.publisher_settings: dict[str, str] = {}
 
     @property
     def middleware(self) -> Middleware:

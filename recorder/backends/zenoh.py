@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS
 
-from ..choices import Discovery, Durability, Reliability, Security, Transport
+from ..choices import Discovery, Durability, Reliability, Security, Transport, WhenFull
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..security.tls import unlike_tls, zenoh_tls
 from .base import Backend, Meeting, has_package
@@ -91,13 +91,21 @@ class ZenohNode(Node):
         _check_qos(qos)
         is_reliable = qos.reliability == Reliability.RELIABLE
         congestion, reliability = zenoh.CongestionControl, zenoh.Reliability
+        # When full, block as a reliable DDS writer does, or drop as a best-effort one does.
+        usual = WhenFull.BLOCK if is_reliable else WhenFull.DROP
+        when_full = usual if self.options.when_full is WhenFull.DEFAULT else self.options.when_full
+        priority = self.options.priority
         publisher = self._session.declare_publisher(
             self._key("data", topic),
-            # When full, block as a reliable DDS writer does, or drop as a best-effort one does.
-            congestion_control=congestion.BLOCK if is_reliable else congestion.DROP,
+            congestion_control={WhenFull.BLOCK: congestion.BLOCK, WhenFull.DROP: congestion.DROP}[when_full],
+            priority=None if priority is None else _priorities()[priority - 1],
             reliability=reliability.RELIABLE if is_reliable else reliability.BEST_EFFORT,
             express=True,  # not batched with the next message
         )
+        self.publisher_settings = {
+            "priority": str(_priorities().index(publisher.priority) + 1),
+            "when_full": "block" if publisher.congestion_control == congestion.BLOCK else "drop",
+        }
         return _ZenohPublisher(publisher, publisher.put, self._announce(PUBLISHER, topic, type_name))
 
     def create_subscription(
@@ -288,6 +296,14 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
     }
 
 
+def _priorities() -> list[Any]:
+    """Return zenoh's priorities, the first 1 and the last 7."""
+    import zenoh
+
+    names = ("REAL_TIME", "INTERACTIVE_HIGH", "INTERACTIVE_LOW", "DATA_HIGH", "DATA", "DATA_LOW", "BACKGROUND")
+    return [getattr(zenoh.Priority, name) for name in names]
+
+
 def _check_qos(qos: Qos) -> None:
     refuse_durations("zenoh", qos)
     if qos.durability != Durability.VOLATILE:
@@ -310,6 +326,8 @@ BACKEND = Backend(
     relay_port=9,
     transports=tuple(_SHARED_MEMORY),
     security=(Security.ENCRYPT_RTPS,),
+    priorities=range(1, 8),
+    can_drop=True,
     environment=MiddlewareEnvironment(
         configuration=(
             ConfigurationVariable("ZENOH_CONFIG"),

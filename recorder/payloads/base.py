@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from dds_trace.base.errors import OptionError
@@ -66,6 +66,10 @@ class Payload:
     feed: Feed | None = None
     notes: tuple[str, ...] = ()
 
+    def in_flow(self, name: str) -> Payload:
+        """Return the payload on the topics of a flow."""
+        return replace(self, data_type=self.data_type.in_flow(name))
+
 
 @dataclass(frozen=True, slots=True)
 class Form(Generic[SentT, ReceivedT]):
@@ -112,6 +116,10 @@ class DataType:
     def relay_topic(self) -> str:
         """Topic of the way back."""
         return self.topic + RELAY_SUFFIX
+
+    def in_flow(self, name: str) -> DataType:
+        """Return the data type on the topics of a flow."""
+        return replace(self, topic=f"{self.topic}_{name}")
 
     def object_form(self) -> Form[RosMessage, RosMessage]:
         """Return the form of message objects; raise an `OptionError` if there is none."""

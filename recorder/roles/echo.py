@@ -58,12 +58,16 @@ def look_for_relays(node: Node, data_type: DataType) -> RelayView:
     )
 
 
-def find_loss(node: Node, data_type: DataType, silence: Silence, *, ended: bool) -> RelayLostError | None:
+def find_loss(
+    node: Node, data_type: DataType, silence: Silence, *, ended: bool, patience_s: float = 0.0
+) -> RelayLostError | None:
     """Return the error of a relay that no longer answers, None while it may come back.
 
-    During the run, a visible relay is not lost: an outage of some seconds is to be measured.
+    During the run, a visible relay, or one that has been silent for less than `patience_s`, is not lost: an outage is to be measured.
     """
-    if not silence.is_lasting or (not ended and look_for_relays(node, data_type).publishers):
+    if not silence.is_lasting:
+        return None
+    if not ended and (silence.duration_ns < patience_s * SECOND_NS or look_for_relays(node, data_type).publishers):
         return None
     return RelayLostError(
         f"the relay of {data_type.topic} is lost: no reply to the last {counted(silence.messages, 'message')} "

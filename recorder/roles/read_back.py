@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from ..applied.applied import read_applied
 from ..applied.asked import Asked, asked_settings
 from ..applied.carried import with_path
-from ..applied.differences import Difference, Setting, differences
-from ..choices import Security
+from ..applied.differences import Difference, Setting, differences, publisher_differences
+from ..choices import Security, WhenFull
 from ..errors import NotAppliedError
 
 if TYPE_CHECKING:
@@ -47,6 +47,11 @@ class ReadBack:
             settings=middleware.settings,
         )
         self._node = node
+        priority, when_full = options.priority, options.when_full
+        self._of_publishers = {
+            **({} if priority is None else {"priority": str(priority)}),
+            **({} if when_full is WhenFull.DEFAULT else {"when_full": when_full.value}),
+        }
         self._strict = strict
         self._note = note
         self._applied: Applied | None = None
@@ -58,14 +63,22 @@ class ReadBack:
         """Read before the first message, on any thread."""
         if self._applied is None:
             applied = read_applied()
-            self._own = differences(self.requested, applied) + self._unsecured()
+            self._own = self._compare(applied)
             self._applied = applied
 
     def read_end(self, traffic: Traffic) -> None:
         """Read after the last message; `traffic` counts from `read_begin`."""
         if self._applied is not None:
             self._applied = with_path(read_applied(self._applied), traffic)
-            self._own = differences(self.requested, self._applied, traffic) + self._unsecured()
+            self._own = self._compare(self._applied, traffic)
+
+    def _compare(self, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
+        used = self._node.publisher_settings
+        return (
+            differences(self.requested, applied, traffic)
+            + publisher_differences(self._of_publishers, used)
+            + self._unsecured()
+        )
 
     def _unsecured(self) -> tuple[Difference, ...]:
         level = self._node.options.security

@@ -13,7 +13,9 @@ from . import (
     dots,
     heatmap,
     host_load,
+    interference,
     lines,
+    recovery,
     timeline,
     wire,
 )
@@ -30,6 +32,7 @@ FIGURES: list[FigureMaker | LineFigure] = [
     lines.LATENCY_BY_SIZE,
     domain_difference.FIGURE,
     bridge_cost.FIGURE,
+    interference.FIGURE,
     lines.RECEIVED,
     breakdown.FIGURE,
     lines.VENDOR_COMPARISON,
@@ -48,6 +51,7 @@ FIGURES: list[FigureMaker | LineFigure] = [
     clocks.CLOCK,
     distribution.PERCENTILE_CURVE,
     distribution.ECDF,
+    recovery.FIGURE,
     timeline.FIGURE,
     host_load.FIGURE,
 ]

@@ -69,9 +69,9 @@ def bridge_cost_info(book: Book) -> BridgeCost:
                 difference_ns,
                 whole_ns(row["difference_low_ns"]),
                 whole_ns(row["difference_high_ns"]),
-                _rounded(row["ratio"]),
-                _rounded(row["ratio_low"]),
-                _rounded(row["ratio_high"]),
+                rounded(row["ratio"]),
+                rounded(row["ratio_low"]),
+                rounded(row["ratio_high"]),
                 row["verdict"],
                 received_words(row),
                 runs_words(row),
@@ -83,7 +83,8 @@ def bridge_cost_info(book: Book) -> BridgeCost:
     return BridgeCost(facet, panels, cells, len(compared - costs.keys()))
 
 
-def _rounded(ratio: float | None) -> float | None:
+def rounded(ratio: float | None) -> float | None:
+    """Round a ratio for the page; None if it is not finite."""
     ratio = finite(ratio)
     return None if ratio is None else round(ratio, 4)
 

@@ -20,6 +20,7 @@ from dds_trace.analyzer.groups.breakdown import breakdown_frame, response_frame
 from dds_trace.analyzer.groups.freshness import freshness_frame, outage_frame
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
+from dds_trace.analyzer.groups.recovery import RECOVERY_SCHEMA
 from dds_trace.analyzer.groups.timeline import run_frame
 from dds_trace.analyzer.groups.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA, no_wire_frames
 from dds_trace.analyzer.model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
@@ -32,6 +33,7 @@ from dds_trace.analyzer.run_statistics.runs import Statistic
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
 from dds_trace.analyzer.verdicts.compare import CompareOptions
+from dds_trace.analyzer.verdicts.interference import find_head_of_line, find_interference
 from dds_trace.tracefile.format.descriptions import Qos, Run, Session
 
 if TYPE_CHECKING:
@@ -217,6 +219,9 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
             _three_runs(roundtrips),
             CompareOptions(metrics=("latency",), statistics=("p50", "p90", "p95", "p99", "p99_9")),
         ),
+        interference=find_interference(rows_by_group(_three_runs(roundtrips))),
+        head_of_line=find_head_of_line(rows_by_group(_three_runs(roundtrips))),
+        recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
         **no_wire_frames()._asdict(),
         answers=find_answers(rows_by_group(_three_runs(roundtrips))),
     )

@@ -52,6 +52,7 @@ class FakeNode:
         self.participants: int | None = 1
         self.error: BaseException | None = None
         self.strangers = Strangers()
+        self.publisher_settings: dict[str, str] = {}
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> FakePublisher:
         del type_name, qos

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,6 +13,7 @@ from dds_trace.base.units import spell_size
 
 from ...option_table import OPTIONS, choices_of
 from ...options import DEFAULT_RATE_HZ
+from .outage import OutageBy
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -99,10 +100,27 @@ AXES: Mapping[str, PlanAxis] = {
         for_relay=True,
         default="",
     ),
+    "outage": PlanAxis(
+        "length of an outage in the middle of the run, 0 for none; the run is then as long as `outage_after_seconds`, the outage and "
+        "`outage_limit_seconds` ([coming back](../how-to/outages.md))",
+        limits.WAIT_S,
+        unit="s",
+        kind=float,
+        default=0.0,
+    ),
+    "outage_by": PlanAxis(
+        "what the outage is: the ping's interface goes down (`link`) and comes up with another address (`address`), every packet is lost "
+        "(`loss`), or the relay is killed and another one started (`relay`); all but the last need `[network]` or `[link]`",
+        limits.OneOf(tuple(kind.value for kind in OutageBy)),
+        default=OutageBy.LINK.value,
+    ),
 }
 """The axes of a plan: options of `dds-record`, and what else two sides may differ in."""
 
 DEFAULTS: dict[str, Any] = {name: axis.default for name, axis in AXES.items()}
+
+SENDER_AXES = ("priority", "when_full")
+"""Axes that each flow may have of its own."""
 
 RELAY_AXES = tuple(name for name, axis in AXES.items() if axis.for_relay)
 
@@ -124,7 +142,12 @@ def _with_all_axes(cell: type[_Class]) -> type[_Class]:
 @dataclass(frozen=True, slots=True)
 @_with_all_axes
 class Cell:
-    """The axes of one run, and the number of the pass."""
+    """The axes of one run, and the number of the pass.
+
+    Attributes:
+        flow: name of the run's flow, empty in a plan without flows.
+        with_flows: flows that run at the same time.
+    """
 
     backend: str = "ros2"
     rmw: str | None = None
@@ -142,7 +165,11 @@ class Cell:
     load: str = "none"
     security: str = "off"
     environment: str = ""
+    outage: float = 0.0
+    outage_by: str = OutageBy.LINK.value
     repeat: int = 1
+    flow: str = ""
+    with_flows: tuple[str, ...] = ()
 
     @property
     def middleware(self) -> str:
@@ -162,9 +189,19 @@ class Cell:
         return None if self.size is None else self.size * 8 * self.rate
 
     @property
+    def together(self) -> Cell:
+        """A key that is equal for cells that are recorded at the same time."""
+        if not self.with_flows:
+            return self
+        flows = tuple(sorted((self.flow, *self.with_flows)))
+        return replace(self, data="", size=None, rate=DEFAULT_RATE_HZ, flow="", with_flows=flows)
+
+    @property
     def relay(self) -> Cell:
         """The parameters of this cell's relay; the others are at their defaults."""
         values = {name: getattr(self, name) for name in RELAY_AXES}
+        if self.flow:  # one relay serves all flows
+            values |= {name: DEFAULTS[name] for name in SENDER_AXES}
         if self.relay_backend is not None:
             values |= {"backend": self.relay_backend, "rmw": self.relay_rmw}
         elif self.relay_rmw is not None:
@@ -200,6 +237,8 @@ class Cell:
             data,
             f"{self.rate:g}Hz",
             *self.changed_axes,
+            *([self.flow] if self.flow else []),
+            *(["with-" + "+".join(self.with_flows)] if self.with_flows else []),
             *([f"r{self.repeat}"] if self.repeat > 1 else []),
         ]
         return re.sub(r"[^\w.+-]", "-", "_".join(parts))
@@ -221,4 +260,6 @@ def _other_name(name: str, value: object) -> str:
         return name
     if name == "environment":
         return environment_name(str(value))
-    return f"{name}-{value}" if isinstance(value, int) else str(value)
+    if isinstance(value, float):
+        return f"{name}-{value:g}s"
+    return f"{name}-{value}" if isinstance(value, int) or name == "outage_by" else str(value)

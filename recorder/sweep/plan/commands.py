@@ -28,6 +28,7 @@ def relay_arguments(plan: Plan, need: Cell, number: int = 1) -> list[str]:
     return [
         *("--role", "relay", "--domain", str(plan.run.domain)),
         *_axis_arguments(need, RELAY_AXES),
+        *(argument for flow in plan.flows for argument in ("--flow", flow)),
         *_common_arguments(plan, plan.relay, number),
     ]
 
@@ -56,22 +57,31 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *(("--bridge-peer", f"{relay_address}:{plan.relay.bridge_port}") if plan.runs_halves(cell) else ()),
         *(("--peer", relay_address) if relay_address and connects_to_relay(cell.backend) else ()),
         *(("--load-to", relay_address) if relay_address and cell.load == Load.NETWORK.value else ()),
-        *("--messages", str(plan.run.messages_at(cell.rate)), "--warmup", str(plan.run.warmup)),
+        *("--messages", str(plan.run.messages_at(cell.rate, cell.outage)), "--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={replace(cell, repeat=1).name}"),
         *("--label", f"{PASS_LABEL}={cell.repeat}"),
         *(("--label", f"{AGAINST_LABEL}={partner}") if partner else ()),
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
         *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
-        *_common_arguments(plan, plan.ping, cell.repeat),
+        *(_outage_arguments(plan, cell) if cell.outage else ()),
+        *(("--flow", cell.flow, "--setting", f"flow={cell.flow}") if cell.flow else ()),
+        *(("--setting", f"with={'+'.join(cell.with_flows)}") if cell.with_flows else ()),
+        *_common_arguments(plan, plan.ping, cell.repeat, is_single=not cell.with_flows),
     ]
 
 
-def _common_arguments(plan: Plan, device: DeviceSettings, number: int) -> list[str]:
+def _outage_arguments(plan: Plan, cell: Cell) -> list[str]:
+    patience_s = plan.run.outage_after_seconds + cell.outage + plan.run.outage_limit_seconds
+    settings = ("--setting", f"outage={cell.outage:g}s", "--setting", f"outage_by={cell.outage_by}")
+    return [*settings, "--patience", f"{patience_s:g}"]
+
+
+def _common_arguments(plan: Plan, device: DeviceSettings, number: int, *, is_single: bool = True) -> list[str]:
     named = ["--device", device.name] if device.name else []
     link = ["--connectivity", plan.connectivity] if plan.connectivity else []
     wire = ["--wire"] if plan.run.wire else []
-    cost = [] if plan.run.measures_own_cost(number) else ["--no-own-cost"]
+    cost = [] if is_single and plan.run.measures_own_cost(number) else ["--no-own-cost"]
     return ["--discovery", plan.discovery, *link, *named, *wire, *cost, *device.options]
 
 

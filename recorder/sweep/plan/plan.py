@@ -85,17 +85,23 @@ class RunSettings:
         limits.FLAG,
         "whether both sides count packets on their interfaces ([wire.md](wire.md)); needs CAP_NET_RAW",
     )
+    outage_after_seconds: float = plan_key(3.0, limits.WAIT_S, "time from the first message to an `outage`", unit="s")
+    outage_limit_seconds: float = plan_key(
+        20.0, limits.LENGTH_S, "time after an `outage` in which a message has to arrive; later is never", unit="s"
+    )
     own_cost_passes: int = plan_key(
         0, limits.PASSES_OR_ALL, "first repeats in which sessions measure their own cost, for one second each; 0: all"
     )
 
-    def messages_at(self, rate_hz: float) -> int:
+    def messages_at(self, rate_hz: float, outage_s: float = 0.0) -> int:
         """Return the messages of a run at this rate, without warm-up."""
+        if outage_s:
+            return max(1, round((self.outage_after_seconds + outage_s + self.outage_limit_seconds) * rate_hz))
         return self.messages or max(self.min_messages, round(self.seconds * rate_hz))
 
-    def planned_seconds(self, rate_hz: float) -> float:
+    def planned_seconds(self, rate_hz: float, outage_s: float = 0.0) -> float:
         """Return the time of a run's schedule, with warm-up."""
-        return (self.messages_at(rate_hz) + self.warmup) / rate_hz
+        return (self.messages_at(rate_hz, outage_s) + self.warmup) / rate_hz
 
     def measures_own_cost(self, number: int) -> bool:
         """Return whether pass `number` (1, 2 ...) measures what recording and the client library cost."""
@@ -206,6 +212,8 @@ class Plan:
         connectivity: the sessions'; None lets each device detect it.
         by_hand: whether a person starts the relay.
         partners: cell without pass -> cell of the other plan that it alternates with.
+        flows: names of the flows on each relay.
+        thresholds: metric -> conditions that each result has to meet, such as `< 20 ms`.
     """
 
     name: str
@@ -221,6 +229,8 @@ class Plan:
     by_hand: bool = False
     search: Search = Search()
     partners: Mapping[str, str] = field(default_factory=dict)
+    thresholds: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    flows: tuple[str, ...] = ()
 
     @property
     def discovery(self) -> str:
@@ -250,7 +260,9 @@ class Plan:
                 name: value
                 for name, value in asdict(self.run).items()
                 if name not in ("repeats", "attempts", "seed", "order", "settle_seconds", "own_cost_passes")
-                and (name, value) != ("wire", False)  # so that sweeps of older versions go on
+                # So that sweeps of older versions go on:
+                and (name, value)
+                not in (("wire", False), ("outage_after_seconds", 3.0), ("outage_limit_seconds", 20.0))
             },
             "devices": [(device.ssh, device.options) for device in (self.ping, self.relay)],
             "namespaces": self.namespaces,

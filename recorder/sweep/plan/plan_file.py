@@ -19,8 +19,10 @@ from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data
 from .cells import AXES, DEFAULTS, Cell
 from .drive import read_drive
+from .flows import FLOW_KEYS, MESSAGE_AXES, MOST_FLOWS, Flow, flow_cells
 from .link import PRESETS, Link
-from .plan import DeviceSettings, Exclusion, Network, Plan, RunSettings, Search
+from .outage import OutageBy
+from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search
 from .schema import INSTALLED, PLAN_LIMITS, TABLES, axis_choices
 from .toml_table import TomlTable
 
@@ -84,6 +86,12 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
     combined = [{**shared, **own} for shared in axes for own in matrices]
     check_runs(where, sum(_count_cells(values, installed) for values in combined), run.repeats)
     listed = [cell for values in combined for cell in _cells(values, installed)]
+    flows = _flows(root, combined)
+    if flows:
+        listed = [cell for setup in listed for cell in flow_cells(setup, flows)]
+        check_runs(where, len(listed), run.repeats)
+        if "order" not in root.table("run").values:
+            run = replace(run, order=Order.ALTERNATING)
     if not listed:
         raise OptionError(f"{where}: the plan has nothing to record; give [axes] or [[matrix]] some values")
     cells, excluded = _apply(exclusions, listed)
@@ -106,9 +114,47 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
         connectivity=devices.take("connectivity", str, _connectivity(link, network.namespaces, relay, by_hand)),
         by_hand=by_hand,
         search=root.table("search").fill(Search()),
+        thresholds=_thresholds(root.table("thresholds")),
+        flows=tuple(flow.name for flow in flows),
     )
     _check(plan, where)
     return plan
+
+
+def _flows(root: TomlTable, combined: Collection[AxisValues]) -> list[Flow]:
+    flows = []
+    for table in root.tables("flows"):
+        table.allow(*FLOW_KEYS)
+        name = table.take("name", str, "")
+        message = {
+            axis: _axis_value(table, axis, table.values[axis])
+            for axis in FLOW_KEYS
+            if axis in table.values and axis != "name"
+        }
+        flows.append(Flow(name, message))
+    names = [flow.name for flow in flows]
+    both = sorted({axis for values in combined for axis in values} & set(MESSAGE_AXES))
+    faults = (
+        (len(flows) == 1 or len(flows) > MOST_FLOWS, f"there are 2 to {MOST_FLOWS} [[flows]], not {len(flows)}"),
+        ("" in names, "each of [[flows]] needs a name, such as name = 'imu'"),
+        (len(set(names)) < len(names), f"two of [[flows]] have one name ({', '.join(names)}); give each its own"),
+        (bool(both), f"{', '.join(both)} are keys of each of [[flows]]; remove them from [axes] and [[matrix]]"),
+        (not root.table("run").take("seconds", float, 0.0), "[[flows]] need [run] seconds, which all flows last"),
+    )
+    for is_at_fault, sentence in faults if flows else ():
+        if is_at_fault:
+            raise OptionError(f"{root.where}: {sentence}")
+    return flows
+
+
+def _thresholds(table: TomlTable) -> dict[str, tuple[str, ...]]:
+    conditions: dict[str, tuple[str, ...]] = {}
+    for metric, value in table.values.items():
+        listed = value if isinstance(value, list) else [value]
+        for text in listed:
+            limits.check(limits.CONDITION, text, f"{table.where}: {limits.shown(metric)} =")
+        conditions[metric] = tuple(map(str, listed))
+    return conditions
 
 
 def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by_hand: bool) -> str | None:
@@ -189,18 +235,18 @@ def _check_names(cells: list[Cell], where: str, passes: int) -> None:
 
 def _check(plan: Plan, where: str) -> None:
     """Refuse faults of several keys."""
-    run, search, rates = plan.run, plan.search, {cell.rate for cell in plan.cells}
+    run, search = plan.run, plan.search
     faults = (
         (
             (run.messages > 0) == (run.seconds > 0),
             "[run] needs either messages or seconds above zero; give one of them, or none for the default",
         ),
         (
-            any(run.messages_at(rate) > limits.MAX_MESSAGES for rate in rates),
+            any(run.messages_at(cell.rate, cell.outage) > limits.MAX_MESSAGES for cell in plan.cells),
             f"a run has more than {limits.MAX_MESSAGES} messages; give fewer seconds or a lower rate",
         ),
         (
-            any(run.planned_seconds(rate) > limits.YEAR_S for rate in rates),
+            any(run.planned_seconds(cell.rate, cell.outage) > limits.YEAR_S for cell in plan.cells),
             "a run takes more than a year; give fewer messages or a higher rate",
         ),
         (
@@ -222,6 +268,18 @@ def _check(plan: Plan, where: str) -> None:
         (
             plan.has_two_devices and any(cell.security != Security.OFF.value for cell in plan.cells),
             "the axis security needs both devices on this machine, as no key is sent; use dds-record --security and --keys",
+        ),
+        (
+            any(cell.outage and cell.outage_by != OutageBy.RELAY.value for cell in plan.cells) and not plan.namespaces,
+            "the axis outage needs the two sides in namespaces; give [network] namespaces = true, a [link], or outage_by = 'relay'",
+        ),
+        (
+            any(cell.outage for cell in plan.cells) and (plan.has_two_devices or bool(plan.flows)),
+            "the axis outage needs both devices on this machine, and no [[flows]]; remove them or the axis",
+        ),
+        (
+            bool(plan.flows) and any(cell.crosses_domains for cell in plan.cells),
+            "[[flows]] are measured in one domain; remove the bridge, which each of their pings would start",
         ),
         (
             plan.ping.ssh is not None,

@@ -6,6 +6,7 @@ import random
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from .flows import recorded_together
 from .plan import Order
 
 if TYPE_CHECKING:
@@ -25,6 +26,11 @@ BRIDGE_OVERHEAD_S = 2.0
 
 RELAY_OVERHEAD_S = 1.0
 """End of one relay and start of the next."""
+
+
+def start_lead_s(pings: int) -> float:
+    """Return the time in which pings that send together start and find their relay; 0 for one."""
+    return 3.0 + pings if pings > 1 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,19 +121,19 @@ class Estimate:
 
     def cell_seconds(self, cell: Cell) -> float:
         """Return the expected time of a run, settling included."""
-        overhead_s = RUN_OVERHEAD_S + BRIDGE_OVERHEAD_S * cell.crosses_domains
+        overhead_s = RUN_OVERHEAD_S + BRIDGE_OVERHEAD_S * cell.crosses_domains + start_lead_s(len(cell.with_flows) + 1)
         overhead_s += OWN_COST_S * self.plan.run.measures_own_cost(cell.repeat)
         if self._measured_s:
             overhead_s = sum(self._measured_s) / len(self._measured_s)
-        return self.plan.run.planned_seconds(cell.rate) + overhead_s + self.plan.run.settle_seconds
+        return self.plan.run.planned_seconds(cell.rate, cell.outage) + overhead_s + self.plan.run.settle_seconds
 
     def measured(self, cell: Cell, seconds: float) -> None:
         """Add the measured time of a run, from start to end of its ping."""
-        self._measured_s.append(max(0.0, seconds - self.plan.run.planned_seconds(cell.rate)))
+        self._measured_s.append(max(0.0, seconds - self.plan.run.planned_seconds(cell.rate, cell.outage)))
 
     def remaining(self, cells: list[Cell]) -> Remaining:
         """Return the expected time of these cells, without restarts of relays."""
-        return Remaining(sum(self.cell_seconds(cell) for cell in cells))
+        return Remaining(sum(self.cell_seconds(together[0]) for together in recorded_together(cells)))
 
 
 def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | None = None) -> Remaining:
@@ -135,6 +141,6 @@ def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | N
     passes = plan.run.repeats if passes is None else passes
     first_s = Estimate(plan).remaining(list(plan.cells)).seconds
     measuring = min(passes, plan.run.own_cost_passes or passes)
-    further_s = first_s - OWN_COST_S * len(plan.cells)
+    further_s = first_s - OWN_COST_S * len(recorded_together(plan.cells))
     starts = passes * len(group_by_relay(plan, plan.cells)) if relay_starts is None else relay_starts
     return Remaining(measuring * first_s + (passes - measuring) * further_s + RELAY_OVERHEAD_S * starts)

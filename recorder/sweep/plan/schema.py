@@ -15,6 +15,7 @@ from dds_trace.base.units import UNIT_BYTES
 
 from ...payloads import data_types, sources
 from .cells import AXES, Key
+from .flows import FLOW_KEYS
 from .link import PRESETS, Link
 from .plan import DeviceSettings, Network, RunSettings, Search
 
@@ -63,7 +64,7 @@ TABLES: Mapping[str, Table] = {
             "name": _text("name of the folder below `--out`", limits.FILE_NAME, "the name of the file"),
             "description": _text("what the plan is for, in words"),
         },
-        ("axes", "matrix", "exclude", "run", "devices", "network", "link", "search"),
+        ("axes", "matrix", "exclude", "run", "devices", "flows", "network", "link", "search", "thresholds"),
     ),
     "axes": Table(
         "Every combination of the values is a result; `[axes]` is combined with each `[[matrix]]`. Several `[[axes]]` are each combined "
@@ -75,6 +76,13 @@ TABLES: Mapping[str, Table] = {
     "exclude": Table(
         "Results to leave out: those whose every named axis has one of the values. The same keys as `[axes]`, and",
         {**AXES, "reason": _text("why, shown by `--dry-run`")},
+        is_repeated=True,
+    ),
+    "flows": Table(
+        "Several flows on one relay, such as a camera and an IMU: each setup of `[axes]` is measured with each flow by itself, with every two, "
+        "and with all at the same time, in alternating order. A flow has the keys `data`, `size` and `rate` of `[axes]`, which are then "
+        "not in `[axes]`, and may have a `priority` and a `when_full` of its own, for its way out; the plan needs `[run]` `seconds`, and has no bridge ([flows](../how-to/flows.md)).",
+        FLOW_KEYS,
         is_repeated=True,
     ),
     "run": Table("What all runs have in common.", _keys_of(RunSettings)),
@@ -105,6 +113,12 @@ TABLES: Mapping[str, Table] = {
         },
     ),
     "search": Table("What `--max-rate` looks for.", _keys_of(Search)),
+    "thresholds": Table(
+        "What every result has to meet, judged as the sweep ends ([exit codes](exit-codes.md)): a metric of time with its statistic, or "
+        '`received_ratio`, and a condition or a list of them, such as `latency_p99 = "< 20 ms"`, `received_ratio = ">= 99.9 %"`. '
+        "The names are those of [`--fail-if`](../how-to/ci.md).",
+        {},
+    ),
 }
 """Tables by dotted name; the root has no name."""
 
@@ -226,6 +240,7 @@ _BOUNDS: Mapping[type[Limit], Callable[..., Schema]] = {
 }
 
 _ABOVE_ZERO = {"exclusiveMinimum": 0}
+_CONDITION: Schema = {"type": "string", **_words(limits.CONDITION)}
 _RULES: Mapping[str, Schema] = {
     "run": {
         "oneOf": [
@@ -233,9 +248,10 @@ _RULES: Mapping[str, Schema] = {
             {"required": ["seconds"], "properties": {"seconds": _ABOVE_ZERO}},
             {"not": {"anyOf": [{"required": ["messages"]}, {"required": ["seconds"]}]}},
         ]
-    }
+    },
+    "thresholds": {"additionalProperties": {"anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}]}},
 }
-"""Rules of several keys: a run has a length in messages or in time."""
+"""Rules beyond single keys: a run has a length in messages or in time; thresholds have names of metrics."""
 
 
 def plain(text: str) -> str:

@@ -23,8 +23,10 @@ from dds_trace.tracefile.format.ring import ring_path
 from ...errors import RelayLostError
 from ..folder import TRACE_ENDINGS, clear_parts, make_parts, remove_files
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
-from ..plan.schedule import Estimate
+from ..plan.flows import recorded_together
+from ..plan.schedule import Estimate, start_lead_s
 from ..station.programs import Program
+from .outage import Outage
 from .result import read_result
 from .split import CellPart, split_relay_trace
 from .state import CellState, Status, SweepState
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from ..plan.schedule import CellGroup
     from ..station.devices import RelayDevice, StartedProgram
     from ..station.station import Station
+    from .outage import OutageReport
     from .progress import SweepProgress
     from .result import CellResult
 
@@ -88,7 +91,7 @@ class GroupRelay:
             self._running["relay"] = self._device.start(self._arguments, segment)
             if self._half is not None:
                 self._running["bridge's half"] = self._device.start_half(self._half, segment)
-        return self._segments[-1]
+        return self.segment
 
     def check(self) -> None:
         """Raise a `CellFailedError` if a program has ended by itself."""
@@ -104,12 +107,40 @@ class GroupRelay:
             self._hopeless = failure
         raise failure
 
-    def stop(self) -> list[str]:
-        """Stop the programs and return the names of all segments."""
+    @property
+    def segment(self) -> str:
+        """The latest segment."""
+        return self._segments[-1]
+
+    def kill(self) -> None:
+        """Kill the relay, so that the next `serve` starts another one."""
+        self._running.pop("relay").kill()
+        self.end()
+
+    def end(self) -> None:
+        """Stop the programs that still run."""
         for program in reversed(self._running.values()):
             program.stop()
         self._running.clear()
+
+    def stop(self) -> list[str]:
+        """Stop the programs and return the names of all segments."""
+        self.end()
         return self._segments
+
+
+def _wait_for_all(programs: Iterable[Program], poll_s: float) -> list[int] | None:
+    """Return the exit codes, None if some program still runs after `poll_s`."""
+    codes = [program.wait(poll_s) for program in programs]
+    return None if None in codes else [code for code in codes if code is not None]
+
+
+def _check_programs(programs: Iterable[Program]) -> None:
+    """Raise a `CellFailedError` if one of several pings has failed: the others would run without it."""
+    for program in programs:
+        code = program.exit_code
+        if code is not None and code not in ENDED_CODES:
+            raise CellFailedError(program.last_words(), hopeless=code in HOPELESS_EXIT_CODES)
 
 
 class Runner:
@@ -183,16 +214,20 @@ class Runner:
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
         """Run the incomplete cells of a group; the time left counts `all_cells`."""
-        waiting = [cell for cell in group.cells if not (self.state[cell.name].done or cell.name in self._missing)]
+        waiting = [cells for cells in recorded_together(group.cells) if any(map(self._is_waiting, cells))]
         if not waiting:
             return
         with self.relay(group) as relay:
-            for cell in waiting:
+            for cells in waiting:
                 left = [other for other in all_cells if not self.state[other.name].done]
                 remaining = self._estimate.remaining(left)
                 self.state.left_s = remaining.seconds
-                self._progress.cell(cell.name, remaining)
-                self.record(cell, relay)
+                for cell in cells:
+                    self._progress.cell(cell.name, remaining)
+                self.record_together(cells, relay)
+
+    def _is_waiting(self, cell: Cell) -> bool:
+        return not (self.state[cell.name].done or cell.name in self._missing)
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
@@ -212,30 +247,45 @@ class Runner:
 
     def record(self, cell: Cell, relay: GroupRelay) -> CellState:
         """Record one cell, as often as the plan allows."""
+        self.record_together([cell], relay)
+        return self.state[cell.name]
+
+    def record_together(self, cells: Sequence[Cell], relay: GroupRelay) -> None:
+        """Record cells at the same time, as often as the plan allows; they succeed or fail together."""
         for _ in range(self.plan.run.attempts):
-            before = self.state[cell.name]
-            running = replace(before, status=Status.RUNNING, attempts=before.attempts + 1, reason="")
-            self.state[cell.name] = running
+            running = {}
+            for cell in cells:
+                before = self.state[cell.name]
+                running[cell.name] = replace(before, status=Status.RUNNING, attempts=before.attempts + 1, reason="")
+                self.state[cell.name] = running[cell.name]
             try:
                 segment = relay.serve()
-                result, link = self._ping(cell, relay)
+                results, link, outage = self._ping(cells, relay)
             except CellFailedError as failure:
-                self.state[cell.name] = replace(running, status=Status.FAILED, reason=str(failure))
-                self._progress.ended(cell.name, f"failed: {failure}", complete=False)
+                for name, state in running.items():
+                    self.state[name] = replace(state, status=Status.FAILED, reason=str(failure))
+                    self._progress.ended(name, f"failed: {failure}", complete=False)
                 if failure.hopeless:
                     break
                 self._refresh(relay)
             else:
-                self.state[cell.name] = replace(
-                    running, status=Status.RECORDED, run_id=result.run_id, segment=segment, result=result, link=link
-                )
-                self._progress.ended(cell.name, str(result), complete=True)
-                if result.received < result.published:
+                for (name, state), result in zip(running.items(), results, strict=True):
+                    self.state[name] = replace(
+                        state,
+                        status=Status.RECORDED,
+                        run_id=result.run_id,
+                        segment=relay.segment,
+                        killed_segment=segment if relay.segment != segment else "",
+                        result=result,
+                        link=link,
+                        outage=outage,
+                    )
+                    self._progress.ended(name, str(result), complete=True)
+                if any(result.received < result.published for result in results):
                     self._refresh(relay)
                 break
             time.sleep(self.plan.run.settle_seconds)
         time.sleep(self.plan.run.settle_seconds)
-        return self.state[cell.name]
 
     def _refresh(self, relay: GroupRelay) -> None:
         """Stop a relay that may have parts of messages, so that the next cell gets a new one.
@@ -245,46 +295,94 @@ class Runner:
         if not self.plan.by_hand:
             relay.stop()
 
-    def _ping(self, cell: Cell, relay: GroupRelay) -> tuple[CellResult, LinkReport | None]:
-        draft = self._parts / f"{cell.name}.ping.mcap"
+    def _ping(
+        self, cells: Sequence[Cell], relay: GroupRelay
+    ) -> tuple[list[CellResult], LinkReport | None, OutageReport | None]:
+        drafts = {cell: self._parts / f"{cell.name}.ping.mcap" for cell in cells}
+        outage = None
+        if cells[0].outage:
+            outage = Outage(cells[0], self.plan.run, pair=self._station.pair, kill=relay.kill, serve=relay.serve)
         try:
-            return self._attempt(cell, relay, draft)
+            with contextlib.nullcontext() if outage is None else outage.repaired():
+                results, link = self._attempt(drafts, relay, outage)
+            report = None if outage is None else outage.report()
+            if outage is not None and report is None:
+                raise CellFailedError("the run ended before its outage did")
+            return results, link, report
         finally:  # a complete trace has moved to its final name
-            remove_files(self._parts, draft.name, (*TRACE_ENDINGS, ".log"))
+            for draft in drafts.values():
+                remove_files(self._parts, draft.name, (*TRACE_ENDINGS, ".log"))
 
-    def _attempt(self, cell: Cell, relay: GroupRelay, draft: Path) -> tuple[CellResult, LinkReport | None]:
+    def _attempt(
+        self, drafts: Mapping[Cell, Path], relay: GroupRelay, outage: Outage | None
+    ) -> tuple[list[CellResult], LinkReport | None]:
         self._report_link()  # traffic counts for this attempt from here on
         drive_link = self._station.drive_link
         if drive_link is not None:
             drive_link(starts=False)
         began_s = time.monotonic()
-        log = draft.with_name(draft.name + ".log")
-        command = [
-            *self._station.within(cell.environment).ping_command,
-            *ping_arguments(self.plan, cell, self._station.wait_s, self._station.relay_address),
-            "--out",
-            str(draft),
-        ]
-        program = Program(command, log, lock=self._station.lock)
-        limit_s = (
-            START_ALLOWANCE_S
-            + self._station.wait_s
-            + self.plan.run.planned_seconds(cell.rate)
-            + self.plan.run.cutoff_seconds
-        )
+        lead_s = start_lead_s(len(drafts))
+        start = ["--start-at", f"{time.time() + lead_s:.3f}"] if lead_s else []
+        run = self.plan.run
+        longest_s = max(run.planned_seconds(cell.rate, cell.outage) for cell in drafts)
+        limit_s = START_ALLOWANCE_S + self._station.wait_s + lead_s + longest_s + run.cutoff_seconds
+        programs: dict[Cell, Program] = {}
+        ended: dict[Cell, int] = {}
         try:
-            while program.wait(POLL_S if drive_link is None else START_POLL_S) is None and (
-                time.monotonic() - began_s < limit_s
-            ):
+            for cell, draft in drafts.items():
+                programs[cell] = self._start_ping(cell, draft, start)
+            poll_s = POLL_S if drive_link is None else START_POLL_S
+            while _wait_for_all(programs.values(), poll_s) is None and time.monotonic() - began_s < limit_s:
                 relay.check()
-                if drive_link is not None and ring_path(draft).exists():  # the first message follows
+                _check_programs(programs.values())
+                if not ring_path(next(iter(drafts.values()))).exists():  # the first message follows
+                    continue
+                if drive_link is not None:
                     drive_link(starts=True)
-                    drive_link = None
-            cut_off = program.exit_code is None
+                    drive_link, poll_s = None, POLL_S
+                if outage is not None:
+                    outage.step(time.monotonic())
+            cut_off = {cell for cell, program in programs.items() if program.exit_code is None}
         finally:  # also at Ctrl-C
-            code = program.stop()
+            for cell, program in programs.items():
+                ended[cell] = program.stop()
         if not cut_off:
             relay.check()  # it may have ended since the last check
+        results = [
+            self._read(draft, programs[cell], ended[cell], cut_off=cell in cut_off) for cell, draft in drafts.items()
+        ]
+        link = self._store(drafts, results)
+        self._estimate.measured(next(iter(drafts)), time.monotonic() - began_s)
+        return results, link
+
+    def _store(self, drafts: Mapping[Cell, Path], results: Sequence[CellResult]) -> LinkReport | None:
+        """Move complete traces to their final names; refuse those that did not cross the link."""
+        link = self._report_link()
+        # Only what came back must have crossed: a middleware may drop messages before the link.
+        returned_bytes = sum(result.returned_bytes for result in results)
+        has_bypassed = link is not None and link["ping"]["sent_bytes"] < returned_bytes
+        for cell, draft in drafts.items():
+            final = self.ping_path(cell.name)
+            kept = final.with_name(f"{final.name}.bypassed") if has_bypassed else final
+            try:
+                draft.replace(kept)
+            except OSError as err:
+                raise output_error(kept, err) from err
+        if link is not None and has_bypassed:
+            raise CellFailedError(
+                f"its messages did not cross the link: {counted(link['ping']['sent_bytes'], 'byte')} of the "
+                f"{returned_bytes} that came back did; the trace is {kept.name}",
+                hopeless=True,
+            )
+        return link
+
+    def _start_ping(self, cell: Cell, draft: Path, start: Sequence[str]) -> Program:
+        station = self._station
+        arguments = ping_arguments(self.plan, cell, station.wait_s, station.relay_address)
+        command = [*station.within(cell.environment).ping_command, *arguments, *start, "--out", str(draft)]
+        return Program(command, draft.with_name(draft.name + ".log"), lock=station.lock)
+
+    def _read(self, draft: Path, program: Program, code: int, *, cut_off: bool) -> CellResult:
         if code not in ENDED_CODES and not cut_off:
             raise CellFailedError(program.last_words(), hopeless=code in HOPELESS_EXIT_CODES)
         try:
@@ -293,35 +391,22 @@ class Runner:
             raise CellFailedError(f"its trace is incomplete: {err}") from err
         if not result.published:
             raise CellFailedError(f"it sent nothing: {program.last_words()}")
-        link = self._report_link()
-        # Only what came back must have crossed: a middleware may drop messages before the link.
-        has_bypassed = link is not None and link["ping"]["sent_bytes"] < result.returned_bytes
-        final = self.ping_path(cell.name)
-        kept = final.with_name(f"{final.name}.bypassed") if has_bypassed else final
-        try:
-            draft.replace(kept)
-        except OSError as err:
-            raise output_error(kept, err) from err
-        if link is not None and has_bypassed:
-            raise CellFailedError(
-                f"its messages did not cross the link: {counted(link['ping']['sent_bytes'], 'byte')} of the "
-                f"{result.returned_bytes} that came back did; the trace is {kept.name}",
-                hopeless=True,
-            )
-        self._estimate.measured(cell, time.monotonic() - began_s)
-        return result, link
+        return result
 
     def _report_link(self) -> LinkReport | None:
         return None if self._station.report_link is None else self._station.report_link()
 
     def _collect(self, segment: str) -> None:
-        cells = self.state.in_segment(segment)
+        cells, killed = self.state.in_segment(segment), self.state.killed_in(segment)
         device = self._station.device
+        is_here = (cells or killed) and not device.keeps_traces
         try:
-            counts = self._split(device.collect(segment), cells) if cells and not device.keeps_traces else {}
+            counts = self._split(device.collect(segment), cells, killed) if is_here else {}
         except BackendUnavailableError as err:
             self._progress.note(f"{err}; the relay's trace is fetched when the sweep is run again")
             return
+        for name, cell in killed.items():
+            self.state[name] = replace(cell, killed_segment="")
         for name, cell in cells.items():
             is_silent = cell.result is None or not cell.result.received
             if device.keeps_traces or counts.get(int(cell.run_id, 16)) or is_silent:
@@ -334,10 +419,17 @@ class Runner:
         except BackendUnavailableError as err:
             self._progress.note(f"{err}; a trace that is no longer needed stays on the device")
 
-    def _split(self, path: Path | None, cells: Mapping[str, CellState]) -> dict[int, int]:
+    def _split(
+        self, path: Path | None, cells: Mapping[str, CellState], killed: Mapping[str, CellState]
+    ) -> dict[int, int]:
         drive = self.plan.link.drive if self.plan.link else None
         parts = [
-            CellPart(int(cell.run_id, 16), self.relay_path(name), cell.link, drive) for name, cell in cells.items()
+            CellPart(int(cell.run_id, 16), self.relay_path(name), cell.link, drive, cell.outage)
+            for name, cell in cells.items()
+        ]
+        parts += [
+            CellPart(int(cell.run_id, 16), self.folder / f"{name}.relay-killed.mcap", outage=cell.outage)
+            for name, cell in killed.items()
         ]
         try:
             return split_relay_trace(path, parts) if path is not None else {}

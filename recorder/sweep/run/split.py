@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from ..plan.drive import Drive
     from ..plan.link import LinkReport
+    from .outage import OutageReport
 
 _SAMPLE_MARGIN_NS = 1_000_000_000
 """Longest time from the end of a run to its last host sample: one sampling period."""
@@ -38,12 +39,13 @@ _SAMPLE_MARGIN_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class CellPart:
-    """The part for one cell; the link's counters become a host sample, and so does each change of its drive."""
+    """The part for one cell; the link's counters, each change of its drive, and the outage become host samples."""
 
     run_id: int
     path: Path
     link: LinkReport | None = None
     drive: Drive | None = None
+    outage: OutageReport | None = None
 
 
 def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
@@ -89,6 +91,10 @@ def _write(part: CellPart, trace: Trace, slots: Slots, mode: int) -> None:
                 (session.wall_ns(at_ns), {"monotonic_ns": at_ns, "link_now": dict(zip(COLUMNS, row, strict=True))})
                 for at_ns, row in part.drive.between(started_ns, *ends_ns)
             ]
+    if part.outage is not None:
+        ended_ns = part.outage["ended_ns"]
+        described = {"run_id": f"{part.run_id:016x}", **part.outage}
+        samples.append((session.wall_ns(ended_ns), {"monotonic_ns": ended_ns, "outage": described}))
     samples.sort(key=lambda timed: timed[0])
     ends = np.searchsorted(times_ns, [time_ns for time_ns, _ in samples], side="right").tolist()
     with replacing(part.path) as draft, TraceWriter(draft, session, mode=mode) as writer:

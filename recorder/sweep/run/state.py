@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..plan.link import LinkReport
+    from .outage import OutageReport
 
 STATE_VERSION = 1
 """Version 1: first version (2026)."""
@@ -43,6 +44,8 @@ class CellState:
         segment: the relay's own trace that still contains this cell's part.
         result: numbers of the ping's trace.
         link: report of the emulated link for the run.
+        outage: the outage within the run.
+        killed_segment: the trace of the relay that the outage killed, which contains the first part of the run.
     """
 
     status: Status = Status.PENDING
@@ -52,6 +55,8 @@ class CellState:
     segment: str = ""
     result: CellResult | None = None
     link: LinkReport | None = None
+    outage: OutageReport | None = None
+    killed_segment: str = ""
 
     @property
     def done(self) -> bool:
@@ -92,10 +97,15 @@ class SweepState:
         """Return this segment's cells."""
         return {name: cell for name, cell in self._cells.items() if cell.segment == segment}
 
+    def killed_in(self, segment: str) -> dict[str, CellState]:
+        """Return the cells whose outage killed the relay of this segment."""
+        return {name: cell for name, cell in self._cells.items() if cell.killed_segment == segment}
+
     @property
     def segments(self) -> list[str]:
         """Relay traces that still contain parts of cells, oldest first."""
-        return list(dict.fromkeys(cell.segment for cell in self._cells.values() if cell.segment))
+        segments = (name for cell in self._cells.values() for name in (cell.killed_segment, cell.segment))
+        return list(dict.fromkeys(filter(None, segments)))
 
     def _load(self) -> None:
         try:
@@ -107,6 +117,7 @@ class SweepState:
                     status=Status(cell["status"]),
                     result=CellResult(**cell["result"]) if cell["result"] else None,
                     link=cell["link"] or None,
+                    outage=cell.get("outage") or None,
                 )
                 for name, cell in document["cells"].items()
             }
@@ -134,6 +145,7 @@ class SweepState:
                 "status": cell.status.value,
                 "result": asdict(cell.result) if cell.result else {},
                 "link": cell.link or {},
+                "outage": cell.outage or {},
             }
             for name, cell in self._cells.items()
         }
@@ -152,8 +164,9 @@ def _check_names(name: str, cell: CellState) -> None:
     """Refuse foreign names: they become paths, and the file may be somebody else's."""
     if not re.fullmatch(r"[\w+-][\w.+-]*", name):
         raise ValueError(f"{name!r} is not the name of a cell")
-    if cell.segment and not is_segment_name(cell.segment):
-        raise ValueError(f"{cell.segment!r} is not the name of a relay's trace")
+    for segment in filter(None, (cell.segment, cell.killed_segment)):
+        if not is_segment_name(segment):
+            raise ValueError(f"{segment!r} is not the name of a relay's trace")
     if cell.run_id and not re.fullmatch(r"[0-9a-f]{1,16}", cell.run_id):
         raise ValueError(f"{cell.run_id!r} is not a run id")
     if bool(cell.segment) > bool(cell.run_id):

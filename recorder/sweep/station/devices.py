@@ -27,6 +27,9 @@ class StartedProgram(Protocol):
     def stop(self) -> object:
         """End the program and wait until its trace is closed."""
 
+    def kill(self) -> object:
+        """End the program at once, as a crash would."""
+
 
 class RelayDevice:
     """A device for relays; each kind overrides what it needs."""
@@ -129,3 +132,5 @@ class _PrintedProgram:
 
     def stop(self) -> None:
         """Do nothing."""
+
+    kill = stop

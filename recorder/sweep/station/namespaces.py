@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..plan.link import EndCounters
+from ..plan.outage import OutageBy
 from .emulation import INTERFACE, SYSTEM_PATH, count_traffic, ip, open_tap, queue_disciplines, start_forwarder, tc
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 _NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay)")
 _ROLES = ("ping", "relay")
 _LINK_ENDED = "the emulated link ended by itself; run the sweep again"
+OTHER_ADDRESS = "10.213.0.11"
+"""Address of a ping that came back with another one."""
 _counter = itertools.count()
 
 
@@ -64,6 +67,7 @@ class NamespacePair:
         self._forwarder: subprocess.Popen[str] | None = None
         self._taps: list[int] = []
         self._drive_started_ns: int | None = None
+        self._disciplines: list[list[str]] = []
         self._counted: dict[Side, EndCounters] = {}
 
     def __enter__(self) -> Self:
@@ -99,6 +103,58 @@ class NamespacePair:
         self._drive_started_ns = time.monotonic_ns() if starts else None
         self._say(f"start {self._drive_started_ns}" if starts else "rest")
 
+    def cut(self, by: OutageBy) -> None:
+        """Cut the link: the ping's interface goes down, or everything that either side sends is lost."""
+        if by is not OutageBy.LOSS:
+            ip("-n", self.ping.namespace, "link", "set", INTERFACE, "down")
+            return
+        for side in (self.ping, self.relay):
+            tc(
+                "-n",
+                side.namespace,
+                "qdisc",
+                "replace",
+                "dev",
+                INTERFACE,
+                "root",
+                "handle",
+                "ff:",
+                "pfifo",
+                "limit",
+                "0",
+            )
+
+    def restore(self, by: OutageBy) -> None:
+        """End what `cut` did, with another address of the ping for `ADDRESS`."""
+        if by is OutageBy.LOSS:
+            self._restore_disciplines()
+            return
+        if by is OutageBy.ADDRESS:
+            self._set_address(OTHER_ADDRESS)
+        self._bring_up(self.ping)
+
+    def repair(self) -> None:
+        """Bring link, queues and address back to what they were at first."""
+        self._restore_disciplines()
+        self._set_address(self.ping.address)
+        self._bring_up(self.ping)
+
+    def _set_address(self, address: str) -> None:
+        ip("-n", self.ping.namespace, "address", "flush", "dev", INTERFACE)
+        ip("-n", self.ping.namespace, "address", "add", f"{address}/24", "dev", INTERFACE)
+
+    def _bring_up(self, side: Side) -> None:
+        ip("-n", side.namespace, "link", "set", INTERFACE, "up")
+        # DDS discovery and Zenoh scouting send to multicast groups, which need a route.
+        ip("-n", side.namespace, "route", "replace", "224.0.0.0/4", "dev", INTERFACE)
+
+    def _restore_disciplines(self) -> None:
+        for side in (self.ping, self.relay):
+            if "qdisc pfifo ff:" in tc("-n", side.namespace, "qdisc", "show", "dev", INTERFACE):
+                tc("-n", side.namespace, "qdisc", "del", "dev", INTERFACE, "root")
+                for discipline in self._disciplines:
+                    tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
+
     def _traffic_since(self, side: Side) -> EndCounters:
         now = count_traffic(side.namespace)
         before = self._counted.get(side, EndCounters(sent_bytes=0, sent_packets=0, dropped_packets=0))
@@ -130,13 +186,12 @@ class NamespacePair:
                "peer", "name", INTERFACE, "netns", sides[1].namespace)  # fmt: skip
         for side in sides:
             ip("-n", side.namespace, "address", "add", f"{side.address}/24", "dev", INTERFACE)
-            ip("-n", side.namespace, "link", "set", INTERFACE, "up")
-            # DDS discovery and Zenoh scouting send to multicast groups, which need a route.
-            ip("-n", side.namespace, "route", "add", "224.0.0.0/4", "dev", INTERFACE)
+            self._bring_up(side)
         applied = ["tap_forwarder" if needs_forwarder else "veth"]
         if link is not None:
             disciplines = queue_disciplines(link, kernel_does_all=not needs_forwarder)
             applied += [discipline[discipline.index("handle") + 2] for discipline in disciplines]
+            self._disciplines = disciplines
             for side, discipline in itertools.product(sides, disciplines):
                 tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
             self.commands = ["tc qdisc add dev " + " ".join([INTERFACE, *discipline]) for discipline in disciplines]

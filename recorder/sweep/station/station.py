@@ -38,6 +38,7 @@ class Station:
         relay_address: address of the relay's device, None on one machine.
         report_link: `NamespacePair.report`, None without an emulated link.
         drive_link: `NamespacePair.drive`, None for a link without a file.
+        pair: the two namespaces, for outages.
         environments: folder of each other Python environment of the plan -> command of the ping and device of the relay.
     """
 
@@ -48,6 +49,7 @@ class Station:
     relay_address: str | None = None
     report_link: Callable[[], LinkReport | None] | None = None
     drive_link: Callable[..., None] | None = None
+    pair: NamespacePair | None = None
     environments: Mapping[str, tuple[Sequence[str], RelayDevice]] = field(default_factory=dict)
 
     def within(self, environment: str) -> Station:
@@ -94,5 +96,6 @@ def open_station(
             relay_address=pair.relay.address if pair else None,
             report_link=pair.report if pair else None,
             drive_link=pair.drive if pair and plan.link and plan.link.file else None,
+            pair=pair,
             environments={environment: both(program) for environment, program in others.items()},
         )

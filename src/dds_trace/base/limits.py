@@ -196,6 +196,7 @@ WARMUP = Whole(0, MAX_MESSAGES, "the number of warm-up messages")
 RELAYS = Whole(1, 1000, "the number of relays to wait for")
 DEPTH = Whole(1, (1 << 31) - 1, "the number of messages that keep_last keeps")
 SEED = Whole(-(1 << 63), (1 << 64) - 1, "a seed")
+PRIORITY = Whole(-(1 << 31), (1 << 31) - 1, "a priority of messages")
 REALTIME_PRIORITY = Whole(1, 99, "a SCHED_FIFO priority")
 PORT = Whole(1, 65535, "a port")
 FILE_BYTES = Whole(1000, 1 << 50, "the size of a file in bytes")
@@ -213,6 +214,7 @@ LOOK_S = Real(0.1, YEAR_S, "the time between two checks in seconds")
 DELAY_MS = Real(0, 3_600_000, "a time in milliseconds")
 DEADLINE_MS = Real(0, 3_600_000, "a deadline in milliseconds", is_above=True)
 LINE_MBIT_S = Real(0, 1e6, "a line rate in Mbit/s")
+UNIX_S = Real(0, 1e11, "a time in seconds since 1970")
 PERCENT = Real(0, 100, "a share in percent")
 WIDTH_PERCENT = Real(0, 1e6, "half the width of an interval in percent", is_above=True)
 FACTOR = Real(1, 1000, "a factor", is_above=True)
@@ -226,6 +228,7 @@ FILE_NAME = Words(
     re.compile(r"(?!\.{1,2}\Z)[^/\x00-\x1f\x7f]+"),
     100,
 )
+CONDITION = Words("a condition such as '< 20 ms'", re.compile(r"\s*(?:<=|<|>=|>)\s*\S[^\x00-\x1f]*"), 100)
 PATH = FilePath("a path")
 FOLDER = FilePath("a path", is_folder=True)
 INPUT = FilePath("a path", is_folder=True, is_input=True)
@@ -239,6 +242,7 @@ CPUS = Words(
 RMW = Words("a ROS middleware's name such as rmw_fastrtps_cpp", re.compile(r"\w+", re.ASCII), 255)
 ADDRESS = Words("HOST:PORT, for example 192.168.0.5:7447", re.compile(r"[\w.:%\[\]-]+:\d{1,5}", re.ASCII), 255)
 HOST = Words("a host's name or address", re.compile(r"[\w.:%\[\]-]+", re.ASCII), 255)
+FLOW_NAME = Words("a flow's name: letters, digits and _, such as imu", re.compile(r"[A-Za-z]\w*", re.ASCII), 40)
 TOPIC_NAME = Words(
     "a ROS topic's name such as /camera/image", re.compile(r"/?[A-Za-z_]\w*(?:/[A-Za-z_]\w*)*/?", re.ASCII), 200
 )

@@ -191,7 +191,7 @@ def test_on_loopback_both_captures_have_a_message_and_it_counts_once(tmp_path):
 def test_without_the_wire_the_frames_are_empty(tmp_path):
     details = analyze(folder_of(tmp_path, counts=None)).details
     assert (details.wire.height, details.wire_classes.height, details.wire_repeats.height) == (0, 0, 0)
-    assert details.wire.width == 23
+    assert details.wire.width == 24
 
 
 @pytest.mark.parametrize("counts", [7, [], {"classes": 3, "ip": [], "duration_s": "long"}, {"classes": [1]}])
@@ -302,3 +302,19 @@ def test_a_capture_with_drops_is_the_only_finding_about_the_wire(tmp_path, sente
     assert numbers(found["wire_incomplete"].what) == [1, 1]
     sentences(found["wire_incomplete"].what)
     assert not {"retransmission_storm", "fragments_lost", "discovery_traffic"} & set(found)
+
+
+def test_messages_that_left_on_two_interfaces_are_carried_twice(tmp_path):
+    twice = [record(s, first_ns=1000 + s + interface) for s in range(3) for interface in (0, 7)]
+    once = [record(3, first_ns=1003), *(record(s, RELAY_ID, first_ns=5000 + s) for s in range(4))]
+    analysis = analyze(folder_of(tmp_path, texts(*twice, *once)))
+    assert analysis.details.wire["carried_twice"].to_list() == [3]
+    (finding,) = [finding for finding in analysis.findings if finding.code == "carried_twice"]
+    assert numbers(finding.what)[:2] == [3, 4]
+
+
+def test_a_copy_of_a_record_is_no_second_interface(tmp_path):
+    copies = (record(s, first_ns=1000 + s) for s in (0, 1, 2, 3) for _ in range(2))
+    analysis = analyze(folder_of(tmp_path, texts(*copies)))
+    assert analysis.details.wire["carried_twice"].to_list() == [0]
+    assert "carried_twice" not in {finding.code for finding in analysis.findings}

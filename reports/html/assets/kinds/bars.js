@@ -171,6 +171,7 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
   const label = DATA.statistics.find((choice) => choice.key === statistic).label;
   const costOf = (group) => plan.cells[group].costs[statistic] || null;
   const found = collected(plan, costOf);
+  const hasLoads = Object.values(plan.cells).some((cell) => cell.bridge_cpu_percent !== null);
   const cpu = (group) =>
     plan.cells[group].bridge_cpu_percent === null
       ? []
@@ -306,7 +307,7 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
       { label: "Runs" },
       { label: "Received" },
       { label: "Verdict" },
-      { label: "Bridge CPU", unit: "% of a processor", format: digits },
+      ...(hasLoads ? [{ label: "Bridge CPU", unit: "% of a processor", format: digits }] : []),
     ],
     rows: found.points.map(({ group, value }) =>
       groupRow(
@@ -320,7 +321,7 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
         value.runs,
         value.received,
         { worse: "slower", better: "faster" }[value.verdict] || value.verdict,
-        plan.cells[group].bridge_cpu_percent,
+        ...(hasLoads ? [plan.cells[group].bridge_cpu_percent] : []),
       ),
     ),
   };

@@ -1,0 +1,105 @@
+"""The frame `recoveries`: how a run came back from an outage that a sweep made within it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypedDict
+
+import polars as pl
+
+from ..model.foreign import number_of, object_of
+from ..model.metrics import frame_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from dds_trace.tracefile.reading.trace import Trace
+
+    from ..pairing.rows import RowStore
+    from .batch import Grouping
+
+RECOVERY_SCHEMA = frame_schema(
+    "group:u32 run_id:u64 by:str began_ns:i64 ended_ns:i64 outage_ns:i64 limit_ns:i64 never:bool out_ns:i64 back_ns:i64 "
+    "lost_within:u64 replayed:u64 lost_after:u64 reordered:u64 duplicates:u64"
+)
+
+_COLUMNS = ("run_id", "sequence", "publish_ns", "relay_in_ns", "receive_ns", "reordered", "duplicates")
+
+
+class OutageTimes(TypedDict):
+    """One outage, on the monotonic clock of the machine of both sides, ns; `limit_ns`: how long the run waited after it."""
+
+    by: str
+    began_ns: int
+    ended_ns: int
+    limit_ns: int
+
+
+def read_outages(traces: Iterable[Trace]) -> dict[int, OutageTimes]:
+    """Return run_id -> its outage, from the host samples that `dds-sweep` wrote into the relays' traces."""
+    outages: dict[int, OutageTimes] = {}
+    for trace in traces:
+        for sample in trace.host_samples:
+            outage = object_of(sample.get("outage"))
+            began_ns, ended_ns, limit_s = (number_of(outage.get(name)) for name in ("began_ns", "ended_ns", "limit_s"))
+            try:
+                run_id = int(str(outage.get("run_id")), 16)
+            except ValueError:
+                continue
+            if began_ns is not None and ended_ns is not None and limit_s is not None:
+                outages[run_id] = {
+                    "by": str(outage.get("by")),
+                    "began_ns": int(began_ns),
+                    "ended_ns": int(ended_ns),
+                    "limit_ns": round(limit_s * 1e9),
+                }
+    return outages
+
+
+def recovery_frame(traces: Iterable[Trace], grouping: Grouping, rows: RowStore) -> pl.DataFrame:
+    """Return a row for each run with an outage: columns of `RECOVERY_SCHEMA`, times in ns from the end of the outage on.
+
+    `out_ns` to the first message at the relay, `back_ns` to the first reply, null where none came; `never` where none came back
+    within `limit_ns`; messages sent within the outage that were lost or `replayed` after it, and those sent later and lost,
+    `reordered` or repeated.
+    """
+    outages = read_outages(traces)
+    group_of_run = dict(
+        zip((exchange.run.run_id for exchange in grouping.exchanges), grouping.group_of_exchange.tolist(), strict=True)
+    )
+    recoveries = []
+    for run_id, outage in outages.items():
+        group = group_of_run.get(run_id)
+        if group is None or not rows.has_rows:
+            continue
+        messages = rows.frame(rows.groups.filter(group=group), _COLUMNS).filter(run_id=run_id)
+        recoveries.append({"group": group, "run_id": run_id, **outage, **recovery_of(messages, outage)})
+    return pl.DataFrame(recoveries, RECOVERY_SCHEMA).sort("group", "began_ns")
+
+
+def recovery_of(rows: pl.DataFrame, outage: OutageTimes) -> Mapping[str, object]:
+    """Return how one run came back, from its round trips; a message that several relays had counts once."""
+    began_ns, ended_ns = outage["began_ns"], outage["ended_ns"]
+    messages = rows.group_by("sequence").agg(
+        pl.col("publish_ns", "relay_in_ns", "receive_ns").min(), pl.col("reordered").any(), pl.col("duplicates").sum()
+    )
+    back_ns = _first_after(rows["receive_ns"], ended_ns)
+    is_lost = pl.col("receive_ns").is_null()
+    within = messages.filter(pl.col("publish_ns").is_between(began_ns, ended_ns, closed="left"))
+    later = messages.filter(pl.col("publish_ns") >= ended_ns)
+    arrived = messages.filter(pl.col("receive_ns") > ended_ns)
+    return {
+        "outage_ns": ended_ns - began_ns,
+        "never": back_ns is None or back_ns > outage["limit_ns"],
+        "out_ns": _first_after(rows["relay_in_ns"], ended_ns),
+        "back_ns": back_ns,
+        "lost_within": within.filter(is_lost).height,
+        "replayed": within.filter(pl.col("receive_ns") > ended_ns).height,
+        "lost_after": later.filter(is_lost).height,
+        "reordered": arrived["reordered"].sum(),
+        "duplicates": arrived["duplicates"].sum(),
+    }
+
+
+def _first_after(times_ns: pl.Series, ended_ns: int) -> int | None:
+    first_ns = times_ns.filter(times_ns > ended_ns).min()
+    return int(first_ns) - ended_ns if isinstance(first_ns, int) else None

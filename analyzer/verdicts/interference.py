@@ -1,0 +1,233 @@
+"""Flows that disturb each other: each with others against itself without them, and whether its messages wait for theirs.
+
+`dds-sweep` records the flows of a plan one by one and together in the same repeats; their setting names the flow and those that ran with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from ..model.metrics import frame_schema
+from ..model.parameters import MATCH_COLUMNS
+from ..model.setting import FLOW, FLOWS, WITH, parse_setting, write_setting
+from ..run_statistics.received import received_interval
+from .cases import is_too_large, partition_groups
+from .compare import CompareOptions, compare_groups, with_adjusted_verdicts
+from .comparison_rows import COMPARISON_SCHEMA
+from .matching import match_groups
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from .cases import GroupRows
+
+    Float64 = NDArray[np.float64]
+
+_MATCH = tuple(name for name in MATCH_COLUMNS if name != "setting")
+_SETUP = (*(name for name in _MATCH if name not in ("data_type", "payload_bytes", "rate_hz")), "shared")
+_OPTIONS = CompareOptions(metrics=("latency",), statistics=("p50", "p99"), match=_MATCH, paired=True)
+
+_DELIVERY = ("difference", "difference_low", "difference_high", "verdict")
+INTERFERENCE_SCHEMA = {
+    **frame_schema("group:u32 alone_group:u32 flow:str with_flows:str"),
+    **COMPARISON_SCHEMA,
+    **frame_schema(
+        "received_difference:f64 received_difference_low:f64 received_difference_high:f64 received_verdict:str"
+    ),
+}
+
+HEAD_OF_LINE_SCHEMA = frame_schema(
+    "group:u32 other_group:u32 flow:str other:str with_flows:str runs:u32 caught:u64 overtook:u64 overtook_ratio:f64 "
+    "overtook_ratio_low:f64 overtook_ratio_high:f64 wait_p50_ns:f64 verdict:str"
+)
+
+USUAL_TIMES = 2
+"""A message is caught after another that stays under way for as many of its usual round trips (p95 by itself)."""
+
+LEAST_CAUGHT = 20
+"""Caught messages for a verdict."""
+
+
+class Overtaking(Enum):
+    """Whether caught messages return before the message ahead of them, by the interval of their share."""
+
+    WAITS = "waits"
+    OVERTAKES = "overtakes"
+    UNDECIDED = "undecided"
+    FEW = "too few messages"
+
+
+def flows_of(setting: str) -> tuple[str, tuple[str, ...]]:
+    """Return the flow of a group, empty without one, and the flows that ran with it."""
+    values = parse_setting(setting)
+    return values.get(FLOW, ""), tuple(filter(None, values.get(WITH, "").split("+")))
+
+
+_OF_A_FLOW = ("data", "priority", "when_full")
+"""Settings that each flow of a plan may have of its own."""
+
+
+def _without(setting: str, *keys: str) -> str:
+    values = parse_setting(setting)
+    return write_setting({key: value for key, value in values.items() if key.removeprefix("relay.") not in keys})
+
+
+def _with_flows(groups: pl.DataFrame) -> pl.DataFrame:
+    settings = groups["setting"].to_list()
+    flows = [flows_of(setting) for setting in settings]
+    return groups.with_columns(
+        pl.Series("flow", [flow for flow, _ in flows], pl.String),
+        pl.Series("with_flows", ["+".join(others) for _, others in flows], pl.String),
+        pl.Series("others", [_without(setting, FLOW, WITH, FLOWS) for setting in settings], pl.String),
+        pl.Series("shared", [_without(setting, FLOW, WITH, FLOWS, *_OF_A_FLOW) for setting in settings], pl.String),
+    ).filter(pl.col("flow") != "")
+
+
+def find_interference(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
+    """Compare the latency of each flow with others and by itself, p50 and p99, repeat by repeat.
+
+    Returns:
+        `INTERFERENCE_SCHEMA`: the group and the one of the flow by itself, the columns of `ChangeRow` (times in ns; base by itself,
+        new with others), and the change of the received ratio with its interval. Verdicts are adjusted over all rows.
+    """
+    changes = [
+        row
+        for case in partition_groups(_with_flows(rows.groups), (*_MATCH, "others", "flow"))
+        for row in _changes(rows, case, passes)
+    ]
+    return with_adjusted_verdicts(pl.DataFrame(changes, INTERFERENCE_SCHEMA), _OPTIONS.confidence)
+
+
+def _changes(rows: GroupRows, case: pl.DataFrame, passes: Mapping[int, int] | None) -> Iterator[dict[str, object]]:
+    alone = case.filter(pl.col("with_flows") == "")
+    if len(alone) != 1 or is_too_large(case):
+        return
+    base = match_groups(rows.frame(alone), _MATCH)
+    for together in case.filter(pl.col("with_flows") != "").partition_by("group", maintain_order=True):
+        frame = rows.frame(together)
+        comparison = compare_groups(base, match_groups(frame, _MATCH), frame.schema, _OPTIONS, passes)
+        names = {
+            "group": together["group"][0],
+            "alone_group": alone["group"][0],
+            **together.select("flow", "with_flows").row(0, named=True),
+        }
+        delivery = comparison.delivery.select(_DELIVERY).rename({name: f"received_{name}" for name in _DELIVERY})
+        for row in comparison.rows.select(*COMPARISON_SCHEMA).iter_rows(named=True):
+            yield {**names, **row, **delivery.row(0, named=True)}
+
+
+class Sent(NamedTuple):
+    """Messages of one run in the order of T1, ns; T2 of a lost one is infinite."""
+
+    publish_ns: Float64
+    receive_ns: Float64
+
+
+@dataclass(frozen=True, slots=True)
+class Caught:
+    """The messages of one run that were caught after messages of another flow: overtaken or not, and their round trips in ns."""
+
+    overtook: NDArray[np.bool_]
+    rtt_ns: Float64
+
+
+def caught_after(own: Sent, ahead: Sent, usual_ns: float) -> Caught:
+    """Return what became of the messages that left while the latest message ahead stayed under way for `USUAL_TIMES` of `usual_ns`.
+
+    A lost message ahead has no end, and catches none.
+    """
+    index = np.searchsorted(ahead.publish_ns, own.publish_ns, side="right") - 1
+    end_ns = np.where(index >= 0, ahead.receive_ns[np.maximum(index, 0)], -np.inf)
+    caught = np.isfinite(end_ns) & (end_ns - own.publish_ns > USUAL_TIMES * usual_ns)
+    return Caught(own.receive_ns[caught] < end_ns[caught], (own.receive_ns - own.publish_ns)[caught])
+
+
+def find_head_of_line(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
+    """Judge for each two flows that ran together whether messages of one wait for a message of the other.
+
+    Returns:
+        `HEAD_OF_LINE_SCHEMA`: the group and the other flow's, messages caught after a message of `other` (`caught_after`), how
+        many returned before it, their share with its interval over runs, and the median of what they took beyond the usual
+        (p50 by itself), ns. All flows are of one machine, whose clock they share.
+    """
+    changes = [
+        row
+        for case in partition_groups(_with_flows(rows.groups), _SETUP)
+        if not is_too_large(case)
+        for row in _waits(rows, case, passes or {})
+    ]
+    return pl.DataFrame(changes, HEAD_OF_LINE_SCHEMA)
+
+
+def _waits(rows: GroupRows, case: pl.DataFrame, passes: Mapping[int, int]) -> Iterator[dict[str, object]]:
+    groups = {
+        (row["flow"], frozenset(filter(None, row["with_flows"].split("+")))): row["group"]
+        for row in case.iter_rows(named=True)
+    }
+    sent = {group: _sent_by_pass(rows, case.filter(pl.col("group") == group), passes) for group in groups.values()}
+    for (flow, others), group in groups.items():
+        usual = _usual_ns(sent.get(groups.get((flow, frozenset()), -1), {}))
+        for other in sorted(others):
+            other_group = groups.get((other, others - {other} | {flow}))
+            if usual is None or other_group is None:
+                continue
+            both = sent[group].keys() & sent[other_group].keys()
+            caught = [caught_after(sent[group][number], sent[other_group][number], usual[1]) for number in sorted(both)]
+            names = {
+                "group": group,
+                "other_group": other_group,
+                "flow": flow,
+                "other": other,
+                "with_flows": "+".join(sorted(others)),
+            }
+            yield {**names, **_judged(caught, usual[0])}
+
+
+def _sent_by_pass(rows: GroupRows, group: pl.DataFrame, passes: Mapping[int, int]) -> dict[int, Sent]:
+    frame = rows.frame(group, ["run_id", "publish_ns", "receive_ns"]).sort("run_id", "publish_ns")
+    return {
+        passes[int(run_id)]: Sent(
+            part["publish_ns"].cast(pl.Float64).to_numpy(),
+            part["receive_ns"].cast(pl.Float64).fill_null(np.inf).to_numpy(),
+        )
+        for (run_id,), part in frame.group_by("run_id", maintain_order=True)
+        if int(str(run_id)) in passes
+    }
+
+
+def _usual_ns(alone: Mapping[int, Sent]) -> tuple[float, float] | None:
+    """Return p50 and p95 of the round trips of a flow by itself; None without any."""
+    times = [sent.receive_ns - sent.publish_ns for sent in alone.values()]
+    received = np.concatenate([time[np.isfinite(time)] for time in times]) if times else np.empty(0)
+    return (float(np.quantile(received, 0.5)), float(np.quantile(received, 0.95))) if len(received) else None
+
+
+def _judged(caught: Sequence[Caught], usual_ns: float) -> dict[str, object]:
+    share = received_interval([one.overtook for one in caught])
+    count = sum(len(one.overtook) for one in caught)
+    verdict = Overtaking.UNDECIDED
+    if count < LEAST_CAUGHT or share.lower is None or share.upper is None:
+        verdict = Overtaking.FEW
+    elif share.upper < 1 / 2:
+        verdict = Overtaking.WAITS
+    elif share.lower > 1 / 2:
+        verdict = Overtaking.OVERTAKES
+    waits_ns = np.concatenate([one.rtt_ns for one in caught]) - usual_ns if count else np.empty(0)
+    waits_ns = waits_ns[np.isfinite(waits_ns)]
+    return {
+        "runs": len(caught),
+        "caught": count,
+        "overtook": sum(int(one.overtook.sum()) for one in caught),
+        "overtook_ratio": share.value,
+        "overtook_ratio_low": share.lower,
+        "overtook_ratio_high": share.upper,
+        "wait_p50_ns": float(np.median(waits_ns)) if len(waits_ns) else None,
+        "verdict": verdict.value,
+    }

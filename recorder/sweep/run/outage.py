@@ -1,0 +1,103 @@
+"""Outages that a sweep makes in the middle of a run: when they begin and end, and what they cut off."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, TypedDict
+
+from ..plan.outage import OutageBy
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from ..plan.cells import Cell
+    from ..plan.plan import RunSettings
+    from ..station.namespaces import NamespacePair
+
+
+class OutageReport(TypedDict):
+    """One outage of a run, on this machine's CLOCK_MONOTONIC; `limit_s`: how long the run waited for a message after it."""
+
+    by: str
+    seconds: float
+    began_ns: int
+    ended_ns: int
+    limit_s: float
+
+
+class Outage:
+    """One outage of one run; `kill` and `serve` are of the relay, `pair` the two namespaces.
+
+    The caller calls `step` again and again from the first message on.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        run: RunSettings,
+        *,
+        pair: NamespacePair | None,
+        kill: Callable[[], object],
+        serve: Callable[[], object],
+    ) -> None:
+        self._by = OutageBy(cell.outage_by)
+        self._seconds = float(str(cell.outage))
+        self._run = run
+        self._pair = pair
+        self._kill = kill
+        self._serve = serve
+        self._due_s: float | None = None
+        self._began_ns = self._ended_ns = 0
+
+    def step(self, now_s: float) -> None:
+        """Begin or end the outage if it is time; the first call starts the clock."""
+        if self._due_s is None:
+            self._due_s = now_s + self._run.outage_after_seconds
+        if not self._began_ns and now_s >= self._due_s:
+            self._began_ns = time.monotonic_ns()
+            self._cut()
+        if self._began_ns and not self._ended_ns:
+            left_s = self._seconds - (time.monotonic_ns() - self._began_ns) / 1e9
+            if left_s <= _LONGEST_WAIT_S:
+                time.sleep(max(left_s, 0.0))
+                self._restore()
+                self._ended_ns = time.monotonic_ns()
+
+    def report(self) -> OutageReport | None:
+        """Return the outage; None if the run did not last until its end."""
+        if not self._ended_ns:
+            return None
+        return {
+            "by": self._by.value,
+            "seconds": self._seconds,
+            "began_ns": self._began_ns,
+            "ended_ns": self._ended_ns,
+            "limit_s": self._run.outage_limit_seconds,
+        }
+
+    @contextmanager
+    def repaired(self) -> Iterator[None]:
+        """Leave link and addresses as they were, however the run ends."""
+        try:
+            yield
+        finally:
+            if self._pair is not None:
+                self._pair.repair()
+
+    def _cut(self) -> None:
+        if self._by is OutageBy.RELAY:
+            self._kill()
+        else:
+            assert self._pair is not None  # the plan was checked
+            self._pair.cut(self._by)
+
+    def _restore(self) -> None:
+        if self._by is OutageBy.RELAY:
+            self._serve()
+        elif self._pair is not None:
+            self._pair.restore(self._by)
+
+
+_LONGEST_WAIT_S = 0.25
+"""Rest of an outage that is waited for at once: about a period of the caller's calls."""

@@ -1,0 +1,61 @@
+"""How many times as long a flow's messages take with other flows as without."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..book.numbers import whole_ns
+from ..book.verdicts import received_words, runs_words
+from .bridge_cost import BridgedCell, Cost, rounded
+from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..book.book import Book
+
+
+@dataclass(frozen=True, slots=True)
+class Interference(Faceted):
+    """Groups of flows with others -> p50 and p99 of the latency against the flow by itself."""
+
+    cells: Mapping[int, BridgedCell]
+
+
+def interference_info(book: Book) -> Interference:
+    """Collect `details.interference`."""
+    costs: dict[int, dict[str, Cost]] = {}
+    for row in book.analysis.details.interference.iter_rows(named=True):
+        difference_ns = whole_ns(row["difference_ns"])
+        if difference_ns is not None:
+            costs.setdefault(row["group"], {})[row["statistic"]] = Cost(
+                difference_ns,
+                whole_ns(row["difference_low_ns"]),
+                whole_ns(row["difference_high_ns"]),
+                rounded(row["ratio"]),
+                rounded(row["ratio_low"]),
+                rounded(row["ratio_high"]),
+                row["verdict"],
+                received_words(row),
+                runs_words(row),
+            )
+    cells = {group: BridgedCell(own, None) for group, own in costs.items()}
+    facet = Facet("plane", "place")
+    return Interference(facet, facet_panels(book, facet, cells.__contains__), cells)
+
+
+def interference_figure(info: Interference) -> Figure | LeftOut:
+    """Draw marks with intervals over messages."""
+    name, title = "interference", "What other flows cost"
+    how_to_read = (
+        "Each mark is how many times as long a message of a flow takes with the flows that its setting names as without, with its "
+        "95 % interval and the difference; an interval that reaches the line shows no difference that these samples can prove."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "no flow was recorded both by itself and with others.")
+    cells = {str(group): cell for group, cell in info.cells.items()}
+    return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
+
+
+FIGURE = FigureMaker(interference_info, interference_figure)

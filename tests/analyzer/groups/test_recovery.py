@@ -1,0 +1,100 @@
+"""Coming back after an outage whose begin and end are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from trace_files import RUN_ID, Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
+
+from dds_trace.analyzer.groups.freshness import late_by
+from dds_trace.analyzer.pipeline import analyze
+
+MS, S = 1_000_000, 1_000_000_000
+BEGAN_NS, ENDED_NS = 2 * S, 5 * S
+
+
+def message(sequence):
+    sent = sequence * 100 * MS
+    return Message(sequence, t0=sent, t1=sent, t3=sent + MS, t4=sent + MS, t2=sent + 2 * MS)
+
+
+def lost(one):
+    return replace(one, t2=None, t3=None, t4=None)
+
+
+def campaign(folder, messages, limit_s=3.0):
+    fields = {"run_id": RUN_ID}
+    described = run(planned_messages=len(messages), published=len(messages), relay_domain_id=10)
+    write_trace(folder / "ping.mcap", ping_session(), [described], ping_events(messages, **fields))
+    outage = {
+        "run_id": f"{RUN_ID:016x}",
+        "by": "link",
+        "seconds": 3.0,
+        "began_ns": BEGAN_NS,
+        "ended_ns": ENDED_NS,
+        "limit_s": limit_s,
+    }
+    host = [{"monotonic_ns": ENDED_NS, "outage": outage}]
+    write_trace(folder / "relay.mcap", relay_session(), (), relay_events(messages, **fields), host=host)
+    return analyze(folder)
+
+
+def cut(sequence):
+    """Ten messages a second; those of the outage are lost but the last five, which arrive when the link has been up for 0.4 s."""
+    one = message(sequence)
+    if not BEGAN_NS <= one.t1 < ENDED_NS:
+        return one
+    if one.t1 < ENDED_NS - 500 * MS:
+        return lost(one)
+    back = ENDED_NS + 400 * MS
+    return replace(one, t3=back, t4=back + MS, t2=back + 20 * MS)
+
+
+def test_the_known_time_from_link_up_to_the_first_message_each_way_comes_back(tmp_path):
+    messages = [cut(sequence) for sequence in range(80)]
+    messages = [lost(one) if ENDED_NS <= one.t1 < ENDED_NS + 300 * MS else one for one in messages]
+    # What leaves once the link is up overtakes nothing: it comes after what is replayed.
+    later = [one for one in messages if one.t1 >= ENDED_NS + 300 * MS]
+    messages = [replace(one, t3=one.t3 + S, t4=one.t4 + S, t2=one.t2 + S) if one in later else one for one in messages]
+    (row,) = campaign(tmp_path, messages).details.recoveries.to_dicts()
+    assert row["by"] == "link"
+    assert row["outage_ns"] == 3 * S
+    assert row["out_ns"] == pytest.approx(400 * MS, abs=50 * MS)
+    assert row["back_ns"] == pytest.approx(420 * MS, abs=50 * MS)
+    assert (row["never"], row["lost_within"], row["replayed"], row["lost_after"]) == (False, 25, 5, 3)
+    assert (row["reordered"], row["duplicates"]) == (0, 0)
+
+
+def test_never_is_told_from_slow_by_the_stated_limit(tmp_path, sentences):
+    messages = [message(s) if message(s).t1 < BEGAN_NS else lost(message(s)) for s in range(80)]
+    analysis = campaign(tmp_path, messages)
+    (row,) = analysis.details.recoveries.to_dicts()
+    assert (row["never"], row["out_ns"], row["back_ns"]) == (True, None, None)
+    (finding,) = [finding for finding in analysis.findings if finding.code == "never_came_back"]
+    sentences(finding.what)
+
+
+def test_a_reply_beyond_the_limit_is_never(tmp_path):
+    messages = [cut(sequence) for sequence in range(80)]
+    (row,) = campaign(tmp_path, messages, limit_s=0.001).details.recoveries.to_dicts()
+    assert row["never"] is True
+    assert row["back_ns"] == MS * 2  # the message that left at the very end
+
+
+def test_messages_are_late_by_what_their_gap_exceeds_the_period():
+    received = np.array([0, 10, 20, 45, 50, 60], np.int64)
+    late, empty = late_by(received, 10)
+    assert late.tolist() == [0, 0, 15, 0, 0]
+    # Loops at 0, 10 ... 60 find nothing new at 30; the message of 45 counts for the one at 50, as that of 50 does.
+    assert empty == 2
+    assert late_by(np.array([5], np.int64), 10)[1] == 0
+    assert late_by(np.array([0, 30, 20, 40], np.int64), 10)[0].tolist() == [20, 0]  # the third was overtaken
+
+
+def test_freshness_has_the_periods_of_a_control_loop_at_the_relay(tmp_path):
+    messages = [message(sequence) for sequence in range(50)]
+    messages[20] = replace(messages[20], t3=messages[20].t3 + 40 * MS, t4=messages[20].t4 + 40 * MS)
+    (row,) = campaign(tmp_path, messages).details.freshness.to_dicts()
+    assert (row["period_ns"], row["late_by_max_ns"], row["empty_periods"]) == (100 * MS, 40 * MS, 0)

@@ -1,0 +1,100 @@
+"""Flows and outages over real sockets: recorded together, cut, killed, and what an analysis makes of them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from namespaces import needs_namespaces
+
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
+
+pytestmark = [pytest.mark.middleware, pytest.mark.timeout(120)]
+
+FLOWS = """
+[run]
+seconds = 1
+warmup = 2
+settle_seconds = 0
+domain = {domain}
+own_cost_passes = 1
+[axes]
+backend = "socket"
+[[flows]]
+name = "images"
+size = "200KB"
+rate = 20
+[[flows]]
+name = "odom"
+data = "binary"
+size = "100"
+rate = 100
+"""
+
+OUTAGE = """
+[run]
+warmup = 2
+settle_seconds = 0
+outage_after_seconds = 0.5
+outage_limit_seconds = {limit}
+domain = {domain}
+{network}
+[axes]
+backend = "socket"
+size = "1KB"
+rate = 50
+outage = {seconds}
+outage_by = "{by}"
+"""
+
+
+def sweep(tmp_path, text):
+    plan = tmp_path / "p.toml"
+    plan.write_text(text)
+    # Not by the stand-ins of `processes`, which would stay outside of a namespace.
+    command = [sys.executable, "-m", "dds_trace.cli.sweep", plan, "--out", tmp_path / "runs", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_two_flows_of_one_kind_of_data_share_a_relay_and_run_together(tmp_path, domain_id):
+    assert sweep(tmp_path, FLOWS.format(domain=domain_id))["cells"] == 4
+    spans, relays = {}, set()
+    for path in (tmp_path / "runs/p").glob("*.ping.mcap"):
+        trace = read_trace(path)
+        sent = trace.events[Stage.T1].monotonic_ns
+        spans[trace.runs[0].labels["cell"]] = int(sent[0]), int(sent[-1])
+        relays |= {session.session_id for session in read_trace(str(path).replace(".ping.", ".relay.")).sessions}
+    together = [span for name, span in spans.items() if "_with-" in name]
+    assert max(start for start, _ in together) < min(end for _, end in together)
+    analysis = analyze(tmp_path / "runs/p")
+    assert analysis.summary.height == 4
+    assert set(analysis.details.interference["flow"]) == {"images", "odom"}
+    assert set(analysis.details.head_of_line["other"]) == {"images", "odom"}
+    codes = {finding.code for finding in analysis.findings}
+    assert not {"overlapping_pings", "forged_or_foreign", "nothing_received"} & codes
+
+
+def test_a_killed_relay_is_started_anew_and_the_first_reply_after_that_is_timed(tmp_path, domain_id):
+    sweep(tmp_path, OUTAGE.format(limit=8, domain=domain_id, network="", seconds=0.5, by="relay"))
+    (row,) = analyze(tmp_path / "runs/p").details.recoveries.to_dicts()
+    assert (row["by"], row["never"]) == ("relay", False)
+    assert row["outage_ns"] >= 500_000_000
+    assert row["back_ns"] >= row["out_ns"] > 0
+    assert row["lost_within"] > 0
+
+
+@needs_namespaces("tc", "iproute2")
+@pytest.mark.parametrize("by", ["link", "loss"])
+def test_a_link_that_is_cut_comes_back(tmp_path, domain_id, by):
+    network = "[network]\nnamespaces = true\n"
+    sweep(tmp_path, OUTAGE.format(limit=4, domain=domain_id, network=network, seconds=0.4, by=by))
+    (row,) = analyze(tmp_path / "runs/p").details.recoveries.to_dicts()
+    assert (row["by"], row["never"]) == (by, False)
+    assert row["outage_ns"] >= 400_000_000
+    assert row["replayed"] > 0  # TCP sends again what was lost

@@ -50,7 +50,7 @@ def disturbed_flows(evidence: Evidence) -> Iterator[Observation]:
     Severity.WARNING,
     Subject.RESULT,
     "They queue after it, in the middleware, in a process that takes one message at a time, or on the link: a smaller fragment, a node "
-    "or a connection of its own for one of the flows, or a priority may let them pass.",
+    "or a connection of its own for one of the flows, or a priority may help.",
 )
 def waiting_flows(evidence: Evidence) -> Iterator[Observation]:
     """Messages of a flow wait until a message of another flow is through."""

@@ -155,7 +155,8 @@ def outages(evidence: Evidence) -> Iterator[Observation]:
     "never_came_back",
     Severity.WARNING,
     Subject.RUN,
-    "Start one side again after such an outage, or choose a setup that comes back; a larger outage_limit_seconds separates slow from never.",
+    "Starting one side again after such an outage, or a setup that comes back, may help; a larger outage_limit_seconds separates slow "
+    "from never.",
 )
 def lost_connections(evidence: Evidence) -> Iterator[Observation]:
     """Nothing came back after an outage that the sweep made."""

@@ -68,8 +68,8 @@ def shared_counts(evidence: Evidence) -> Iterator[Observation]:
     "carried_twice",
     Severity.WARNING,
     Subject.RESULT,
-    "The slower of the two takes part of every message: name one interface on both sides (NetworkInterface in CYCLONEDDS_URI, "
-    "interfaceWhiteList in a Fast DDS profile), or switch the other off.",
+    "The slower of the two takes part of every message: one interface on both sides (NetworkInterface in CYCLONEDDS_URI, "
+    "interfaceWhiteList in a Fast DDS profile), or the other one switched off, may help.",
 )
 def messages_carried_twice(evidence: Evidence) -> Iterator[Observation]:
     """Messages left on two interfaces at once."""

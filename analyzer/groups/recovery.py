@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, TypedDict
 
 import polars as pl
 
+from dds_trace.base.limits import STORED_TIME_NS
+
 from ..model.foreign import number_of, object_of
 from ..model.metrics import frame_schema
 
@@ -45,12 +47,15 @@ def read_outages(traces: Iterable[Trace]) -> dict[int, OutageTimes]:
                 run_id = int(str(outage.get("run_id")), 16)
             except ValueError:
                 continue
-            if began_ns is not None and ended_ns is not None and limit_s is not None:
+            if None in (began_ns, ended_ns, limit_s):
+                continue
+            times = int(began_ns or 0), int(ended_ns or 0), round((limit_s or 0) * 1e9)
+            if all(STORED_TIME_NS.fault(time_ns) is None for time_ns in times):
                 outages[run_id] = {
                     "by": str(outage.get("by")),
-                    "began_ns": int(began_ns),
-                    "ended_ns": int(ended_ns),
-                    "limit_ns": round(limit_s * 1e9),
+                    "began_ns": times[0],
+                    "ended_ns": times[1],
+                    "limit_ns": times[2],
                 }
     return outages
 

@@ -87,7 +87,14 @@ def _with_flows(groups: pl.DataFrame) -> pl.DataFrame:
         pl.Series("with_flows", ["+".join(others) for _, others in flows], pl.String),
         pl.Series("others", [_without(setting, FLOW, WITH, FLOWS) for setting in settings], pl.String),
         pl.Series("shared", [_without(setting, FLOW, WITH, FLOWS, *_OF_A_FLOW) for setting in settings], pl.String),
-    ).filter(pl.col("flow") != "")
+        pl.Series("is_planned", [_ran_as_planned(setting) for setting in settings], pl.Boolean),
+    ).filter(pl.col("flow") != "", "is_planned")
+
+
+def _ran_as_planned(setting: str) -> bool:
+    """Return whether as many runs went on at the same time as the flows that the setting names."""
+    _, others = flows_of(setting)
+    return parse_setting(setting).get(FLOWS, "1") == str(len(others) + 1)
 
 
 def find_interference(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:

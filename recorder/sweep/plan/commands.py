@@ -64,7 +64,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *(("--label", f"{AGAINST_LABEL}={partner}") if partner else ()),
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
         *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
-        *(_outage_arguments(plan, cell) if cell.outage else ()),
+        *_outage_arguments(plan, cell),
         *(("--flow", cell.flow, "--setting", f"flow={cell.flow}") if cell.flow else ()),
         *(("--setting", f"with={'+'.join(cell.with_flows)}") if cell.with_flows else ()),
         *_common_arguments(plan, plan.ping, cell.repeat, is_single=not cell.with_flows),
@@ -72,9 +72,13 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
 
 
 def _outage_arguments(plan: Plan, cell: Cell) -> list[str]:
+    kind = (
+        ["--setting", f"outage_by={cell.outage_by}"] if cell.outage or cell.outage_by != DEFAULTS["outage_by"] else []
+    )
+    if not cell.outage:
+        return kind
     patience_s = plan.run.outage_after_seconds + cell.outage + plan.run.outage_limit_seconds
-    settings = ("--setting", f"outage={cell.outage:g}s", "--setting", f"outage_by={cell.outage_by}")
-    return [*settings, "--patience", f"{patience_s:g}"]
+    return [*kind, "--setting", f"outage={cell.outage:g}s", "--patience", f"{patience_s:g}"]
 
 
 def _common_arguments(plan: Plan, device: DeviceSettings, number: int, *, is_single: bool = True) -> list[str]:

@@ -28,7 +28,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-ARRAYS = {"axes", "matrix", "exclude"}
+ARRAYS = {"axes", "matrix", "exclude", "flows"}
 MOST_SCHEDULED = 1000
 
 SCHEMA = jsonschema.Draft202012Validator(plan_schema())
@@ -40,7 +40,7 @@ BEYOND_A_SCHEMA = (
     r"Exceeds the limit|nested deeper",  # no TOML
     r"size '|size is (\d|a number)|--data ",  # what a text means: more than the largest size, no topic's name
     r"has nothing to record|is there twice|has a name of|are more than the|takes more than a year|has more than|would be repeat",
-    r"are both|does not know where|needs? both devices|must be below max_rate|an outage has|file has rate",  # rules of several keys
+    r"are both|does not know where|needs? both devices|must be below max_rate|an outage has|file has rate|needs the two sides|\[\[flows\]\]",  # rules of several keys
 )
 """Refusals of the parser that the schema does not make, each for the reason beside it."""
 

@@ -22,7 +22,13 @@ from dds_trace.recorder.sweep.plan.commands import ping_arguments, relay_argumen
 from dds_trace.recorder.sweep.plan.link import PRESETS
 from dds_trace.recorder.sweep.plan.plan import Plan
 
-OTHER = {"data": "string", "rmw": "rmw_cyclonedds_cpp", "relay_rmw": "rmw_cyclonedds_cpp", "size": 1000}
+OTHER = {
+    "data": "string",
+    "rmw": "rmw_cyclonedds_cpp",
+    "relay_rmw": "rmw_cyclonedds_cpp",
+    "size": 1000,
+    "outage_by": "loss",
+}
 """Values of axes without a table of choices, where a plain other value of the kind would not do."""
 
 

@@ -39,7 +39,13 @@ CHANGES = {name: {bool: True, int: 3, float: 3.0}.get(axis.kind, "other") for na
     "congestion_control": "reno",
     "load": "cpu",
     "security": "sign",
+    "outage": 3.0,
+    "outage_by": "loss",
+    "priority": 3,
+    "when_full": "drop",
     "repeat": 2,
+    "flow": "imu",
+    "with_flows": ("camera",),
 }
 
 
@@ -50,7 +56,7 @@ def test_every_parameter_shows_in_the_name():
 
 
 def test_every_axis_is_a_field_and_a_relay_differs_only_in_those_that_concern_it():
-    assert {*AXES, "repeat"} == {field.name for field in fields(Cell)}
+    assert {*AXES, "repeat", "flow", "with_flows"} == {field.name for field in fields(Cell)}
     given = Cell(**{name: CHANGES[name] for name in AXES if name != "bridge"})
     changed = {name for name in AXES if getattr(given.relay, name) != getattr(Cell(), name)}
     assert changed == set(RELAY_AXES)

@@ -37,7 +37,7 @@ QUALITY = 80
 
 TWO_LINKS = "gallery+emulated-link"
 
-CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks")
+CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks", "flows", "outages")
 """Folders of docs/results/, joined by + where they are analyzed together; where the first has no such figure, the next is looked at."""
 
 
@@ -73,6 +73,8 @@ CAMPAIGN_OF: Mapping[str, tuple[str, str]] = {
     "ecdf": ("gallery", "502 KB"),
     "timeline": ("emulated-link", LINK_CELL),
     "host_load": ("gallery", "502 KB"),
+    "interference": ("flows", ""),
+    "recovery": ("outages", ""),
 }
 """Figure -> campaign and message that show it well; others are taken of `gallery`."""
 

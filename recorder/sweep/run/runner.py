@@ -409,7 +409,9 @@ class Runner:
             self.state[name] = replace(cell, killed_segment="")
         for name, cell in cells.items():
             is_silent = cell.result is None or not cell.result.received
-            if device.keeps_traces or counts.get(int(cell.run_id, 16)) or is_silent:
+            # After an outage a new relay may never get a message; the killed one has the others.
+            is_expected = device.keeps_traces or is_silent or cell.outage is not None
+            if is_expected or counts.get(int(cell.run_id, 16)):
                 self.state[name] = replace(cell, status=Status.COMPLETE, segment="")
             else:
                 self.state[name] = replace(cell, status=Status.FAILED, segment="", reason="its relay trace is lost")

@@ -59,3 +59,11 @@ def qos_of(policies: Any) -> Qos:
         if policy in policies
     }
     return Qos(reliability, durability, "", 0, duration_extra(durations_ns))
+
+
+def priority_of(writer: Any) -> int:
+    """Return the transport priority that a writer reports, 0 without one."""
+    from cyclonedds.qos import Policy
+
+    qos = writer.get_qos()
+    return int(qos[Policy.TransportPriority].priority) if Policy.TransportPriority in qos else 0

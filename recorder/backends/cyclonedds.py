@@ -22,7 +22,7 @@ from dds_trace.base.units import SECOND_NS
 from ..choices import Security
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
-from .cyclone_policies import cyclone_qos, qos_of
+from .cyclone_policies import cyclone_qos, priority_of, qos_of
 from .cyclone_security import loaded_plugins, name_of_participant, security_settings, unlike_participant
 from .cyclone_settings import cyclone_loopback, cyclone_settings
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
@@ -106,7 +106,7 @@ class CycloneNode(ThreadedNode):
         requested = cyclone_qos(qos or self.options.qos, self.options.priority)
         writer = DataWriter(self._participant, self._topic(topic, type_name), qos=requested)
         if self.options.priority is not None:
-            self.publisher_settings = {"priority": str(_priority_of(writer))}
+            self.publisher_settings = {"priority": str(priority_of(writer))}
         publisher = _CyclonePublisher(topic, writer)
         self._writers.append(publisher)
         return publisher
@@ -415,13 +415,6 @@ def _member_type(text: str) -> Any:
     if length is None:
         return element
     return idl.array[element, length] if length else idl.sequence[element]
-
-
-def _priority_of(writer: Any) -> int:
-    from cyclonedds.qos import Policy
-
-    qos = writer.get_qos()
-    return int(qos[Policy.TransportPriority].priority) if Policy.TransportPriority in qos else 0
 
 
 def _delete(entity: Any) -> None:

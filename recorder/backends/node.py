@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections import Counter
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_checkable
@@ -15,6 +14,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
+from .strangers import Strangers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping
@@ -279,35 +279,6 @@ class TapNode(Protocol):
 
     def first_member(self, type_name: str) -> str | None:
         """Return the type of a message's first member as in a `.msg` file; None if the node does not know it."""
-
-
-class Strangers:
-    """Counts of what peers sent and this process did not accept, by kind.
-
-    Accepted messages never pay for its lock.
-    """
-
-    def __init__(self) -> None:
-        self._counts: Counter[str] = Counter()
-        self._lock = threading.Lock()
-        self._noted: set[str] = set()
-
-    def count(self, kind: str, number: int = 1) -> None:
-        """Count one of `kind`, words for people in the singular."""
-        with self._lock:
-            self._counts[kind] += number
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Kind -> number so far."""
-        with self._lock:
-            return dict(self._counts)
-
-    def take_new(self) -> list[str]:
-        """Return the kinds that came since the last call, each once."""
-        new = sorted(self.counts.keys() - self._noted)
-        self._noted.update(new)
-        return new
 
 
 class Node(ABC):

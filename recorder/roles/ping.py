@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from ..backends.node import Node, RawMessage, RosMessage, Strangers
+    from ..backends.node import Node, RawMessage, RosMessage
+    from ..backends.strangers import Strangers
     from ..host.clock import Clock
     from ..payloads.base import Feed
     from .lanes import Lane

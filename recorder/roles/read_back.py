@@ -48,7 +48,7 @@ class ReadBack:
         )
         self._node = node
         priority, when_full = options.priority, options.when_full
-        self._of_publishers = {
+        self._publisher_settings = {
             **({} if priority is None else {"priority": str(priority)}),
             **({} if when_full is WhenFull.DEFAULT else {"when_full": when_full.value}),
         }
@@ -76,7 +76,7 @@ class ReadBack:
         used = self._node.publisher_settings
         return (
             differences(self.requested, applied, traffic)
-            + publisher_differences(self._of_publishers, used)
+            + publisher_differences(self._publisher_settings, used)
             + self._unsecured()
         )
 

@@ -19,7 +19,8 @@ from ..host.fingerprint import host_fingerprint, read_boot_id
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from ..backends.node import Node, Strangers
+    from ..backends.node import Node
+    from ..backends.strangers import Strangers
     from ..host.clock import ClockAnchor
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.recorder.backends.node import Middleware, NodeOptions, Strangers, TopicView
+from dds_trace.recorder.backends.node import Middleware, NodeOptions, TopicView
+from dds_trace.recorder.backends.strangers import Strangers
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.threads import FastLock
 
-from ..node import ROUND_S, Strangers
+from ..node import ROUND_S
 from .greeting import (
     CROWD,
     HALF_OPEN,
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from ...security.tls import TlsSocket
     from ..node import RawMessage
+    from ..strangers import Strangers
     from .greeting import Address, Receivers
 
 HALF_OPEN_S = 5.0

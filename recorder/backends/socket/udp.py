@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ..node import ROUND_S, Strangers
+from ..node import ROUND_S
 from .greeting import (
     CROWD,
     MALFORMED,
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ..node import RawMessage
+    from ..strangers import Strangers
     from .greeting import Address, Receivers
 
 FRAGMENT_BYTES = 60_000

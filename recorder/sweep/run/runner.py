@@ -15,7 +15,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from dds_trace.base.errors import BackendUnavailableError, OptionError, TraceError, TraceFormatError
+from dds_trace.base.errors import BackendUnavailableError, TraceError, TraceFormatError
 from dds_trace.base.files import output_error
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.ring import ring_path
@@ -26,6 +26,7 @@ from ..plan.commands import half_arguments, ping_arguments, relay_arguments
 from ..plan.flows import recorded_together
 from ..plan.schedule import Estimate, start_lead_s
 from ..station.programs import Program
+from .group_relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
 from .outage import Outage
 from .result import read_result
 from .split import CellPart, split_relay_trace
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from ..plan.link import LinkReport
     from ..plan.plan import Plan
     from ..plan.schedule import CellGroup
-    from ..station.devices import RelayDevice, StartedProgram
     from ..station.station import Station
     from .outage import OutageReport
     from .progress import SweepProgress
@@ -54,79 +54,6 @@ START_POLL_S = 0.01
 
 ENDED_CODES = (0, RelayLostError.exit_code)
 """Exit codes of a ping whose trace counts: while the relay runs, silence is the loss that the cell measures."""
-
-HOPELESS_EXIT_CODES = {OptionError.exit_code, BackendUnavailableError.exit_code}
-"""Exit codes of `dds-record` that another attempt would repeat."""
-
-
-class CellFailedError(Exception):
-    """Failure of an attempt; `hopeless` if another one would fail the same way."""
-
-    def __init__(self, reason: str, *, hopeless: bool = False) -> None:
-        super().__init__(reason)
-        self.hopeless = hopeless
-
-
-class GroupRelay:
-    """The relay of a group of cells with its half of a bridge; after it ends by itself a new segment follows."""
-
-    def __init__(
-        self, device: RelayDevice, arguments: Sequence[str], half: Sequence[str] | None, new_segments: Iterator[str]
-    ) -> None:
-        self._device = device
-        self._arguments = arguments
-        self._half = half
-        self._new_segments = new_segments
-        self._segments: list[str] = []
-        self._running: dict[str, StartedProgram] = {}
-        self._hopeless: CellFailedError | None = None
-
-    def serve(self) -> str:
-        """Start the relay unless it runs, and return its segment."""
-        if self._hopeless is not None:
-            raise self._hopeless
-        if not self._running:
-            segment = next(self._new_segments)
-            self._segments.append(segment)
-            self._running["relay"] = self._device.start(self._arguments, segment)
-            if self._half is not None:
-                self._running["bridge's half"] = self._device.start_half(self._half, segment)
-        return self.segment
-
-    def check(self) -> None:
-        """Raise a `CellFailedError` if a program has ended by itself."""
-        ended = next((name for name, program in self._running.items() if program.failure is not None), None)
-        if ended is None:
-            return
-        failure = CellFailedError(
-            f"the {ended} ended: {self._running[ended].failure}",
-            hopeless=self._running[ended].exit_code in HOPELESS_EXIT_CODES,
-        )
-        self.stop()
-        if failure.hopeless:
-            self._hopeless = failure
-        raise failure
-
-    @property
-    def segment(self) -> str:
-        """The latest segment."""
-        return self._segments[-1]
-
-    def kill(self) -> None:
-        """Kill the relay, so that the next `serve` starts another one."""
-        self._running.pop("relay").kill()
-        self.end()
-
-    def end(self) -> None:
-        """Stop the programs that still run."""
-        for program in reversed(self._running.values()):
-            program.stop()
-        self._running.clear()
-
-    def stop(self) -> list[str]:
-        """Stop the programs and return the names of all segments."""
-        self.end()
-        return self._segments
 
 
 def _wait_for_all(programs: Iterable[Program], poll_s: float) -> list[int] | None:

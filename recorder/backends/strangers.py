@@ -1,0 +1,35 @@
+"""Counts of what peers sent and this process did not accept."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+
+
+class Strangers:
+    """Counts of what peers sent and this process did not accept, by kind.
+
+    Accepted messages never pay for its lock.
+    """
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._noted: set[str] = set()
+
+    def count(self, kind: str, number: int = 1) -> None:
+        """Count one of `kind`, words for people in the singular."""
+        with self._lock:
+            self._counts[kind] += number
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Kind -> number so far."""
+        with self._lock:
+            return dict(self._counts)
+
+    def take_new(self) -> list[str]:
+        """Return the kinds that came since the last call, each once."""
+        new = sorted(self.counts.keys() - self._noted)
+        self._noted.update(new)
+        return new

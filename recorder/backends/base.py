@@ -56,7 +56,7 @@ class Backend:
         has_congestion_control: whether TCP's congestion control can be chosen.
         security: levels besides `off`.
         priorities: priorities that messages can have, None for none.
-        can_drop: whether a publisher can be told to block or to drop when the link is full.
+        can_drop: whether a publisher can block or drop, as requested, when the link is full.
         environment: variables and files that configure it.
         check_settings: raises an `OptionError` for further options that have no effect.
     """

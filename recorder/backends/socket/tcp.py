@@ -1,7 +1,6 @@
 """Frames over TCP connections, without Nagle's delay.
 
-A thread for each connection waits in a blocking read: a selector and non-blocking reads cost 80 to 120 us a message
-(`benchmarks/bench_node.py`). The callbacks run one at a time.
+A thread for each connection blocks in its read: a selector costs 80 to 120 us (`benchmarks/bench_node.py`); callbacks take turns.
 """
 
 from __future__ import annotations

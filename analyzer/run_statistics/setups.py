@@ -91,8 +91,8 @@ def pooled_variance(residuals: Float64) -> tuple[float, float]:
     """Return the variance of a run and its effective degrees of freedom; `residuals` has shape (kinds, repeats)."""
     kinds, repeats = residuals.shape
     gram = residuals.T @ residuals / (repeats - 1)
-    trace, of_square = float(np.trace(gram)), float(np.square(gram).sum())
-    degrees = (repeats - 1) * (trace**2 / of_square if of_square else 1.0)
+    trace, square_sum = float(np.trace(gram)), float(np.square(gram).sum())
+    degrees = (repeats - 1) * (trace**2 / square_sum if of_square else 1.0)
     return trace / kinds, degrees
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 TAIL_ONLY = 0.05
 """Part of the significance level for a difference at p99 where the medians do not differ: two verdicts err little more than one."""
 
-OF_TWO = 0.9
+PAIR_LEVEL = 0.9
 """Part of the significance level for the only pair of a kind of message: Welch's test errs a little more where spreads are unlike."""
 
 
@@ -284,7 +284,7 @@ def _pair(
         *names,
         p_value=1.0
         if p_value is None or not (is_interleaved or trust_order)
-        else min(1.0, p_value / (OF_TWO if len(kind.setups) == 2 else 1.0)),
+        else min(1.0, p_value / (PAIR_LEVEL if len(kind.setups) == 2 else 1.0)),
         ratio=1.0 if ratio is None else ratio,
         is_interleaved=is_interleaved,
         means=tested,

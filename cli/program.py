@@ -48,7 +48,7 @@ def run_program(
     def run() -> None:
         chosen = completed or (given[0] if given and given[0] in commands else None)
         if chosen is None:
-            _refuse_misspelt(name, commands, given)
+            refuse_misspelt(name, commands, given)
         command = typer.main.get_command(app if chosen is None else commands[chosen])
         if adapt is not None:
             adapt(command)
@@ -60,12 +60,16 @@ def run_program(
     run_command(run, needs_stdout=needs_stdout)
 
 
-def _refuse_misspelt(name: str, commands: Collection[str], given: Sequence[str]) -> None:
-    """Raise an `OptionError` if the first word is no path and nearly a command."""
+def refuse_misspelt(name: str, commands: Collection[str], given: Sequence[str], *, takes_paths: bool = True) -> None:
+    """Raise an `OptionError` if the first word is nearly a command, or no command where there are no paths."""
     word = given[0] if given else "-"
     meant = get_close_matches(word, commands, n=1, cutoff=CLOSE_ENOUGH)
-    if meant and not word.startswith("-") and not Path(word).exists():
-        raise OptionError(f"there is no file or folder {word}; did you mean `{name} {meant[0]}`?")
+    if word.startswith("-") or (takes_paths and (not meant or Path(word).exists())):
+        return
+    what = "file or folder" if takes_paths else "command"
+    raise OptionError(
+        f"there is no {what} {word}; " + (f"did you mean `{name} {meant[0]}`?" if meant else "see --help")
+    )
 
 
 def take_completed_command(program: str, app: typer.Typer, commands: Collection[str]) -> str | None:

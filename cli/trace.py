@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 import sys
-from difflib import get_close_matches
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
-from dds_trace.base.errors import OptionError
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OPTIONS
 
-from .program import run_command, take_completed_command
+from .program import refuse_misspelt, run_command, take_completed_command
 from .quick_help import Version, argument, command_app, declare_command, starting
 
 if TYPE_CHECKING:
@@ -83,12 +81,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif word in _OF_ANALYZE:
         _main_of("analyze")(given, name=PROGRAM, adapt=_adapt)
     elif word not in _MODULES:
-        is_command = not word.startswith("-")
-        run_command(partial(_refuse, word) if is_command else partial(app, given or [word], prog_name=PROGRAM))
+        run_command(partial(_show_help, given or [word]))
     elif word == "record":
         _record(given[1:], is_completed=completed is not None)
     else:
         _main_of(word)(given[1:], name=PROGRAM if completed else f"{PROGRAM} {word}", adapt=_adapt)
+
+
+def _show_help(given: list[str]) -> None:
+    refuse_misspelt(PROGRAM, (*_MODULES, *_OF_ANALYZE), given, takes_paths=False)
+    app(given, prog_name=PROGRAM)
 
 
 def _record(given: list[str], *, is_completed: bool) -> None:
@@ -112,13 +114,6 @@ def _complete(word: str, command: str) -> None:
 
 def _main_of(word: str) -> Any:
     return import_module(_MODULES[word], __package__).main
-
-
-def _refuse(word: str) -> None:
-    meant = get_close_matches(word, (*_MODULES, *_OF_ANALYZE), n=1)
-    raise OptionError(
-        f"there is no command {word}; " + (f"did you mean `{PROGRAM} {meant[0]}`?" if meant else "see --help")
-    )
 
 
 _NAMES = (

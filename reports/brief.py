@@ -12,20 +12,10 @@ from dds_trace.analyzer.verdicts.answers import Clarity
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
+from .book.answer import PointKind
 from .book.findings import severity_counts
 from .book.groups import data_type_label
-from .book.headline import (
-    COMPARED,
-    MOST_NAMED,
-    avoid_sentence,
-    bridge_facts,
-    bridge_sentence,
-    by_outcome,
-    fastest_words,
-    loss_sentence,
-    size_span,
-    winner_sentences,
-)
+from .book.headline import COMPARED, MOST_NAMED, bridge_facts, by_outcome, fastest_words, size_span
 from .book.outcomes import answers_by_kind, outcome_of, places_alike, shown_case, stretches
 from .book.verdicts import contender_labels
 
@@ -43,6 +33,8 @@ MOST_SETUPS = 4
 INLINE_BAR, BAR = 5, 30
 """Cells of the longest bar in a line of all setups, and in a line of its own."""
 
+LOSSES = (PointKind.LOSS, PointKind.AVOID)
+
 PASS, FAIL, OPEN = ("✓", "green"), ("✗", "red"), ("·", "dim")
 
 
@@ -55,22 +47,18 @@ def brief_lines(book: Book) -> list[Text]:
     title = book.overview.title + (f": {measured.replace(' in ', f' {noun} in ', 1)}" if measured else "")
     parts = [_wrapped(title, "", "bold")]
     vendors = book.groups.vendors
-    losses = {loss_sentence(book.groups, book.values), avoid_sentence(answers, vendors)}
-    sentences = (answer.headline, *answer.points)
-    parts += [_marked(FAIL, sentence) for sentence in sentences if sentence in losses]
+    parts += [_marked(FAIL, sentence) for kind, sentence in answer.sentences if kind in LOSSES]
     thresholds = _thresholds(book)
     parts += [thresholds] if thresholds else []
-    winners: set[str] = set()
-    if any(outcome_of(case).is_decided for case in answers):
-        winners = set(winner_sentences(answers, vendors))
+    if PointKind.FASTEST in answer.kinds:
         parts += _winners(answers, contender_labels(answers, vendors))
-    costs = book.analysis.details.bridge_costs
-    bridges = bridge_sentence(costs, vendors)
-    for sentence in sentences:
-        if sentence == bridges:
-            facts = [words.replace(" as long", "") for words in bridge_facts(costs, vendors)]
+    for kind, sentence in answer.sentences:
+        if kind is PointKind.BRIDGE:
+            facts = [
+                words.replace(" as long", "") for words in bridge_facts(book.analysis.details.bridge_costs, vendors)
+            ]
             parts.append([*_wrapped(COMPARED, "", "bold"), *(line for fact in facts for line in _marked(PASS, fact))])
-        elif sentence not in losses | winners:
+        elif kind not in (*LOSSES, PointKind.FASTEST):
             parts.append(_marked(OPEN, sentence))
     return _fitted(parts, "" if book.shows_all else _more(book))
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, TypeAlias
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 from dds_trace.base.version import __version__
 
+from .book.answer import PointKind
 from .book.groups import data_type_label
-from .book.headline import loss_sentence, winner_sentences
+from .book.headline import winner_sentences
 from .book.outcomes import answers_by_kind, outcome_of, places_alike, shown_case
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
@@ -90,7 +91,7 @@ class Measured:
 
 def render(book: Book) -> str:
     """Return the card as SVG."""
-    return _svg_text(_verdict(book)[0], card_marks(book))
+    return _svg_text(_verdict(book)[1], card_marks(book))
 
 
 def _svg_text(title: str, marks: Sequence[Mark]) -> str:
@@ -106,7 +107,7 @@ def write_card(book: Book, folder: Path, say: Callable[[str], None]) -> list[Pat
     """Write card.svg and card.png; without matplotlib say how to get it, and write only the first."""
     svg, png = folder / "card.svg", folder / "card.png"
     marks = card_marks(book)
-    svg.write_text(_svg_text(_verdict(book)[0], marks), encoding="utf-8")
+    svg.write_text(_svg_text(_verdict(book)[1], marks), encoding="utf-8")
     try:
         _draw_png(marks, png)
     except ModuleNotFoundError:
@@ -118,7 +119,7 @@ def write_card(book: Book, folder: Path, say: Callable[[str], None]) -> list[Pat
 def card_marks(book: Book) -> list[Mark]:
     """Lay the card out: what and when, the sentence, losses, dots, place and versions."""
     facts = {fact.label: fact.value for fact in book.overview.facts}
-    sentence, cases = _verdict(book)
+    kind, sentence, cases = _verdict(book)
     case = shown_case(cases) if cases else None
     compared = _compared(book, case, cases) if case else []
     rows = [row for answer in compared for row in _measured(book, answer)]
@@ -129,8 +130,7 @@ def card_marks(book: Book) -> list[Mark]:
         _line(EDGE, 66, 20, f"dds-trace: {book.overview.title}", wide - 20 * CHARACTER * (len(when) + 2), SOFT),
         Words(WIDTH - EDGE, 66, 20, when, SOFT, anchor="end"),
     ]
-    losses = loss_sentence(book.groups, book.values)
-    losses = "" if losses == sentence else losses
+    losses = "" if kind is PointKind.LOSS else dict(book.answer.sentences).get(PointKind.LOSS, "")
     pitch = min(56, 230 / max(1, len(rows)))
     bottom = 546 - pitch * len(rows) - (50 if rows else 0) - (38 if losses else 0)
     size, lines = _fitted(sentence, bottom - 84)
@@ -154,18 +154,18 @@ def card_marks(book: Book) -> list[Mark]:
     return marks
 
 
-def _verdict(book: Book) -> tuple[str, Sequence[CaseAnswer]]:
-    """Return the sentence, and the answers that it is about."""
+def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
+    """Return the sentence with its kind, and the answers that it is about."""
     answers = book.analysis.details.answers if book.answer.metric == "latency" else ()
     ordered = [kind for _, kind in sorted(answers_by_kind(answers), key=lambda item: (item[0][0] != "same", *item[0]))]
     for by_place in ordered:
         cases = by_place[places_alike(by_place)[0][0]]
         if any(outcome_of(case).is_decided for case in cases):
             every = [case for own in by_place.values() for case in own]
-            return winner_sentences(every, book.groups.vendors)[0], cases
-    losses = loss_sentence(book.groups, book.values)
-    sentence = next(words for words in (book.answer.headline, *book.answer.points, "") if words != losses)
-    return sentence or losses, ordered[0][places_alike(ordered[0])[0][0]] if ordered else ()
+            return PointKind.FASTEST, winner_sentences(every, book.groups.vendors)[0], cases
+    sentences = book.answer.sentences
+    kind, sentence = next((one for one in sentences if one[0] is not PointKind.LOSS), sentences[0])
+    return kind, sentence, ordered[0][places_alike(ordered[0])[0][0]] if ordered else ()
 
 
 def _compared(book: Book, case: CaseAnswer, cases: Sequence[CaseAnswer]) -> Sequence[CaseAnswer]:

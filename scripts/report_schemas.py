@@ -71,7 +71,7 @@ NULL_PARAMETERS = {"rmw", "relay_vendor", "relay_backend", "ping_domain_id", "re
 """Parameters of a group that are null without a relay's trace, or where they do not apply."""
 
 ADDED = {
-    Conclusion: {"points", "outcome"},
+    Conclusion: {"points", "outcome", "kinds"},
     DataVerdict: {"place", "within_one_run"},
     CaseAnswer: {"leader_p50", "leader_p99", "repeats_p50", "repeats_p99", "interleaved", "drift_ratio"},
     Finding: {"subject"},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
@@ -40,11 +41,27 @@ if TYPE_CHECKING:
     from .numbers import Intervals, Values
 
 
+class PointKind(str, Enum):
+    """Subject of a sentence."""
+
+    LOSS = "loss"
+    AVOID = "avoid"
+    FASTEST = "fastest"
+    UNDECIDED = "undecided"
+    TAIL = "tail"
+    PLACE = "place"
+    BRIDGE = "bridge"
+    WHERE = "where"
+    TOPIC = "topic"
+    NOTHING = "nothing"
+
+
 @dataclass(frozen=True, slots=True)
 class Conclusion:
     """Headline and sentences of a report; `points` follow the headline, `remarks` are numbers, `rule` defines `clearly`.
 
     `outcome` is `decided`, `open`, or `lossy` where a report advises against a setup; empty where the headline is of few losses.
+    `kinds` are of the headline and each of the points.
     """
 
     headline: str
@@ -54,6 +71,12 @@ class Conclusion:
     rule: str
     points: tuple[str, ...] = ()
     outcome: str = ""
+    kinds: tuple[PointKind, ...] = (PointKind.NOTHING,)
+
+    @property
+    def sentences(self) -> list[tuple[PointKind, str]]:
+        """Headline and points, each with its kind."""
+        return [*zip(self.kinds, (self.headline, *self.points), strict=True)]
 
 
 def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: Intervals) -> Conclusion:
@@ -62,7 +85,8 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
     topics = topic_sentences(analysis.topics)
     if not groups.groups:
         headline, *points = topics or ["No measurement was found."]
-        return Conclusion(headline, metric, (), (), "", tuple(points), "open" if topics else "")
+        kinds = (PointKind.TOPIC if topics else PointKind.NOTHING,) * (1 + len(points))
+        return Conclusion(headline, metric, (), (), "", tuple(points), "open" if topics else "", kinds)
     if not values.has(metric):
         headline = "No message was received, so there is no time to compare."
         return Conclusion(headline, metric, (), (_losses(values),), "")
@@ -80,35 +104,44 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
     )
     rule = CLEARLY if any(one.within_one_run < one.cells for one in verdicts) else WITHIN_ONE_RUN
     first, *others = _who_is_fastest(verdicts, groups, values, answers)
-    sentences = (
-        loss_sentence(groups, values),
-        avoid_sentence(answers, groups.vendors),
+    sentences = [
+        (PointKind.LOSS, loss_sentence(groups, values)),
+        (PointKind.AVOID, avoid_sentence(answers, groups.vendors)),
         first,
-        place_sentence(groups, values, intervals) if has_latency else "",
+        (PointKind.PLACE, place_sentence(groups, values, intervals) if has_latency else ""),
         *others,
-        bridge_sentence(costs, groups.vendors),
-        where_sentence(analysis, groups, values),
-    )
-    headline, *points = filter(None, (*topics, *sentences))
+        (PointKind.BRIDGE, bridge_sentence(costs, groups.vendors)),
+        (PointKind.WHERE, where_sentence(analysis, groups, values)),
+    ]
+    sentences[:0] = [(PointKind.TOPIC, text) for text in topics]
+    kinds, (headline, *points) = zip(*[(kind, text) for kind, text in sentences if text], strict=True)
     is_decided = any(outcome_of(answer).is_decided for answer in answers)
-    outcome = "lossy" if sentences[1] else "" if sentences[0] else "decided" if is_decided else "open"
-    return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points), outcome)
+    is_lossy, loses = PointKind.AVOID in kinds, PointKind.LOSS in kinds
+    outcome = "lossy" if is_lossy else "" if loses else "decided" if is_decided else "open"
+    return Conclusion(headline, metric, verdicts, remarks, rule if verdicts else "", tuple(points), outcome, kinds)
 
 
 def _who_is_fastest(
     verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
-) -> tuple[str, ...]:
+) -> list[tuple[PointKind, str]]:
     if any(outcome_of(answer).is_decided for answer in answers):
-        return *winner_sentences(answers, groups.vendors), tail_sentence(answers)
+        winners = [(PointKind.FASTEST, text) for text in winner_sentences(answers, groups.vendors)]
+        return [*winners, (PointKind.TAIL, tail_sentence(answers))]
+    return [(PointKind.UNDECIDED, _why_undecided(verdicts, groups, values, answers))]
+
+
+def _why_undecided(
+    verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
+) -> str:
     if verdicts:
-        return (_no_winner(verdicts, answers),)
+        return _no_winner(verdicts, answers)
     vendors = sorted({series.vendor_label for series in groups.series})
     if len(vendors) == 1:
-        return (f"{_ways(vendors[0], groups, values)} No other middleware was measured.",)
+        return f"{_ways(vendors[0], groups, values)} No other middleware was measured."
     if not answers:
-        return (f"{joined(vendors)} were not compared, because that needs the rows of all messages.",)
+        return f"{joined(vendors)} were not compared, because that needs the rows of all messages."
     names = sorted(set(contender_labels(answers, groups.vendors).values()))
-    return (f"{joined(names)} were not measured under equal conditions, so no choice can be made from this.",)
+    return f"{joined(names)} were not measured under equal conditions, so no choice can be made from this."
 
 
 def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -> str:

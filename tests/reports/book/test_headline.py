@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from analyses import BRIDGED, MS, ZENOH, Measured, around, make_analysis
+from analyses import BRIDGED, EVERY_ANALYSIS, MS, ZENOH, Measured, around, make_analysis
 from four_campaigns import CAMPAIGNS
 from wording import numbers
 
@@ -102,3 +102,13 @@ def test_every_report_says_the_same_sentences_in_the_same_order(kind):
     ]
     assert -1 not in places
     assert places == sorted(places)
+
+
+def test_each_sentence_has_its_kind():
+    lossy = Book(CAMPAIGNS["lossy machine"]()).answer
+    assert [kind.value for kind in lossy.kinds][:3] == ["loss", "avoid", "fastest"]
+    assert len(lossy.sentences) == len(lossy.kinds) == 1 + len(lossy.points)
+    assert {"bridge", "where"} <= {kind.value for kind in lossy.kinds}
+    demo = Book(CAMPAIGNS["demo"]()).answer
+    assert [kind.value for kind in demo.kinds] == ["undecided", "bridge", "where"]
+    assert [kind.value for kind in Book(EVERY_ANALYSIS["empty folder"]()).answer.kinds] == ["nothing"]

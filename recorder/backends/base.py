@@ -59,6 +59,7 @@ class Backend:
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         environment: variables and files that configure it.
         check_settings: raises an `OptionError` for further options that have no effect.
+        missing_rmw: returns how to install a ROS middleware, None for an installed one.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Backend:
     can_drop: bool = False
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     check_settings: Callable[[NodeOptions], None] | None = None
+    missing_rmw: Callable[[str], str | None] | None = None
 
     def open_node(self, options: NodeOptions) -> Node:
         """Open a node that has joined the domain and is not started.

@@ -18,7 +18,7 @@ from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, s
 from .run.progress import SweepProgress
 from .run.runner import Runner
 from .station.station import open_station
-from .sweep import SweepOutcome, missing_middlewares
+from .sweep import SweepOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,12 +97,12 @@ def run_against(
         for (side, plan), command in zip(plans.items(), commands, strict=True):
             lock = stack.enter_context(locked_folder(folder / side, progress.note))
             station = stack.enter_context(open_station(plan, folder / side, lock, show=progress.note, command=command))
-            missing = missing_middlewares(plan, cells[side]) if command is None else {}
-            runners[side] = Runner(plan, folder / side, station, _SideProgress(progress, side), missing)
+            own = _SideProgress(progress, side)
+            runners[side] = Runner(plan, folder / side, station, own, is_installed_here=command is None)
         for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
             progress.note(warning)
-        for runner in runners.values():
-            runner.prepare()
+        for side, runner in runners.items():
+            runner.prepare(cells[side])
         done = sum(runners[side].state[cell.name].done for side in cells for cell in cells[side])
         progress.begin(len(runs), done)
         try:

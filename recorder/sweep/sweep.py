@@ -10,7 +10,6 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted
 
-from ..backends import load_backend
 from .folder import locked_folder
 from .plan.plan import depth_warnings
 from .plan.schedule import number_groups, schedule, schedule_pass
@@ -21,7 +20,7 @@ from .station.clock_check import compare_clocks
 from .station.station import open_station
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from .plan.cells import Cell
@@ -110,7 +109,7 @@ def run_sweep(
         for warning in depth_warnings(plan):
             progress.note(warning)
         cells = [cell for group in groups for cell in group.cells]
-        runner = Runner(plan, folder, station, progress, missing_middlewares(plan, cells) if command is None else {})
+        runner = Runner(plan, folder, station, progress, is_installed_here=command is None)
         if plan.relay.ssh is not None and command is None:
             compare_clocks(plan, station, folder, progress.note)
         runner.run(groups)
@@ -119,20 +118,6 @@ def run_sweep(
             further, too_wide = _run_further_passes(plan, runner, until, progress.note)
             cells += further
         return SweepOutcome(folder, len(cells), runner.reasons(cells), too_wide)
-
-
-def missing_middlewares(plan: Plan, cells: Iterable[Cell]) -> dict[str, str]:
-    """Return the cells whose ping, or relay on this machine, has no middleware here, with the reason."""
-    reason_of: dict[str, str] = {}
-    missing = {}
-    for cell in cells:
-        for name in [] if cell.environment else [cell.backend, *([] if plan.has_two_devices else [cell.relay.backend])]:
-            if name not in reason_of:
-                backend = load_backend(name)
-                reason_of[name] = "" if backend.find_installed() else f"{backend.label} is not here: {backend.install}"
-            if reason_of[name]:
-                missing[cell.name] = reason_of[name]
-    return missing
 
 
 def _run_further_passes(
@@ -181,8 +166,8 @@ def run_search(
         locked_folder(folder, progress.note) as lock,
         open_station(plan, folder, lock, show=progress.note, command=command) as station,
     ):
-        runner = Runner(plan, folder, station, progress)
-        runner.prepare()
+        runner = Runner(plan, folder, station, progress, is_installed_here=command is None)
+        runner.prepare(plan.cells)
         progress.begin(0, 0)
         try:
             return folder, list(find_max_rates(plan, runner))

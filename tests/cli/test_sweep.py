@@ -224,10 +224,10 @@ def test_exit_codes_tell_complete_from_incomplete(call, plan, monkeypatch, tmp_p
 
 @pytest.mark.parametrize("more", [[], ["--against", "SAME", "--json"]])
 def test_a_missing_middleware_is_one_line_and_no_recording_starts(call, tmp_path, monkeypatch, more):
-    import dds_trace.recorder.sweep.sweep
+    from dds_trace.recorder.sweep.run import missing
 
     absent = SimpleNamespace(label="Zenoh", install="pip install zenoh", find_installed=list)
-    monkeypatch.setattr(dds_trace.recorder.sweep.sweep, "load_backend", lambda _: absent)
+    monkeypatch.setattr(missing, "load_backend", lambda _: absent)
     path = tmp_path / "absent.toml"
     path.write_text('[axes]\nbackend = "zenoh"\nrate = [10, 20, 30, 40]\n')
     code, out, err = call(path, "--out", tmp_path / "runs", *more)
@@ -238,6 +238,24 @@ def test_a_missing_middleware_is_one_line_and_no_recording_starts(call, tmp_path
     assert len(lines) == 2 * sides
     assert all("and 3 more: Zenoh" in line for line in lines[sides:])
     assert "0 of 4" in out or json.loads(out)["cells"] == 8
+    assert not list((tmp_path / "runs").rglob("*.mcap"))
+
+
+def test_a_missing_ros_middleware_is_one_line_in_a_search_too(call, tmp_path, monkeypatch):
+    from dds_trace.recorder.backends.ros2 import installation
+
+    monkeypatch.setattr(installation, "has_package", lambda _: True)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    path = tmp_path / "absent.toml"
+    path.write_text('[axes]\nrmw = "rmw_of_somebody_cpp"\nsize = [100, 200, 300]\n')
+    for more, last in (([], "100B_10Hz and 2 more: rmw_of_somebody_cpp is not here"), (["--max-rate"], "relay: ros2")):
+        code, out, err = call(path, "--out", tmp_path / "runs", *more)
+        assert code == 10
+        first, *others = err.splitlines()
+        assert first.startswith("rmw_of_somebody_cpp is not here: apt install")
+        assert first.endswith("; 3 recordings are left out")
+        assert [last in line for line in others] == [True]
+        assert out.count("rmw_of_somebody_cpp is not here") == 3 * len(more)
     assert not list((tmp_path / "runs").rglob("*.mcap"))
 
 

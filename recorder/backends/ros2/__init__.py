@@ -20,6 +20,7 @@ from .installation import (
     check_settings,
     check_vendor,
     find_rmws,
+    missing_rmw,
     set_discovery_range,
     set_security,
 )
@@ -72,4 +73,5 @@ BACKEND = Backend(
         files=tuple(name for facts in VENDORS.values() for name in facts.files),
     ),
     check_settings=check_settings,
+    missing_rmw=missing_rmw,
 )

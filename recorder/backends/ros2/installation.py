@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..node import NodeOptions
 
 WRONG_RMW_TIMEOUT_S = 30.0
+WHEELS_RMW = "rmw_fastrtps_cpp"
 RMW_INDEX = Path("share/ament_index/resource_index/rmw_typesupport")
 """Has a file for every RMW package of an installation."""
 
@@ -48,6 +49,18 @@ def find_rmws() -> Sequence[str | None]:
     return sorted(names) or [None]  # wheels have no index
 
 
+def missing_rmw(rmw: str) -> str | None:
+    """Return what to do where a ROS middleware is not installed, None for one that is."""
+    installed = find_rmws()
+    if rmw in installed or (None in installed and rmw == WHEELS_RMW):
+        return None
+    return f"{rmw} is not here: apt install {_debian_name(rmw)}; the wheels only have Fast DDS"
+
+
+def _debian_name(rmw: str) -> str:
+    return f"ros-$ROS_DISTRO-{rmw.replace('_', '-')}"
+
+
 def check_installed() -> None:
     """Raise a `BackendUnavailableError` without rclpy, or for a ROS middleware on which it does not run."""
     if not has_package("rclpy"):
@@ -65,7 +78,7 @@ def check_installed() -> None:
         reason = (done.stderr.strip().splitlines() or [f"{running} runs here"])[-1]
         raise BackendUnavailableError(
             f"RMW_IMPLEMENTATION={rmw} does not work here: {reason}; unset it, or install that middleware "
-            f"(apt install ros-$ROS_DISTRO-{rmw.replace('_', '-')}; the wheels only have Fast DDS)"
+            f"(apt install {_debian_name(rmw)}; the wheels only have Fast DDS)"
         )
 
 

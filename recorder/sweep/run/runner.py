@@ -12,7 +12,6 @@ import itertools
 import time
 from collections import Counter
 from dataclasses import replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, TraceError, TraceFormatError
@@ -27,13 +26,14 @@ from ..plan.flows import recorded_together
 from ..plan.schedule import Estimate, start_lead_s
 from ..station.programs import Program
 from .group_relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
+from .missing import middlewares_of, missing_middlewares
 from .outage import Outage
 from .result import read_result
 from .split import CellPart, split_relay_trace
 from .state import CellState, Status, SweepState
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from ..plan.cells import Cell
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from ..plan.plan import Plan
     from ..plan.schedule import CellGroup
     from ..station.station import Station
+    from .missing import Middlewares
     from .outage import OutageReport
     from .progress import SweepProgress
     from .result import CellResult
@@ -71,18 +72,17 @@ def _check_programs(programs: Iterable[Program]) -> None:
 
 
 class Runner:
-    """One sweep in its locked folder; cells that are `missing` a middleware (with the reason) are not started."""
+    """One sweep in its locked folder; cells without their middleware are not started.
+
+    `is_installed_here` is False where other software than this `dds-record` runs, whose middlewares are unknown.
+    """
 
     def __init__(
-        self,
-        plan: Plan,
-        folder: Path,
-        station: Station,
-        progress: SweepProgress,
-        missing: Mapping[str, str] = MappingProxyType({}),
+        self, plan: Plan, folder: Path, station: Station, progress: SweepProgress, *, is_installed_here: bool = False
     ) -> None:
         self.plan = plan
-        self._missing = missing
+        self._is_installed_here = is_installed_here
+        self._missing: Mapping[Middlewares, str] = {}
         self.folder = folder
         self._parts = make_parts(folder)
         self._station = station
@@ -90,39 +90,48 @@ class Runner:
         self.state = SweepState(folder / "state.json", plan.name, plan.digest)
         self._estimate = Estimate(plan)
 
-    def _leave_out(self) -> None:
+    def _leave_out(self, cells: Iterable[Cell]) -> None:
         """Mark cells without a middleware as failed, in one line a reason."""
-        waiting = {name: reason for name, reason in self._missing.items() if not self.state[name].done}
+        if self._is_installed_here:
+            self._missing = missing_middlewares(self.plan, self._station.device)
+        waiting = {
+            cell.name: reason
+            for cell in cells
+            if not self._is_done(cell) and (reason := self._missing.get(middlewares_of(cell)))
+        }
         for name, reason in waiting.items():
-            self.state[name] = replace(self.state[name], status=Status.FAILED, reason=reason)
+            self._fail(name, reason)
         for reason, count in Counter(waiting.values()).items():
             self._progress.note(f"{reason}; {counted(count, 'recording is', 'recordings are')} left out")
 
     def run(self, groups: list[CellGroup]) -> None:
         """Run every incomplete cell."""
         cells = [cell for group in groups for cell in group.cells]
-        self.resume()
-        self._leave_out()
-        done = sum(self.state[cell.name].done for cell in cells)
+        done = self.prepare(cells)
         self.state.planned = len(cells)
         self._progress.begin(len(cells), done)
         try:
-            if done < len(cells):
-                self._prepare_device()
             for group in groups:
                 self.run_group(group, cells)
         finally:
             self._progress.end()
 
-    def prepare(self) -> None:
-        """Resume, and check that relays can start."""
+    def prepare(self, cells: Collection[Cell]) -> int:
+        """Resume, check that relays can start, and leave out cells without their middleware; return how many are done."""
         self.resume()
-        self._leave_out()
-        self._prepare_device()
+        done = sum(map(self._is_done, cells))
+        if done < len(cells):
+            self._station.device.prepare()
+            self._station.device.clear(self.state.segments)
+            self._leave_out(cells)
+        return done
 
-    def _prepare_device(self) -> None:
-        self._station.device.prepare()
-        self._station.device.clear(self.state.segments)
+    def _is_done(self, cell: Cell) -> bool:
+        return self.state[cell.name].done
+
+    def _fail(self, name: str, reason: str) -> CellState:
+        self.state[name] = replace(self.state[name], status=Status.FAILED, reason=reason)
+        return self.state[name]
 
     def reasons(self, cells: Iterable[Cell]) -> dict[str, str]:
         """Return incomplete cells by name, with the reason."""
@@ -154,7 +163,7 @@ class Runner:
                 self.record_together(cells, relay)
 
     def _is_waiting(self, cell: Cell) -> bool:
-        return not (self.state[cell.name].done or cell.name in self._missing)
+        return not (self._is_done(cell) or middlewares_of(cell) in self._missing)
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
@@ -173,7 +182,9 @@ class Runner:
                 self._collect(segment)
 
     def record(self, cell: Cell, relay: GroupRelay) -> CellState:
-        """Record one cell, as often as the plan allows."""
+        """Record one cell, as often as the plan allows; one without its middleware fails at once."""
+        if reason := self._missing.get(middlewares_of(cell)):
+            return self._fail(cell.name, reason)
         self.record_together([cell], relay)
         return self.state[cell.name]
 

@@ -1,0 +1,50 @@
+"""Middlewares that cells need and a device does not have."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeAlias
+
+from ...backends import load_backend
+from ..plan.cells import Cell
+from ..plan.commands import relay_arguments
+
+if TYPE_CHECKING:
+    from ..plan.plan import Plan
+    from ..station.devices import RelayDevice
+
+Middlewares: TypeAlias = "tuple[str, str, str | None, str, str | None]"
+"""Environment, backend and RMW of the ping, backend and RMW of the relay."""
+
+
+def middlewares_of(cell: Cell) -> Middlewares:
+    """Return what a cell needs."""
+    return cell.environment, cell.backend, cell.rmw, cell.relay.backend, cell.relay.rmw
+
+
+def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, str]:
+    """Return what of a plan's middlewares is missing here or on the relay's device, with the reason."""
+    reasons: dict[tuple[str, str | None, bool], str | None] = {}
+
+    def reason_of(backend: str, rmw: str | None, *, is_remote: bool) -> str | None:
+        key = backend, rmw, is_remote
+        if key not in reasons:
+            there = relay_arguments(plan, Cell(backend=backend, rmw=rmw)) if is_remote else []
+            reasons[key] = device.rehearse(there) if is_remote else _missing_here(backend, rmw)
+        return reasons[key]
+
+    missing = {}
+    for needed in dict.fromkeys(map(middlewares_of, plan.cells)):
+        environment, backend, rmw, relay_backend, relay_rmw = needed
+        if environment:
+            continue
+        relay = reason_of(relay_backend, relay_rmw, is_remote=plan.has_two_devices)
+        if reason := reason_of(backend, rmw, is_remote=False) or relay:
+            missing[needed] = reason
+    return missing
+
+
+def _missing_here(name: str, rmw: str | None) -> str | None:
+    backend = load_backend(name)
+    if not backend.find_installed():
+        return f"{backend.label} is not here: {backend.install}"
+    return backend.missing_rmw(rmw) if rmw is not None and backend.missing_rmw is not None else None

@@ -86,7 +86,8 @@ def _advice(book: Book) -> list[str]:
     if advice is None:
         return []
     table = [_table(COLUMNS, advice.rows)] if advice.rows else []
-    return [f"**{markdown(advice.sentence)}** Job: {markdown(advice.job)}", *table]
+    commands = [f"on {markdown(device)}:\n\n    {command}" for device, command in advice.commands]
+    return [f"**{markdown(advice.sentence)}** Job: {markdown(advice.job)}", *table, markdown(advice.missing), *commands]
 
 
 def _sizes(book: Book) -> Iterator[str]:

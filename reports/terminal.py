@@ -105,9 +105,10 @@ def _advice(book: Book) -> list[RenderableType]:
     parts: list[RenderableType] = [Text(f"Job: {advice.job}"), Text(advice.sentence, style="bold"), grid]
     left = len(advice.rows) - len(rows)
     parts += [Text(f"and {counted(left, 'more setup')}: --all", style="dim")] if left else []
-    if advice.missing:
-        command = textwrap.wrap(advice.command, WIDTH - 4, break_on_hyphens=False, break_long_words=False)
-        parts += [Text(advice.missing), Text(" \\\n    ".join(["  " + command[0], *command[1:]]))]
+    parts += [Text(advice.missing)] if advice.missing else []
+    for device, command in advice.commands:
+        lines = textwrap.wrap(command, WIDTH - 6, break_on_hyphens=False, break_long_words=False)
+        parts += [Text(f"  on {device}:", style="dim"), Text(" \\\n      ".join(["    " + lines[0], *lines[1:]]))]
     return parts
 
 

@@ -12,9 +12,10 @@ from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
 from dds_trace.analyzer.verdicts.recommend import Fit, place_of
 from dds_trace.base.printable import printable
-from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size, spell_size
+from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .groups import METRIC_LABELS, data_type_label, format_ratio, joined, setting_labels
+from .next_command import recording_commands
 from .verdicts import place_label
 
 if TYPE_CHECKING:
@@ -41,14 +42,14 @@ class Advice:
         job: the job in words, with its deadline.
         rows: one per candidate, columns of `COLUMNS`.
         missing: what would decide the unclear ones, in words; empty where all is decided.
-        command: what records it.
+        commands: device and command of the relay and of the ping that record it.
     """
 
     job: str
     sentence: str
     rows: tuple[tuple[str, ...], ...]
     missing: str = ""
-    command: str = ""
+    commands: tuple[tuple[str, str], ...] = ()
 
     @property
     def brief_rows(self) -> tuple[tuple[str, str, str], ...]:
@@ -86,8 +87,8 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
         job=_job_words(recommendation.job),
         sentence=" ".join([*sentences, *_unseen(recommendation.best)]) or _NOTHING,
         rows=tuple(_row(candidate, name) for candidate, name in zip(candidates, full_names, strict=True)),
-        missing=(missing := _missing_words(recommendation)),
-        command=_command(recommendation) if missing else "",
+        missing=_missing_words(recommendation, full_names),
+        commands=_commands(recommendation),
     )
 
 
@@ -102,18 +103,27 @@ def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
     return runs, math.ceil(max([needed, *(2 * messages for messages in enough)]) / runs)
 
 
-def _missing_words(recommendation: Recommendation) -> str:
-    if all(candidate.fit in (Fit.MEETS, Fit.MISSES) for candidate in recommendation.candidates):
+def _unclear(recommendation: Recommendation) -> list[int]:
+    decided = (Fit.MEETS, Fit.MISSES)
+    return [place for place, one in enumerate(recommendation.candidates) if one.fit not in decided]
+
+
+def _missing_words(recommendation: Recommendation, names: Sequence[str]) -> str:
+    unclear = _unclear(recommendation)
+    if not unclear:
         return ""
     runs, messages = _messages_of_run(recommendation)
-    return f"To decide the unclear ones, record about {runs} runs of {messages:,} messages with each setup:"
+    what = "it" if len(unclear) == 1 else "the unclear ones"
+    of = "of" if len(unclear) == 1 else "with each setup, in turn; here"
+    return f"To decide {what}, record about {runs} runs of {messages:,} messages {of} {names[unclear[0]]}:"
 
 
-def _command(recommendation: Recommendation) -> str:
-    job, messages = recommendation.job, _messages_of_run(recommendation)[1]
-    size = spell_size(job.payload_bytes)
-    what = f"--data {job.data_type} --size {size} --rate {job.rate_hz:g} --messages {messages}"
-    return f"dds-record --role ping {what} --out ping.mcap"
+def _commands(recommendation: Recommendation) -> tuple[tuple[str, str], ...]:
+    unclear = _unclear(recommendation)
+    if not unclear:
+        return ()
+    setting = recommendation.candidates[unclear[0]].setting
+    return recording_commands(setting, recommendation.job, _messages_of_run(recommendation)[1])
 
 
 def _choice(setting: Setting) -> Setting:

@@ -1,6 +1,8 @@
 """The recommendation in words: on top of the page and of Markdown, with its deadline and its losses."""
 
+import shlex
 from dataclasses import replace
+from html import unescape
 
 import polars as pl
 from analyses import MS, Measured, make_analysis
@@ -9,8 +11,13 @@ from wording import numbers
 
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import recommend_settings
+from dds_trace.cli.record.command import app
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.option import options_of
+from dds_trace.recorder.options import PingOptions, RecordOptions
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
+from dds_trace.reports.book.next_command import PING_OPTIONS, SETTING_OPTIONS
 from dds_trace.reports.book.recommendation import recommendation_info
 from dds_trace.reports.html.page import render as render_html
 from dds_trace.reports.markdown import render as render_markdown
@@ -102,3 +109,80 @@ def test_the_terminal_has_a_numbered_line_for_each_setup_within_80_columns():
     assert " 2. ✗ Zenoh" in alone
     assert "received 50 %" in words
     assert "To decide" not in alone
+
+
+def taken(command):
+    """What `dds-record` makes of a printed command."""
+    program, *words = shlex.split(command)
+    options = []
+    app(words, obj=options.append, standalone_mode=False)
+    assert program == "dds-record"
+    return options[0]
+
+
+def test_the_commands_that_would_decide_are_whole_and_taken_as_they_stand():
+    setup = {
+        "vendor": "cyclonedds",
+        "backend": "cyclonedds",
+        "rmw": None,
+        "bridge": "builtin",
+        "domain_mode": "different",
+    }
+    more = {
+        "relay_domain_id": 10,
+        "reliability": "best_effort",
+        "depth": 3,
+        "relay_vendor": "fastdds",
+        "relay_backend": "ros2",
+    }
+    setting = "cpu_load=50%25,deadline_ns=20000000,relay.rmw=rmw_fastrtps_cpp,relay.transport=udp,tuned=true"
+    advice = advised(steady(MIXED[:200], **setup, **more, setting=setting))
+    (relay_device, relay), (ping_device, ping) = advice.commands
+    assert (relay_device, ping_device) == ("relay-pi", "ping-pi")
+    there, here = taken(relay), taken(ping)
+    assert (there.backend, there.node.rmw, there.node.transport.value, there.ping) == (
+        "ros2",
+        "rmw_fastrtps_cpp",
+        "udp",
+        None,
+    )
+    assert (here.backend, here.node.transport.value, here.ping.bridge) == ("cyclonedds", "default", "builtin")
+    sent = here.ping
+    assert (sent.data, sent.size_bytes, sent.rate_hz, sent.settings) == ("binary", 33_000, 10.0, {"cpu_load": "50%"})
+    assert sent.messages >= 100
+    for side, device in ((there, "relay-pi"), (here, "ping-pi")):
+        assert (side.node.tuned, side.node.qos.reliability, side.node.qos.depth) == (True, "best_effort", 3)
+        assert side.node.qos.extra == {"deadline_ns": 20_000_000}
+        assert (side.device, side.connectivity) == (device, "wired")
+
+
+def test_on_one_machine_and_of_a_bag_the_command_says_so():
+    place = {"ping_device": "vm", "relay_device": "vm", "connectivity": "loopback"}
+    setting = "CYCLONEDDS_URI=my file.xml#0123abcd,data=bag:drive#/imu"
+    commands = [command for _, command in advised(steady(MIXED, **place, setting=setting)).commands]
+    assert all(command.startswith("CYCLONEDDS_URI='my file.xml' dds-record --role ") for command in commands)
+    relay, ping = (taken(command.partition("' ")[2]) for command in commands)
+    assert {side.node.discovery.value for side in (relay, ping)} == {"localhost"}
+    assert (ping.ping.data, ping.ping.size_bytes) == ("bag:drive#/imu", None)
+
+
+def test_every_setting_of_a_recording_has_its_option_in_the_commands():
+    rows = {
+        name: row.name
+        for record in (PingOptions, RecordOptions, NodeOptions)
+        for name, row in options_of(record).items()
+        if row.in_key
+    }
+    own = {"settings": "--setting", "serialization": "--serialization", **SETTING_OPTIONS, **PING_OPTIONS}
+    assert {name: own.get(name) for name in rows} == rows
+
+
+def test_the_commands_stand_in_the_page_in_markdown_and_in_the_terminal():
+    analysis = make_analysis(Measured([MS, MS]))
+    recommendation = recommend_settings(steady(MIXED), JOB)
+    book = Book(replace(analysis, details=replace(analysis.details, recommendation=recommendation)))
+    for text in (unescape(render_html(book)), render_markdown(book), render_brief(book).replace(" \\\n      ", " ")):
+        for device, command in book.advice.commands:
+            assert f"on {device}:" in text
+            assert command in text
+    assert max(map(len, render_brief(book).splitlines())) <= 80

@@ -19,6 +19,7 @@ from dds_trace.analyzer.statistics.percentiles import PERCENTILES, planned_messa
 from dds_trace.base.files import replacing
 from dds_trace.base.printable import printable
 from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
+from dds_trace.base.version import __version__
 
 from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
@@ -55,6 +56,7 @@ SCRIPTS = (
     "kinds/details.js",
     "kinds/wire.js",
     "tables.js",
+    "output/pdf.js",
     "output/export.js",
     "rows.js",
     "figures.js",
@@ -194,6 +196,7 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
     filters, styles = filters_info(groups), line_styles(book.facets)
     return {
         "title": printable(book.analysis.title),
+        "made_by": f"dds-trace {__version__}",
         "metrics": [
             {"key": key, "label": label, "menu": METRIC_MENU.get(key, label)}
             for key, label in METRIC_LABELS.items()

@@ -22,6 +22,7 @@ function isOnScreen(part) {
   return bottom > 0 && top < innerHeight;
 }
 
+const [PRINTED_GRID, SCREEN_GRID] = [800, 1400]; // px that a labelled grid is high at most
 const FOLDED_ON_PHONES = ["timeline", "host_load"];
 
 class FigureBlock {
@@ -62,13 +63,15 @@ class FigureBlock {
     if (this.planned) return;
     this.planned = true;
     // A figure that is folded has no width of its own yet.
-    this.drawn = KINDS[this.figure.kind](
-      this.figure.plan,
-      Math.floor(this.plot.clientWidth || this.article.clientWidth),
-      this.all,
-    );
+    const width = Math.floor(this.plot.clientWidth || this.article.clientWidth);
+    const draw = (all) => KINDS[this.figure.kind](this.figure.plan, width, all);
+    const isGrid = isPaper() && PAPER_FIGURES.includes(this.name);
+    const height = document.documentElement.classList.contains("paper") ? PRINTED_GRID : SCREEN_GRID;
+    this.drawn = draw(isGrid ? { page: 0, height } : this.all);
     const empty = this.drawn.data.length === 0;
-    this.rows = empty ? [] : rowsOf(this.drawn);
+    const further = isGrid ? this.drawn.pages - 1 : 0;
+    this.rows = empty ? [] : isGrid ? [this.drawn] : rowsOf(this.drawn);
+    for (let page = 1; page <= further; page += 1) this.rows.push(draw({ page, height }));
     this.plot.classList.toggle("bare", empty);
     while (this.plot.children.length > this.rows.length) this.drop(this.plot.lastElementChild);
     while (this.plot.children.length < this.rows.length)

@@ -40,14 +40,16 @@ function axisStyle(colors) {
 const isNarrow = (width) => width < 600;
 
 const MOST_PANELS = 24; // of one figure, until the reader asks for all
-const LABELLED = "labelled"; // a value of `all`: every panel, in a grid whose rows and columns are labelled once
-const PAGE_HEIGHT = 800; // px of a labelled grid, which with title and legend is on a page
+const PAGE_HEIGHT = 933; // px of the 247 mm that a page has room for
+const LEAST_COLUMN = 96; // px of a panel in a labelled grid
+const LEAST_ROW = 64;
 const END_STEP = 13; // px between two labels at line ends
 
 /**
  * Panels {title, traces, x, y, height?, share?, shapes?, notes?, ends?} as one plotly figure. Panels of one `share`
- * have one y
- * axis: side by side, only the first has labels at its ticks. `columns` panels are side by side if there is room.
+ * have one y axis: side by side, only the first has labels at its ticks. `columns` panels are side by side if there is
+ * room. `all` {page, height} is a picture: panels with labels are a grid whose rows and columns are labelled once, and
+ * what is higher than `height` px or too narrow is on `pages`.
  */
 function gridOf(
   panels,
@@ -55,51 +57,58 @@ function gridOf(
   { minWidth = 300, height = 215, yTitle = "", left = 62, right = 16, below = 40, columns = 0, all = true } = {},
 ) {
   const colors = theme();
-  const shown = all ? panels : panels.slice(0, MOST_PANELS);
-  const isGrid = all === LABELLED && panels.length > 1 && panels.every((panel) => panel.labels);
-  const grid = isGrid ? labelledGrid(panels) : null;
+  const isPicture = all.page !== undefined;
+  const every = all ? panels : panels.slice(0, MOST_PANELS);
+  const grid = isPicture && panels.length > 1 && panels.every((panel) => panel.labels) ? labelledGrid(panels) : null;
   const inner = Math.max(160, width - left - right);
+  const fit = (least, gap) => Math.max(1, Math.floor((inner + gap) / (least + gap)));
   const wideBy = (gap) => {
-    const fits = Math.max(1, Math.min(shown.length, Math.floor((inner + gap) / (minWidth + gap))));
-    const rows = Math.ceil(shown.length / fits);
+    const fits = Math.min(every.length, fit(minWidth, gap)) || 1;
+    const rows = Math.ceil(every.length / fits);
     const beside =
       columns && columns <= fits
         ? columns * Math.max(1, Math.floor(fits / columns))
-        : Math.ceil(shown.length / rows) || 1;
-    return Math.min(beside, shown.length) || 1;
+        : Math.ceil(every.length / rows) || 1;
+    return Math.min(beside, every.length) || 1;
   };
   const shared = (wide, place) =>
-    place % wide > 0 && shown[place].share !== undefined && shown[place].share === shown[place - 1].share;
+    place % wide > 0 && every[place].share !== undefined && every[place].share === every[place - 1].share;
   // Close together if the panels of each row share their axis. How many are in a row must not follow from that where
   // axes are
   // shared at all: on a log axis all panels do, on a linear one those of a row, and the figure would change its height
   // with the scale.
   const close = grid ? grid.columns.length : wideBy(16);
-  const gapX = grid ? grid.gap : shown.every((_, place) => place % close === 0 || shared(close, place)) ? 16 : 58;
-  const wide = grid || shown.every((panel) => panel.share !== undefined) ? close : wideBy(gapX);
-  const shares = (place) => (grid ? grid.shares[place] : shared(wide, place));
-  const spots = shown.map((_, place) => grid?.spots[place] || { row: Math.floor(place / wide), column: place % wide });
+  const gapX = grid ? grid.gap : every.every((_, place) => place % close === 0 || shared(close, place)) ? 16 : 58;
+  const arranged = grid || every.every((panel) => panel.share !== undefined) ? close : wideBy(gapX);
+  const wide = grid ? evenly(arranged, fit(Math.min(inner, Math.max(LEAST_COLUMN, 0.8 * minWidth)), gapX)) : arranged;
   const panelWidth = (inner - (wide - 1) * gapX) / wide;
   const heads = (grid?.columns || []).map((label) => wrapped(label, panelWidth / 7.4));
   const named = yTitle ? 20 : 0;
   const head = grid ? named + 6 + 15 * Math.max(...heads.map((lines) => lines.length)) : 0;
   const gapTop = grid ? (grid.rows.some(Boolean) ? 22 : 8) : 26;
-  const rowCount = grid ? grid.rows.length : Math.ceil(shown.length / wide);
-  const room = (PAGE_HEIGHT - head) / rowCount - gapTop - below + (below > 40 ? 16 : 0);
-  const most = grid || (all === LABELLED && room > 90) ? Math.max(48, room) : Infinity;
-  const heights = []; // of the plots in each row, px
-  shown.forEach((panel, place) => {
-    const { row } = spots[place];
-    const own = panel.height || Math.round((isNarrow(width) ? 0.8 : 1) * height);
-    heights[row] = Math.floor(Math.min(most, Math.max(heights[row] || 0, own)));
+  const titled = below > 40 ? 16 : 0; // px that the title of an axis takes; only the last row has one
+  const between = gapTop + below - titled;
+  const spotOf = (place) => grid?.spots[place] || { row: Math.floor(place / wide), column: place % wide };
+  const own = (panel) => panel.height || Math.round((isNarrow(width) ? 0.8 : 1) * height);
+  const rowCount = grid ? grid.rows.length : Math.ceil(every.length / wide);
+  const tallest = isPicture ? all.height - head - titled : Infinity;
+  const least = Math.max(...every.map((panel) => Math.min(own(panel), Math.max(LEAST_ROW, 0.6 * (panel.height || 0)))));
+  const high = isPicture ? evenly(rowCount, Math.floor(tallest / (least + between))) : rowCount;
+  const pagesBeside = Math.ceil(arranged / wide);
+  const number = all.page || 0;
+  const page = { row: high * Math.floor(number / pagesBeside), column: wide * (number % pagesBeside) };
+  const shown = [];
+  every.forEach((panel, place) => {
+    const [row, column] = [spotOf(place).row - page.row, spotOf(place).column - page.column];
+    if (row < 0 || row >= high || column < 0 || column >= wide) return;
+    shown.push({ panel, row, column, shares: column > 0 && (grid ? grid.shares[place] : shared(wide, place)) });
   });
+  const most = isPicture ? tallest / Math.max(1, Math.min(high, rowCount - page.row)) - between : Infinity;
+  // Of the plots in each row, px.
+  const heights = Array(Math.max(0, Math.min(high, rowCount - page.row))).fill(0);
+  for (const { panel, row } of shown) heights[row] = Math.floor(Math.min(most, Math.max(heights[row], own(panel))));
   const starts = [head]; // of each row, px from the top
-  const titled = 16; // px that the title of an axis takes; only the last row has one
-  heights.forEach((each, row) =>
-    starts.push(
-      starts[starts.length - 1] + each + gapTop + below - (row < heights.length - 1 && below > 40 ? titled : 0),
-    ),
-  );
+  heights.forEach((each, row) => starts.push(starts[row] + each + between + (row < heights.length - 1 ? 0 : titled)));
   const total = starts[starts.length - 1];
   const data = [],
     annotations = [],
@@ -124,9 +133,8 @@ function gridOf(
     },
   };
   const leaders = new Map(); // share -> the first axis of it
-  shown.forEach((panel, place) => {
+  shown.forEach(({ panel, row, column, shares }, place) => {
     const suffix = place === 0 ? "" : String(place + 1);
-    const { column, row } = spots[place];
     const x0 = (column * (panelWidth + gapX)) / inner;
     const top = 1 - (starts[row] + gapTop) / total;
     const bottom = 1 - (starts[row] + gapTop + heights[row]) / total;
@@ -146,24 +154,25 @@ function gridOf(
       anchor: `x${suffix}`,
       ...(leader ? { matches: leader } : {}),
       ...y,
-      ...(shares(place) ? { showticklabels: false } : {}),
+      ...(shares ? { showticklabels: false } : {}),
     };
     if (!grid && column === 0 && yTitle) {
       const from = startsAt ? `${yTitle}<br><b>axis starts at ${startsAt}</b>` : plain(yTitle);
       layout[`yaxis${suffix}`].title = { text: from, font: { size: 12, color: colors.soft }, standoff: 6 };
     }
-    if (!grid) annotations.push({
-      text: `<b>${plain(shorten(panel.title, panelWidth / 6.4))}</b>`,
-      xref: "paper",
-      yref: "paper",
-      x: x0,
-      y: top,
-      yshift: 6,
-      xanchor: "left",
-      yanchor: "bottom",
-      showarrow: false,
-      font: { size: 12, color: colors.ink },
-    });
+    if (!grid)
+      annotations.push({
+        text: `<b>${plain(shorten(panel.title, panelWidth / 6.4))}</b>`,
+        xref: "paper",
+        yref: "paper",
+        x: x0,
+        y: top,
+        yshift: 6,
+        xanchor: "left",
+        yanchor: "bottom",
+        showarrow: false,
+        font: { size: 12, color: colors.ink },
+      });
     const lastOfRow = column === wide - 1 || place === shown.length - 1;
     if (lastOfRow && panel.ends?.length) annotations.push(...endLabels(panel, heights[row], suffix));
     if (panel.beside?.length)
@@ -172,24 +181,55 @@ function gridOf(
       annotations.push({ ...note(panelWidth, colors), xref: `x${suffix}`, showarrow: false, yref: "paper", y: bottom });
     for (const shape of panel.shapes || [])
       shapes.push({ xref: `x${suffix}`, yref: `y${suffix} domain`, ...shape(colors, suffix) });
-    for (const trace of panel.traces) data.push({ ...trace, xaxis: `x${suffix}`, yaxis: `y${suffix}` });
+    const axes = { x: layout[`xaxis${suffix}`], y: layout[`yaxis${suffix}`] };
+    for (const trace of panel.traces)
+      data.push({ ...withinAxes(trace, axes), xaxis: `x${suffix}`, yaxis: `y${suffix}` });
   });
   if (grid) {
     const note = { xref: "paper", yref: "paper", showarrow: false, font: { size: 12, color: colors.ink } };
     const add = (text, x, px, more) => annotations.push({ ...note, text, x, y: 1 - px / total, ...more });
-    heads.forEach((lines, column) => {
+    heads.slice(page.column, page.column + wide).forEach((lines, column) => {
       const text = `<b>${lines.map(plain).join("<br>")}</b>`;
       add(text, (column * (panelWidth + gapX)) / inner, head, { xanchor: "left", yanchor: "bottom", align: "left" });
     });
-    grid.rows.forEach((label, row) => {
+    grid.rows.slice(page.row, page.row + high).forEach((label, row) => {
       const from = { xanchor: "left", yanchor: "bottom", xshift: -left + 8 };
       if (label) add(`<b>${plain(label)}</b>`, 0, starts[row] + gapTop - 2, from);
     });
     const soft = { xanchor: "left", yanchor: "bottom", xshift: 8 - left, font: { size: 12, color: colors.soft } };
     if (yTitle) add(plain(yTitle), 0, named, soft);
   }
-  return { data, layout, panels: panels.length, shown: shown.length };
+  return {
+    data,
+    layout,
+    panels: panels.length,
+    shown: isPicture ? panels.length : shown.length,
+    pages: pagesBeside * Math.ceil(rowCount / high),
+    titles: every.map(({ title }, place) => ({ axis: place ? `yaxis${place + 1}` : "yaxis", title })),
+  };
 }
+
+/** A trace whose error bars end at the edge of an axis that they would leave. */
+function withinAxes(trace, axes) {
+  const limited = { ...trace };
+  for (const letter of ["x", "y"]) {
+    const [bars, { range, type }] = [trace[`error_${letter}`], axes[letter]];
+    if (!bars?.array || !range) continue;
+    const [low, high] = type === "log" ? range.map((end) => 10 ** end) : range;
+    const room = (lengths, of) =>
+      lengths.map((length, at) => Math.max(0, Math.min(length, of(trace[letter][at] ?? Infinity))));
+    limited[`error_${letter}`] = {
+      ...bars,
+      symmetric: false,
+      array: room(bars.array, (value) => high - value),
+      arrayminus: room(bars.arrayminus || bars.array, (value) => value - low),
+    };
+  }
+  return limited;
+}
+
+/** How many of `count` are on each page if at most `most` fit. */
+const evenly = (count, most) => Math.ceil(count / Math.ceil(count / Math.max(1, most))) || 1;
 
 /** Rows and columns of panels by their labels, and which panels take their ticks from the one to the left. */
 function labelledGrid(panels) {
@@ -335,15 +375,17 @@ function loadAxis(values, title = "") {
   };
 }
 
-/** An axis of named options at 0, 1, 2 ... */
-function optionAxis(labels) {
+/** An axis of named options at 0, 1, 2 ...; upright where they have no room side by side. */
+function optionAxis(labels, isUpright = false) {
   return () => ({
     type: "linear",
     range: [-0.5, labels.length - 0.5],
     tickmode: "array",
     tickvals: labels.map((_, place) => place),
-    ticktext: labels.map((label) => plain(label).replace(", ", "<br>").replace(" → ", " →<br>")),
-    tickangle: 0,
+    ticktext: labels.map((label) =>
+      isUpright ? plain(label) : plain(label).replace(", ", "<br>").replace(" → ", " →<br>"),
+    ),
+    tickangle: isUpright ? -90 : 0,
     showgrid: false,
     zeroline: false,
   });

@@ -132,16 +132,13 @@ function buildFilters() {
     ]),
     reset,
     element("span", { class: "count", role: "status" }),
-    element("span", { class: "note", id: "of-all", hidden: "" }, "The answer and its table are of all results."),
+    element("span", { class: "note of-all", id: "of-all", hidden: "" }, "The answer and its table are of all results."),
   );
   const spreading = element("p", { class: "choice", id: "spreading" });
   const paper = element("button", { type: "button", class: "quiet", id: "paper" }, "The paper's figures");
   paper.addEventListener("click", () => {
     const on = isPaper();
-    change(() => {
-      for (const [name, key] of Object.entries(PAPER))
-        view[name] = on || !CHOICES[name].some((choice) => choice.key === key) ? CHOICES[name][0].key : key;
-    });
+    change(() => choosePaper(!on));
     if (on) return;
     for (const block of blocks) if (PAPER_FIGURES.includes(block.name)) block.fold.open = true;
   });
@@ -163,12 +160,6 @@ function buildFilters() {
 document.addEventListener("click", (event) => {
   for (const menu of document.querySelectorAll(".filter[open]")) if (!menu.contains(event.target)) menu.open = false;
 });
-
-function isPaper() {
-  return Object.entries(PAPER).every(
-    ([name, key]) => view[name] === key || !CHOICES[name].some((choice) => choice.key === key),
-  );
-}
 
 function showFilters() {
   document.getElementById("paper").setAttribute("aria-pressed", String(isPaper()));
@@ -192,8 +183,8 @@ function showFilters() {
   const choosesMore = ["scale", "panels", "lines", "bars"].some((name) => view[name] !== CHOICES[name][0].key);
   const more = document.getElementById("more");
   more.classList.toggle("active", choosesMore || Boolean(more.querySelector(".filter.active")));
-  document.getElementById("of-all").hidden = Object.keys(view.chosen).length === 0;
-  document.getElementById("reset").hidden = Object.keys(view.chosen).length === 0;
+  const isWhole = Object.keys(view.chosen).length === 0;
+  for (const part of [...document.querySelectorAll(".of-all"), document.getElementById("reset")]) part.hidden = isWhole;
   const passing = passingGroups().length;
   document.querySelector(".count").textContent =
     `${passing === DATA.groups.count ? "" : `${formatCount(passing)} of `}${counted(DATA.groups.count, "result")}`;

@@ -54,6 +54,17 @@ const view = {
   hidden: new Set(), // lines that the reader switched off in a legend, as `dimension/option`
 };
 
+function isPaper() {
+  return Object.entries(PAPER).every(
+    ([name, key]) => view[name] === key || !CHOICES[name].some((choice) => choice.key === key),
+  );
+}
+
+function choosePaper(on) {
+  for (const [name, key] of Object.entries(PAPER))
+    view[name] = on && CHOICES[name].some((choice) => choice.key === key) ? key : CHOICES[name][0].key;
+}
+
 function readAddress() {
   const address = new URLSearchParams(location.hash.slice(1));
   view.chosen = {};

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from zipfile import ZipFile
 
 import polars as pl
 import pytest
@@ -447,78 +446,6 @@ def test_the_page_of_a_comparison_is_as_clean_and_keeps_the_theme(read_with, tmp
     tab.locator("#theme").click()
     assert tab.evaluate(ground) != before
     assert (one.complaints, one.requests) == ([], [path.as_uri()])
-
-
-def test_pictures_have_the_widths_of_print_on_white_in_any_theme(read_with, pages):
-    one = read_with(color_scheme="dark")
-    tab = one.open(pages("small campaign"))
-    tab.evaluate("for (const block of blocks) block.fold.open = true")
-    for width, mm in (("column", 84), ("page", 174)):
-        tab.locator("#save-width").select_option(width)
-        for panel in (0, 2):
-            figure = tab.locator("#figure-vendor_comparison, [data-figure]:has([data-panel]:not([hidden]))").first
-            figure.locator("[data-panel]").select_option(index=panel)
-            with tab.expect_download() as download:
-                figure.locator("[data-save=svg]").click()
-            svg = download.value.path().read_text(encoding="utf-8")
-            assert re.search(rf'<svg[^>]* width="{mm}mm" height="[0-9.]+mm"', svg)
-            assert "rgb(255, 255, 255)" in svg, "white ground"
-            subplots = len(set(re.findall(r'class="subplot (x\w*)"', svg)))
-            assert (subplots == 1) == bool(panel)
-    with tab.expect_download() as download:
-        figure.locator("[data-save=png]").click()
-    png = download.value.path().read_bytes()
-    assert abs(int.from_bytes(png[16:20], "big") - 174 / 25.4 * 600) < 10, "600 dots an inch"
-    assert tab.evaluate("document.documentElement.dataset.theme") == "dark"
-    assert one.complaints == []
-
-
-@pytest.mark.parametrize("figure", ["latency_by_rate", "latency_by_size", "domain_difference"])
-@pytest.mark.parametrize(("choice", "is_paper"), [("page", True), ("page", False), ("column", True)])
-def test_a_picture_of_the_study_is_a_grid_on_a_page_with_each_label_once(reader, pages, figure, choice, is_paper):
-    tab = reader.open(pages("study"))
-    if is_paper:
-        tab.locator("#paper").click()
-    tab.locator("#save-width").select_option(choice)
-    svg = tab.evaluate("(name) => svgOf(pictureOf(blocks.find(b => b.name === name)))", figure)
-    assert float(re.search(r'height="([0-9.]+)mm"', svg)[1]) <= 255, "Letter between margins of 12 mm"
-    notes = re.findall(r'<text class="annotation-text.*?</text>', svg)
-    labels = ["".join(re.findall(r">([^<]+)<", note)) for note in notes if "bold" in note]
-    links = [label for label in labels if "wire" in label]
-    assert len(links) == len(set(links)) == 6
-    assert sum(label.endswith("wireless") for label in links) == 3
-    assert len(labels) == len(set(labels)) > len(links)
-    assert not [label for label in labels if "…" in label]
-    assert len(set(re.findall(r'class="subplot (x\w*)"', svg))) == len(links) * (len(labels) - len(links))
-    assert reader.complaints == []
-
-
-def test_all_figures_are_saved_as_one_zip(reader, pages):
-    tab = reader.open(pages("demo"))
-    with tab.expect_download() as download:
-        tab.locator("[data-save-all=svg]").click()
-    assert download.value.suggested_filename == "dds-trace-figures-svg.zip"
-    with ZipFile(download.value.path()) as archive:
-        assert archive.testzip() is None
-        assert len(archive.namelist()) == tab.locator("[data-figure]").count()
-        assert all(archive.read(name).startswith(b"<svg") for name in archive.namelist())
-    assert reader.complaints == []
-
-
-def test_a_picture_as_pdf_is_a_page_of_its_size(reader, pages):
-    tab = reader.open(pages("demo"))
-    tab.locator("#save-width").select_option("column")
-    height_px = tab.evaluate(
-        "(async () => { const picture = pictureOf(blocks.find(b => b.name === 'ecdf'));"
-        " layOutPictures([await svgOf(picture)], [picture]); return picture.layout.height; })()"
-    )
-    document = tab.pdf(prefer_css_page_size=True)
-    boxes = re.findall(rb"/MediaBox \[0 0 ([0-9.]+) ([0-9.]+)\]", document)
-    assert len(boxes) == 1, "one page, of nothing but the picture"
-    assert abs(float(boxes[0][0]) - 84 / 25.4 * 72) < 1.5
-    assert abs(float(boxes[0][1]) - height_px * 0.75) < 1.5
-    assert b"/Subtype /Image" not in document, "vectors"
-    assert reader.complaints == []
 
 
 def test_the_summary_is_saved_as_parquet(reader, pages):

@@ -21,6 +21,7 @@ KINDS.bars = function bars(plan, width, all) {
   const facet = chosenFacet({ ...own, x: view.bars, panels: view.bars === own.x ? own.panels : own.x });
   const found = collected(plan, (group) => plannedTime(plan, group), facet);
   const base = new Map(plan.pairs.map(([same, different]) => [different, same]));
+  const isPicture = all?.page !== undefined; // its panels are too low for more than a number
   const finite = (panels) =>
     panels
       .flatMap((panel) => panel.lines.flatMap((line) => line.points.map((point) => point.value)))
@@ -68,15 +69,15 @@ KINDS.bars = function bars(plan, width, all) {
           y: line.points.map((point) => (point.value === Infinity ? top : point.value * S)),
           text: line.points.map((point, place) =>
             isLossy(point.group)
-              ? `${shareText(point.group)} received`
-              : thick > 12 && base.has(point.group) && !lost[place]
+              ? shareText(point.group) + (isPicture ? "" : " received")
+              : !isPicture && thick > 12 && base.has(point.group) && !lost[place]
                 ? differenceText(plannedTime(plan, base.get(point.group)), point.value)
                 : "",
           ),
           textposition: lost.map((is) => (is ? "inside" : "outside")),
           insidetextanchor: "start",
-          insidetextfont: { size: 12, color: theme().ink },
-          outsidetextfont: { size: 12, color: theme().ink },
+          insidetextfont: { size: isPicture ? 9 : 12, color: theme().ink },
+          outsidetextfont: { size: isPicture ? 9 : 12, color: theme().ink },
           textangle: -90,
           cliponaxis: false,
           constraintext: "none",

@@ -255,9 +255,9 @@ Object.assign(KINDS, {
 });
 
 /** The named percentiles of a group's curve with their intervals, where the sample supports them. */
-function percentileMarks(group) {
+function namedPercentiles(group) {
   const times = DATA.values.times_ns[view.metric];
-  const named = [
+  return [
     ["p50", 2],
     ["p90", 10],
     ["p95", 20],
@@ -266,6 +266,10 @@ function percentileMarks(group) {
   ]
     .map(([name, at]) => ({ name, at, value: times[name][group], ends: intervalOf(group, name) }))
     .filter((one) => one.value !== null && one.ends.some((end) => end !== null));
+}
+
+function percentileMarks(group) {
+  const named = namedPercentiles(group);
   if (!named.length) return [];
   const trace = marks(choiceLook(group), named, {
     x: (one) => one.at,
@@ -310,7 +314,8 @@ function distribution(width, byRarity) {
     ...(byRarity ? [] : [{ value: last(group), level: 1 }]),
   ];
   const valueTitle = timeTitle(labelOf("metric"));
-  const values = groups.flatMap((group) => pointsOf(group).map((point) => point.value));
+  const marked = byRarity ? groups.flatMap((group) => namedPercentiles(group).flatMap(({ ends }) => ends)) : [];
+  const values = groups.flatMap((group) => pointsOf(group).map((point) => point.value)).concat(marked);
   const lines = (x, y, said) =>
     groups.map((group) => {
       const trace = marks(choiceLook(group), pointsOf(group), {

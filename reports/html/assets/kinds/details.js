@@ -34,6 +34,7 @@ function stacked(plan, width, all, { found, names, looks, valueOf, hover, ...gri
     const { points } = panel.lines[0];
     return {
       title: panel.title,
+      labels: panel.labels,
       weight: points.length,
       share: "all",
       traces: names.map((name) => {
@@ -151,7 +152,12 @@ Object.assign(KINDS, {
     };
     const found = collected(plan, valueOf);
     const statistic = labelOf("statistic");
-    const y = timeAxis(found.points.flatMap((point) => point.value));
+    const boundOf = ({ group }) => plan.ways[group].bound_ns || 0;
+    const y = timeAxis(
+      found.points.flatMap((point) =>
+        point.value.flatMap((way) => [way, way - boundOf(point), way + boundOf(point)]),
+      ),
+    );
     const panels = found.panels.map((panel) => {
       const { points } = panel.lines[0];
       const traces = [0, 1].map((way) => {
@@ -169,7 +175,7 @@ Object.assign(KINDS, {
               `Clocks: ± ${formatNs(plan.ways[point.group].bound_ns)}`,
             ),
         });
-        const bounds = points.map((point) => (plan.ways[point.group].bound_ns || 0) * S);
+        const bounds = points.map((point) => boundOf(point) * S);
         if (way) Object.assign(trace.marker, { symbol: "line-ew", line: { ...trace.marker.line, width: 2.5 } });
         if (bounds.some((bound) => bound > 0))
           trace.error_y = { type: "data", array: bounds, color: trace.marker.color, thickness: 1.1, width: 3 };
@@ -177,6 +183,7 @@ Object.assign(KINDS, {
       });
       return {
         title: panel.title,
+        labels: panel.labels,
         weight: points.length,
         share: "all",
         traces,

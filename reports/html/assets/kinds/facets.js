@@ -87,8 +87,8 @@ const compareKeys = (a, b) =>
     ? 0
     : a.reduce((sign, value, place) => sign || value - b[place], 0);
 
-/** Points {group, value} as panels {title, row, columns, lines: [{option, points: [{x, group, value}]}]}. */
-function spread({ x, panels, lines }, points) {
+/** Atoms that set panels apart: in which order, and in a labelled grid across and down. */
+function sidesOf({ x, panels, lines }) {
   const used = [...atomsOf(x), ...atomsOf(lines)];
   const beside = atomsOf(panels).filter((key) => !used.includes(key));
   if (beside.includes("size") && !used.includes("data")) beside.unshift("data");
@@ -96,7 +96,20 @@ function spread({ x, panels, lines }, points) {
   // In a labelled grid columns are setups and what the panels were chosen by, else the last that varies.
   let across = [...beside, ...below.filter((atom) => MADE_OF.choice.includes(atom))];
   if (!across.some(varies)) across = below.filter(varies).slice(-1);
-  const down = below.filter((atom) => !across.includes(atom));
+  return { beside, below, across, down: below.filter((atom) => !across.includes(atom)) };
+}
+
+const namesOf = (atoms, group) =>
+  atoms
+    .filter(varies)
+    .map((atom) => labelIn(atom, group))
+    .filter(Boolean)
+    .join(", ");
+
+/** Points {group, value} as panels {title, row, columns, lines: [{option, points: [{x, group, value}]}]}. */
+function spread(facet, points) {
+  const { x, lines } = facet;
+  const { beside, below, across, down } = sidesOf(facet);
   const found = new Map();
   for (const point of points) {
     const key = [...below, ...beside].map((atom) => optionOf(atom, point.group));
@@ -114,19 +127,13 @@ function spread({ x, panels, lines }, points) {
         .sort((a, b) => a[0] - b[0])
         .map(([option, its]) => ({ option, points: its.sort((a, b) => a.x - b.x || a.group - b.group) }));
       const first = made[0].points[0].group;
-      const namesOf = (atoms) =>
-        atoms
-          .filter(varies)
-          .map((atom) => labelIn(atom, first))
-          .filter(Boolean)
-          .join(", ");
-      const title = namesOf([...beside, ...below]) || labelIn("data", first);
+      const title = namesOf([...beside, ...below], first) || labelIn("data", first);
       const parts = Math.ceil(made.length / MOST_LINES),
         most = Math.ceil(made.length / parts);
       const numbered = (text, part) => (parts > 1 ? `${text} (${part + 1} of ${parts})` : text);
       return Array.from({ length: parts }, (_, part) => ({
         title: numbered(title, part),
-        labels: { row: namesOf(down), column: numbered(namesOf(across), part) },
+        labels: { row: namesOf(down, first), column: numbered(namesOf(across, first), part) },
         row: key.slice(0, below.length).join(),
         column: key.slice(below.length).join(),
         lines: made.slice(part * most, (part + 1) * most),

@@ -112,7 +112,7 @@ const SHARES = {
 };
 
 /** The axis along which marks are: {x, notes, shapes, weight, place(point)}; `joined` where lines make sense. */
-function alongAxis(x, panel, title) {
+function alongAxis(x, panel, title, width = Infinity) {
   const points = panel.lines.flatMap((line) => line.points);
   const positions = [...new Set(points.map((point) => point.x))].sort((a, b) => a - b);
   const rank = new Map(positions.map((at, place) => [at, place]));
@@ -141,11 +141,13 @@ function alongAxis(x, panel, title) {
       weight: positions.length * Math.max(1, count / 3),
     };
   const labels = positions.map((at) => DATA.dimensions[x].options[at].label);
+  const longest = (parts) => Math.max(...labels.flatMap((label) => label.split(parts)).map((part) => part.length));
+  const isUpright = (width - 78) / labels.length < Math.min(65, 6.2 * longest(/, | → /));
   return {
-    x: optionAxis(labels),
+    x: optionAxis(labels, isUpright),
     place,
     weight: positions.length * 5,
-    below: 12 * Math.max(1, ...labels.map((label) => label.split(", ").length)),
+    below: isUpright ? 6.2 * longest() : 12 * Math.max(1, ...labels.map((label) => label.split(", ").length)),
   };
 }
 
@@ -183,7 +185,7 @@ KINDS.lines = function lines(plan, width, all) {
     return { share, y: axes.get(share) };
   };
   const panels = kept.map((panel) => {
-    const along = alongAxis(x, panel, plan.x_title || "");
+    const along = alongAxis(x, panel, plan.x_title || "", width);
     const traces = panel.lines.map((line, place) => {
       const look = lookOf(dimension, line.option);
       const trace = marks(look, line.points, {
@@ -213,7 +215,7 @@ KINDS.lines = function lines(plan, width, all) {
     const beside = sharesBeside(panel.lines, traces);
     if (x === "load") traces.unshift(diagonal(panel));
     const ends =
-      along.joined && !isNarrow(width) && all !== LABELLED && panel.lines.length > 1
+      along.joined && !isNarrow(width) && all?.page === undefined && panel.lines.length > 1
         ? panel.lines.map((line, place) => ({
             text: lookOf(dimension, line.option).short,
             color: lookOf(dimension, line.option).color,
@@ -309,9 +311,11 @@ KINDS.heatmap = function heatmap(plan, width, all) {
   const log = view.tiles !== "received_ratio";
   const shade = (value) => (log ? Math.log10(Math.max(value, 1)) : value);
   let missing = 0;
+  const { across, down } = sidesOf({ x: "plane", panels: "", lines: "" });
   const kept = plan.panels
     .map((panel) => ({
       title: panel.title,
+      labels: { row: namesOf(down, panel.tiles[0][2]), column: namesOf(across, panel.tiles[0][2]) },
       tiles: panel.tiles
         .filter(([, , group]) => passes(group))
         .filter(([, , group]) => {
@@ -325,7 +329,9 @@ KINDS.heatmap = function heatmap(plan, width, all) {
   const least = Math.min(...values),
     most = Math.max(...values);
   const span = { low: log ? shade(least) : Math.min(least, 0.99), high: log ? shade(most) : 1 };
-  const minWidth = Math.max(300, ...kept.map((panel) => new Set(panel.tiles.map(([, rate]) => rate)).size * 40));
+  const isPicture = all?.page !== undefined;
+  const [wide, narrow] = isPicture ? [58, 120] : [40, 300];
+  const minWidth = Math.max(narrow, ...kept.map((panel) => new Set(panel.tiles.map(([, rate]) => rate)).size * wide));
   const steps = Array.from({ length: 5 }, (_, step) => span.low + ((span.high - span.low) * step) / 4);
   const panels = kept.map((panel, place) => {
     const sizes = new Map(
@@ -342,6 +348,7 @@ KINDS.heatmap = function heatmap(plan, width, all) {
       );
     return {
       title: panel.title,
+      labels: panel.labels,
       height: Math.max(34, 28 * rows.length),
       traces: [
         {
@@ -355,7 +362,7 @@ KINDS.heatmap = function heatmap(plan, width, all) {
           hovertext: grid((group) => groupHover(group, `${label}: ${format(valueOf(group))}`, sampleHover(group))),
           hoverinfo: "text",
           texttemplate: minWidth / rates.length >= 46 ? "%{text}" : undefined,
-          textfont: { size: 12, color: "#1b1f24" },
+          textfont: { size: isPicture ? 9 : 12, color: "#1b1f24" },
           xgap: 2,
           ygap: 2,
           colorscale: HEAT,

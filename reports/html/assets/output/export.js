@@ -51,39 +51,32 @@ function chosenWidth() {
   return PICTURE_WIDTHS.find((one) => one.key === select?.value) || PICTURE_WIDTHS[0];
 }
 
-/** A figure as it is drawn for paper: on white, in the light colours, at the chosen width, one panel of it or all. */
-function pictureOf(block, panel = "") {
+/**
+ * A figure as it is drawn for paper: on white, in the light colours, at the chosen width, one panel of it or all; what
+ * is higher than a page is several pictures.
+ */
+function picturesOf(block, panel = "", { mm = chosenWidth().mm, title = block.title(), below = 0 } = {}) {
   const root = document.documentElement;
-  const { mm } = chosenWidth();
   const before = root.dataset.theme;
   const width = mm === null ? block.drawn.layout.width : Math.round(mm * PX_PER_MM);
   root.dataset.theme = "light"; // for as long as the colours are read: nothing is painted in between
   try {
-    const drawn = KINDS[block.figure.kind](block.figure.plan, width, panel || LABELLED);
-    const title = block.title ? block.title() : block.figure.title;
-    return onWhite(panel ? panelOf(drawn, panel, width) : drawn, title, width, mm);
+    const draw = (all) => KINDS[block.figure.kind](block.figure.plan, width, all);
+    if (panel) return [onWhite(panelOf(draw(true), panel, width), title, width, mm)];
+    const whole = draw(true);
+    const height = PAGE_HEIGHT - below - headOf(whole, title && `${title} (9 of 9)`, width, mm).above;
+    const first = draw({ page: 0, height });
+    const drawn = [first, ...Array.from({ length: first.pages - 1 }, (_, at) => draw({ page: at + 1, height }))];
+    const shown = drawn.filter(({ data }) => data.length);
+    const named = (at) => (title && shown.length > 1 ? `${title} (${at + 1} of ${shown.length})` : title);
+    return shown.map((one, at) => onWhite(one, named(at), width, mm));
   } finally {
     root.dataset.theme = before;
   }
 }
 
-/** The panels of a figure {axis, title}, by the y axis of each. */
-function panelsOf({ layout }) {
-  const titles = (layout.annotations || []).filter((note) => note.xref === "paper" && note.yref === "paper");
-  return Object.keys(layout)
-    .filter((key) => key.startsWith("yaxis") && !layout[key].overlaying)
-    .map((axis) => {
-      const x = layout[layout[axis].anchor.replace("x", "xaxis")];
-      const named = titles.find(
-        (note) => Math.abs(note.y - layout[axis].domain[1]) < 1e-6 && Math.abs(note.x - x.domain[0]) < 1e-6,
-      );
-      return { axis, title: named ? named.text.replace(/<[^>]*>/g, "") : "" };
-    })
-    .filter((one) => one.title);
-}
-
 /** One panel of a figure as a figure. */
-function panelOf({ data, layout }, axis, width) {
+function panelOf({ data, layout, titles }, axis, width) {
   const x = layout[axis].anchor;
   // over one another
   const over = Object.keys(layout).filter((key) => key.startsWith("yaxis") && layout[key].anchor === x);
@@ -121,29 +114,39 @@ function panelOf({ data, layout }, axis, width) {
         ]),
       ),
       [x.replace("x", "xaxis")]: { ...layout[x.replace("x", "xaxis")], matches: undefined, domain: [0, 1] },
-      title: { text: panelsOf({ layout }).find((one) => one.axis === axis)?.title || "" },
+      title: { text: titles.find((one) => one.axis === axis)?.title || "" },
     },
   };
 }
 
+/** What is above a picture's plots: its title in lines, and room for the legend. */
+function headOf({ data, layout }, title, width, mm) {
+  const size = mm !== null && mm < 100 ? 10 : 11;
+  const names = [...new Set(data.filter(({ name, type }) => name && type !== "heatmap").map(({ name }) => name))];
+  const lines = names.reduce((rows, name) => {
+    const taken = 46 + name.length * size * 0.56;
+    if (rows.length && rows[rows.length - 1] + taken <= width) rows[rows.length - 1] += taken;
+    else rows.push(taken);
+    return rows;
+  }, []).length;
+  const text = [title, layout.title?.text].filter(Boolean).join(": ");
+  const head = text ? wrapped(text, (width - 16) / (size * 0.62)) : [];
+  const titled = 10 + head.length * (size + 5);
+  const isNamed = names.length > 1;
+  return { size, head, titled, isNamed, above: titled + (isNamed ? lines * (size + 10) + 6 : 0) };
+}
+
 /** The figure with title and legend of its own on white ground; room for both is made above it. */
-function onWhite({ data, layout }, title, width, mm) {
+function onWhite(drawn, title, width, mm) {
+  const { data, layout } = drawn;
+  const { size, head, titled, isNamed, above } = headOf(drawn, title, width, mm);
   const seen = new Set();
   const traces = data.map((trace) => {
     const named = trace.name && trace.type !== "heatmap" && !seen.has(trace.name);
     if (trace.name) seen.add(trace.name);
     return { ...trace, showlegend: Boolean(named), legendgroup: trace.name };
   });
-  const size = mm !== null && mm < 100 ? 10 : 11;
-  const lines = [...seen].reduce((rows, name) => {
-    const taken = 46 + name.length * size * 0.56;
-    if (rows.length && rows[rows.length - 1] + taken <= width) rows[rows.length - 1] += taken;
-    else rows.push(taken);
-    return rows;
-  }, []).length;
-  const head = wrapped(layout.title?.text ? `${title}: ${layout.title.text}` : title, (width - 16) / (size * 0.62));
-  const titled = 10 + head.length * (size + 5);
-  const above = titled + (seen.size > 1 ? lines * (size + 10) + 6 : 0);
+  for (const [at, tiles] of traces.filter(({ type }) => type === "heatmap").entries()) tiles.showscale = at === 0;
   const height = Math.round(layout.height + above);
   return {
     data: traces,
@@ -151,9 +154,10 @@ function onWhite({ data, layout }, title, width, mm) {
       ...layout,
       width,
       height,
+      font: { ...layout.font, family: "Helvetica, Arial, sans-serif" }, // as PDF has it
       paper_bgcolor: "#ffffff",
       plot_bgcolor: "#ffffff",
-      showlegend: seen.size > 1,
+      showlegend: isNamed,
       margin: { ...layout.margin, t: layout.margin.t + above },
       title: {
         text: head.map(plain).join("<br>"),
@@ -192,12 +196,27 @@ async function svgOf({ data, layout, mm }) {
 }
 
 async function savePicture(name, block, format) {
-  const picture = pictureOf(block, block.article.querySelector("[data-panel]")?.value);
+  await savePictures(name, format, [[name, picturesOf(block, block.article.querySelector("[data-panel]")?.value)]]);
+}
+
+/** Saves [name, pictures] of figures as one file, a PDF or a zip where there are several. */
+async function savePictures(name, format, figures) {
   if (format === "pdf") {
-    printPictures([await svgOf(picture)], [picture]);
+    const document = new Pdf();
+    for (const picture of figures.flatMap(([, pictures]) => pictures)) {
+      const { width, height } = picture.layout;
+      await document.addPage(width * PT, height * PT, [{ svg: await svgOf(picture), left: 0, top: 0 }]);
+    }
+    saveBlob(`${name}.pdf`, await document.blob());
     return;
   }
-  saveBlob(`${name}.${format}`, await pictureBlob(picture, format));
+  const files = figures.flatMap(([own, pictures]) =>
+    pictures.map((picture, at) => ({ name: `${own}${pictures.length > 1 ? `-${at + 1}` : ""}.${format}`, picture })),
+  );
+  if (files.length === 1) return saveBlob(files[0].name, await pictureBlob(files[0].picture, format));
+  for (const file of files)
+    file.content = new Uint8Array(await (await pictureBlob(file.picture, format)).arrayBuffer());
+  saveBlob(`${name}-${format}.zip`, new Blob(zipParts(files), { type: "application/zip" }));
 }
 
 async function pictureBlob(picture, format) {
@@ -254,46 +273,53 @@ function zipParts(files) {
 async function saveAll(format) {
   for (const block of blocks) block.plan();
   const drawn = blocks.filter((block) => block.drawn.data.length);
-  if (format !== "pdf") {
-    const files = [];
-    for (const block of drawn) {
-      const content = new Uint8Array(await (await pictureBlob(pictureOf(block), format)).arrayBuffer());
-      files.push({ name: `${block.fileName()}.${format}`, content });
+  const figures = drawn.map((block) => [block.fileName(), picturesOf(block)]);
+  await savePictures("dds-trace-figures", format, figures);
+}
+
+/** What a paper shows, and what is there instead where a campaign varies less. */
+// prettier-ignore
+const PRINTED_FIGURES = [
+  "latency_by_rate", "domain_difference", "relay_time", "by_device", "latency_by_size", "vendor_comparison",
+  "bridge_cost", "dots", "breakdown", "percentile_curve", "ecdf", "timeline",
+];
+const A4 = { width: 595, height: 842, left: 51, top: 42 }; // points; between the margins 174 x 268 mm
+const CAPTION_HEIGHT = 84; // px of a figure's caption
+
+/** Four figures as a paper has them, each with a caption that says how to read it and what it was measured with. */
+async function savePaper() {
+  const before = { ...view };
+  choosePaper(true);
+  const figures = [];
+  try {
+    for (const name of PRINTED_FIGURES) {
+      const block = blocks.find((one) => one.name === name);
+      const pictures = block ? picturesOf(block, "", { mm: 174, title: "", below: CAPTION_HEIGHT }) : [];
+      const how = block?.article.querySelector(".how").textContent;
+      if (pictures.length && figures.length < 4) figures.push({ pictures, caption: `${block.title()}. ${how}` });
     }
-    saveBlob(`dds-trace-figures-${format}.zip`, new Blob(zipParts(files), { type: "application/zip" }));
-    return;
+  } finally {
+    Object.assign(view, before);
   }
-  const pictures = drawn.map((block) => pictureOf(block));
-  printPictures(await Promise.all(pictures.map(svgOf)), pictures);
-}
-
-/** Hands pictures to the browser's own print, as pages of their very size: "Save as PDF" there keeps them vectors. */
-function printPictures(svgs, pictures) {
-  const remove = layOutPictures(svgs, pictures);
-  print();
-  remove();
-}
-
-function layOutPictures(svgs, pictures) {
-  const pages = pictures.map(
-    ({ layout }, place) =>
-      `@page picture${place} { size: ${layout.width}px ${layout.height}px; margin: 0; }\n` +
-      `.picture:nth-child(${place + 1}) { page: picture${place}; }`,
-  );
-  const style = element("style", {}, pages.join("\n"));
-  const place = element("div", { id: "pictures" });
-  for (const svg of svgs) {
-    const page = place.appendChild(element("div", { class: "picture" }));
-    page.append(document.adoptNode(new DOMParser().parseFromString(svg, "image/svg+xml").documentElement));
-  }
-  document.head.append(style);
-  document.body.append(place);
-  document.documentElement.classList.add("pictures");
-  return () => {
-    document.documentElement.classList.remove("pictures");
-    style.remove();
-    place.remove();
-  };
+  const facts = [...document.querySelectorAll("dl > div")]
+    .map((fact) => [...fact.children].map((one) => one.textContent))
+    .filter(([label]) => ["When", "Versions"].includes(label));
+  const measured = [DATA.title, ...facts.map(([, text]) => text), DATA.made_by].join("; ");
+  const pdf = new Pdf();
+  for (const [at, { pictures, caption }] of figures.entries())
+    for (const [part, picture] of pictures.entries()) {
+      const number = `Figure ${at + 1}${pictures.length > 1 ? ` (${part + 1} of ${pictures.length})` : ""}.`;
+      const words = [
+        { text: `${number} ${caption}`, size: 9 },
+        { text: measured, size: 7 },
+      ];
+      const top = A4.top + picture.layout.height * PT + 8;
+      await pdf.addPage(A4.width, A4.height, [
+        { svg: await svgOf(picture), left: A4.left, top: A4.top },
+        { words, left: A4.left, top, width: A4.width - 2 * A4.left },
+      ]);
+    }
+  saveBlob("paper.pdf", await pdf.blob());
 }
 
 /** The bar above the figures: how wide pictures are, and all of them at once. */
@@ -317,6 +343,9 @@ function buildPictureBar() {
     button.addEventListener("click", () => saveAll(format));
     return button;
   });
+  const paper = element("button", { type: "button", class: "quiet", id: "save-paper" }, "paper.pdf");
+  paper.title = "Four figures as a paper has them, with captions and versions";
+  paper.addEventListener("click", savePaper);
   document
     .getElementById("figures-title")
     .after(
@@ -326,6 +355,8 @@ function buildPictureBar() {
         element("label", {}, "Pictures are ", select),
         " Save all: ",
         ...buttons,
+        " ",
+        paper,
       ),
     );
 }
@@ -333,7 +364,7 @@ function buildPictureBar() {
 /** Which panel of a figure its pictures show; hidden where there is only one. */
 function showPanelChoice(block) {
   const select = block.article.querySelector("[data-panel]");
-  const panels = block.drawn.data.length ? panelsOf(block.drawn) : [];
+  const panels = block.drawn.data.length ? block.drawn.titles : [];
   const chosen = select.value;
   select.replaceChildren(
     element("option", { value: "" }, "All panels"),

@@ -62,6 +62,6 @@ function cutColumns(table) {
 
 let toScreen = () => {};
 addEventListener("beforeprint", () => {
-  toScreen = document.getElementById("pictures") ? () => {} : toPaper();
+  toScreen = toPaper();
 });
 addEventListener("afterprint", () => toScreen());

@@ -11,7 +11,7 @@ const CIRCLE_POINTS = 32;
 const short = (value) => String(Math.round(1000 * value) / 1000);
 /** Widths of the characters from the space on, in thousandths of the size: of Helvetica, and of Helvetica-Bold. */
 // prettier-ignore
-const WIDTHS = [
+const ADVANCES = [
   "278 278 355 556 556 889 667 191 333 333 389 584 278 333 278 278 556 556 556 556 556 556 556 556 556 556 " +
   "278 278 584 584 584 556 1015 667 667 722 722 667 611 778 722 278 500 667 556 833 722 778 667 778 722 667 " +
   "611 722 667 944 667 667 611 278 278 278 469 556 333 556 556 500 556 556 278 556 556 222 222 500 222 833 " +
@@ -21,10 +21,10 @@ const WIDTHS = [
   "611 722 667 944 667 667 611 333 278 333 584 556 333 556 611 556 611 556 333 611 611 278 278 556 278 889 " +
   "611 611 611 611 389 556 333 611 556 778 556 556 500 389 280 389 584",
 ].map((line) => line.split(" ").map(Number));
-const OTHER_WIDTHS = { "→": 987, "←": 987, "…": 1000, "—": 1000, "•": 350, µ: 556, "·": 278 };
+const OTHER_ADVANCES = { "→": 987, "←": 987, "…": 1000, "—": 1000, "•": 350, µ: 556, "·": 278 };
 
 function textWidth(text, size, bold = false) {
-  const widths = [...text].map((one) => WIDTHS[Number(bold)][one.codePointAt(0) - 32] ?? OTHER_WIDTHS[one] ?? 570);
+  const widths = [...text].map((one) => ADVANCES[Number(bold)][one.codePointAt(0) - 32] ?? OTHER_ADVANCES[one] ?? 570);
   return (size * widths.reduce((sum, width) => sum + width, 0)) / 1000;
 }
 

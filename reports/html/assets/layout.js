@@ -85,7 +85,11 @@ function gridOf(
   const heads = (grid?.columns || []).map((label) => wrapped(label, panelWidth / 7.4));
   const named = yTitle ? 20 : 0;
   const head = grid ? named + 6 + 15 * Math.max(...heads.map((lines) => lines.length)) : 0;
-  const gapTop = grid ? (grid.rows.some(Boolean) ? 22 : 8) : 26;
+  const titles = every.map(({ title }) =>
+    isPicture ? wrapped(title, panelWidth / 6.4) : [shorten(title, panelWidth / 6.4)],
+  );
+  const lines = Math.max(1, ...titles.map((own) => own.length));
+  const gapTop = grid ? (grid.rows.some(Boolean) ? 22 : 8) : 11 + 15 * lines;
   const titled = below > 40 ? 16 : 0; // px that the title of an axis takes; only the last row has one
   const between = gapTop + below - titled;
   const spotOf = (place) => grid?.spots[place] || { row: Math.floor(place / wide), column: place % wide };
@@ -101,7 +105,8 @@ function gridOf(
   every.forEach((panel, place) => {
     const [row, column] = [spotOf(place).row - page.row, spotOf(place).column - page.column];
     if (row < 0 || row >= high || column < 0 || column >= wide) return;
-    shown.push({ panel, row, column, shares: column > 0 && (grid ? grid.shares[place] : shared(wide, place)) });
+    const shares = column > 0 && (grid ? grid.shares[place] : shared(wide, place));
+    shown.push({ panel, row, column, shares, title: titles[place] });
   });
   const most = isPicture ? tallest / Math.max(1, Math.min(high, rowCount - page.row)) - between : Infinity;
   // Of the plots in each row, px.
@@ -133,7 +138,7 @@ function gridOf(
     },
   };
   const leaders = new Map(); // share -> the first axis of it
-  shown.forEach(({ panel, row, column, shares }, place) => {
+  shown.forEach(({ panel, row, column, shares, title }, place) => {
     const suffix = place === 0 ? "" : String(place + 1);
     const x0 = (column * (panelWidth + gapX)) / inner;
     const top = 1 - (starts[row] + gapTop) / total;
@@ -162,7 +167,8 @@ function gridOf(
     }
     if (!grid)
       annotations.push({
-        text: `<b>${plain(shorten(panel.title, panelWidth / 6.4))}</b>`,
+        text: `<b>${title.map(plain).join("<br>")}</b>`,
+        align: "left",
         xref: "paper",
         yref: "paper",
         x: x0,

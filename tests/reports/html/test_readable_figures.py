@@ -83,7 +83,7 @@ def test_the_papers_figures_are_one_click(reader, pages):
         " return [drawn.panels, drawn.legend.options.map(o => lookOf(drawn.legend.dimension, o).label)]; })()"
     )
     assert drawn == [24, ["33 KB", "145 KB", "1 MB", "4 MB"]], "2 vendors, 2 ways, 6 places; a line per size"
-    first = tab.locator("#figure-latency_by_rate .annotation-text").first.text_content()
+    first = tab.evaluate("blocks.find(b => b.name === 'latency_by_rate').drawn.titles[0].title")
     assert first.startswith("Fast DDS, laptop-a")
     tab.locator("#paper").click()
     assert tab.evaluate("location.hash") in ("", "#")

@@ -19,14 +19,14 @@ const seenInCell = (groups) =>
 const LINK_PANELS = { delay_ms: ["Delay of the link", "ms"], rate_mbit_s: ["Rate of the link", "Mbit/s"] };
 
 Object.assign(KINDS, {
-  percentile_curve(_, width) {
-    return distribution(width, true);
+  percentile_curve(_, width, all) {
+    return distribution(width, true, all);
   },
-  ecdf(_, width) {
-    return distribution(width, false);
+  ecdf(_, width, all) {
+    return distribution(width, false, all);
   },
 
-  timeline(plan, width) {
+  timeline(plan, width, all) {
     const inCell = cellGroups().filter((group) => plan.groups[group]);
     const groups = seenInCell(inCell);
     const metric = view.metric === "latency" ? "latency_ns" : "rtt_ns";
@@ -74,6 +74,7 @@ Object.assign(KINDS, {
       yTitle: timeTitle(label),
       height: 190,
       below: 46,
+      all,
     });
     if (drawn.layout.yaxis) {
       for (const group of groups) {
@@ -297,7 +298,7 @@ function percentileMarks(group) {
  * Both figures of a distribution: the tail of the received messages by rarity, or the share of the planned messages
  * in time.
  */
-function distribution(width, byRarity) {
+function distribution(width, byRarity, all) {
   const {
     values_ns: { [view.metric]: curves },
     levels,
@@ -360,7 +361,7 @@ function distribution(width, byRarity) {
       }),
     };
     return {
-      ...gridOf(groups.length ? [panel] : [], width, { yTitle: valueTitle, height: 210, below: 46 }),
+      ...gridOf(groups.length ? [panel] : [], width, { yTitle: valueTitle, height: 210, below: 46, all }),
       ...common,
       columns: [
         ...GROUP_COLUMNS,
@@ -388,7 +389,7 @@ function distribution(width, byRarity) {
   if (groups.some((group) => shares[group] < 1)) panels.push(byShare("Received messages", () => 1));
   const percent = (value) => Math.round(value * 1e8) / 1e6;
   return {
-    ...gridOf(groups.length ? panels : [], width, { yTitle: "Messages", minWidth: 240, height: 210, below: 46 }),
+    ...gridOf(groups.length ? panels : [], width, { yTitle: "Messages", minWidth: 240, height: 210, below: 46, all }),
     ...common,
     columns: [
       ...GROUP_COLUMNS,

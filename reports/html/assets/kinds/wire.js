@@ -45,7 +45,7 @@ Object.assign(KINDS, {
     };
   },
 
-  sent_again(plan, width) {
+  sent_again(plan, width, all) {
     const inCell = cellGroups().filter((group) => plan.groups[group]);
     const groups = seenInCell(inCell);
     const label = plan.metric === "latency" ? "Latency" : "Round trip";
@@ -83,7 +83,7 @@ Object.assign(KINDS, {
       y: timeAxis(groups.flatMap((group) => timed(group).flatMap((point) => [point.p50_ns, point.max_ns]))),
     };
     return {
-      ...gridOf(groups.length ? [panel] : [], width, { yTitle: timeTitle(label), height: 190, below: 46 }),
+      ...gridOf(groups.length ? [panel] : [], width, { yTitle: timeTitle(label), height: 190, below: 46, all }),
       legend: choicesOf(inCell),
       missing: 0,
       columns: [

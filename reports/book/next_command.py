@@ -27,6 +27,8 @@ QOS_DEFAULTS = {
 
 SETTING_OPTIONS = {
     "cpu_affinity": "--cpu-affinity",
+    "load": "--load",
+    "security": "--security",
     "realtime_priority": "--realtime",
     "wire": "--wire",
     "discovery": "--discovery",
@@ -96,6 +98,7 @@ def _side(values: Mapping[str, str], setting: Setting, device: object) -> Iterat
         if value not in (QOS_DEFAULTS.get(key), "default"):
             text = spell_duration(int(value)) if key.endswith("_ns") and value.isdecimal() else value
             yield from _option(SETTING_OPTIONS.get(key, f"--{key}"), text)
+            yield from ("--keys", "keys") if key == "security" else ()
     if setting["connectivity"] != "loopback":
         yield from ("--connectivity", str(setting["connectivity"]))
     if device is not None:

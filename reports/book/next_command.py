@@ -28,6 +28,8 @@ QOS_DEFAULTS = {
 SETTING_OPTIONS = {
     "cpu_affinity": "--cpu-affinity",
     "load": "--load",
+    "priority": "--priority",
+    "when_full": "--when-full",
     "security": "--security",
     "realtime_priority": "--realtime",
     "wire": "--wire",

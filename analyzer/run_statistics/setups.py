@@ -92,7 +92,7 @@ def pooled_variance(residuals: Float64) -> tuple[float, float]:
     kinds, repeats = residuals.shape
     gram = residuals.T @ residuals / (repeats - 1)
     trace, square_sum = float(np.trace(gram)), float(np.square(gram).sum())
-    degrees = (repeats - 1) * (trace**2 / square_sum if of_square else 1.0)
+    degrees = (repeats - 1) * (trace**2 / square_sum if square_sum else 1.0)
     return trace / kinds, degrees
 
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 PROGRAM = "integration-service"
 STATIC, DYNAMIC = "ros2", "ros2_dynamic"
 PREFIX_VARIABLES = ("IS_PREFIX_PATH", "LD_LIBRARY_PATH")
+SYSTEM_PREFIXES = ("/usr/lib", "/usr/local/lib")
 
 
 def _configuration(options: BridgeOptions) -> str:
@@ -59,11 +60,8 @@ def _configuration(options: BridgeOptions) -> str:
 
 def _has_handle(name: str) -> bool:
     """Return whether the program finds this system handle's `.mix` file."""
-    texts = [os.environ.get(variable, "") for variable in PREFIX_VARIABLES]
-    folders = [Path(folder) for text in texts for folder in text.split(os.pathsep) if folder]
-    program = program_on_path(PROGRAM)
-    if program is not None:
-        folders.append(program.resolve().parents[1] / "lib")
+    listed = [folder for variable in PREFIX_VARIABLES for folder in os.environ.get(variable, "").split(os.pathsep)]
+    folders = [Path(folder) for folder in (*listed, *SYSTEM_PREFIXES) if folder]
     files = (f"{name}.mix", f"is/{name}.mix", f"is/{name}/{name}.mix")
     return any((folder / file).is_file() for folder in folders for file in files)
 

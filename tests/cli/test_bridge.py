@@ -36,6 +36,8 @@ def test_list_shows_the_installed_bridges_and_how_to_get_the_others():
     assert {"zenoh-bridge-dds", "ddsrouter", "routing-service", "domain_bridge"} <= set(missing)
     assert "just install-zenoh-bridge" in missing["zenoh-bridge-dds"]
     assert "apt install ros-$ROS_DISTRO-domain-bridge" in missing["domain_bridge"]
+    assert missing["domain_bridge"].endswith("(tried: never run)")
+    assert "(tried: 3.2.0 " in missing["ddsrouter"]
 
 
 def test_list_as_json():

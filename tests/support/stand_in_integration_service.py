@@ -39,7 +39,6 @@ def fail(text):
 
 def is_installed(handle):
     folders = [folder for folder in os.environ.get("IS_PREFIX_PATH", "").split(os.pathsep) if folder]
-    folders.append(str(Path(__file__).parents[1] / "lib"))
     return any((Path(folder) / "is" / handle / f"{handle}.mix").exists() for folder in folders)
 
 

@@ -24,10 +24,13 @@ def installed(tmp_path, monkeypatch):
     """Installs the stand-in with system handles of these names."""
     for variable in integration_service.PREFIX_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr(integration_service, "SYSTEM_PREFIXES", ())
 
     def with_handles(*handles):
-        monkeypatch.setenv("PATH", str(install(tmp_path / "prefix", *handles)), prepend=os.pathsep)
-        return tmp_path / "prefix"
+        prefix = tmp_path / "prefix"
+        monkeypatch.setenv("PATH", str(install(prefix, *handles)), prepend=os.pathsep)
+        monkeypatch.setenv("IS_PREFIX_PATH", str(prefix / "lib"))
+        return prefix
 
     return with_handles
 
@@ -73,6 +76,10 @@ def test_a_handle_is_found_where_the_program_looks_for_it(installed, monkeypatch
     installed()
     install(tmp_path / "elsewhere", "ros2_dynamic")
     monkeypatch.setenv(variable, f"/nowhere{os.pathsep}{tmp_path / 'elsewhere' / 'lib'}")
+    assert configuration()["systems"]["domain_5"]["type"] == "ros2_dynamic"
+    monkeypatch.setenv(variable, "/nowhere")
+    assert configuration()["systems"]["domain_5"]["type"] == "ros2"
+    monkeypatch.setattr(integration_service, "SYSTEM_PREFIXES", (str(tmp_path / "elsewhere" / "lib"),))
     assert configuration()["systems"]["domain_5"]["type"] == "ros2_dynamic"
 
 

@@ -5,6 +5,7 @@ import tarfile
 from pathlib import Path
 
 import polars as pl
+import pytest
 from polars.testing import assert_frame_equal
 
 from dds_trace.analyzer.pipeline import analyze
@@ -53,11 +54,14 @@ def test_every_row_of_the_table_is_that_of_the_stored_numbers():
     assert rows == list(rows_of(stored()))
 
 
-def test_the_stored_numbers_are_those_of_the_kept_traces(tmp_path):
-    for archive in FOLDER.glob("*.tar.xz"):
+@pytest.mark.parametrize(("name", "archives"), [("link", 2), ("host", 1)])
+def test_the_stored_numbers_are_those_of_the_kept_traces(tmp_path, name, archives):
+    files = list(FOLDER.glob(f"{name}*.tar.xz"))
+    assert len(files) == archives
+    for archive in files:
         assert archive.stat().st_size <= 1_000_000
         with tarfile.open(archive) as traces:
-            traces.extractall(tmp_path / "link", filter="data")
-    numbers = pl.read_csv(FOLDER / "link.csv")
-    summary = analyze(tmp_path / "link").summary.select(numbers.columns).cast(numbers.schema)
+            traces.extractall(tmp_path / name, filter="data")
+    numbers = pl.read_csv(FOLDER / f"{name}.csv")
+    summary = analyze(tmp_path / name).summary.select(numbers.columns).cast(numbers.schema)
     assert_frame_equal(summary, numbers, check_row_order=False)

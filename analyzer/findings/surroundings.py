@@ -94,7 +94,7 @@ def replayed_links(evidence: Evidence) -> Iterator[Observation]:
     "link_late",
     Severity.WARNING,
     Subject.RECORDING,
-    "Its delays are not those of the file: a free CPU or a lower rate may help, as the forwarder is a Python process.",
+    "Its delays are longer than the file says: a free CPU or a lower rate may help, as the forwarder is a Python process.",
 )
 def late_links(evidence: Evidence) -> Iterator[Observation]:
     """An emulated link handed frames on later than its file says."""

@@ -31,7 +31,7 @@ def tls_context(keys: str, *, listens: bool) -> ssl.SSLContext:
 
 
 class TlsSocket:
-    """A connected socket in TLS, of which one thread reads while others write.
+    """A connected socket in TLS: one thread reads while others write.
 
     `ssl.SSLSocket` is not for two threads: a blocked read keeps writers waiting, or both break its state.
     """

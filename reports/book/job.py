@@ -11,7 +11,7 @@ from dds_trace.base.printable import printable
 if TYPE_CHECKING:
     from .groups import Series
 
-_OF_BOTH = ("transport", "executor", "security", "congestion_control", "load")
+_OPTIONS = ("transport", "executor", "security", "congestion_control", "load")
 """Keys of a setting that are options of the same name, with their value."""
 
 
@@ -19,7 +19,7 @@ def commands_of(series: Series) -> dict[str, str]:
     """Return the options of `dds-record` for relay and ping of a setup, by role."""
     setting = parse_setting(series.setting)
     shared = [
-        *(word for name in _OF_BOTH if name in setting for word in (f"--{name.replace('_', '-')}", setting[name])),
+        *(word for name in _OPTIONS if name in setting for word in (f"--{name.replace('_', '-')}", setting[name])),
         *(["--tuned"] if setting.get("tuned") == "true" else []),
         *(["--reliability", series.reliability] if series.reliability != "reliable" else []),
         *(["--durability", series.durability] if series.durability != "volatile" else []),

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from arm import needs_arm, unpack
 from processes import ping
-from waiting import wait_until
 
 from dds_trace.analyzer.pipeline import analyze
 
@@ -32,7 +31,11 @@ def relay_on(arm, domain_id, path, *more):
     command += ["--discovery", "localhost", "--no-own-cost", *more]
     with subprocess.Popen(list(map(str, command)), env=arm.environment, stderr=subprocess.PIPE, text=True) as process:
         try:
-            wait_until(lambda: "serves" in process.stderr.readline(), step_s=0)
+            said = ""
+            while "serves" not in said:
+                line = process.stderr.readline()
+                assert line, said  # it ended
+                said += line
             yield
         finally:
             process.terminate()

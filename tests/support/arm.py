@@ -16,7 +16,7 @@ from dds_trace.base.version import __version__
 
 REPOSITORY = Path(__file__).parents[2]
 QEMU = shutil.which("qemu-aarch64-static") or shutil.which("qemu-aarch64")
-PACKAGES = ("python3", "libexpat1")
+PACKAGES = ("python3", "libexpat1", "libstdc++6")
 WHEELS = ("cramjam", "eclipse-zenoh", "mcap", "numpy", "psutil", "rich", "tomli", "typer>=0.26,<0.29", "zstandard")
 PIPS = ((sys.executable, "-m", "pip"), ("pip3",), ("pip",))
 PLATFORMS = ("manylinux2014_aarch64", "manylinux_2_17_aarch64", "manylinux_2_28_aarch64", "linux_aarch64")

@@ -34,7 +34,7 @@ class Drive:
     """The rows of a file, each valid from its time on; at the time of the last one the file starts over.
 
     Attributes:
-        has_rate: whether the file has a rate, of which 0 lets nothing pass.
+        has_rate: whether the file has a rate; 0 lets nothing pass.
         sha256: hash of the file.
     """
 

@@ -43,6 +43,8 @@ NOT_RUN = {
 
 OTHER_PROGRAMS = {
     "DDS_TRACE_USER": "Docker is not here",
+    "CYCLONEDDS_HOME": "tests/support/secured_cyclone.py builds it",
+    "apt-get": "changes the machine",
     "docker": "Docker is not here",
     "mkdir": "belongs to Docker's commands",
     "PATH": "sets up the environment that runs this test",
@@ -51,6 +53,7 @@ OTHER_PROGRAMS = {
     "ssh-copy-id": "the other device is not here",
     "ssh-keygen": "the other device is not here",
     "~/dds-trace-env/bin/pip": "sets up the environment that runs this test",
+    "~/venvs/secured/bin/pip": "tests/support/secured_cyclone.py builds it",
     "pip": "sets up the environment that runs this test",
     "scp": "the other device is not here",
     "source": "sets up the environment that runs this test",

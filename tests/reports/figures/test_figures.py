@@ -244,13 +244,16 @@ def test_clock_shows_offsets_since_the_first():
     assert pair == ClockPair(pair.title, 500, (0.0, 10.0), (0, 200_000), (50_000, 50_000), (0, 0))
 
 
+NO_LINK = ((None, None), (None, None))
+
+
 def test_host_load_is_that_of_the_run():
     # 0 s to 1.1 s after the wall anchor; samples at 0, 1, 2 s.
     analysis = make_analysis(Measured([MS] * 12, connectivity="wireless"))
     assert host_load_info(Book(analysis)).groups == {
         0: (
-            DeviceLoad("ping", (0.0, 1.0), (20.0, 21.0), (-50.0, -51.0)),
-            DeviceLoad("relay", (0.0, 1.0), (40.0, 41.0), (-50.0, -51.0)),
+            DeviceLoad("ping", (0.0, 1.0), (20.0, 21.0), (-50.0, -51.0), *NO_LINK),
+            DeviceLoad("relay", (0.0, 1.0), (40.0, 41.0), (-50.0, -51.0), *NO_LINK),
         )
     }
 

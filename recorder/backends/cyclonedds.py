@@ -39,7 +39,7 @@ from .node import (
 from .qos import incompatible_pairs
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Hashable, Mapping
 
     from dds_trace.tracefile.format.descriptions import Qos
 
@@ -145,8 +145,8 @@ class CycloneNode(ThreadedNode):
     def publisher_of(self, source: Hashable) -> str | None:
         return self._builtin.key_of(source)
 
-    def first_member(self, type_name: str) -> str | None:
-        return next(iter(DDS_TYPES.get(type_name, {}).values()), None)
+    def members(self, type_name: str) -> Mapping[str, str] | None:
+        return DDS_TYPES.get(type_name)
 
     def _topic(self, topic: str, type_name: str) -> Any:
         from cyclonedds.topic import Topic

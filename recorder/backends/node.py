@@ -277,8 +277,8 @@ class TapNode(Protocol):
     def publisher_of(self, source: Hashable) -> str | None:
         """Return the `Publication.publisher` of a message's `source`."""
 
-    def first_member(self, type_name: str) -> str | None:
-        """Return the type of a message's first member as in a `.msg` file; None if the node does not know it."""
+    def members(self, type_name: str) -> Mapping[str, str] | None:
+        """Return the members of a message type with their types; None if the node does not know it."""
 
 
 class Node(ABC):

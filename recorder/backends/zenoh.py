@@ -27,7 +27,7 @@ from .qos import refuse_durations
 from .zenoh_ros import GRAPH_KEY, Attachment, data_key, parse_attachment, parse_token
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Hashable, Mapping
 
     from dds_trace.tracefile.format.descriptions import Qos
 
@@ -166,8 +166,8 @@ class ZenohNode(Node):
     def publisher_of(self, source: Hashable) -> str | None:
         return None if source is None else str(source)
 
-    def first_member(self, type_name: str) -> str | None:
-        return next(iter(DDS_TYPES.get(type_name, {}).values()), None)
+    def members(self, type_name: str) -> Mapping[str, str] | None:
+        return DDS_TYPES.get(type_name)
 
     def _key(self, *parts: str) -> str:
         return "/".join((KEY_PREFIX, str(self.options.domain_id), *parts))

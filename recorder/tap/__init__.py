@@ -2,7 +2,7 @@
 
 - tap: joins topics as they appear, and stores an event for each message
 - streams: one publisher's messages: counts, rate, silence
-- stamps: where a message of a type has its first time stamp
+- stamps: the header stamp of messages of any type
 - page: the same on a local web page
 - diagnostics: the same as `diagnostic_msgs`
 - worker: the thread that hashes and stores, at a low priority

@@ -1,94 +1,53 @@
-"""The first time stamp of a serialized message of any type."""
+"""The header stamp of a message of any type that the node, our own table, or rosbags knows."""
 
 from __future__ import annotations
 
-import struct
-from functools import cache
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.header_stamps import Field, plain_name, stamp_reader
 
 from ..backends.dds_types import DDS_TYPES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from ..backends.node import RawMessage
+    from dds_trace.tracefile.format.header_stamps import Fields
 
-    FirstMember = Callable[[str], str | None]
-    """Type name -> type of its first member as in a `.msg` file."""
+    Members = Callable[[str], Mapping[str, str] | None]
+    """Type name -> member -> type, as in a `.msg` file or as rclpy spells it."""
 
-HEADER, TIME, SEQUENCE = "header", "time", "sequence"
-"""Values of `header` in a publisher's description."""
-_LEAVES = {"std_msgs/msg/Header": HEADER, "builtin_interfaces/msg/Time": TIME}
-_MOST_LEVELS = 16
-_COUNT_AT, _STAMP_AT, _FIRST_STAMP_AT = 4, 4, 8
-_COUNTS = (struct.Struct(">I"), struct.Struct("<I"))
-_STAMPS = (struct.Struct(">iI"), struct.Struct("<iI"))
+_PLAIN = {"double": "float64", "float": "float32", "boolean": "bool"}
 
 
-def stamp_kind(type_name: str, first_member: FirstMember) -> str | None:
-    """Return what a message begins with: a header, a time, or a sequence of messages that begin with one; None for none of these."""
-    name, is_sequence = type_name, False
-    for _ in range(_MOST_LEVELS):
-        if name in _LEAVES:
-            return SEQUENCE if is_sequence else _LEAVES[name]
-        member = first_member(name)
-        if member is None:
+def reader_of(type_name: str, members: Members) -> Callable[[bytes], int | None] | None:
+    """Return the function that reads a message's stamp, ns, or None; None for a type without one, or an unknown one."""
+
+    def stored(name: str) -> Fields | None:
+        package, slash, rest = name.partition("/")
+        if not slash:
             return None
-        element = member.removeprefix("sequence<").removesuffix(">").partition(",")[0].partition("[")[0]
-        if element != member:
-            # Of a second sequence, or an array, the offset would depend on the content.
-            is_array = member.endswith("]") and not member.endswith("[]")
-            if is_array or is_sequence or name != type_name:
-                return None
-            is_sequence = True
-        package, _, last = element.rpartition("/")
-        name = f"{package.partition('/')[0]}/msg/{last}"
-        if not package:
-            return None
-    return None
+        full_name = f"{package}/msg/{rest}"
+        found = members(full_name) or DDS_TYPES.get(full_name)
+        return None if found is None else tuple(_field(member, text) for member, text in found.items())
+
+    is_stored = stored(plain_name(type_name)) is not None
+    return stamp_reader(type_name, "" if is_stored else _definition(type_name), "cdr", stored)
 
 
-def stamp_reader(kind: str | None) -> Callable[[RawMessage], int]:
-    """Return the function that reads a message's stamp, ns; 0 for none, or none that is a time."""
-    if kind is None:
-        return lambda _message: 0
-    at = _FIRST_STAMP_AT if kind == SEQUENCE else _STAMP_AT
-    is_sequence = kind == SEQUENCE
-
-    def read(message: RawMessage) -> int:
-        if len(message) < at + 8:
-            return 0
-        order = message[1] & 1
-        if is_sequence and not _COUNTS[order].unpack_from(message, _COUNT_AT)[0]:
-            return 0
-        seconds, nanoseconds = _STAMPS[order].unpack_from(message, at)
-        return seconds * SECOND_NS + nanoseconds if 0 <= nanoseconds < SECOND_NS and seconds >= 0 else 0
-
-    return read
+def _field(name: str, text: str) -> Field:
+    is_sequence = text.startswith("sequence<") or text.endswith("[]")
+    element = text.removeprefix("sequence<").partition(",")[0].removesuffix("[]").removesuffix(">").partition("<")[0]
+    element, bracket, length = element.partition("[")
+    several = -1 if is_sequence else int(length.removesuffix("]")) if bracket else None
+    return Field(name, plain_name(_PLAIN.get(element, element)), several)
 
 
-def known_first_member(type_name: str) -> str | None:
-    """Return the first member's type without a node that knows it: from our own table, else from rosbags if it is installed."""
-    if type_name in DDS_TYPES:
-        return next(iter(DDS_TYPES[type_name].values()), None)
+def _definition(type_name: str) -> str:
+    """Return the definition of a type that ROS 2 itself has; empty without rosbags."""
     if find_spec("rosbags") is None:
-        return None
-    from rosbags.interfaces import Nodetype  # noqa: PLC0415 - optional
-
-    _, members = _definitions().get(type_name, ((), ()))
-    kind, detail = members[0][1] if members else (None, "")
-    if kind == Nodetype.NAME:
-        return str(detail)
-    if kind == Nodetype.SEQUENCE and detail[0][0] == Nodetype.NAME:
-        return f"{detail[0][1]}[]"
-    return None
-
-
-@cache
-def _definitions() -> Mapping[str, Any]:
+        return ""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional
 
-    return get_typestore(Stores.LATEST).fielddefs
+    store = get_typestore(Stores.LATEST)
+    return store.generate_msgdef(type_name)[0] if type_name in store.fielddefs else ""

@@ -40,7 +40,7 @@ class Stream:
         publisher_id: its number in the trace, from 1.
         publisher: its GUID; None if it is not sure.
         subscribed: the quality of service of the tap's subscription.
-        header: what its messages begin with (`stamps`).
+        has_header: whether its type has a header stamp.
         missing: gaps in the publication sequence.
         reordered: messages whose number was lower than one before.
         last_ns: arrival of the latest message, monotonic; 0 before the first.
@@ -52,7 +52,7 @@ class Stream:
     publisher_id: int
     publisher: str | None
     subscribed: Qos
-    header: str | None
+    has_header: bool
     messages: int = 0
     payload_bytes: int = 0
     missing: int = 0
@@ -110,7 +110,7 @@ class Stream:
             "node": self.publication.node_name,
             "qos": {} if offered is None else offered.to_dict(),
             "subscribed": self.subscribed.to_dict(),
-            "header": self.header,
+            "has_header": self.has_header,
             "sequence_is_given": self.last_sequence > 0,
             "monotonic_ns": now_ns,
             "messages": self.messages,

@@ -13,7 +13,7 @@ from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, hash_content
 from ..backends.node import Publication
 from ..choices import Durability, History, Reliability
 from ..host.clock import SystemClock
-from .stamps import known_first_member, stamp_kind, stamp_reader
+from .stamps import reader_of
 from .streams import State, Stream
 from .worker import Worker
 
@@ -47,21 +47,18 @@ def chosen_qos(reliability: Reliability | None, durability: Durability | None, d
     )
 
 
-@dataclass(eq=False)
+@dataclass(slots=True, eq=False)
 class _Topic:
     """One topic and type: its subscription, and its publishers in the graph."""
 
     name: str
     type_name: str
-    header: str | None
+    read_stamp: Callable[[bytes], int | None] | None
     live: LiveTopic | None = None
     publications: list[Publication] = field(default_factory=list)
     subscription: Subscription | None = None
     streams: dict[Hashable, Stream] = field(default_factory=dict)
     """By `source` of a message; None is the only publisher, or all of several."""
-
-    def __post_init__(self) -> None:
-        self.read_stamp = stamp_reader(self.header)
 
 
 class Tap:
@@ -148,9 +145,9 @@ class Tap:
 
     def _join(self, name: str, type_name: str, publications: list[Publication]) -> None:
         try:
-            header = stamp_kind(type_name, self._first_member)
+            read_stamp = reader_of(type_name, self._node.members)
             live = None if self._live is None else self._live.topic(name)
-            topic = self._topics[name, type_name] = _Topic(name, type_name, header, live)
+            topic = self._topics[name, type_name] = _Topic(name, type_name, read_stamp, live)
             self._update(topic, publications)
             topic.subscription = self._node.create_tap(name, type_name, self._receiver(topic), qos=self._qos)
         except (BackendUnavailableError, OptionError) as error:
@@ -159,9 +156,6 @@ class Tap:
             self._note(f"{name} is not joined: {error}")
             return
         self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}")
-
-    def _first_member(self, type_name: str) -> str | None:
-        return self._node.first_member(type_name) or known_first_member(type_name)
 
     def _update(self, topic: _Topic, publications: list[Publication]) -> None:
         """Take the topic's publishers from the graph; a message without source is then of the only one, or of any."""
@@ -201,7 +195,8 @@ class Tap:
         stream = topic.streams.get(source) or self._meet(topic, source)
         if stream.publisher is None and source is None:
             sequence = 0
-        header_ns, payload_bytes = topic.read_stamp(message), len(message)
+        header_ns = 0 if topic.read_stamp is None else max(topic.read_stamp(bytes(message)) or 0, 0)
+        payload_bytes = len(message)
         self._sink.record(
             TAP,
             hash_content(message),
@@ -220,24 +215,24 @@ class Tap:
     def _meet(self, topic: _Topic, source: Hashable) -> Stream:
         """Return the stream of a source's first message."""
         publisher, publication = self._identify(topic, source)
-        known = (one for one in self.streams if one.publisher == publisher and one.publication.topic == topic.name)
-        stream = next(known, None)
+        heard = (one for one in self.streams if one.publisher == publisher and one.publication.topic == topic.name)
+        stream = next(heard, None)
         if stream is None:
             if len(self.streams) >= MOST_STREAMS:
                 return self.streams[-1]
-            stream = Stream(publication, len(self.streams) + 1, publisher, self._qos, topic.header)
+            stream = Stream(publication, len(self.streams) + 1, publisher, self._qos, topic.read_stamp is not None)
             self.streams.append(stream)  # described by `look`: the next message would wait for the disk
         topic.streams[source] = stream
         return stream
 
     def _identify(self, topic: _Topic, source: Hashable) -> tuple[str | None, Publication]:
-        known = topic.publications
+        publications = topic.publications
         if source is None:
-            only = known[0] if len(known) == 1 else None
+            only = publications[0] if len(publications) == 1 else None
             return (None if only is None else only.publisher), only or Publication(topic.name, topic.type_name)
         publisher = self._node.publisher_of(source)
-        named = [publication for publication in known if publication.publisher == publisher]
-        likely = named or (known if len(known) == 1 else [])
+        named = [publication for publication in publications if publication.publisher == publisher]
+        likely = named or (publications if len(publications) == 1 else [])
         return publisher, next(iter(likely), Publication(topic.name, topic.type_name, publisher))
 
     def _describe(self, stream: Stream, state: State) -> None:

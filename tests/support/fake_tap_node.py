@@ -37,7 +37,7 @@ class FakeTapNode(FakeNode):
         super().__init__()
         self.graph: list[Publication] = []
         self.unknown: set[str] = set()
-        self.members: dict[str, str] = {}
+        self.definitions: dict[str, dict[str, str]] = {}
         self.subscribed: dict[str, Qos] = {}
         self.sources: dict[Hashable, str] = {}
 
@@ -54,5 +54,5 @@ class FakeTapNode(FakeNode):
     def publisher_of(self, source: Hashable) -> str | None:
         return self.sources.get(source)
 
-    def first_member(self, type_name: str) -> str | None:
-        return self.members.get(type_name)
+    def members(self, type_name: str) -> dict[str, str] | None:
+        return self.definitions.get(type_name)

@@ -145,8 +145,9 @@ class Ros2Node(ThreadedNode):
     def publisher_of(self, source: Hashable) -> str | None:  # noqa: ARG002 - rclpy does not report it
         return None
 
-    def first_member(self, type_name: str) -> str | None:
-        return next(iter(_message_class(type_name).get_fields_and_field_types().values()), None)
+    def members(self, type_name: str) -> Mapping[str, str] | None:
+        fields: Mapping[str, str] = _message_class(type_name).get_fields_and_field_types()
+        return fields
 
     def destroy_subscription(self, subscription: _Ros2Subscription) -> None:
         self._subscriptions = tuple(other for other in self._subscriptions if other is not subscription)

@@ -1,14 +1,18 @@
-"""Where a message of any type has its first stamp, against rosbags' serializer."""
+"""The stamp that a tap reads of messages of any type, against rosbags' serializer."""
 
 from __future__ import annotations
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.recorder.tap.stamps import known_first_member, stamp_kind, stamp_reader
+from dds_trace.recorder.tap.stamps import reader_of
 
 STORE = get_typestore(Stores.LATEST)
 T = STORE.types
+
+
+def nobody_knows(_type_name):
+    return None
 
 
 def header(sec, nanosec):
@@ -21,62 +25,56 @@ def transforms(*stamps):
     return T["tf2_msgs/msg/TFMessage"]([stamped(header(*stamp), "child", transform) for stamp in stamps])
 
 
-MESSAGES = {
-    "header": (
-        T["geometry_msgs/msg/PointStamped"](header(7, 8), T["geometry_msgs/msg/Point"](1.0, 2.0, 3.0)),
-        7_000_000_008,
-    ),
-    "time": (T["builtin_interfaces/msg/Time"](3, 4), 3_000_000_004),
-    "sequence": (transforms((5, 6), (9, 9)), 5_000_000_006),
+POINT = T["geometry_msgs/msg/PointStamped"](header(7, 8), T["geometry_msgs/msg/Point"](1.0, 2.0, 3.0))
+AS_RCLPY = {
+    "geometry_msgs/msg/PointStamped": {"header": "std_msgs/Header", "point": "geometry_msgs/Point"},
+    "tf2_msgs/msg/TFMessage": {"transforms": "sequence<geometry_msgs/TransformStamped>"},
+    "geometry_msgs/msg/TransformStamped": {"header": "std_msgs/Header", "child_frame_id": "string"},
 }
 
 
 @pytest.mark.parametrize("little_endian", [True, False])
-@pytest.mark.parametrize("kind", MESSAGES)
-def test_the_first_stamp_is_read(kind, little_endian):
-    message, stamp_ns = MESSAGES[kind]
-    type_name = message.__msgtype__
-    assert stamp_kind(type_name, known_first_member) == kind
-    data = bytes(STORE.serialize_cdr(message, type_name, little_endian=little_endian))
-    assert stamp_reader(kind)(data) == stamp_ns
+@pytest.mark.parametrize("members", [nobody_knows, AS_RCLPY.get])
+@pytest.mark.parametrize(("message", "stamp_ns"), [(POINT, 7_000_000_008), (transforms((5, 6), (9, 9)), 5_000_000_006)])
+def test_the_first_stamp_is_read(message, stamp_ns, members, little_endian):
+    data = bytes(STORE.serialize_cdr(message, message.__msgtype__, little_endian=little_endian))
+    assert reader_of(message.__msgtype__, members)(data) == stamp_ns
 
 
 def test_a_sequence_without_elements_has_no_stamp():
     data = bytes(STORE.serialize_cdr(transforms(), "tf2_msgs/msg/TFMessage"))
-    assert stamp_reader("sequence")(data) == 0
+    assert not reader_of("tf2_msgs/msg/TFMessage", nobody_knows)(data)
 
 
 @pytest.mark.parametrize(
-    "type_name", ["std_msgs/msg/String", "geometry_msgs/msg/Twist", "my_msgs/msg/Unknown", "std_msgs/msg/Empty"]
+    "type_name", ["std_msgs/msg/String", "geometry_msgs/msg/Twist", "my_msgs/msg/Unknown", "Square"]
 )
 def test_other_types_have_none(type_name):
-    kind = stamp_kind(type_name, known_first_member)
-    assert kind is None
-    assert stamp_reader(kind)(b"\0\1\0\0" + bytes(100)) == 0
+    assert reader_of(type_name, nobody_knows) is None
 
 
 @pytest.mark.parametrize(
-    ("members", "kind"),
+    "first",
     [
-        ({"a/msg/A": "std_msgs/Header"}, "header"),
-        ({"a/msg/A": "b/B", "b/msg/B": "builtin_interfaces/Time"}, "time"),
-        ({"a/msg/A": "sequence<b/B>", "b/msg/B": "std_msgs/Header"}, "sequence"),
-        ({"a/msg/A": "sequence<b/B, 10>", "b/msg/B": "std_msgs/Header"}, "sequence"),
-        ({"a/msg/A": "b/B[3]", "b/msg/B": "std_msgs/Header"}, None),
-        ({"a/msg/A": "b/B", "b/msg/B": "sequence<std_msgs/Header>"}, None),
-        ({"a/msg/A": "a/A"}, None),
-        ({"a/msg/A": "sequence<double>"}, None),
-        ({"a/msg/A": "string<10>"}, None),
+        "double[36]",
+        "sequence<uint8, 10>",
+        "string<10>",
+        "sequence<double>",
+        "boolean",
+        "float",
+        "b/B[2]",
+        "uint8[]",
+        "string",
     ],
 )
-def test_members_as_rclpy_describes_them(members, kind):
-    assert stamp_kind("a/msg/A", members.get) == kind
+def test_members_as_rclpy_spells_them_are_passed_over(first):
+    definitions = {"a/msg/A": {"first": first, "header": "std_msgs/Header"}, "b/msg/B": {"x": "double"}}
+    read = reader_of("a/msg/A", definitions.get)
+    head = (5).to_bytes(4, "little") + (6).to_bytes(4, "little") + bytes(8)
+    width = {"double[36]": 288, "b/B[2]": 16}.get(first, 4)  # a sequence and a string of no elements, a padded flag
+    assert read(b"\0\1\0\0" + bytes(width) + head) == 5_000_000_006
 
 
-@pytest.mark.parametrize(
-    "data",
-    [b"", b"\0\1\0\0", b"\0\1\0\0\1\0\0\0\0\0\0", b"\0\1\0\0\1\0\0\0\xff\xff\xff\xff", b"\0\1\0\0" + b"\xff" * 20],
-)
-@pytest.mark.parametrize("kind", ["header", "time", "sequence"])
-def test_what_is_no_stamp_is_none(kind, data):
-    assert stamp_reader(kind)(data) == 0
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0\1\0\0\0\0\0\0"])
+def test_what_is_cut_short_has_none(data):
+    assert not reader_of("geometry_msgs/msg/PointStamped", nobody_knows)(data)

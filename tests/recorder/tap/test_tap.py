@@ -24,7 +24,7 @@ class Bench:
     def __init__(self, *patterns: str, graph=(CAMERA,)):
         self.node, self.clock, self.sink, self.notes = FakeTapNode(), FakeClock(), JsonSink(), []
         self.node.graph = list(graph)
-        self.node.members = {IMAGE: "std_msgs/Header"}
+        self.node.definitions = {IMAGE: {"header": "std_msgs/Header"}}
         qos = chosen_qos(None, None, None)
         self.tap = Tap(
             self.node,
@@ -67,7 +67,7 @@ def test_its_publisher_is_described_once_heard_and_at_the_end():
     text = bench.sink.texts[0][1]
     assert text["session_id"] == "00000000000000a1"
     assert (text["topic"], text["type"], text["publisher"]) == (CAMERA.topic, IMAGE, CAMERA.publisher)
-    assert (text["node"], text["header"], text["sequence_is_given"]) == ("/driver", "header", True)
+    assert (text["node"], text["has_header"], text["sequence_is_given"]) == ("/driver", True, True)
     assert text["qos"]["durability"] == "transient_local"
     assert text["subscribed"]["reliability"] == "best_effort"
     assert not bench.node.subscriptions[CAMERA.topic].is_open

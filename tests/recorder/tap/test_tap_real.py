@@ -117,7 +117,7 @@ def test_a_tap_records_every_message_with_its_identity(tmp_path, domain_id, back
     assert np.all((taps.monotonic_ns >= before_ns) & (taps.source_ns > 0))
     (described,) = trace.publishers
     assert (described["topic"], described["type"], described["state"]) == ("/camera/image", IMAGE, "closed")
-    assert described["header"] == "header"
+    assert described["has_header"]
     assert len(bytes.fromhex(described["publisher"])) == 16
     assert described["qos"]["reliability"] == "reliable"
     assert trace.sessions[0].role == "tap"
@@ -171,7 +171,7 @@ def test_a_type_that_nobody_here_knows_is_heard(tmp_path, domain_id):
         writer.__del__()
         participant.__del__()
     (described,) = read_trace(tmp_path / "tap.mcap").publishers
-    assert (described["type"], described["header"]) == ("my_msgs/msg/Scan", None)
+    assert (described["type"], described["has_header"]) == ("my_msgs/msg/Scan", False)
 
 
 @pytest.mark.skipif(find_spec("zenoh") is None, reason="no zenoh here")

@@ -30,6 +30,9 @@ LEAST_ALIKE = 0.5
 OTHER_CLOCK_NS = 86_400 * 1_000_000_000
 """Age from which on a header stamp is of another clock (a simulation's)."""
 
+FASTEST = 0.05
+"""Quantile of how late a tap is that decides which one is next to the publisher."""
+
 _MOST_MISSING = 1_000
 """Missing numbers in a row, or ten for each message that was heard; beyond, the publisher counts anew."""
 
@@ -189,13 +192,21 @@ def _missing_numbers(sequence: NDArray[np.uint64]) -> NDArray[np.uint64]:
 def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceClocks) -> tuple[Machine | None, bool]:
     """Return the publisher's machine, None if unknown, and whether nothing but its being the only one speaks for it.
 
-    Of several taps it is the one that hears most messages first; of one, the machine whose clock can have made the stamps.
+    The tap next to it may know. Else it is the only machine whose clock can have made the stamps, else the one whose tap hears
+    messages first.
     """
+    local = {one.machine for one in stream.heard if one.is_local}
+    if len(local) == 1:
+        return local.pop(), False
     if len(clocks.machines) == 1:
         return clocks.machines[0], True
+    remote = {one.machine for one in stream.heard if one.is_local is False}
+    candidates = [one for one in clocks.machines if one not in remote]
+    possible = [one for one in candidates if _can_be_origin(stream, arrivals, one, clocks)]
+    if len(possible) == 1:
+        return possible[0], False
     if len(stream.machines) == 1:
-        possible = [one for one in clocks.machines if _can_be_origin(stream, arrivals, one, clocks)]
-        return (possible[0], False) if len(possible) == 1 else (None, False)
+        return None, False
     here = stream.machines[0]
     reached = [
         clocks.convert(part["received_ns"].to_numpy(), one.machine, here) for one, part in _zip(stream, arrivals)
@@ -206,8 +217,11 @@ def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceCloc
         part.select(*stream.key, at_ns=one.at_ns, tap=pl.lit(number))
         for number, (part, one) in enumerate(zip(arrivals, reached, strict=True))
     ]
-    first = pl.concat(heard_by).sort("at_ns").group_by(stream.key).agg(pl.col("tap").first(), heard=pl.len())
-    taps = first.filter(pl.col("heard") > 1)["tap"].mode().sort()
+    all_taps = pl.concat(heard_by).with_columns(late_ns=pl.col("at_ns") - pl.col("at_ns").min().over(stream.key))
+    both = all_taps.filter(pl.len().over(stream.key) > 1)
+    # The fastest of the messages show the way, most others wait for a processor.
+    fastest = both.group_by("tap").agg(pl.col("late_ns").quantile(FASTEST), pl.col("late_ns").mean().alias("mean_ns"))
+    taps = fastest.sort("late_ns", "mean_ns", "tap")["tap"]
     return (stream.heard[taps[0]].machine if len(taps) else None), False
 
 

@@ -34,6 +34,7 @@ class Heard:
         publisher: its GUID, empty if the middleware does not give it.
         messages: by reception; i64 `received_ns` on the tap's monotonic clock, `header_ns` and `source_ns` (0 if unknown),
             u64 `content_hash` and `publication_sequence` (0 if unknown), u32 `payload_bytes`.
+        is_local: whether the publisher runs on the tap's device; None if unknown.
         end_ns: last instant at which the tap is known to have run.
     """
 
@@ -44,6 +45,7 @@ class Heard:
     node: str
     qos: JsonObject
     has_sequence: bool
+    is_local: bool | None
     messages: pl.DataFrame
     end_ns: int
 
@@ -111,6 +113,7 @@ def _heard(session: Session, record: JsonObject, parts: list[EventPart], end_ns:
         node=_text(record, "node"),
         qos=object_of(record.get("qos")),
         has_sequence=record.get("sequence_is_given") is True and bool((events.publication_sequence > 0).all()),
+        is_local=is_local if isinstance(is_local := record.get("is_local"), bool) else None,
         messages=pl.DataFrame({name: values[order] for name, values in columns.items()}),
         end_ns=end_ns,
     )

@@ -223,6 +223,7 @@ class Publication:
         publisher: GUID in 32 hex digits; None if the middleware does not give it.
         node_name: with namespace; empty if unknown.
         qos: what it offers; None if unknown.
+        is_local: whether it runs on this device; None if unknown.
     """
 
     topic: str
@@ -230,6 +231,7 @@ class Publication:
     publisher: str | None = None
     node_name: str = ""
     qos: Qos | None = None
+    is_local: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

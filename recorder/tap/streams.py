@@ -108,6 +108,7 @@ class Stream:
             "type": self.publication.type_name,
             "publisher": self.publisher,
             "node": self.publication.node_name,
+            "is_local": self.publication.is_local,
             "qos": {} if offered is None else offered.to_dict(),
             "subscribed": self.subscribed.to_dict(),
             "has_header": self.has_header,

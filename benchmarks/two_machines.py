@@ -93,7 +93,9 @@ def record(out: Path, seconds: float, kbit: str) -> None:
         ]
         time.sleep(seconds)
         for process in recorders:
-            stop(process)
+            os.killpg(process.pid, signal.SIGINT)
+        for process in recorders:
+            process.wait(60)
 
 
 def publish(role: str) -> None:

@@ -37,7 +37,7 @@ QUALITY = 80
 
 TWO_LINKS = "gallery+emulated-link"
 
-CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks", "flows", "outages")
+CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks", "flows", "outages", "two-machines")
 """Folders of docs/results/, joined by + where they are analyzed together; where the first has no such figure, the next is looked at."""
 
 
@@ -82,7 +82,7 @@ CAMPAIGN_OF: Mapping[str, tuple[str, str]] = {
 def pictures() -> dict[str, Picture]:
     """Return file below docs/images/, without .webp -> what is on it: the first screen, and each figure that is explained."""
     names = re.findall(r"^### .+ \(`(\w+)`\)$", READING.read_text(encoding="utf-8"), re.MULTILINE)
-    found = {"first-screen": Picture("gallery", width=1360)}
+    found = {"first-screen": Picture("gallery", width=1360), "topics": Picture("two-machines", "#topics")}
     for name in names:
         campaign, cell = CAMPAIGN_OF.get(name, ("gallery", ""))
         found[f"figures/{name}"] = Picture(campaign, f"#figure-{name}", cell=cell)
@@ -148,7 +148,8 @@ def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
                 return None
             part.locator(".fold:not([open])").evaluate_all("folds => { for (const fold of folds) fold.open = true; }")
             part.scroll_into_view_if_needed()
-            part.locator("svg").first.wait_for()
+            if picture.select.startswith("#figure"):
+                part.locator("svg").first.wait_for()
             tab.wait_for_timeout(500)  # a figure that is drawn may move the ones below
             clip = tab.evaluate(BOX, picture.select)
         shot = tab.context.new_cdp_session(tab).send(

@@ -82,7 +82,7 @@ CAMPAIGN_OF: Mapping[str, tuple[str, str]] = {
 def pictures() -> dict[str, Picture]:
     """Return file below docs/images/, without .webp -> what is on it: the first screen, and each figure that is explained."""
     names = re.findall(r"^### .+ \(`(\w+)`\)$", READING.read_text(encoding="utf-8"), re.MULTILINE)
-    found = {"first-screen": Picture("gallery", width=1360), "topics": Picture("two-machines", "#topics")}
+    found = {"first-screen": Picture("gallery", width=1360), "topics": Picture("two-machines", "#topics", width=1300)}
     for name in names:
         campaign, cell = CAMPAIGN_OF.get(name, ("gallery", ""))
         found[f"figures/{name}"] = Picture(campaign, f"#figure-{name}", cell=cell)

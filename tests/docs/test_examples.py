@@ -7,6 +7,7 @@ import shlex
 import shutil
 import signal
 import sys
+import tarfile
 from contextlib import ExitStack
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -37,6 +38,7 @@ NOT_RUN = {
     "dds-sweep new mine.toml": "asks questions: tests/cli/test_sweep_new.py answers them",
     "--against ~/venvs/kilted": "needs another environment with another ROS 2",
     "--cluster tcp://scheduler:8786": "needs a Dask scheduler: tests/analyzer/engines/test_cluster.py starts one",
+    "--clock runs/": "needs a bag of one of two devices: tests/analyzer/topics/test_clock_of_bags.py records it",
     "dds-analyze docker/runs": "what containers recorded; none is built here",
 }
 """Part of a line of a command -> why it is read, but not run."""
@@ -80,6 +82,10 @@ def desk(tmp_path_factory):
     shutil.copytree(SAMPLES / "same_domain", folder / "runs" / "two-sizes")
     (folder / "photos").mkdir()
     (folder / "photos" / "one.jpg").write_bytes(b"jpeg")
+    with tarfile.open(DOCS / "results" / "two-machines" / "traces.tar.xz") as archive:
+        archive.extractall(folder, filter="data")
+    for name in ("taps", "before", "after"):
+        shutil.copytree(folder / "robot-and-laptop", folder / name)
     write_bag2(folder / "drive", {"/lidar/points": [points(n) for n in range(20, 40)]})
     return folder
 

@@ -38,7 +38,7 @@ _LEAST_HIGHEST_NS = 3_600_000_000_000
 
 
 def hdr_log(analysis: Analysis) -> str:
-    """Return the log; a tag names result and metric, times are those of the runs by the pings' clocks."""
+    """Return the log; a tag names result and metric, times are of the pings' clocks."""
     start_s = min((session.wall_anchor_ns for session in analysis.sessions), default=0) / 1e9
     lines = [
         f"#[Logged with dds-trace {__version__}]",

@@ -147,8 +147,8 @@ class _Reference:
         pings = ping_wall_offsets(analysis.sessions, analysis.runs)
         knots = analysis.details.clock_knots.filter(pl.col("run_id").is_in(list(pings))).sort("at_ns")
         self._first = knots["ping_device"][0] if len(knots) else next(iter(self._zero_ns), "")
-        of_first = knots.filter(pl.col("ping_device") == self._first)
-        self._knots = of_first.partition_by("relay_device", as_dict=True, maintain_order=True)
+        first_knots = knots.filter(pl.col("ping_device") == self._first)
+        self._knots = first_knots.partition_by("relay_device", as_dict=True, maintain_order=True)
 
     def wall_ns(self, device: str, monotonic_ns: Int64) -> Int64:
         """Return instants of a device's monotonic clock; of one without a fit by its own wall clock."""

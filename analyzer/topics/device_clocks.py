@@ -90,11 +90,11 @@ class DeviceClocks:
             return Instants(at_ns, np.full(len(at_ns), UNKNOWN_NS, np.int64))
         bound_ns = np.zeros(len(at_ns), np.int64)
         for links in path:
-            found = [link.across(at_ns) for link in links]
-            best = np.argmin([one.bound_ns for one in found], axis=0)
+            crossed = [link.across(at_ns) for link in links]
+            best = np.argmin([one.bound_ns for one in crossed], axis=0)
             rows = np.arange(len(at_ns))
-            at_ns = np.stack([one.at_ns for one in found])[best, rows]
-            bound_ns = np.minimum(bound_ns + np.stack([one.bound_ns for one in found])[best, rows], UNKNOWN_NS)
+            at_ns = np.stack([one.at_ns for one in crossed])[best, rows]
+            bound_ns = np.minimum(bound_ns + np.stack([one.bound_ns for one in crossed])[best, rows], UNKNOWN_NS)
         return Instants(at_ns, bound_ns)
 
     def of_wall(self, wall_ns: Int64, machine: Machine) -> Instants:
@@ -168,11 +168,11 @@ def _messages_by_pair(
         .agg(pl.col(name).first() if name != "publish_ns" else pl.col(name).first().alias("sent_ns") for name in stamps)
         .collect()
     )
-    found: dict[tuple[Machine, Machine], list[pl.DataFrame]] = defaultdict(list)
+    crossed: dict[tuple[Machine, Machine], list[pl.DataFrame]] = defaultdict(list)
     for (run_id, relay_id), part in thinned.partition_by("run_id", "relay_id", as_dict=True).items():
         if run_id in pings and relay_id in relays:
-            found[pings[run_id], relays[relay_id]].append(part)
-    return {pair: _joined(pair, pl.concat(parts)) for pair, parts in found.items()}
+            crossed[pings[run_id], relays[relay_id]].append(part)
+    return {pair: _joined(pair, pl.concat(parts)) for pair, parts in crossed.items()}
 
 
 def _joined(pair: tuple[Machine, Machine], messages: pl.DataFrame) -> RelayedMessages:

@@ -72,9 +72,9 @@ def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
     for one in deliveries:
         by_result[one.heard.topic, origin_name(one), one.heard.session.device].append(one)
     ordered = [by_result[key] for key in sorted(by_result)]
-    messages = [_with_parameters(one) for of_result in ordered for one in of_result]
+    messages = [_with_parameters(one) for parts in ordered for one in parts]
     return Topics(
-        pl.DataFrame([_topic_row(of_result) for of_result in ordered], TOPIC_SCHEMA),
+        pl.DataFrame([_topic_row(parts) for parts in ordered], TOPIC_SCHEMA),
         pl.concat(messages) if messages else pl.DataFrame(schema=TOPIC_MESSAGE_SCHEMA),
         pl.DataFrame(list(hop_rows(deliveries, sources)), HOP_SCHEMA),
     )

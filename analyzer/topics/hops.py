@@ -43,16 +43,16 @@ def find_sources(deliveries: Sequence[Delivery]) -> dict[int, int]:
     """Return for each delivery, by index, the one whose messages became its messages: the last one received before it."""
     sources = {}
     for number, later in enumerate(deliveries):
-        found = []
+        earlier_ones = []
         for other, earlier in enumerate(deliveries):
             is_here = later.origin is not None and earlier.heard.machine == later.origin
             if earlier.heard.topic == later.heard.topic or not is_here:
                 continue
             times = _processing_ns(earlier, later)
             if len(times) and len(times) >= LEAST_CHAINED * len(later.messages) and np.median(times) >= 0:
-                found.append((float(np.median(times)), other))
-        if found:
-            sources[number] = min(found)[1]
+                earlier_ones.append((float(np.median(times)), other))
+        if earlier_ones:
+            sources[number] = min(earlier_ones)[1]
     return sources
 
 
@@ -72,7 +72,7 @@ def stamper(number: int, deliveries: Sequence[Delivery], sources: Mapping[int, i
 def hop_rows(deliveries: Sequence[Delivery], sources: Mapping[int, int]) -> Iterator[dict[str, object]]:
     """Yield the rows of `HOP_SCHEMA`, chain by chain: one for each delivery with ages that is not on the way to another."""
     has_age = [one.messages["age_ns"].null_count() < len(one.messages) for one in deliveries]
-    ends = [number for number, known in enumerate(has_age) if known and number not in sources.values()]
+    ends = [number for number, is_aged in enumerate(has_age) if is_aged and number not in sources.values()]
     for chain, end in enumerate(ends):
         path = [deliveries[number] for number in _path_to(end, sources)]
         for hop, row in enumerate(_hops(path)):

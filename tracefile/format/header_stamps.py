@@ -1,4 +1,4 @@
-"""The header stamp of a message of any type, found in its bytes: the first `std_msgs/Header` at any depth, or a leading time."""
+"""The header stamp of a message of any type, containing in its bytes: the first `std_msgs/Header` at any depth, or a leading time."""
 
 from __future__ import annotations
 
@@ -100,10 +100,13 @@ class Types:
             if one not in parts:
                 parts[one] = self.fields(one) or ()
                 left += [part.type for part in parts[one]]
-        found = parts.keys() & {_HEADER}
-        while more := {one for one, fields in parts.items() if any(part.type in found for part in fields)} - found:
-            found |= more
-        return frozenset(found)
+        containing = parts.keys() & {_HEADER}
+        while (
+            more := {one for one, fields in parts.items() if any(part.type in containing for part in fields)}
+            - containing
+        ):
+            containing |= more
+        return frozenset(containing)
 
 
 def stamp_reader(

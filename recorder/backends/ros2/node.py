@@ -73,7 +73,6 @@ class Ros2Node(ThreadedNode):
         # become readable together (a late fragment): the others would wait for later messages, for ever.
         self._takes_left = executor_name == "events"
         self._subscriptions: tuple[_Ros2Subscription, ...] = ()
-        self._host_of_guids = b""
         self._incompatible: dict[str, set[str]] = {}
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
@@ -139,12 +138,9 @@ class Ros2Node(ThreadedNode):
 
     def _is_local(self, guid: bytes) -> bool | None:
         """Return whether Fast DDS made a GUID on this device: after the vendor it has a number of the host."""
-        if not self._host_of_guids:
-            own = self._node.get_publishers_info_by_topic("/parameter_events")
-            made = (bytes(info.endpoint_gid[:GUID_BYTES]) for info in own if info.node_name == self.options.name)
-            self._host_of_guids = next((one[:_HOST_BYTES] for one in made if one.startswith(_FAST_DDS)), b"")
-        is_known = self._host_of_guids and guid.startswith(_FAST_DDS)
-        return guid.startswith(self._host_of_guids) if is_known else None
+        infos = self._node.get_publishers_info_by_topic("/parameter_events")
+        own = next((bytes(info.endpoint_gid) for info in infos if info.node_name == self.options.name), b"")
+        return own[:_HOST_BYTES] == guid[:_HOST_BYTES] if own[:2] == guid[:2] == _FAST_DDS else None
 
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
         on_message = _with_sequence(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)

@@ -241,10 +241,14 @@ def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
 
     def label(one: Series) -> str:
         own = settings[one.setting]
-        words = [key if own[key] == "true" else f"{key}={own[key]}" for key in varying if key in own]
+        words = [_word(key, own[key]) for key in varying if key in own]
         return printable(", ".join(words)) or "nothing else set"
 
     return label
+
+
+def _word(key: str, value: str) -> str:
+    return key if value == "true" else value if key == "outage_by" else f"{key}={value}"
 
 
 def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> list[str]:

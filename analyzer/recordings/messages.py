@@ -6,14 +6,13 @@ import os
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.base.errors import MissingEventsError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
-from dds_trace.tracefile.format.header_stamps import Field, parse_definition, plain_name, stamp_reader
+from dds_trace.tracefile.format.header_stamps import parse_definition, plain_name, stamp_reader
 from dds_trace.tracefile.recordings.read import read_messages
 from dds_trace.tracefile.recordings.recorded import Condition
 from dds_trace.tracefile.recordings.recording_files import content_hash
@@ -21,7 +20,6 @@ from dds_trace.tracefile.recordings.recording_files import content_hash
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
 
-    from dds_trace.tracefile.format.header_stamps import Fields
     from dds_trace.tracefile.recordings.recorded import RecordedTopic
 
 _LONGEST_FRAME_BYTES = 256
@@ -135,9 +133,9 @@ class _Readers(NamedTuple):
 
 def _readers_of(topic: RecordedTopic) -> _Readers:
     definition = topic.definition if topic.definition_encoding in _TEXTS else ""
-    stamp = stamp_reader(topic.message_type, definition, topic.encoding, _stored_type)
-    name = plain_name(topic.message_type)
-    fields = parse_definition(name, definition).get(name) or _stored_type(name) or ()
+    definition = definition or _definition_of(topic.message_type)
+    stamp = stamp_reader(topic.message_type, definition, topic.encoding)
+    fields = parse_definition(topic.message_type, definition)[plain_name(topic.message_type)]
     begins = stamp is not None and fields[0].type == "std_msgs/Header" and fields[0].length is None
     return _Readers(Topic(topic.name, topic.message_type, topic.encoding, stamp is not None, topic.qos), stamp, begins)
 
@@ -149,17 +147,7 @@ def _frame(data: bytes) -> bytes:
 
 
 @cache
-def _stored_type(name: str) -> Fields | None:
-    """Return the fields of a type that ROS 2 itself has, by `package/Type`."""
-    package, _, rest = name.partition("/")
-    found = get_typestore(Stores.LATEST).fielddefs.get(f"{package}/msg/{rest}")
-    return None if found is None else tuple(_stored_field(field_name, *kind) for field_name, kind in found[1])
-
-
-def _stored_field(name: str, kind: int, of: Any) -> Field:
-    (kind_of_one, of_one), length = of if kind in _SEVERAL else ((kind, of), None)
-    spelled = of_one if kind_of_one == Nodetype.NAME else of_one[0]
-    return Field(name, plain_name(spelled), -1 if kind == Nodetype.SEQUENCE else length)
-
-
-_SEVERAL = (Nodetype.ARRAY, Nodetype.SEQUENCE)
+def _definition_of(name: str) -> str:
+    """Return the definition of a type that ROS 2 itself has, with those that it is made of; empty for others."""
+    store = get_typestore(Stores.LATEST)
+    return store.generate_msgdef(name)[0] if name in store.fielddefs else ""

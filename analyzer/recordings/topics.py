@@ -74,10 +74,10 @@ def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[
         log_ns, stamp_ns = (np.frombuffer(column, np.int64) for column in (topic.log_ns, topic.stamp_ns))
         has_stamp = stamp_ns != NONE
         times[topic.topic.name] = log_ns[has_stamp], stamp_ns[has_stamp]
-    found, notes = clock.corrections(times)
+    corrected, notes = clock.corrections(times)
     for topic in columns:
-        if topic.topic.name in found:
-            placed_ns, bound_ns = found[topic.topic.name]
+        if topic.topic.name in corrected:
+            placed_ns, bound_ns = corrected[topic.topic.name]
             stamp_ns = np.array(topic.stamp_ns)
             stamp_ns[stamp_ns != NONE] = placed_ns
             topic.stamp_ns = array("q", stamp_ns.tobytes())

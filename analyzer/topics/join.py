@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .taps import Heard
 
 LEAST_ALIKE = 0.5
-"""Share of the messages of the shorter of two streams that the other has, if they are one behind a bridge."""
+"""Share of the messages of the shorter of two streams that the other has, if a bridge made one of the other."""
 
 OTHER_CLOCK_NS = 86_400 * 1_000_000_000
 """Age from which on a header stamp is of another clock (a simulation's)."""
@@ -34,10 +34,10 @@ FASTEST = 0.05
 """Quantile of how late a tap is that decides which one is next to the publisher."""
 
 _MOST_MISSING = 1_000
-"""Missing numbers in a row, or ten for each message that was heard; beyond, the publisher counts anew."""
+"""Missing numbers in a row, or ten for each message that was heard; beyond, the publisher counts from the start."""
 
 NOT_BOUNDED_NS = UNKNOWN_NS // 4
-"""Bound from which on nothing is known; sums of two fit into 64 bits."""
+"""Bound from which on a time is unknown; sums of two fit into 64 bits."""
 
 Key = tuple[str, ...]
 SEQUENCE, SOURCE, CONTENT = ("publication_sequence",), ("source_ns", "content_hash"), ("content_hash",)
@@ -97,9 +97,9 @@ def find_streams(heard: Sequence[Heard]) -> Iterator[Stream]:
     by_topic: dict[str, list[Heard]] = defaultdict(list)
     for one in heard:
         by_topic[one.topic].append(one)
-    for of_topic in by_topic.values():
+    for on_topic in by_topic.values():
         by_publisher: dict[str, list[Heard]] = defaultdict(list)
-        for number, one in enumerate(of_topic):
+        for number, one in enumerate(on_topic):
             by_publisher[one.publisher or f"unknown {number}"].append(one)
         left = [
             Stream(tuple(parts), SEQUENCE if all(one.has_sequence for one in parts) else SOURCE)
@@ -255,10 +255,10 @@ def _with_publish(
         at_ns[fills] = reached.at_ns[fills]
         if clocks.share_clock(machine, one.machine):
             bound_ns[fills] = reached.bound_ns[fills]
-    known = np.flatnonzero(at_ns)  # what nobody heard was sent between its neighbours
-    if len(known) < len(at_ns):
-        first_ns = at_ns[known[0]]
-        at_ns = first_ns + np.interp(np.arange(len(at_ns)), known, at_ns[known] - first_ns).astype(np.int64)
+    heard_at = np.flatnonzero(at_ns)  # what nobody heard was sent between its neighbours
+    if len(heard_at) < len(at_ns):
+        first_ns = at_ns[heard_at[0]]
+        at_ns = first_ns + np.interp(np.arange(len(at_ns)), heard_at, at_ns[heard_at] - first_ns).astype(np.int64)
     return sent.with_columns(publish_ns=at_ns, publish_bound_ns=bound_ns)
 
 

@@ -89,43 +89,43 @@ class StampClock:
         Raises:
             OptionError: the stamps fit both ways, or none, and the request does not say which.
         """
-        wanted = {
+        chosen = {
             name: times for name, times in topics.items() if fnmatchcase(name, self._request.topics) and len(times[0])
         }
-        by_way = {way: self._fitting(way, wanted) for way in self._ways}
-        fitting = [way for way, found in by_way.items() if found]
-        if len(fitting) != 1 and wanted and len(self._ways) > 1:
+        by_way = {way: self._fitting(way, chosen) for way in self._ways}
+        fitting = [way for way, placed_topics in by_way.items() if placed_topics]
+        if len(fitting) != 1 and chosen and len(self._ways) > 1:
             one, other = self._ways[0]
             raise OptionError(
                 f"--clock: the stamps fit {'both devices' if fitting else 'no device'}; say which stamped and which recorded: "
                 f"'{self._request.folder} stamped={one} recorded={other}'"
             )
         (stamped, recorded) = fitting[0] if fitting else self._ways[0]
-        found = by_way[stamped, recorded]
+        placed_topics = by_way[stamped, recorded]
         notes = (
             [f"ages by stamps of {stamped} on the clock of {recorded}, from the traces in {self._request.folder}"]
-            if found
+            if placed_topics
             else []
         )
         notes += [
             f"the stamps of {name} are not of {stamped}, or no trace is near: its ages are not corrected"
-            for name in wanted
-            if name not in found
+            for name in chosen
+            if name not in placed_topics
         ]
-        return found, notes
+        return placed_topics, notes
 
     def _fitting(self, way: tuple[str, str], topics: Mapping[str, tuple[Int64, Int64]]) -> dict[str, Instants]:
         machines = [self._clocks.machine_named(name) for name in way]
-        found = {}
+        placed_topics = {}
         for name, (log_ns, stamp_ns) in topics.items():
             placed = self._place(stamp_ns, *machines)
             early = log_ns - placed.at_ns < -placed.bound_ns
-            is_known = bool((placed.bound_ns < UNKNOWN_NS // 2).all())
-            if is_known and early.mean() <= MOST_EARLY and not self._is_local(log_ns, stamp_ns, placed.at_ns):
+            is_bounded = bool((placed.bound_ns < UNKNOWN_NS // 2).all())
+            if is_bounded and early.mean() <= MOST_EARLY and not self._is_local(log_ns, stamp_ns, placed.at_ns):
                 # Within the bound: nothing arrives before it is sent.
                 at_ns = np.where(early, placed.at_ns, np.minimum(placed.at_ns, log_ns))
-                found[name] = Instants(at_ns, placed.bound_ns)
-        return found
+                placed_topics[name] = Instants(at_ns, placed.bound_ns)
+        return placed_topics
 
     def _is_local(self, log_ns: Int64, stamp_ns: Int64, placed_ns: Int64) -> bool:
         """Return whether stamps are of the recorder's own clock: without a correction the ages are possible, and much smaller."""

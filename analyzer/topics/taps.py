@@ -78,8 +78,8 @@ def heard_by_taps(campaign: Campaign) -> list[Heard]:
             if isinstance(instant_ns, int) and session_id in ends:
                 ends[session_id] = max(ends[session_id], instant_ns)
     heard = [
-        _heard(campaign.sessions[key[0]], records[key], of_key, ends[key[0]])
-        for key, of_key in parts.items()
+        _heard(campaign.sessions[key[0]], records[key], parts_of_publisher, ends[key[0]])
+        for key, parts_of_publisher in parts.items()
         if key in records and key[0] in campaign.sessions
     ]
     return sorted(heard, key=lambda one: (one.topic, one.session.session_id, one.publisher))

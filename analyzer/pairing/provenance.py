@@ -60,5 +60,5 @@ def read_provenance(folder: Path) -> Mapping[bytes, bytes] | None:
     """Return the metadata of a folder's `summary.parquet`, None without one."""
     try:
         return dict(pq.read_schema(folder / "summary.parquet").metadata or {})
-    except (OSError, pa.ArrowException):
+    except (OSError, UnicodeEncodeError, pa.ArrowException):  # pyarrow takes no path that is not UTF-8
         return None

@@ -44,7 +44,7 @@ class JudgedTopic:
 
 def clock_words(seconds: float) -> str:
     """Return a time within a recording: `00:30`, `1:02:03`."""
-    minutes, rest = divmod(int(seconds), 60)
+    minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes:02}:{rest:02}"
 
@@ -104,7 +104,8 @@ def hole_lines(row: Row, holes: Sequence[Row]) -> Iterator[str]:
         yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
     left = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
     if left > 0:
-        yield f"{counted(left, 'message')} {'more is' if shown and left == 1 else 'more are' if shown else 'is' if left == 1 else 'are'} missing, in short holes"
+        more = "more " if shown else ""
+        yield f"{left:,} {more}{'message is' if left == 1 else 'messages are'} missing, in short holes"
 
 
 def missing_words(row: Row) -> str:

@@ -107,6 +107,7 @@ class McapWalk:
         self._budget = Budget(file.size)
         self._looks_left = _UNSUSPECTED_LOOKS + file.size
         self._unpacked_bytes = 0
+        self._is_in_damage = False
         self._range_ns: tuple[int, int] | None = None
         self._undeclared: dict[int, int] = {}
         self.header: Header | None = None
@@ -137,6 +138,7 @@ class McapWalk:
                 chunk = PackedChunk.at(self._file, header, is_cut=True)
                 fits = self._fits_next(self._file, header.end)
                 is_sound = yield from self._chunk(chunk, uses_damaged=fits or bool(chunk.compression))
+                self._is_in_damage = not is_sound
                 at = header.end if fits or is_sound else self._next_record(at)
             else:
                 yield from self._single(self._file, header)
@@ -149,6 +151,7 @@ class McapWalk:
     def _next_record(self, at: int) -> int | None:
         """Return where the next record after damage is; None if there is none."""
         resumed_at = self._resume(self._file, at)
+        self._is_in_damage = True
         if resumed_at is not None:
             self.damages.append(f"at byte {at} {counted(resumed_at - at, 'byte is', 'bytes are')} no record")
         elif self._file.size > at:
@@ -177,8 +180,8 @@ class McapWalk:
             return None
         if header.opcode == Opcode.FOOTER and source.read(header.end, len(MAGIC)) != MAGIC[: source.size - header.end]:
             return None
-        if not self._fits_next(source, header.end):
-            inside = self._resume(source, header.content + _LEAST_BYTES.get(Opcode.MESSAGE, 0), header.end)
+        if self._is_in_damage or source is not self._file or not self._fits_next(source, header.end):
+            inside = self._resume(source, header.offset, header.end)
             return header if inside is None else None
         return header
 
@@ -213,8 +216,8 @@ class McapWalk:
     def _resume(self, source: RecordFile | _Unpacked, damaged_at: int, stop: int | None = None) -> int | None:
         """Return the offset of the next bytes after `damaged_at` that are a record."""
         at, stop = damaged_at + 1, source.size if stop is None else stop
-        while stop - at > RECORD_HEADER.size:
-            data = source.read(at, min(_SEARCHED_BYTES, stop - at))
+        while at < stop and source.size - at >= RECORD_HEADER.size:
+            data = source.read(at, min(_SEARCHED_BYTES, source.size - at, stop - at + RECORD_HEADER.size - 1))
             searched = 0
             while match := _START.search(data, searched):
                 self._looks_left -= 1

@@ -45,6 +45,8 @@ _PAGE_SIZE = struct.Struct(">16xH2xB")
 _CELLS = struct.Struct(">H")
 _LEAF = 0x0D
 _MOST_COLUMNS = 7
+_LEAST_REACHED = 0.1
+"""Share of a database's bytes below which its tables may not reach all rows."""
 _USUAL_PAGE_BYTES = 4096
 
 
@@ -56,7 +58,7 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
     """
     budget, seen, rows = Budget(path.stat().st_size), set[int](), list[tuple[int, int, int, bytes]]()
     topics: dict[int, RecordedTopic] = {}
-    fault = ""
+    fault, size_bytes, read_bytes = "", path.stat().st_size, 0
     try:
         lost_bytes = missing_bytes(path)
         if lost_bytes > 0:
@@ -66,12 +68,16 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
             topics = _read_topics(database)
             for row_id, topic_id, time_ns, data in database.execute(_MESSAGES):
                 budget.take()
-                seen.add(row_id)
+                if topic_id in topics and isinstance(data, bytes):
+                    seen.add(row_id)
+                    read_bytes += len(data)
                 yield from _message(topics, topic_id, time_ns, data)
     except SQLITE_ERRORS as err:
         fault = fault or f"it is damaged ({err})"
-    if fault:
+    if fault or read_bytes < size_bytes * _LEAST_REACHED:
         rows = _unreached_rows(path, budget, seen, topics)
+        fault = fault or ("its tables do not reach all of its pages" if rows else "")
+    if fault:
         if not topics:
             raise UnreadableError(f"it is no rosbag2 database that can be read: {fault}")
         more = f"; {counted(len(rows), 'message')} more from single pages" if rows else ""

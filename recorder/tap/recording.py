@@ -83,10 +83,10 @@ class TapRecording(BaseRecording):
                 with sampled(upkeep.sink, wire):
                     self._watch_tap(tap, node, upkeep, read_back, live, publish)
                 tap.close()
-                own_cost = use.taken(tap.messages)
+                own_cost, cost_words = use.taken(tap.messages)
                 mean_bytes = sum(stream.payload_bytes for stream in tap.streams) // max(tap.messages, 1)
                 read_back.read_end(Traffic(0, tap.messages, mean_bytes))
-                trace = upkeep.close_trace(**read_back.fields(), **self.fields_at_end(), own_cost=own_cost.to_json())
+                trace = upkeep.close_trace(**read_back.fields(), **self.fields_at_end(), own_cost=own_cost)
                 read_back.report(trace.path)
                 progress = self._progress(tap, live)
                 if self.rehearses:
@@ -94,7 +94,7 @@ class TapRecording(BaseRecording):
                 if not tap.messages:  # the next try may have the name
                     discard(upkeep.destination)
                     return Recorded(None, session, progress, error=NothingHeardError(self._why_nothing(tap, node)))
-                for line in (*summarize(tap.streams), own_cost.words):
+                for line in (*summarize(tap.streams), cost_words):
                     self.watch.note(line)
                 return Recorded(trace, session, progress, error=upkeep.shortage)
 

@@ -50,8 +50,8 @@ SERVICE_S = 60.0
 class BeaconRecording(BaseRecording):
     """The recording of a beacon."""
 
-    def __init__(self, options: RecordOptions, stop: threading.Event, watch: Watch, **of_all: Any) -> None:
-        super().__init__(options, stop, watch, **of_all)
+    def __init__(self, options: RecordOptions, stop: threading.Event, watch: Watch, **more: Any) -> None:
+        super().__init__(options, stop, watch, **more)
         self.exchanges = Exchanges()
         self.pings: list[AnyPing] = []
         self._reported_s = self._served_s = -float("inf")

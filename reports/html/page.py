@@ -16,6 +16,7 @@ from plotly.offline import get_plotlyjs
 
 from dds_trace.analyzer.exports.tables import summary_parquet
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES, planned_messages
+from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.base.files import replacing
 from dds_trace.base.printable import printable
 from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
@@ -24,7 +25,7 @@ from dds_trace.base.version import __version__
 from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
 from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
-from ..book.job import commands_of
+from ..book.next_command import recording_commands
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ
 from ..figures import drawn_figures, opened_figures
@@ -211,8 +212,8 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             "filters": {one.key: one.index for one in filters},
         },
         "series": [
-            {"label": label, "domain": series.domain_mode, "commands": commands_of(series)}
-            for label, series in zip(groups.labels, groups.series, strict=True)
+            {"label": label, "domain": series.domain_mode, "commands": commands}
+            for label, series, commands in zip(groups.labels, groups.series, _commands(book), strict=True)
         ],
         "needed": {p.name: planned_messages(p.quantile) for p in PERCENTILES if p.name in STATISTIC_LABELS},
         "facets": {"made_of": MADE_OF, "atoms": ATOMS, "most_lines": MOST_LINES},
@@ -260,3 +261,15 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             for figure in figures
         },
     }
+
+
+def _commands(book: Book) -> list[list[str]]:
+    """Return the commands of relay and ping for each series, with the message of one of its groups."""
+    rows = book.analysis.summary.to_dicts()
+    first = {group.series: group.index for group in reversed(book.groups.groups)}
+    made = []
+    for series in range(len(book.groups.series)):
+        row = rows[first[series]]
+        job = Job(row["data_type"], row["payload_bytes"], row["rate_hz"], 1, 0.5)
+        made.append([command for _, command in recording_commands(row, job, 1)])
+    return made

@@ -92,14 +92,12 @@ function ranked(job) {
 
 /** The commands that would decide: a relay and a ping of a setup, with enough messages for the share. */
 function decidingCommands(series, job) {
-  const { relay, ping } = DATA.series[series].commands;
-  const size = job.bytes % 1000 ? `${job.bytes}` : inUnits(job.bytes, BYTE_UNITS).replace(" ", "");
+  const [relay, ping] = DATA.series[series].commands;
   const { kind } = DATA.cells.find(({ data }) => data === job.data);
-  const message = `--data ${kind} --size ${size} --rate ${digits(job.hz)}`;
-  return [
-    `dds-record --role relay ${relay} --out relay.mcap`,
-    `dds-record --role ping ${ping} ${message} --messages ${DATA.needed[job.share]} --out ping.mcap`,
-  ];
+  const size = job.bytes % 1000 ? `${job.bytes}` : inUnits(job.bytes, BYTE_UNITS).replace(" ", "");
+  const message = [`--data ${kind}`, ...(kind === "imu" ? [] : [`--size ${size}`]), `--rate ${digits(job.hz)}`];
+  const count = `--messages ${DATA.needed[job.share]}`;
+  return [relay, ping.replace(/--data .*--messages \d+/, () => [...message, count].join(" "))];
 }
 
 /** The answer in words: a sentence, the commands that would decide, and rows for the table. */

@@ -53,6 +53,7 @@ setup(
         f"{PACKAGE}.reports": ["report.schema.json"],
         f"{PACKAGE}.reports.comparison": ["comparison.schema.json", "assets/*.*"],
         f"{PACKAGE}.reports.html": ["assets/*.*", "assets/*/*"],
+        f"{PACKAGE}.reports.topics": ["assets/*.*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),

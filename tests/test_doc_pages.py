@@ -11,6 +11,7 @@ from analyses import small_campaign
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.errors import TraceError
+from dds_trace.cli import topics
 from dds_trace.cli.sweep import command as sweep_command
 from dds_trace.recorder import errors as recorder_errors
 from dds_trace.recorder.sweep import sweep
@@ -107,7 +108,7 @@ def test_the_table_of_exit_codes_is_that_of_the_code():
         if each.__module__ in (TraceError.__module__, recorder_errors.__name__)
     }
     known |= {(each.exit_code, each.name) for each in GateOutcome if each.exit_code}
-    for module in (sweep_command, sweep):
+    for module in (sweep_command, sweep, topics):
         known |= {(code, name) for name, code in vars(module).items() if name.endswith("_EXIT_CODE")}
     page = (ROOT / "docs/reference/exit-codes.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| `(\w+)` \|", page, re.MULTILINE)

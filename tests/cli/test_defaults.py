@@ -165,10 +165,10 @@ def test_what_cannot_be_a_default_is_one_line_with_its_file(home, run, text, sai
 # Free texts with a grammar of their own: none of them names code, an address, a file or what is sent.
 DESCRIBING_TEXTS = {
     "record": "backend congestion-control connectivity cpu-affinity data deadline device fail-if-lost keep-free label lifespan "
-    "rotate setting size topics expect",
+    "rotate setting size topics expect flow load-to keys",
     "bridge": "deadline lifespan",
     "sweep": "until",
-    "analyze": "deadline margin recommend report",
+    "analyze": "clock deadline fail-if margin recommend report",
     "compare": "fail-if ignore",
     "watch": "",
 }

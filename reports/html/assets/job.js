@@ -1,6 +1,6 @@
 "use strict";
-// "Does it fit my job?": ranks what was measured for a message and a deadline, by the numbers of the page alone. Nothing is
-// guessed: what was not measured is not known, and a command would decide it.
+// "Does it fit my job?": ranks what was measured for a message and a deadline, by the numbers of the page alone.
+// Nothing is guessed: what was not measured is not known, and a command would decide it.
 const JOB_SHARES = { p50: 0.5, p90: 0.9, p95: 0.95, p99: 0.99, p99_9: 0.999 };
 const JOB_METRIC = "response"; // from planned send to reply, so that a late sender does not look fast
 const JOB_RUNS = 3; // fewest runs of a verdict
@@ -43,7 +43,7 @@ function isForJob(group, job) {
   );
 }
 
-/** Time within which the share of all planned messages was answered: Infinity if too many were lost, null if unknown. */
+/** Time within which the share of planned messages was answered: Infinity if too many were lost, null if unknown. */
 function timeOfJob(group, share) {
   const received = DATA.curves.shares[group];
   const level = JOB_SHARES[share];

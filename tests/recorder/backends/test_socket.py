@@ -251,7 +251,7 @@ def test_idle_connections_are_bounded_and_keep_nobody_out(domain_id):
         strangers = [connect(domain_id) for _ in range(3 * MAX_PEERS)]
         wait_until(lambda: there.strangers.counts.get(CROWD, 0) >= 2 * MAX_PEERS)
         assert there.count_participants() <= 1 + MAX_PEERS
-        assert threading.active_count() < MAX_PEERS + 20
+        wait_until(lambda: threading.active_count() < MAX_PEERS + 20)  # those of closed connections end a little later
         publisher.publish(b"x")
         assert got.wait(PATIENCE_S)
         with open_node("socket", options(domain_id, name="late")) as late:

@@ -70,12 +70,12 @@ def test_nothing_to_load(kind, host):
 
 
 def test_a_load_keeps_neither_priority_nor_processors_of_the_recorder():
-    before = os.sched_getaffinity(0)
+    before, others = os.sched_getaffinity(0), children()
     os.sched_setaffinity(0, {min(before)})
     try:
         with loaded("cpu") as fields:
             wait_until(lambda: program_of(fields))
-            (pid,) = (child.pid for child in psutil.Process().children())
+            (pid,) = children() - others
             assert os.sched_getaffinity(pid) >= before
     finally:
         os.sched_setaffinity(0, before)

@@ -218,7 +218,8 @@ Object.assign(KINDS, {
     }));
     const link = steps.filter((panel) => panel.traces.length);
     panels.push(...link);
-    const drawn = gridOf(cpu.length || signal.length || link.length ? panels : [], width, { minWidth: width, below: 46 });
+    const hasLines = cpu.length || signal.length || link.length;
+    const drawn = gridOf(hasLines ? panels : [], width, { minWidth: width, below: 46 });
     panels.forEach((_, place) => {
       if (place && drawn.layout[`xaxis${place + 1}`]) drawn.layout[`xaxis${place + 1}`].matches = "x";
     });

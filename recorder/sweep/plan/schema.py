@@ -116,7 +116,7 @@ TABLES: Mapping[str, Table] = {
     "thresholds": Table(
         "What every result has to meet, judged as the sweep ends ([exit codes](exit-codes.md)): a metric of time with its statistic, or "
         '`received_ratio`, and a condition or a list of them, such as `latency_p99 = "< 20 ms"`, `received_ratio = ">= 99.9 %"`. '
-        "The names are those of [`--fail-if`](../how-to/ci.md).",
+        "Metrics have the names of [`--fail-if`](../how-to/ci.md).",
         {},
     ),
 }

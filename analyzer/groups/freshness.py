@@ -360,9 +360,9 @@ def _late_by(run: _Run, rate_hz: float) -> dict[str, object]:
     period_ns = round(1e9 / rate_hz) if rate_hz > 0 else 0
     times = (run.relay_in_ns, run.relayed) if run.relayed.any() else (run.receive_ns, ~run.lost)
     received = chosen_of(times[1], times[0])
-    if not period_ns or len(received) < 2:
+    late_ns, empty = late_by(received, period_ns) if period_ns else (received[:0], 0)
+    if not len(late_ns):  # one message, or all later ones overtaken
         return {}
-    late_ns, empty = late_by(received, period_ns)
     return {
         "period_ns": period_ns,
         "late_by_p50_ns": float(np.quantile(late_ns, 0.5)),

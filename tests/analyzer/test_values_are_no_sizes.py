@@ -97,7 +97,9 @@ def test_an_event_without_a_possible_instant_is_not_used(tmp_path, stage, instan
     side = "ping" if stage in (Stage.T1, Stage.T2) else "relay"
     whole = analyze(write_campaign(tmp_path / "whole", sound()))
     analysis = analyze(write_campaign(tmp_path / "wild", sound(), **{side: {stage: [wild]}}))
-    assert {"unreadable_messages"} == {f.code for f in analysis.findings} - {f.code for f in whole.findings}
+    # An event of a tap in the trace of a relay lacks its publisher, too.
+    more = {f.code for f in analysis.findings} - {f.code for f in whole.findings}
+    assert more - ({"reader_note"} if stage is Stage.TAP else set()) == {"unreadable_messages"}
     assert analysis.load_roundtrips().equals(whole.load_roundtrips())
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import base64
+import os
 import re
 import shutil
 import sys
@@ -22,8 +23,10 @@ from typing import TYPE_CHECKING, Any
 from playwright.sync_api import sync_playwright
 
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.reporters import load_reporter
+from dds_trace.reports.topics import page
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,7 +40,9 @@ QUALITY = 80
 
 TWO_LINKS = "gallery+emulated-link"
 
-CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks", "flows", "outages", "two-machines")
+BAG = "drive"
+
+CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks", "flows", "outages", "two-machines", BAG)
 """Folders of docs/results/, joined by + where they are analyzed together; where the first has no such figure, the next is looked at."""
 
 
@@ -82,7 +87,11 @@ CAMPAIGN_OF: Mapping[str, tuple[str, str]] = {
 def pictures() -> dict[str, Picture]:
     """Return file below docs/images/, without .webp -> what is on it: the first screen, and each figure that is explained."""
     names = re.findall(r"^### .+ \(`(\w+)`\)$", READING.read_text(encoding="utf-8"), re.MULTILINE)
-    found = {"first-screen": Picture("gallery", width=1360), "topics": Picture("two-machines", "#topics", width=1300)}
+    found = {
+        "first-screen": Picture("gallery", width=1360),
+        "topics": Picture("two-machines", "#topics", width=1300),
+        "bag": Picture(BAG, "main", width=1000),
+    }
     for name in names:
         campaign, cell = CAMPAIGN_OF.get(name, ("gallery", ""))
         found[f"figures/{name}"] = Picture(campaign, f"#figure-{name}", cell=cell)
@@ -96,6 +105,13 @@ def page_of(campaign: str) -> str:
         for name in campaign.split("+"):
             with tarfile.open(RESULTS / name / "traces.tar.xz") as archive:
                 archive.extractall(title / name, filter="data")
+        if campaign == BAG:
+            here = Path.cwd()
+            os.chdir(title / BAG)  # the page names the path as it is given
+            try:
+                return page.render(analyze_topics([Path(BAG)]))
+            finally:
+                os.chdir(here)
         return load_reporter("html").render(Book(analyze(title)))
 
 
@@ -112,10 +128,10 @@ def take(wanted: Mapping[str, Picture], out: Path) -> list[str]:
         browser = driver.chromium.launch(executable_path=program, args=["--headless", "--no-sandbox"])
         for name, picture in wanted.items():
             for campaign in dict.fromkeys([picture.campaign, *CAMPAIGNS]):
-                page = Path(folder) / f"{campaign}.html"
-                if not page.is_file():
-                    page.write_text(page_of(campaign), encoding="utf-8")
-                shot = _shot(browser, page.as_uri(), picture)
+                file = Path(folder) / f"{campaign}.html"
+                if not file.is_file():
+                    file.write_text(page_of(campaign), encoding="utf-8")
+                shot = _shot(browser, file.as_uri(), picture)
                 if shot is not None:
                     taken = out / f"{name}.webp"
                     taken.parent.mkdir(parents=True, exist_ok=True)
@@ -135,7 +151,8 @@ def _shot(browser: Any, address: str, picture: Picture) -> bytes | None:
     tab = browser.new_page(viewport={"width": picture.width, "height": height})
     try:
         tab.goto(address)
-        tab.locator(".count").filter(has_text="result").wait_for()
+        if picture.campaign != BAG:
+            tab.locator(".count").filter(has_text="result").wait_for()
         cells = tab.locator("#choose-cell option").all_text_contents()
         chosen = next((cell for cell in cells if picture.cell and picture.cell in cell), None)
         if chosen is not None:

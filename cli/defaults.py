@@ -57,6 +57,7 @@ OWN_ONLY = frozenset(
         "listen",
         "open",
         "out",
+        "payload",
         "peer",
         "port",
         "rmw",

@@ -102,6 +102,14 @@ class CommandOptions:
         "Maximum age of a message at delivery, e.g. 1.5s.",
         parse=lambda text: parse_duration(text, "--lifespan"),
     )
+    for_s: float | None = option(
+        None,
+        "--for SECONDS",
+        Panel.FILES,
+        "The same as --duration.",
+        limit=limits.LENGTH_S,
+        roles=(Role.TAP, Role.BEACON),
+    )
     keep: int | None = option(
         None, "--keep N", Panel.FILES, "With --rotate: keep only the newest N files of this recording.", kind=int
     )

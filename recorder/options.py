@@ -208,6 +208,10 @@ class TapOptions:
         False, "--diagnostics", Panel.TAP, "Publish the state of each topic on /diagnostics once a second."
     )
 
+    payload: bool = detail(
+        False, "--payload", Panel.TAP, "Keep the messages themselves too, as a bag has them; without it, never."
+    )
+
     def check(self) -> None:
         """Refuse values that make no sense."""
         check_fields(self)

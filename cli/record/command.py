@@ -118,6 +118,10 @@ def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOpt
     from dds_trace.tracefile.writing.destination import TraceDestination
 
     assert command.out is not None
+    if command.for_s is not None:
+        if "duration_s" in given:
+            raise OptionError("--for is another name of --duration: give one of them")
+        given["duration_s"] = command.for_s
     is_bridged = given.get("bridge", "none") != "none"
     given.setdefault("domain_id", BRIDGED_PING_DOMAIN if is_bridged else default_domain())
     if is_bridged:

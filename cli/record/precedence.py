@@ -23,7 +23,9 @@ def overridden(values: Mapping[str, Any]) -> dict[str, str]:
     reasons = {}
     for name, row in OPTIONS.items():
         variable = next((variable for variable in row.variables if os.environ.get(variable)), None)
-        if role and row.roles and role not in row.roles:
+        if name == "duration_s" and values.get("for_s") is not None:
+            reasons[name] = "option: --for"
+        elif role and row.roles and role not in row.roles:
             reasons[name] = f"default: not of a {role.value}"
         # The domain of a ping with a bridge is never from the environment.
         elif variable is not None and not (name == "domain_id" and is_bridged):

@@ -9,6 +9,7 @@ cyclonedds.
 from __future__ import annotations
 
 import re
+import threading
 from contextlib import suppress
 from ctypes import addressof, c_void_p
 from functools import cache, partial
@@ -53,9 +54,10 @@ TYPE_WAIT_NS = SECOND_NS
 TYPE_CONSISTENCY = 24
 """DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of `dds_public_qosdefs.h`."""
 
-
 SUPPORTED = re.compile(r"(0\.10|11)\.")
 """Versions of the Python package whose functions are used here."""
+
+_MAKING_TOPIC = threading.Lock()  # the package spoils a type whose first topics two threads make at once
 
 
 class CycloneNode(ThreadedNode):
@@ -140,7 +142,9 @@ class CycloneNode(ThreadedNode):
             receive(message, info.source_timestamp, 0, 0, info.publication_handle)
 
         data_type = self._builtin.definition_of(topic, type_name, self._participant) or _opaque_type(type_name)
-        return self._open_reader(Topic(self._participant, _tapped_topic(topic), data_type), qos, None, on_sample)
+        with _MAKING_TOPIC:
+            tapped = Topic(self._participant, _tapped_topic(topic), data_type)
+        return self._open_reader(tapped, qos, None, on_sample)
 
     def publisher_of(self, source: Hashable) -> str | None:
         return self._builtin.key_of(source)
@@ -151,7 +155,8 @@ class CycloneNode(ThreadedNode):
     def _topic(self, topic: str, type_name: str) -> Any:
         from cyclonedds.topic import Topic
 
-        return Topic(self._participant, dds_topic(topic), _message_type(type_name))
+        with _MAKING_TOPIC:
+            return Topic(self._participant, dds_topic(topic), _message_type(type_name))
 
     def _withdraw(self, reader: Any) -> None:
         readers = dict(self._readers)

@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
+from dds_trace.base.units import counted
 from dds_trace.tracefile.writing.destination import discard
 
 from ..applied.carried import Traffic
@@ -26,6 +27,8 @@ from .tap import Tap, summarize
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from dds_trace.tracefile.format.json_fields import JsonObject
 
     from ..backends.node import Node
     from ..options import TapOptions
@@ -69,6 +72,7 @@ class TapRecording(BaseRecording):
                     live=live,
                     clock=self.clock,
                     has_worker=True,
+                    keeps_payload=tap_options.payload,
                 )
                 if tap_options.live_port is not None:
                     address = stack.enter_context(serve_page(tap_options.live_port, live.rows))
@@ -86,7 +90,9 @@ class TapRecording(BaseRecording):
                 own_cost, cost_words = use.taken(tap.messages)
                 mean_bytes = sum(stream.payload_bytes for stream in tap.streams) // max(tap.messages, 1)
                 read_back.read_end(Traffic(0, tap.messages, mean_bytes))
-                trace = upkeep.close_trace(**read_back.fields(), **self.fields_at_end(), own_cost=own_cost)
+                left_out = upkeep.sink.payloads.left_out
+                kept: JsonObject = {"payloads_left_out": left_out} if tap_options.payload else {}
+                trace = upkeep.close_trace(**read_back.fields(), **self.fields_at_end(), own_cost=own_cost, **kept)
                 read_back.report(trace.path)
                 progress = self._progress(tap, live)
                 if self.rehearses:
@@ -94,7 +100,8 @@ class TapRecording(BaseRecording):
                 if not tap.messages:  # the next try may have the name
                     discard(upkeep.destination)
                     return Recorded(None, session, progress, error=NothingHeardError(self._why_nothing(tap, node)))
-                for line in (*summarize(tap.streams), cost_words):
+                lost = [f"{counted(left_out, 'payload')} left out: too many waited for the disk"] if left_out else []
+                for line in (*summarize(tap.streams), *lost, cost_words):
                     self.watch.note(line)
                 return Recorded(trace, session, progress, error=upkeep.shortage)
 

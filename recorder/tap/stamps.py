@@ -24,15 +24,41 @@ def reader_of(type_name: str, members: Members) -> Callable[[bytes], int | None]
     """Return the function that reads a message's stamp, ns, or None; None for a type without one, or an unknown one."""
 
     def stored(name: str) -> Fields | None:
-        package, slash, rest = name.partition("/")
-        if not slash:
-            return None
-        full_name = f"{package}/msg/{rest}"
-        found = members(full_name) or DDS_TYPES.get(full_name)
-        return None if found is None else tuple(_field(member, text) for member, text in found.items())
+        return _fields(name, members)
 
     is_stored = stored(plain_name(type_name)) is not None
     return stamp_reader(type_name, "" if is_stored else _definition(type_name), "cdr", stored)
+
+
+def definition_of(type_name: str, members: Members) -> str:
+    """Return the text of a type and of those that it is made of, without constants; empty if one of them is unknown."""
+    left, sections = [plain_name(type_name)], dict[str, str]()
+    while left:
+        name = left.pop(0)
+        if name in sections or "/" not in name:
+            continue
+        fields = _fields(name, members)
+        if fields is None:
+            return _definition(type_name)
+        sections[name] = "".join(
+            f"{one.type.replace('octet', 'byte')}{_brackets(one.length)} {one.name}\n" for one in fields
+        )
+        left += [one.type for one in fields]
+    first, *others = sections.items()
+    return first[1] + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)
+
+
+def _brackets(length: int | None) -> str:
+    return "" if length is None else "[]" if length < 0 else f"[{length}]"
+
+
+def _fields(name: str, members: Members) -> Fields | None:
+    package, slash, rest = name.partition("/")
+    if not slash:
+        return None
+    full_name = f"{package}/msg/{rest}"
+    found = members(full_name) or DDS_TYPES.get(full_name)
+    return None if found is None else tuple(_field(member, text) for member, text in found.items())
 
 
 def _field(name: str, text: str) -> Field:

@@ -9,11 +9,13 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.units import SECOND_NS, counted, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, hash_content
+from dds_trace.tracefile.reading.source import TOPIC_PREFIX
+from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
 
 from ..backends.node import Publication
 from ..choices import Durability, History, Reliability
 from ..host.clock import SystemClock
-from .stamps import reader_of
+from .stamps import definition_of, reader_of
 from .streams import State, Stream
 from .worker import Worker
 
@@ -55,6 +57,7 @@ class _Topic:
     type_name: str
     read_stamp: Callable[[bytes], int | None] | None
     live: LiveTopic | None = None
+    kept: PayloadTopic | None = None
     publications: list[Publication] = field(default_factory=list)
     subscription: Subscription | None = None
     streams: dict[Hashable, Stream] = field(default_factory=dict)
@@ -83,6 +86,7 @@ class Tap:
         live: LiveTable | None = None,
         clock: Clock | None = None,
         has_worker: bool = False,
+        keeps_payload: bool = False,
     ) -> None:
         self.streams: list[Stream] = []
         self.refused: dict[str, str] = {}
@@ -93,6 +97,7 @@ class Tap:
         self._qos = qos
         self._note = note
         self._live = live
+        self._keeps_payload = keeps_payload
         self._now = (clock or SystemClock()).monotonic_ns
         self._worker = Worker(self.store) if has_worker else None
         self._hand_over = self._worker.hand_over if self._worker else lambda item: self.store(*item)
@@ -147,7 +152,9 @@ class Tap:
         try:
             read_stamp = reader_of(type_name, self._node.members)
             live = None if self._live is None else self._live.topic(name)
-            topic = self._topics[name, type_name] = _Topic(name, type_name, read_stamp, live)
+            topic = self._topics[name, type_name] = _Topic(
+                name, type_name, read_stamp, live, self._kept(name, type_name)
+            )
             self._update(topic, publications)
             topic.subscription = self._node.create_tap(name, type_name, self._receiver(topic), qos=self._qos)
         except (BackendUnavailableError, OptionError) as error:
@@ -156,6 +163,14 @@ class Tap:
             self._note(f"{name} is not joined: {error}")
             return
         self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}")
+
+    def _kept(self, name: str, type_name: str) -> PayloadTopic | None:
+        """Return the topic as it is kept; nobody writes to the trace's own topics."""
+        if not self._keeps_payload or name.startswith(TOPIC_PREFIX) or len(self._topics) >= MOST_TOPICS:
+            return None
+        is_ros = type_name.count("/") == 2
+        definition = definition_of(type_name, self._node.members) if is_ros else ""
+        return PayloadTopic(name, type_name, definition, "cdr" if is_ros or name.startswith("/") else "")
 
     def _update(self, topic: _Topic, publications: list[Publication]) -> None:
         """Take the topic's publishers from the graph; a message without source is then of the only one, or of any."""
@@ -209,6 +224,8 @@ class Tap:
             stream.publisher_id,
         )
         stream.count(arrival_ns, sequence, payload_bytes)
+        if topic.kept is not None:
+            self._sink.keep_payload(topic.kept, message, arrival_ns)
         if topic.live is not None:
             topic.live.count(arrival_ns, header_ns or source_ns, stream.publisher_id, stream.missing)
 

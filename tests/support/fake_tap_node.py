@@ -22,9 +22,13 @@ class JsonSink:
 
     events: list[tuple[int, ...]] = field(default_factory=list)
     texts: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+    payloads: list[tuple[Any, ...]] = field(default_factory=list)
 
     def record(self, *event: int) -> None:
         self.events.append(event)
+
+    def keep_payload(self, *payload: Any) -> None:
+        self.payloads.append(payload)
 
     def write_json(self, topic: str, value: dict[str, Any]) -> None:
         self.texts.append((topic, dict(value)))

@@ -18,6 +18,7 @@ from ..format.events import SESSION_TOPIC
 from ..format.ring import RING_SUFFIX, read_ring, ring_path, salvage_ring
 from ..mcapfile.file import RecordFile
 from ..reading.reader import read_trace_in_pieces
+from ..writing.payloads import CHUNK_BYTES, Payload, PayloadQueue
 from ..writing.writer import TraceWriter
 from .salvage import Salvage, SalvagedText
 
@@ -206,7 +207,7 @@ def _read_ring(ring: Path, events_in_trace: int, session: Session | None) -> tup
     return contents, contents.fault if contents else None
 
 
-def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText]:
+def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText | Payload]:
     """Yield the content of a trace's file, nothing if it is gone."""
     if trace.exists():
         with closing(RecordFile(trace)) as file:
@@ -223,17 +224,29 @@ def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> Tr
     session = replace(
         killed.session, dropped_events=report.dropped_events, extra={**killed.session.extra, "recovered": counts}
     )
+    payloads = PayloadQueue()
     with TraceWriter(unfinished, killed.session, mode=killed.mode) as writer:
         for item in _salvaged(killed.trace):
             if isinstance(item, SalvagedText):
                 writer.write_text(item.topic, item.text, item.log_time_ns)
+            elif isinstance(item, Payload):
+                payloads.put(item)
+                if payloads.waiting_bytes > CHUNK_BYTES:
+                    _write_payloads(writer, payloads)
             else:
                 writer.write_events(item)
+        _write_payloads(writer, payloads)
         if killed.ring is not None:
             writer.write_events(killed.ring.slots)
         writer.write_text(SESSION_TOPIC, session.to_json(), writer.time_range_ns[1])
         writer.finish()
     return writer
+
+
+def _write_payloads(writer: TraceWriter, payloads: PayloadQueue) -> None:
+    while batch := payloads.first():
+        writer.write_payloads(batch)
+        payloads.remove(batch)
 
 
 def _check_readable(unfinished: Path, report: RecoveryReport) -> None:

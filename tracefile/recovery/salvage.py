@@ -7,19 +7,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Header
+from mcap.records import Channel, Header, Schema
 
 from dds_trace.base.errors import TraceFormatError
 
-from ..format.encoding import MAGIC, MESSAGE_HEADER, decode_string
-from ..format.events import EVENT_RECORD_DTYPE
+from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
+from ..format.events import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
 from ..mcapfile.blocks import most_unpacked_bytes
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import TornRecordError
+from ..mcapfile.records import parse_record
 from ..mcapfile.scan import scan_records
+from ..reading.source import TOPIC_PREFIX
 from ..writing.event_chunks import LIBRARY
+from ..writing.payloads import MOST_TOPICS, Payload, PayloadTopic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,7 +48,7 @@ class SalvagedText:
 
 
 class Salvage:
-    """One-time iterable of the events (`SLOT_DTYPE` without tickets) and texts in the complete chunks of a file.
+    """One-time iterable of the events (`SLOT_DTYPE` without tickets), texts and payloads in the complete chunks of a file.
 
     Attributes, final after the last item:
         closed: whether the file has its footer.
@@ -60,6 +63,8 @@ class Salvage:
         self._file = file
         self._channels = ChannelTable(file.path)
         self._stages = np.zeros(_CHANNEL_IDS, np.uint8)  # channel id -> number of its stage, or 0
+        self._schemas: dict[int, Schema] = {}
+        self._payload_topics: dict[int, PayloadTopic] = {}
         self._next_number: dict[int, int] = {}
         self._steps_left = _UNSUSPECTED_STEPS + file.size // _STEP_BYTES
         self._unpacked_bytes = 0
@@ -73,7 +78,7 @@ class Salvage:
         """Events that the recorder had written, including damaged chunks."""
         return sum(self._next_number.values())  # MCAP sequences count the messages of a channel
 
-    def __iter__(self) -> Iterator[Slots | SalvagedText]:
+    def __iter__(self) -> Iterator[Slots | SalvagedText | Payload]:
         at = len(MAGIC)
         while not self.closed:
             try:
@@ -100,7 +105,7 @@ class Salvage:
                 self._file.path, f"was written by {library!r}, not by dds-record; `mcap recover` closes such files"
             )
 
-    def _chunk(self, header: RecordHeader) -> Iterator[Slots | SalvagedText]:
+    def _chunk(self, header: RecordHeader) -> Iterator[Slots | SalvagedText | Payload]:
         self._take_steps(_CHUNK_STEPS)
         try:
             chunk = PackedChunk.at(self._file, header)
@@ -113,19 +118,29 @@ class Salvage:
             return
         scan = scan_records(data, 0, len(data))
         self._take_steps(scan.steps + len(scan.others))
-        others = {content: (opcode, length) for opcode, content, length in scan.others}
+        single = {content: (opcode, length) for opcode, content, length in scan.others}
         runs = dict(scan.runs)
-        for at in sorted([*others, *runs]):
+        for at in sorted([*single, *runs]):
             if at in runs:
-                yield self._slots(np.frombuffer(data, EVENT_RECORD_DTYPE, runs[at], at))
+                records = np.frombuffer(data, EVENT_RECORD_DTYPE, runs[at], at)
+                yield self._slots(records)
+                others = np.flatnonzero(self._stages[records["channel_id"]] == 0).tolist()  # as long as an event
+                self._take_steps(len(others))
+                for number in others:
+                    start, end = (at + step * EVENT_RECORD_BYTES for step in (number, number + 1))
+                    yield from self._text(memoryview(data)[start + RECORD_HEADER.size : end])
                 continue
-            opcode, length = others[at]
+            opcode, length = single[at]
             content = memoryview(data)[at : at + length]
             if opcode == Opcode.MESSAGE:
                 yield from self._text(content)
             else:
                 self._channels.declare(opcode, content, header.offset)
+                if opcode == Opcode.SCHEMA:
+                    schema = parse_record(Schema, content)
+                    self._schemas[schema.id] = schema
                 if opcode == Opcode.CHANNEL:
+                    self._add_payload_topic(parse_record(Channel, content))
                     channel_id = int.from_bytes(content[:2], "little")
                     channel = self._channels.get(channel_id)
                     if channel is not None and channel.stage:
@@ -150,8 +165,18 @@ class Salvage:
         self.events += len(slots)
         return slots
 
-    def _text(self, content: memoryview) -> Iterator[SalvagedText]:
+    def _add_payload_topic(self, channel: Channel) -> None:
+        schema = self._schemas.get(channel.schema_id)
+        is_new = channel.id not in self._payload_topics and len(self._payload_topics) < MOST_TOPICS
+        if is_new and schema is not None and not channel.topic.startswith(TOPIC_PREFIX):
+            definition, encoding = schema.data.decode(errors="replace"), channel.message_encoding
+            self._payload_topics[channel.id] = PayloadTopic(channel.topic, schema.name, definition, encoding)
+
+    def _text(self, content: memoryview) -> Iterator[SalvagedText | Payload]:
         channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
+        if topic := self._payload_topics.get(channel_id):
+            yield Payload(topic, bytes(content[MESSAGE_HEADER.size :]), log_time_ns)
+            return
         channel = self._channels.get(channel_id)
         if channel is None:
             return

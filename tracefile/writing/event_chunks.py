@@ -39,7 +39,7 @@ LIBRARY = "dds-trace"
 EVENT_SCHEMA = Schema(id=1, name=EVENT_SCHEMA_NAME, encoding="ros2msg", data=EVENT_DEFINITION.encode())
 STRING_SCHEMA = Schema(id=2, name=STRING_SCHEMA_NAME, encoding="ros2msg", data=STRING_DEFINITION.encode())
 TAP_SCHEMA = Schema(id=3, name=TAP_SCHEMA_NAME, encoding="ros2msg", data=TAP_DEFINITION.encode())
-_SCHEMAS = {schema.id: schema for schema in (EVENT_SCHEMA, STRING_SCHEMA, TAP_SCHEMA)}
+SCHEMAS = {schema.id: schema for schema in (EVENT_SCHEMA, STRING_SCHEMA, TAP_SCHEMA)}
 TYPE_HASHES = {
     EVENT_SCHEMA_NAME: "RIHS01_bda991ead4fe8ce479c129efc17c1affed4da47fbc0d1731d7bad959cf922db2",
     TAP_SCHEMA_NAME: "RIHS01_ea4932f85dd1427298e22e6d0a55466588a304d69baae5cfc0cc74aed409139f",
@@ -54,9 +54,9 @@ TEXT_TOPICS = (SESSION_TOPIC, RUN_TOPIC)
 """Topics of channels 6 and 7; further topics get the next ids."""
 
 
-def declarations_of(channels: Sequence[Channel]) -> bytes:
+def declarations_of(channels: Sequence[Channel], known: Mapping[int, Schema]) -> bytes:
     """Return the schema and channel records at the start of a chunk, so that a damaged one loses only itself."""
-    schemas = {channel.schema_id: schema_of(channel) for channel in channels}
+    schemas = {channel.schema_id: known[channel.schema_id] for channel in channels}
     return b"".join(map(encode_record, [*schemas.values(), *channels]))
 
 
@@ -66,11 +66,6 @@ def encode_record(record: McapRecord) -> bytes:
     record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]  # mcap leaves it open
     return data
-
-
-def schema_of(channel: Channel) -> Schema:
-    """Return the schema of one of our channels."""
-    return _SCHEMAS[channel.schema_id]
 
 
 MESSAGES_AT = 4096

@@ -22,6 +22,7 @@ from dds_trace.base.threads import run_in_background
 
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
 from .packing import EventPacker
+from .payloads import CHUNK_BYTES, Payload, PayloadQueue
 from .writer import TraceFiles
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from ..format.descriptions import Run, Session
     from ..format.json_fields import Json
     from .destination import ClosedTrace, TraceDestination
+    from .payloads import PayloadTopic
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
@@ -51,6 +53,7 @@ class TraceSink(EventPacker):
         self._flush_seconds = destination.flush_seconds
         self._error: OutputError | None = None
         self._closed: ClosedTrace | None = None
+        self.payloads = PayloadQueue()
         self._texts: deque[tuple[str, str, int]] = deque()  # topic, JSON, log time: not yet in the file
         self._saved_ns = time.monotonic_ns()  # what was recorded until then is in the file
         self._longest_unsaved_ns = 0
@@ -75,6 +78,13 @@ class TraceSink(EventPacker):
             if self._closed is None and not self._is_paused:  # a host sample during a pause is not worth the space
                 self._texts.append((topic, text, self._session.wall_ns(self._clock_ns())))
                 self._flush()
+
+    def keep_payload(self, topic: PayloadTopic, data: bytes | bytearray, arrival_ns: int) -> None:
+        """Keep a message that arrived at a monotonic time; from one thread. It is written later, or counted as left out."""
+        before = self.payloads.waiting_bytes
+        self.payloads.put(Payload(topic, data, self._session.wall_ns(arrival_ns)))
+        if before <= CHUNK_BYTES < self.payloads.waiting_bytes:
+            self._wake.put(True)
 
     @property
     def dropped_events(self) -> int:
@@ -192,6 +202,9 @@ class TraceSink(EventPacker):
             if head > before:
                 self._longest_unsaved_ns = max(self._longest_unsaved_ns, time.monotonic_ns() - self._saved_ns)
             self._saved_ns = start_ns
+            while batch := self.payloads.first():
+                files.writer.write_payloads(batch)
+                self.payloads.remove(batch)
             while self._texts:
                 files.writer.write_text(*self._texts[0])
                 self._texts.popleft()

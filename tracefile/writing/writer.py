@@ -27,6 +27,7 @@ from .event_chunks import (
     EVENT_SCHEMA,
     EVENT_TOPICS,
     LIBRARY,
+    SCHEMAS,
     STRING_SCHEMA,
     TAP_SCHEMA,
     TEXT_TOPICS,
@@ -36,8 +37,8 @@ from .event_chunks import (
     declarations_of,
     encode_record,
     positions_by_channel,
-    schema_of,
 )
+from .payloads import payload_chunk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from ..format.descriptions import Session
     from ..format.ring import Slots
     from .destination import TraceDestination
+    from .payloads import Payload, PayloadTopic
 
 MAX_CHUNK_EVENTS = 1 << 14
 """Most events of a chunk: 1.5 MB before compression."""
@@ -71,7 +73,8 @@ class TraceWriter:
         self._fsync = fsync
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
         self._builder = EventChunkBuilder(session.wall_ns(0), MAX_CHUNK_EVENTS)
-        self._channels: dict[str, Channel] = {}
+        self._schemas = dict(SCHEMAS)
+        self._channels: dict[str | PayloadTopic, Channel] = {}
         self._counts: dict[int, int] = {}  # channel id -> number of messages in the file
         self._indexes = bytearray()  # of the chunks so far, as in the summary: a week of seconds has 600,000
         self._chunk_count = 0
@@ -109,7 +112,13 @@ class TraceWriter:
     def topics(self) -> list[TopicCount]:
         """Topics that have messages."""
         return [
-            TopicCount(c.topic, schema_of(c).name, c.metadata["topic_type_hash"], self._counts[c.id])
+            TopicCount(
+                c.topic,
+                self._schemas[c.schema_id].name,
+                c.metadata.get("topic_type_hash", ""),
+                self._counts[c.id],
+                encoding=c.message_encoding,
+            )
             for c in self._used_channels()
         ]
 
@@ -126,7 +135,8 @@ class TraceWriter:
         for first in range(0, len(slots), MAX_CHUNK_EVENTS):
             chunk = slots[first : first + MAX_CHUNK_EVENTS]
             by_channel = positions_by_channel(chunk)
-            declarations = declarations_of([self._channels[EVENT_TOPICS[number - 1]] for number in by_channel])
+            channels = [self._channels[EVENT_TOPICS[number - 1]] for number in by_channel]
+            declarations = declarations_of(channels, self._schemas)
             built = self._builder.build(chunk, by_channel, declarations, self._counts, self._last_ns)
             self._write_chunk(built)
 
@@ -141,16 +151,23 @@ class TraceWriter:
             sequence=self._counts.get(channel.id, 0),
             data=encode_string(text),
         )
-        declarations = declarations_of([channel])
+        declarations = declarations_of([channel], self._schemas)
         content = memoryview(declarations + encode_record(message))
         index = np.array([[log_time, len(declarations)]], np.uint64)
         self._write_chunk(Chunk(content, log_time, log_time, {channel.id: index}))
+
+    def write_payloads(self, batch: Sequence[Payload]) -> None:
+        """Append messages of others in one uncompressed chunk: images hardly shrink, and a blank one too much to be believed."""
+        channels = {payload.topic: self._payload_channel(payload.topic) for payload in batch}
+        declarations = declarations_of(list(channels.values()), self._schemas)
+        by_channel = [(channels[payload.topic].id, payload) for payload in batch]
+        self._write_chunk(payload_chunk(declarations, by_channel, self._counts), is_packed=False)
 
     def finish(self) -> None:
         """Write summary and footer, close the file."""
         summary_start = self._end + len(encode_record(DataEnd(0)))
         channels = self._used_channels()
-        schemas = {channel.schema_id: schema_of(channel) for channel in channels}
+        schemas = {channel.schema_id: self._schemas[channel.schema_id] for channel in channels}
         start_ns, end_ns = self.time_range_ns
         statistics = Statistics(
             message_count=sum(self._counts.values()),
@@ -204,16 +221,33 @@ class TraceWriter:
             )
         return self._channels[topic]
 
+    def _payload_channel(self, topic: PayloadTopic) -> Channel:
+        if topic not in self._channels:
+            encoding = "ros2msg" if topic.definition else ""
+            schema = Schema(
+                data=topic.definition.encode(), encoding=encoding, id=len(self._schemas) + 1, name=topic.type_name
+            )
+            self._schemas[schema.id] = schema
+            self._channels[topic] = Channel(
+                id=len(self._channels) + 1,
+                topic=topic.topic,
+                message_encoding=topic.encoding,
+                metadata={},
+                schema_id=schema.id,
+            )
+        return self._channels[topic]
+
     def _used_channels(self) -> list[Channel]:
         return [channel for channel in self._channels.values() if channel.id in self._counts]
 
-    def _write_chunk(self, chunk: Chunk) -> None:
+    def _write_chunk(self, chunk: Chunk, *, is_packed: bool = True) -> None:
         """Append a chunk and its message indexes."""
-        compressed = self._compressor.compress(chunk.content)
+        compressed = self._compressor.compress(chunk.content) if is_packed else chunk.content
+        compression = _COMPRESSION if is_packed else bytes(4)
         size = len(chunk.content)
-        body = _CHUNK_HEADER.size - 9 + len(_COMPRESSION) + 8 + len(compressed)
+        body = _CHUNK_HEADER.size - 9 + len(compression) + 8 + len(compressed)
         header = _CHUNK_HEADER.pack(Opcode.CHUNK, body, chunk.start_ns, chunk.end_ns, size, crc32(chunk.content))
-        parts: list[bytes | memoryview] = [header + _COMPRESSION + struct.pack("<Q", len(compressed)), compressed]
+        parts: list[bytes | memoryview] = [header + compression + struct.pack("<Q", len(compressed)), compressed]
         chunk_length = 9 + body
         index_at = self._end + chunk_length
         offsets = {}
@@ -231,7 +265,7 @@ class TraceWriter:
             chunk_length=chunk_length,
             message_index_offsets=offsets,
             message_index_length=index_at - self._end - chunk_length,
-            compression="zstd",
+            compression="zstd" if is_packed else "",
             compressed_size=len(compressed),
             uncompressed_size=size,
         )
@@ -241,7 +275,7 @@ class TraceWriter:
         self._chunk_count += 1
         for channel_id, entries in chunk.index.items():
             self._counts[channel_id] = self._counts.get(channel_id, 0) + len(entries)
-        self._last_ns = chunk.end_ns
+        self._last_ns = max(self._last_ns, chunk.end_ns)
 
     def _append(self, parts: Sequence[bytes | memoryview]) -> None:
         """Write all or nothing: bytes of an incomplete write are cut off again."""

@@ -386,6 +386,18 @@ def test_without_a_trace_nothing_is_called_written(capsys, sentences):
     assert json.loads(capsys.readouterr().out)["path"] is None
 
 
+def test_a_tap_and_a_beacon_last_for_a_time(parsed):
+    assert parsed("--for", 9, role="beacon").duration_s == 9
+    assert parsed("--for", 9, "--topics", "/scan", role="tap").duration_s == 9
+    for arguments, role in (
+        (("--for", 9), "relay"),
+        (("--for", 9, "--duration", 8), "beacon"),
+        (("--for", 0), "beacon"),
+    ):
+        with pytest.raises(OptionError, match=r"--for|--duration 0"):
+            parsed(*arguments, role=role).check()
+
+
 @pytest.mark.parametrize("text", ["1", "x%", "-1%", "101%", "nan%", "inf%", ""])
 def test_a_limit_of_losses_is_a_percentage(text):
     with pytest.raises(OptionError, match="write a percentage from 0% to 100%"):

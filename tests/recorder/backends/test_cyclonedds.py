@@ -202,3 +202,24 @@ def test_the_users_other_interfaces_leave_loopback_to_us():
         assert cyclone_loopback(Discovery.SUBNET, {"CYCLONEDDS_URI": own}) == ""
     old = "<CycloneDDS><Domain><General><NetworkInterfaceAddress>lo</NetworkInterfaceAddress></General></Domain></CycloneDDS>"
     assert cyclone_loopback(Discovery.LOCALHOST, {"CYCLONEDDS_URI": old}) == ""
+
+
+def test_two_nodes_make_their_topics_one_after_the_other(monkeypatch):
+    entered, most = [], []
+
+    def slow_topic(*_):
+        entered.append(1)
+        most.append(len(entered))
+        time.sleep(0.02)
+        entered.pop()
+
+    monkeypatch.setattr("cyclonedds.topic.Topic", slow_topic)
+    nodes = [cyclonedds.CycloneNode.__new__(cyclonedds.CycloneNode) for _ in range(3)]
+    for node in nodes:
+        node._participant = None
+    threads = [threading.Thread(target=node._topic, args=("notes", "std_msgs/msg/String")) for node in nodes]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == [1, 1, 1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.recorder.tap.stamps import reader_of
+from dds_trace.recorder.tap.stamps import definition_of, reader_of
 
 STORE = get_typestore(Stores.LATEST)
 T = STORE.types
@@ -78,3 +78,16 @@ def test_members_as_rclpy_spells_them_are_passed_over(first):
 @pytest.mark.parametrize("data", [b"", b"\0\1\0\0", b"\0\1\0\0\1\0\0\0\0\0\0"])
 def test_what_is_cut_short_has_none(data):
     assert not reader_of("geometry_msgs/msg/PointStamped", nobody_knows)(data)
+
+
+def test_the_text_of_a_type_has_all_that_it_is_made_of():
+    members = {
+        "my_msgs/msg/Scan": {"header": "std_msgs/Header", "ranges": "sequence<double, 3>", "name": "string<10>"},
+        "my_msgs/msg/Odd": {"left": "my_msgs/Unknown"},
+    }
+    text = definition_of("my_msgs/msg/Scan", members.get)
+    first, second, third = text.split(f"{'=' * 80}\n")
+    assert first.split() == ["std_msgs/Header", "header", "float64[]", "ranges", "string", "name"]
+    assert second.splitlines()[0] == "MSG: std_msgs/Header"
+    assert third.splitlines()[0] == "MSG: builtin_interfaces/Time"
+    assert definition_of("my_msgs/msg/Odd", members.get) == ""

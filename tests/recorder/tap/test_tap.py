@@ -21,7 +21,7 @@ CAMERA = Publication("/camera/image", IMAGE, "aa" * 16, "/driver", Qos("reliable
 class Bench:
     """A tap of some patterns on a fake node."""
 
-    def __init__(self, *patterns: str, graph=(CAMERA,)):
+    def __init__(self, *patterns: str, graph=(CAMERA,), keeps_payload=False):
         self.node, self.clock, self.sink, self.notes = FakeTapNode(), FakeClock(), JsonSink(), []
         self.node.graph = list(graph)
         self.node.definitions = {IMAGE: {"header": "std_msgs/Header"}}
@@ -34,6 +34,7 @@ class Bench:
             qos=qos,
             note=self.notes.append,
             clock=self.clock,
+            keeps_payload=keeps_payload,
         )
         self.tap.look()
 
@@ -71,6 +72,14 @@ def test_its_publisher_is_described_once_heard_and_at_the_end():
     assert text["qos"]["durability"] == "transient_local"
     assert text["subscribed"]["reliability"] == "best_effort"
     assert not bench.node.subscriptions[CAMERA.topic].is_open
+
+
+def test_nobody_writes_to_the_topics_of_the_trace():
+    forged = Publication("/dds_trace/session", "std_msgs/msg/String", "cc" * 16)
+    bench = Bench("*", graph=[CAMERA, forged], keeps_payload=True)
+    for topic in (CAMERA.topic, forged.topic):
+        bench.hear(topic=topic)
+    assert [(kept.topic, data) for kept, data, _ in bench.sink.payloads] == [(CAMERA.topic, MESSAGE)]
 
 
 @pytest.mark.parametrize(

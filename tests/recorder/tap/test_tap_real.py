@@ -9,6 +9,8 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
 from waiting import PATIENCE_S, wait_until
 
 from dds_trace.recorder.backends import open_node
@@ -124,6 +126,37 @@ def test_a_tap_records_every_message_with_its_identity(tmp_path, domain_id, back
     assert trace.sessions[0].extra["own_cost"]["messages"] == len(taps)
     if backend == "ros2":
         assert np.all(np.diff(taps.publication_sequence) == 1)
+
+
+@pytest.mark.parametrize("backend", BACKENDS[:2])
+def test_messages_are_kept_as_they_came_where_that_is_asked(tmp_path, domain_id, backend):
+    options = NodeOptions(domain_id=domain_id, name="driver", discovery=Discovery.LOCALHOST, listens=True)
+    file = tmp_path / "tap.mcap"
+    with (
+        open_node(backend, options) as node,
+        tapping(file, backend, domain_id, "/camera/*", payload=True) as (watch, result),
+    ):
+        publisher = node.create_publisher("camera/image", IMAGE)
+        node.start()
+        contents = publish_until(publisher, [watch])
+    with file.open("rb") as stream:
+        kept = [
+            (schema.name, channel.message_encoding, message)
+            for schema, channel, message in make_reader(stream).iter_messages(topics=["/camera/image"])
+        ]
+    assert len(kept) == result[0].trace.events
+    assert {one[:2] for one in kept} == {(IMAGE, "cdr")}
+    sent = {content.ljust(-(-len(content) // 4) * 4, b"\0")[4:] for content in contents}  # RTPS may pad
+    assert {one[2].data.ljust(-(-len(one[2].data) // 4) * 4, b"\0")[4:] for one in kept} <= sent
+    trace = read_trace(file)
+    arrivals_ns = trace.events[Stage.TAP].monotonic_ns + trace.sessions[0].wall_ns(0)
+    assert [one[2].log_time for one in kept] == arrivals_ns.tolist()
+    assert trace.sessions[0].extra["payloads_left_out"] == 0
+    with AnyReader([file]) as reader:
+        (connection,) = (one for one in reader.connections if one.topic == "/camera/image")
+        images = [reader.deserialize(data, IMAGE) for _, _, data in reader.messages([connection])]
+    stamp = images[0].header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == STAMP_NS
 
 
 @pytest.mark.skipif(not all(map(find_spec, ("rclpy", "cyclonedds"))), reason="no two vendors here")

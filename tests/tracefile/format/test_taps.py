@@ -17,6 +17,7 @@ from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, TapColumns, hash_co
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 from dds_trace.tracefile.writing.destination import TraceDestination
+from dds_trace.tracefile.writing.payloads import MOST_WAITING_BYTES, PayloadTopic
 from dds_trace.tracefile.writing.sink import TraceSink
 
 TAP = 5
@@ -65,6 +66,55 @@ def test_the_official_reader_and_rosbags_know_the_schema(tmp_path):
         connection = next(one for one in reader.connections if one.topic == "/dds_trace/tap")
         first = next(reader.deserialize(data, one.msgtype) for one, _, data in reader.messages([connection]))
     assert (first.content_hash, first.payload_bytes, first.publisher_id) == (2**64 - 1, 100, 1)
+
+
+def messages_of_others(path):
+    with path.open("rb") as stream:
+        return [
+            (channel.topic, schema.name, schema.data, channel.message_encoding, message.data, message.log_time)
+            for schema, channel, message in make_reader(stream).iter_messages()
+            if not channel.topic.startswith("/dds_trace/")
+        ]
+
+
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_payloads_are_read_by_others_and_survive_a_kill(tmp_path, is_cut):
+    image = PayloadTopic("/camera", "my_msgs/msg/Camera", "uint8[] data\n")
+    unknown = PayloadTopic("robot/speed", "", encoding="")
+    contents = [(image, b"\0\1\0\0" + bytes([number]) * 56) for number in range(40)]  # as long as an event
+    contents += [(image, b"\0\1\0\0" + bytes(3 << 20)), (image, bytes(5 << 20)), (unknown, b"12 m/s")]
+    file = tmp_path / "tap.mcap"
+    sink = open_tap(file)
+    fill(sink)
+    for number, (topic, data) in enumerate(contents):
+        sink.keep_payload(topic, data, number)
+    sink.write_json(PUBLISHER_TOPIC, DESCRIPTION)
+    if is_cut:
+        (tmp_path / "cut.mcap").write_bytes(file.read_bytes())
+        file = tmp_path / "cut.mcap"
+    assert sink.close().error is None
+    if is_cut:
+        assert recover(file).file_events == len(EVENTS)
+    read = messages_of_others(file)
+    assert [one[:5] for one in read] == [
+        (topic.topic, topic.type_name, topic.definition.encode(), topic.encoding, data) for topic, data in contents
+    ]
+    assert np.diff([one[5] for one in read]).tolist() == [1] * (len(contents) - 1)
+    trace = read_trace(file)
+    assert (len(trace.events[Stage.TAP]), trace.truncated, trace.notes) == (len(EVENTS), None, ())
+    assert trace.publishers[-1]["topic"] == "/camera"
+
+
+def test_what_waits_for_the_disk_is_bounded(tmp_path):
+    sink, topic = open_tap(tmp_path / "tap.mcap"), PayloadTopic("/camera", "my_msgs/msg/Camera")
+    sink.pause()
+    for number in range(5):
+        sink.keep_payload(topic, bytes(MOST_WAITING_BYTES // 4), number)
+    assert (sink.payloads.left_out, sink.payloads.waiting_bytes) == (1, MOST_WAITING_BYTES)
+    sink.resume()
+    assert sink.payloads.waiting_bytes == 0
+    sink.close()
+    assert len(messages_of_others(tmp_path / "tap.mcap")) == 4
 
 
 def test_a_killed_tap_loses_no_event(tmp_path):

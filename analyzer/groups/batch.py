@@ -109,8 +109,8 @@ class Batch:
 
     @property
     def first_group(self) -> int:
-        """Number of its first group."""
-        return int(self.group_of_exchange[0])
+        """Number of its first group; 0 without one, as of taps."""
+        return int(self.group_of_exchange[0]) if len(self.group_of_exchange) else 0
 
     def event_keys(self) -> list[EventKey]:
         """Return the keys of its events in the event index, each once."""

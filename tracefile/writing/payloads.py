@@ -91,9 +91,9 @@ def payload_chunk(declarations: bytes, batch: Sequence[tuple[int, Payload]], wri
     """Return the chunk of pairs of channel id and payload; `written` counts the file's messages by channel id."""
     content, entries = bytearray(declarations), dict[int, list[tuple[int, int]]]()
     for channel_id, payload in batch:
-        of_channel = entries.setdefault(channel_id, [])
-        of_channel.append((payload.log_time_ns, len(content)))
-        number = (written.get(channel_id, 0) + len(of_channel) - 1) % (1 << 32)
+        rows_so_far = entries.setdefault(channel_id, [])
+        rows_so_far.append((payload.log_time_ns, len(content)))
+        number = (written.get(channel_id, 0) + len(rows_so_far) - 1) % (1 << 32)
         content += encode_record(
             Message(channel_id, payload.log_time_ns, bytes(payload.data), payload.log_time_ns, number)
         )

@@ -57,7 +57,7 @@ class _Topic:
     type_name: str
     read_stamp: Callable[[bytes], int | None] | None
     live: LiveTopic | None = None
-    kept: PayloadTopic | None = None
+    payload_topic: PayloadTopic | None = None
     publications: list[Publication] = field(default_factory=list)
     subscription: Subscription | None = None
     streams: dict[Hashable, Stream] = field(default_factory=dict)
@@ -153,7 +153,7 @@ class Tap:
             read_stamp = reader_of(type_name, self._node.members)
             live = None if self._live is None else self._live.topic(name)
             topic = self._topics[name, type_name] = _Topic(
-                name, type_name, read_stamp, live, self._kept(name, type_name)
+                name, type_name, read_stamp, live, self._payload_topic(name, type_name)
             )
             self._update(topic, publications)
             topic.subscription = self._node.create_tap(name, type_name, self._receiver(topic), qos=self._qos)
@@ -164,7 +164,7 @@ class Tap:
             return
         self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}")
 
-    def _kept(self, name: str, type_name: str) -> PayloadTopic | None:
+    def _payload_topic(self, name: str, type_name: str) -> PayloadTopic | None:
         """Return the topic as it is kept; nobody writes to the trace's own topics."""
         if not self._keeps_payload or name.startswith(TOPIC_PREFIX) or len(self._topics) >= MOST_TOPICS:
             return None
@@ -224,8 +224,8 @@ class Tap:
             stream.publisher_id,
         )
         stream.count(arrival_ns, sequence, payload_bytes)
-        if topic.kept is not None:
-            self._sink.keep_payload(topic.kept, message, arrival_ns)
+        if topic.payload_topic is not None:
+            self._sink.keep_payload(topic.payload_topic, message, arrival_ns)
         if topic.live is not None:
             topic.live.count(arrival_ns, header_ns or source_ns, stream.publisher_id, stream.missing)
 

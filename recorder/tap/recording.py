@@ -91,10 +91,8 @@ class TapRecording(BaseRecording):
                 mean_bytes = sum(stream.payload_bytes for stream in tap.streams) // max(tap.messages, 1)
                 read_back.read_end(Traffic(0, tap.messages, mean_bytes))
                 left_out = upkeep.sink.payloads.left_out
-                payload_fields: JsonObject = {"payloads_left_out": left_out} if tap_options.payload else {}
-                trace = upkeep.close_trace(
-                    **read_back.fields(), **self.fields_at_end(), own_cost=own_cost, **payload_fields
-                )
+                counts: JsonObject = {"payloads_left_out": left_out} if tap_options.payload else {}
+                trace = upkeep.close_trace(**read_back.fields(), **self.fields_at_end(), own_cost=own_cost, **counts)
                 read_back.report(trace.path)
                 progress = self._progress(tap, live)
                 if self.rehearses:

@@ -59,9 +59,6 @@ class PayloadQueue:
         """Bytes that wait."""
         return self._put_bytes - self._taken_bytes
 
-    def __len__(self) -> int:
-        return len(self._payloads)
-
     def put(self, payload: Payload) -> None:
         """Add a payload, or count it as left out."""
         if self.waiting_bytes + len(payload.data) > MOST_WAITING_BYTES:

@@ -103,12 +103,7 @@ class CommandOptions:
         parse=lambda text: parse_duration(text, "--lifespan"),
     )
     for_s: float | None = option(
-        None,
-        "--for SECONDS",
-        Panel.FILES,
-        "The same as --duration.",
-        limit=limits.LENGTH_S,
-        roles=(Role.TAP, Role.BEACON),
+        None, "--for SECONDS", Panel.FILES, "As --duration.", limit=limits.LENGTH_S, roles=(Role.TAP, Role.BEACON)
     )
     keep: int | None = option(
         None, "--keep N", Panel.FILES, "With --rotate: keep only the newest N files of this recording.", kind=int

@@ -186,7 +186,8 @@ const JOB_COLUMNS = [
   { label: "Why" },
 ];
 
-function showJob() {
+/** Show the answer; the commands once the form was touched (`event`). */
+function showJob(event) {
   const job = readJob(document.getElementById("job-form"));
   const { found, sentence, commands } = job.wrong
     ? { found: [], sentence: `The ${job.wrong} is not understood; write a number and a unit.`, commands: [] }
@@ -210,6 +211,6 @@ function showJob() {
       ]),
     );
   const decide = document.getElementById("job-command");
-  decide.hidden = !commands.length;
+  decide.hidden = !event || !commands.length;
   decide.querySelector("code").textContent = commands.join("\n");
 }

@@ -55,6 +55,13 @@ KINDS = ("kinds: 1", "kinds: 6", "kinds: 20")
                 )
             ],
         ),
+        *(
+            (said, [max(numbers("comparisons", column, **{"equal results": results})) for results in ("1", "50")])
+            for said, column in (
+                ("`compare`: slower, faster", "slower or faster"),
+                ("a gate fails", "`latency_p99 > +20%` fails"),
+            )
+        ),
         ("more is lost", numbers("losses", "0.5 % against 5 %", runs="5 x 1000")[0:4:3]),
         ("is fastest", [max(numbers("leaders", *KINDS)), max(numbers("leaders-messages", *KINDS))]),
         ("is fastest", numbers("leaders-found", "called, kinds: 1")[:3]),

@@ -260,3 +260,26 @@ def test_a_best_effort_reader_matches_every_offer():
 
     offers = [Qos(r, d) for r in ("reliable", "best_effort") for d in ("volatile", "transient_local")]
     assert not any(mismatches(offer, chosen_qos(None, None, None)) for offer in offers)
+
+
+@pytest.mark.skipif(
+    find_spec("diagnostic_msgs") is None or find_spec("cyclonedds") is None, reason="no diagnostic_msgs here"
+)
+def test_the_state_of_the_topics_is_on_diagnostics(tmp_path, domain_id):
+    options = NodeOptions(domain_id=domain_id, name="driver", discovery=Discovery.LOCALHOST, listens=True)
+    with (
+        open_node("ros2", options) as node,
+        tapping(tmp_path / "tap.mcap", "ros2", domain_id, "/camera/*", diagnostics=True) as (watch, _),
+        tapping(tmp_path / "seen.mcap", "cyclonedds", domain_id, "/diagnostics", payload=True) as (seen, _),
+    ):
+        publisher = node.create_publisher("camera/image", IMAGE)
+        node.start()
+        publish_until(publisher, [watch])
+        wait_until(lambda: seen.messages >= 2)
+    with (tmp_path / "seen.mcap").open("rb") as file:
+        states = [
+            message.data
+            for schema, channel, message in make_reader(file).iter_messages()
+            if channel.topic == "/diagnostics" and schema.name == "diagnostic_msgs/msg/DiagnosticArray"
+        ]
+    assert any(b"/camera/image" in state for state in states)

@@ -179,9 +179,7 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
         item = next(items, None)  # now the header and the first chunk's compression are known
         writer = Writer(stream, compression=CompressionType.NONE if walk.is_unpacked else CompressionType.ZSTD)
         library = walk.header.library if walk.header else "unknown"
-        writer.start(
-            walk.header.profile if walk.header else _profile(walk), f"{library}; recovered by dds-trace {__version__}"
-        )
+        writer.start(_profile(walk), f"{library}; recovered by dds-trace {__version__}")
         schemas, channels = dict[tuple[int, str], int](), dict[tuple[int, str, int], int]()
 
         def declared(channel: Channel) -> int:
@@ -226,9 +224,11 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
 
 
 def _profile(walk: McapWalk) -> str:
-    """Return the profile of a file whose header is lost."""
+    """Return the profile of the header, or the schemas' where it is lost or damaged."""
     encodings = {schema.encoding for schema in walk.schemas.values()}
-    return "ros2" if encodings & {"ros2msg", "ros2idl"} else "ros1" if "ros1msg" in encodings else ""
+    implied = "ros2" if encodings & {"ros2msg", "ros2idl"} else "ros1" if "ros1msg" in encodings else ""
+    own = walk.header.profile if walk.header else implied
+    return own if own in {"", "ros1", "ros2"} or not implied else implied
 
 
 def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:

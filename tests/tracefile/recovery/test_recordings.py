@@ -37,6 +37,13 @@ def test_every_whole_message_of_a_damaged_file_is_kept(tmp_path, kind):
             assert len(kept - good.needs.keys()) <= report.doubtful + len(report.damages)
 
 
+def test_a_damaged_profile_is_that_of_the_schemas(tmp_path):
+    good = make_good("mcap zstd", tmp_path, 7)
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(good.content.replace(b"ros2", b"r\0s2", 1))
+    assert read_recovered(recover_recording(path).recovered) == good.needs.keys()
+
+
 @pytest.mark.parametrize("plugin", StoragePlugin)
 def test_a_folder_without_metadata_and_with_a_cut_file_becomes_a_bag(tmp_path, plugin, capsys):
     messages = {"/imu": [imu(n / 100) for n in range(40)], "/chatter": [text("x" * 3000)] * 20}

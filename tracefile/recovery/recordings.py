@@ -30,7 +30,7 @@ from ..writing.event_chunks import LIBRARY
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mcap.records import Channel
+    from mcap.records import Channel, Schema
 
 _LATEST_NS = 2**63 - 1
 _HEADER_BYTES = 64
@@ -189,7 +189,7 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
                 schema_id = 0
                 if schema is not None:
                     if (schema.id, schema.name) not in schemas:
-                        new_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        new_id = writer.register_schema(schema.name, schema.encoding, _definition(schema))
                         schemas[schema.id, schema.name] = new_id
                     schema_id = schemas[schema.id, schema.name]
                 channels[key] = writer.register_channel(
@@ -223,6 +223,16 @@ def _recover_mcap(source: Path, new: _NewFile) -> tuple[list[str], int]:
     return walk.damages, walk.doubtful
 
 
+def _definition(schema: Schema) -> bytes:
+    """Return the definition of a type; nothing if it is damaged text, so that a reader that knows the type opens the file."""
+    is_text = schema.encoding in {"ros1msg", "ros2msg", "ros2idl"}
+    return b"" if is_text and not _is_text(schema.data.decode(errors="surrogateescape")) else schema.data
+
+
+def _is_text(text: str) -> bool:
+    return all(letter.isprintable() or letter.isspace() for letter in text)
+
+
 def _profile(walk: McapWalk) -> str:
     """Return the profile of the header, or the schemas' where it is lost or damaged."""
     encodings = {schema.encoding for schema in walk.schemas.values()}
@@ -242,7 +252,7 @@ def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:
                 ids[topic] = len(ids) + 1
                 row = (ids[topic], topic.name, topic.message_type, topic.encoding, topic.qos, topic.type_hash)
                 database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)", row)
-                if topic.definition:
+                if topic.definition and _is_text(topic.definition):
                     definition = (topic.message_type, topic.definition_encoding, topic.definition, topic.type_hash)
                     database.execute(
                         "INSERT INTO message_definitions (topic_type, encoding, encoded_message_definition, "

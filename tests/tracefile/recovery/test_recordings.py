@@ -44,6 +44,14 @@ def test_a_damaged_profile_is_that_of_the_schemas(tmp_path):
     assert read_recovered(recover_recording(path).recovered) == good.needs.keys()
 
 
+@pytest.mark.parametrize("kind", ["mcap without chunks", "sqlite3"])
+def test_a_damaged_definition_is_left_out(tmp_path, kind):
+    good = make_good(kind, tmp_path, 7)
+    path = tmp_path / ("damaged.db3" if kind == "sqlite3" else "damaged.mcap")
+    path.write_bytes(good.content.replace(b"string data", b"string\0data"))
+    assert read_recovered(recover_recording(path).recovered) == good.needs.keys()
+
+
 @pytest.mark.parametrize("plugin", StoragePlugin)
 def test_a_folder_without_metadata_and_with_a_cut_file_becomes_a_bag(tmp_path, plugin, capsys):
     messages = {"/imu": [imu(n / 100) for n in range(40)], "/chatter": [text("x" * 3000)] * 20}

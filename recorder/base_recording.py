@@ -100,11 +100,11 @@ class BaseRecording:
         node = self.options.node
         return replace(node, security=Security.OFF, keys=None) if self.has_bridge else node
 
-    def measure_costs(self, rate_hz: float | None = None) -> None:
-        """Measure at a run's rate, before there is a node to disturb."""
+    def measure_costs(self, rate_hz: float | None = None, *, has_floor: bool = True) -> None:
+        """Measure at a run's rate, before there is a node to disturb; without the floor of the client library if it is no part of a result."""
         if self.rehearses or not self.options.own_cost:
             return
-        floor = measured_floor(self.options.backend, self.node_options, rate_hz)
+        floor = measured_floor(self.options.backend, self.node_options, rate_hz) if has_floor else {}
         self.costs = {**measured_cost(), **floor}
 
     def open_wire(self, ping_options: PingOptions | None = None) -> AbstractContextManager[WireRecord]:

@@ -17,7 +17,6 @@ from ..base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sa
 from ..errors import NothingHeardError
 from ..host.process import tuned_gc
 from ..payloads import data_types
-from ..roles.floor import measured_cost
 from ..roles.ping import open_ping
 from ..roles.plan import RunPlan
 from ..roles.progress import BeaconProgress
@@ -63,8 +62,7 @@ class BeaconRecording(BaseRecording):
         With `NothingHeardError` in the result no other beacon answered, and there is no trace.
         """
         options = self.options
-        if options.own_cost and not self.rehearses:
-            self.costs = measured_cost()
+        self.measure_costs(has_floor=False)
         with self.open_wire() as wire, self.open_node("beacon") as node, tuned_gc():
             read_back = self.read_back(node)
             session = self.describe("ping", node, read_back)

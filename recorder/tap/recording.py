@@ -16,7 +16,6 @@ from ..backends.node import TapNode, TopicPatterns
 from ..base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
 from ..errors import NothingHeardError
 from ..host.process import tuned_gc
-from ..roles.floor import measured_cost
 from ..roles.live import LiveTable
 from ..roles.progress import TapProgress
 from ..service.upkeep import Upkeep
@@ -49,8 +48,7 @@ class TapRecording(BaseRecording):
         With `NothingHeardError` in the result no message came, and there is no trace.
         """
         options = self.options
-        if options.own_cost and not self.rehearses:
-            self.costs = measured_cost()
+        self.measure_costs(has_floor=False)
         with self.open_wire() as wire, self.open_node("tap") as node, tuned_gc():
             if not isinstance(node, TapNode):
                 raise OptionError(

@@ -139,7 +139,8 @@ class McapWalk:
                 fits = self._fits_next(self._file, header.end)
                 is_sound = yield from self._chunk(chunk, uses_damaged=fits or bool(chunk.compression))
                 self._is_in_damage = not is_sound
-                at = header.end if fits or is_sound else self._next_record(at)
+                next_chunk = None if is_sound else self._chunk_within(chunk)
+                at = next_chunk or (header.end if fits or is_sound else self._next_record(at))
             else:
                 yield from self._single(self._file, header)
                 if header.opcode == Opcode.FOOTER:
@@ -147,6 +148,13 @@ class McapWalk:
                 at = header.end
         for channel_id, count in self._undeclared.items():
             self.damages.append(f"{counted(count, 'message')} of channel {channel_id}, whose declaration is lost")
+
+    def _chunk_within(self, chunk: PackedChunk) -> int | None:
+        """Return the offset of the first chunk inside a packed one, whose claimed end bytes are missing before."""
+        at = self._resume(self._file, chunk.offset, chunk.end) if chunk.compression else None
+        while at is not None and self._file.peek(at, 1)[0] != Opcode.CHUNK:
+            at = self._resume(self._file, at, chunk.end)
+        return at
 
     def _next_record(self, at: int) -> int | None:
         """Return where the next record after damage is; None if there is none."""

@@ -10,8 +10,8 @@ import polars as pl
 
 from .analysis import Details
 from .clocks.boots import ping_boots, ping_wall_offsets
-from .groups.batch import DEADLINE_METRIC, Batch
-from .groups.frames import DETAIL_MAKERS
+from .groups.batch import DEADLINE_METRIC, AnalysisOptions, Batch, Grouping
+from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
 from .groups.recovery import RECOVERY_SCHEMA, recovery_frame
@@ -22,10 +22,10 @@ from .model.runs import pass_numbers
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
-from .verdicts.answers import find_answers
+from .verdicts.answers import Mapper, find_answers
 from .verdicts.bridge_cost import find_bridge_costs
 from .verdicts.interference import find_head_of_line, find_interference
-from .verdicts.recommend import recommend_settings
+from .verdicts.recommend import Recommendation, recommend_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -34,12 +34,8 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Run
 
-    from .groups.batch import AnalysisOptions, Grouping
-    from .groups.frames import Frames
     from .loading.campaign import Campaign
-    from .verdicts.answers import Mapper
     from .verdicts.cases import GroupRows
-    from .verdicts.recommend import Recommendation
 
 _BATCH_FRAMES = ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots")
 """Frames of batches that are details; others are for findings."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,14 +16,14 @@ from .cache.event_index import total_copies
 from .details import collect_details
 from .engines.batches import groups_in_parts, plan_batches
 from .engines.cluster import ClusterEngine
-from .engines.local import LocalEngine
+from .engines.local import Engine, LocalEngine
 from .engines.merge import merge_results
 from .findings.evidence import Evidence
 from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
-from .loading.place import Place
-from .pairing.exchanges import find_exchanges
+from .loading.place import Paths, Place
+from .pairing.exchanges import Exchanges, find_exchanges
 from .pairing.parquet import write_summary
 from .pairing.provenance import provenance
 from .pairing.rows import RowWriter
@@ -33,18 +34,14 @@ from .verdicts.ranking import RankingOptions
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterable, Iterator
-
-    Step = Callable[[str, float], None]
 
     from dds_trace.tracefile.format.descriptions import Run
 
-    from .engines.local import Engine
     from .engines.process import BatchOutput, BatchResult
     from .loading.campaign import Campaign, Progress
-    from .loading.place import Paths
-    from .pairing.exchanges import Exchanges
     from .verdicts.job import Job
+
+Step = Callable[[str, float], None]
 
 
 PAIRING, JUDGING, WRITING = STEPS = ("pairing", "judging", "writing")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from dds_trace.base.streams import plain_console
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SHARES = {"reading": 0.3, "pairing": 0.35, "judging": 0.2, "writing": 0.15}
 """Share of the time that each step takes, of campaigns from 300 to 1,500 runs without a cache."""

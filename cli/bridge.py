@@ -7,7 +7,7 @@ import sys
 import textwrap
 from typing import TYPE_CHECKING, Annotated, Any
 
-from dds_trace.recorder.bridges.base import BRIDGE_MODULES
+from dds_trace.recorder.bridges.base import BRIDGE_MODULES, Bridge, BridgeOptions
 from dds_trace.recorder.choices import Side  # noqa: TC001 - typer reads the annotation
 
 from .program import run_program
@@ -17,7 +17,6 @@ from .table_options import given_values, read_record, with_options
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from dds_trace.recorder.bridges.base import Bridge, BridgeOptions
     from dds_trace.recorder.bridges.process.running import RunningBridge
 
 LOOK_S = 0.2

@@ -6,17 +6,15 @@ import errno
 import os
 import re
 import sys
+from collections.abc import Callable, Collection, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import typer
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError, OutputError, TraceError
 from dds_trace.base.streams import plain_streams, say
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
 
 BASH_WORDS, BASH_POSITION, OTHER_WORDS = "COMP_WORDS", "COMP_CWORD", "_TYPER_COMPLETE_ARGS"
 """Variables of typer's scripts: words with line breaks and the cursor's position (bash), or the line (zsh, fish)."""

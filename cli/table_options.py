@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -13,9 +14,6 @@ from dds_trace.recorder.option import Panel
 from dds_trace.recorder.option_table import OPTIONS, choices_of, help_of
 
 from .quick_help import starting
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
 
 _Record = TypeVar("_Record")
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
 from dds_trace.analyzer.exports.tables import EXPORTERS
 from dds_trace.analyzer.recordings.card import DAMAGED, HOLES
-from dds_trace.analyzer.recordings.topics import analyze_topics
+from dds_trace.analyzer.recordings.topics import StampCorrector, TopicReport, analyze_topics
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.errors import OptionError, OutputError
 from dds_trace.base.files import replacing
@@ -20,9 +20,7 @@ from dds_trace.reports.topics.words import JudgedTopic
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
-    from typing import Any
 
-    from dds_trace.analyzer.recordings.topics import StampCorrector, TopicReport
     from dds_trace.analyzer.verdicts.topic_gate import TopicGate
 
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31

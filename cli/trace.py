@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from dds_trace.recorder.choices import Role
 from dds_trace.recorder.option_table import OPTIONS
 
 from .program import refuse_misspelt, run_command, take_completed_command
 from .quick_help import Version, argument, command_app, declare_command, starting
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 PROGRAM = "dds-trace"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
@@ -21,8 +21,6 @@ from .book.verdicts import contender_labels
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-
-    from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
     from .book.book import Book
 

@@ -11,6 +11,7 @@ from .book.groups import (
     LATENCY_MEANING,
     METRIC_LABELS,
     STATISTIC_LABELS,
+    Group,
     data_type_label,
     drift_words,
     format_added_ns,
@@ -18,18 +19,15 @@ from .book.groups import (
     markdown,
 )
 from .book.recommendation import COLUMNS
-from .book.sizes import HOW_TO_READ
-from .figures.bridge_cost import bridge_cost_info
+from .book.sizes import HOW_TO_READ, SizeCell
+from .figures.bridge_cost import Cost, bridge_cost_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from .book.book import Book
-    from .book.groups import Group
     from .book.numbers import Intervals, Values
-    from .book.sizes import SizeCell
-    from .figures.bridge_cost import Cost
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150

@@ -12,7 +12,7 @@ from dds_trace.base.units import counted
 
 from .book.book import Book
 from .book.findings import severity_counts
-from .book.sizes import HOW_TO_READ
+from .book.sizes import HOW_TO_READ, PlaceRows, SizeCell, SizeTable
 from .book.verdicts import received_words
 from .comparison.info import comparison_info
 from .comparison.words import both_words, change_with_interval, statistic_words
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.analyzer.verdicts.compare import Comparison
 
-    from .book.sizes import PlaceRows, SizeCell, SizeTable
 
 MOST_CHARACTERS = 11_000
 """Longest first screen, which a notebook saves in its file."""

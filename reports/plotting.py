@@ -13,15 +13,13 @@ from dds_trace.base.units import format_duration, format_rate, format_size
 
 from .book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
 from .figures import FIGURES, distribution
-from .figures.figure import Faceted, LeftOut, LineFigure, panel_keys
-from .html.styles import line_styles
+from .figures.figure import Faceted, LeftOut, Line, LineFigure, panel_keys
+from .html.styles import Style, line_styles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from .book.book import Book
-    from .figures.figure import Line
-    from .html.styles import Style
 
 _PANEL_WIDTH, _PANEL_HEIGHT = 330, 280
 _POSITION_WIDTH = 24

@@ -18,7 +18,7 @@ from dds_trace.base.streams import plain_console, without_commands
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .book.groups import METRIC_LABELS, format_ratio
-from .book.sizes import HOW_TO_READ
+from .book.sizes import HOW_TO_READ, SizeCell, Threshold
 from .brief import FAIL, OPEN, PASS, WIDTH, brief_lines
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .book.book import Book
-    from .book.sizes import SizeCell, Threshold
 
 _FACT_COLUMNS = 20
 SPARK_CELLS = 12

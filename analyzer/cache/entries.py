@@ -3,35 +3,33 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, BinaryIO, TypedDict
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import replacing
 from dds_trace.tracefile.format.descriptions import Run, Session
-from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.format.events import EventColumns, Stage
 from dds_trace.tracefile.reading.trace import Trace
 
-from .event_index import EventPart
-from .events import EventsFile, StoredEvents, StoredPiece
+from .event_index import EventKey, EventPart
+from .events import Column, EventsFile, StoredEvents, StoredPiece
 from .loaded import LoadedTrace, load_trace
 
 if TYPE_CHECKING:
     import hmac
-    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
-    from typing import BinaryIO
 
-    from dds_trace.tracefile.format.events import EventColumns
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from .event_index import EventKey
-    from .events import Column
     from .store import Sealer, TraceCache
 
-    Fill = Callable[["StoredParts"], Trace]
-    """Adds all events of a trace and returns the trace without them."""
+
+Fill = Callable[["StoredParts"], Trace]
+"""Adds all events of a trace and returns the trace without them."""
+
 
 _FORMAT = 6
 """Version of an entry; another version is ignored."""

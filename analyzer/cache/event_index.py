@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 EventKey = tuple[Stage, int, int]
 """Stage, run_id and relay_id; the relay_id of T1 is 0 whatever the trace says. Of a tap: 0 and the `publisher_id`."""

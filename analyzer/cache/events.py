@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from io import BufferedReader
     from pathlib import Path
-    from typing import BinaryIO
 
     from numpy.typing import NDArray
 
-    Column = tuple[str, int]
-    """Kind (`constant`, `counting`, `array`), and value, first value, or offset in the file."""
+
+Column = tuple[str, int]
+"""Kind (`constant`, `counting`, `array`), and value, first value, or offset in the file."""
+
 
 _FIELDS = EVENT_DTYPE.names or ()
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.tracefile.reading.reader import read_trace, read_trace_in_pieces
 
-from .event_index import split_trace
+from .event_index import EventKey, EventPart, split_trace
 from .remote import local_copy
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.events import EventColumns, Stage
     from dds_trace.tracefile.reading.trace import Trace
-
-    from .event_index import EventKey, EventPart
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,17 +8,15 @@ from __future__ import annotations
 import os
 import re
 import tempfile
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from dds_trace.base.errors import BackendUnavailableError, MissingEventsError, TraceError, TraceFormatError
 from dds_trace.base.printable import printable
 from dds_trace.tracefile.reading.storage import find_traces
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
 
 _SCHEME = re.compile(r"^([a-z][a-z0-9+.-]+):/+")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -11,18 +11,16 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, TraceFormatError
 
-from .entries import read_entry, store_parts, write_entry
+from .entries import Fill, StoredParts, read_entry, store_parts, write_entry
 from .event_index import split_trace
 from .loaded import LoadedTrace, load_trace, loaded_or_error, read_in_pieces
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from concurrent.futures import Future
 
     from dds_trace.tracefile.format.events import EventColumns, Stage
     from dds_trace.tracefile.reading.trace import Trace
 
-    from .entries import Fill, StoredParts
     from .store import TraceCache
 
 MOST_EVENTS_IN_MEMORY = 12_000_000

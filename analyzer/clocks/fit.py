@@ -17,21 +17,17 @@ Two assumptions give a slow message the interval of its fast neighbours:
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .lines import DRIFT, OffsetIntervals
 from .stretches import find_stretches
-from .windows import fit_windows
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from .windows import Windows
+from .windows import Windows, fit_windows
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]

@@ -5,16 +5,13 @@ The geometry of `fit.py`, in floats whose origin was subtracted in int64. Rows o
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .hulls import lower_hulls, lowest_of_parts, part_edges
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 Float64 = NDArray[np.float64]
 Intp = NDArray[np.intp]

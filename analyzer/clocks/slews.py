@@ -6,19 +6,16 @@ whose rates differ; on one device where CLOCK_MONOTONIC gains on CLOCK_MONOTONIC
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .windows import WINDOW_NS
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+Int64 = NDArray[np.int64]
 
-    from numpy.typing import NDArray
-
-    Int64 = NDArray[np.int64]
 
 CRYSTAL_PPB = 100_000
 """Largest drift of a crystal, 100 ppm; a larger one is a slew or a fault."""

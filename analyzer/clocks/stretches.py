@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .lines import DRIFT, OffsetIntervals
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _BLOCKS = (1 << 12, 1 << 17)
 """Messages searched for a step at once: at first, and at most."""

@@ -7,15 +7,11 @@ last instant enclose them. Elsewhere a clock keeps its rate within `WANDER`, for
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .fit import ClockOffsets, windows_of
+from .fit import ClockOffsets, Float64, Int64, RelayedMessages, windows_of
 from .windows import WINDOW_NS
-
-if TYPE_CHECKING:
-    from .fit import Float64, Int64, RelayedMessages
 
 REACH_NS = 600_000_000_000
 """Farthest from a message that a clock is known."""

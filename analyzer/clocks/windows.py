@@ -5,18 +5,13 @@ All windows of a batch are processed together, then their halves where needed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .hulls import lowest_of_parts
-from .lines import ROUNDING_NS, Lines, OffsetIntervals
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from .lines import Bools, Boundary, Float64, Intp
+from .lines import ROUNDING_NS, Bools, Boundary, Float64, Intp, Lines, OffsetIntervals
 
 WINDOW_NS = 10_000_000_000
 """Length of a window: crystals wander by well under 0.1 ppm in ten seconds, and 10 Hz gives 100 messages."""

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..groups.batch import WHOLE_GROUP_EVENTS, Batch
+from ..groups.batch import WHOLE_GROUP_EVENTS, AnalysisOptions, Batch, Grouping
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..groups.batch import AnalysisOptions, Grouping
     from ..pairing.exchanges import Exchange
 
 BATCH_EVENTS = 1_000_000

@@ -17,19 +17,17 @@ from dds_trace.tracefile.format.events import EventColumns
 
 from ..cache.loaded import LoadedTrace, load_trace
 from ..cache.remote import find_anywhere
-from ..loading.campaign import campaign_of, skipped_source
+from ..loading.campaign import Campaign, Progress, campaign_of, skipped_source
 from .batches import keep_freed_memory
-from .process import process
+from .process import BatchOutput, process
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from ..cache.event_index import EventIndex, EventKey, EventPart
     from ..groups.batch import Batch
-    from ..loading.campaign import Campaign, Progress
     from ..loading.place import Place
     from ..model.finding import Source
-    from .process import BatchOutput
 
 _TIMEOUT_S = 30
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeVar
@@ -13,22 +13,19 @@ from dds_trace.base.threads import in_turn
 
 from ..cache.store import TraceCache
 from ..cache.traces import TraceLoader
-from ..loading.campaign import load_campaign
+from ..loading.campaign import Campaign, Progress, load_campaign
 from .batches import is_large, keep_freed_memory
-from .process import process
+from .process import BatchOutput, process
 from .result_cache import ResultCache
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-    from concurrent.futures import Future
     from pathlib import Path
 
     from ..cache.event_index import EventIndex
     from ..cache.loaded import LoadedTrace
     from ..groups.batch import Batch
-    from ..loading.campaign import Campaign, Progress
     from ..loading.place import Place
-    from .process import BatchOutput
     from .processes import Workers
 
 T = TypeVar("T")

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from ..groups.frames import concatenate_frames
-from ..groups.summary import Statistics, measure_groups, summarize_groups
+from ..groups.frames import Frames, concatenate_frames
+from ..groups.summary import Statistics, Summary, measure_groups, summarize_groups
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from ..cache.event_index import Copies, EventKey
     from ..groups.batch import Grouping
-    from ..groups.frames import Frames
-    from ..groups.summary import Summary
     from .process import BatchResult
 
 

@@ -5,7 +5,8 @@ A large batch is processed in parts of whole runs (`batches.parts_of`), so that 
 
 from __future__ import annotations
 
-from concurrent.futures import Future, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, wait
 from dataclasses import dataclass
 from functools import partial
 from sys import getsizeof
@@ -16,12 +17,13 @@ import polars as pl
 
 from dds_trace.base.threads import InlineExecutor
 
-from ..cache.event_index import merge_parts
+from ..cache.event_index import Copies, EventKey, EventPart, merge_parts
 from ..groups.frames import (
     CAMPAIGN_MAKERS,
     GROUP_DETAIL_MAKERS,
     MAKERS,
     RUN_DETAIL_MAKERS,
+    Frames,
     begin_frames,
     concatenate_frames,
 )
@@ -34,22 +36,19 @@ from .batches import parts_of
 from .packed_rows import PackedRows, packed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from concurrent.futures import Executor
     from pathlib import Path
 
     import pyarrow as pa
     from numpy.typing import NDArray
 
-    from ..cache.event_index import Copies, EventKey, EventPart
     from ..groups.batch import Batch
-    from ..groups.frames import Frames
     from .result_cache import ResultCache
 
-    Parts = Mapping[EventKey, Sequence[EventPart]]
-    """For each of a batch's `event_keys` the rows of the event index, traces in ascending order."""
 
-    CopiesByKey = Mapping[EventKey, tuple[Copies, ...]]
+Parts = Mapping[EventKey, Sequence[EventPart]]
+"""For each of a batch's `event_keys` the rows of the event index, traces in ascending order."""
+CopiesByKey = Mapping[EventKey, tuple[Copies, ...]]
+
 
 _GROUP_FRAMES = {"statistics", "distributions", *GROUP_DETAIL_MAKERS}
 _RUN_MAKERS = {**CAMPAIGN_MAKERS, **MAKERS}

@@ -25,7 +25,7 @@ import pyarrow as pa
 import dds_trace.tracefile
 from dds_trace.base.version import __version__
 
-from ..cache.store import SEAL_BYTES
+from ..cache.store import SEAL_BYTES, TraceCache
 from .packed_rows import PackedRows, pack_rows
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
 
     from ..cache.event_index import EventKey, EventPart
-    from ..cache.store import TraceCache
     from ..groups.batch import Batch
     from ..groups.frames import Frames
     from ..pairing.roundtrips import RoundTrips

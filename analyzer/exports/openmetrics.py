@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from ..model.metrics import METRICS, TOPIC_METRICS
@@ -10,11 +11,11 @@ from ..model.parameters import PARAMETER_NAMES
 from ..statistics.percentiles import PERCENTILES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from ..analysis import Analysis
 
-    Rows = Sequence[Mapping[str, object]]
+
+Rows = Sequence[Mapping[str, object]]
+
 
 FILE_NAME = "openmetrics.txt"
 

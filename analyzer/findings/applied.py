@@ -18,14 +18,12 @@ from ..model.applied import (
 )
 from ..model.finding import Severity, Subject
 from .check import check
-from .evidence import SMALLER_DATAGRAMS, Observation
+from .evidence import SMALLER_DATAGRAMS, Evidence, Observation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from dds_trace.tracefile.format.descriptions import Session
-
-    from .evidence import Evidence
 
 
 @check(

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ..model.finding import Finding
+from ..model.finding import Finding, Severity, Subject
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from ..model.finding import Severity, Subject
     from .evidence import Evidence, Observation
 
     Observe = Callable[[Evidence], Iterator[Observation]]

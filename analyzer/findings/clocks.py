@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import polars as pl
 
@@ -12,13 +13,7 @@ from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Severity, Subject
 from ..model.foreign import number_of, object_of
 from .check import check
-from .evidence import Observation
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .evidence import Evidence
-
+from .evidence import Evidence, Observation
 
 _SHORTEST_SLEEP_NS = 1_000_000_000
 """Shortest time in which a device goes to sleep and wakes."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from ..clocks.boots import ping_boots
 from ..model.names import name_groups
-from ..pairing.one_way import pair_devices
+from ..pairing.one_way import DevicePair, pair_devices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ..groups.summary import Summary
     from ..loading.campaign import Campaign
     from ..pairing.exchanges import Exchange, Exchanges
-    from ..pairing.one_way import DevicePair
     from ..pairing.rows import RowStore
 
 SMALLER_DATAGRAMS = "smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize) or a larger net.ipv4.ipfrag_high_thresh may help"

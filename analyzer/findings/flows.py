@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import polars as pl
 
@@ -12,12 +12,7 @@ from ..model.finding import Severity, Subject
 from ..run_statistics.change import Verdict
 from ..verdicts.interference import Overtaking
 from .check import check
-from .evidence import percent
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .evidence import Evidence, Observation
+from .evidence import Evidence, Observation, percent
 
 
 @check(

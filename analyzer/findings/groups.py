@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from dds_trace.base.units import counted, format_duration, three_digits
 
 from ..model.environment import environment_differences
 from ..model.finding import Severity, Subject
 from ..model.metrics import METRICS
-from ..statistics.percentiles import PERCENTILES
+from ..statistics.percentiles import PERCENTILES, Percentile
 from .check import check
-from .evidence import Observation, exchange_name, some
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from ..statistics.percentiles import Percentile
-    from .evidence import Evidence
+from .evidence import Evidence, Observation, exchange_name, some
 
 
 @check("nothing_counted", Severity.WARNING, Subject.RESULT, "Record more messages than warm-up messages.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from dds_trace.base.units import counted
 
@@ -12,12 +12,7 @@ from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
 from ..statistics.histogram import RELATIVE_ERROR
 from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
 from .check import check
-from .evidence import Observation, some
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .evidence import Evidence
+from .evidence import Evidence, Observation, some
 
 
 @check(

@@ -13,13 +13,12 @@ from dds_trace.base.units import counted, format_duration
 from ..model.finding import Severity, Subject
 from ..pairing.pair import Outcome
 from .check import check
-from .evidence import Observation, exchange_name, percent
+from .evidence import Evidence, Observation, exchange_name, percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from ..pairing.exchanges import Exchange
-    from .evidence import Evidence
 
 _LOST = {
     Outcome.LOST_OUTBOUND.value: "on the way out",

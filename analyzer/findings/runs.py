@@ -10,7 +10,7 @@ from dds_trace.base.units import counted
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
 from .check import check
-from .evidence import Observation, exchange_name, percent, some
+from .evidence import Evidence, Observation, exchange_name, percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
 
     from ..pairing.exchanges import Exchange, Unplaced
-    from .evidence import Evidence
 
 
 @check(

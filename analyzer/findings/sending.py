@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -13,12 +13,7 @@ from ..clocks.boots import machine_of
 from ..groups.sending import LATE_NS
 from ..model.finding import Severity, Subject
 from .check import check
-from .evidence import percent
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .evidence import Evidence, Observation
+from .evidence import Evidence, Observation, percent
 
 _RATE_TOLERANCE = 0.02
 """Share by which the rate may be below the requested one: a slower run measured another load."""

@@ -13,14 +13,12 @@ from ..loading.campaign import part_of
 from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Severity, Subject
 from .check import check
-from .evidence import Observation, some
+from .evidence import Evidence, Observation, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from dds_trace.tracefile.format.descriptions import Session
-
-    from .evidence import Evidence
 
 
 @check(

@@ -16,7 +16,7 @@ from dds_trace.base.units import counted, format_duration, format_size
 
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
 from ..model.finding import Severity, Subject
-from ..model.parameters import SIZE_LINE_COLUMNS
+from ..model.parameters import SIZE_LINE_COLUMNS, ParameterValue
 from ..statistics.intervals import MIN_RUNS
 from .check import check
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Session
 
-    from ..model.parameters import ParameterValue
     from .evidence import Evidence, Observation
 
 

@@ -11,11 +11,11 @@ from dds_trace.base.units import counted
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
 from ..model.parameters import CASE_COLUMNS
-from ..pairing.flows import find_overlaps
+from ..pairing.flows import Overlap, find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
 from ..verdicts.interference import flows_of
 from .check import check
-from .evidence import Observation, percent, some
+from .evidence import Evidence, Observation, percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
 
     from ..pairing.exchanges import Exchange
-    from ..pairing.flows import Overlap
-    from .evidence import Evidence
 
 
 @check(

@@ -8,14 +8,12 @@ from dds_trace.base.units import counted
 
 from ..model.finding import Severity, Subject
 from .check import check
-from .evidence import Observation, some
+from .evidence import Evidence, Observation, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from dds_trace.tracefile.reading.trace import Trace
-
-    from .evidence import Evidence
 
 
 @check(

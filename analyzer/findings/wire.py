@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 from dds_trace.base.units import counted, format_duration, three_digits
 
 from ..model.applied import may_be_cut
 from ..model.finding import Severity, Subject
 from .check import check
-from .evidence import SMALLER_DATAGRAMS, percent
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .evidence import Evidence, Observation
-
+from .evidence import SMALLER_DATAGRAMS, Evidence, Observation, percent
 
 _Row = dict[str, Any]
 

@@ -16,26 +16,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from dds_trace.tracefile.format.events import Stage
 
 from ..model.metrics import frame_schema
 from ..pairing.pair import MISSING, chosen_of
-from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, RoundTrips
+from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, PairedRows, RoundTrips
 from ..statistics.percentiles import minimum_messages, quantile_of
-from .batch import exchanges_by_group, filled, is_present
+from .batch import Batch, exchanges_by_group, filled, is_present
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from ..pairing.exchanges import Exchange
-    from ..pairing.roundtrips import PairedRows
-    from .batch import Batch
 
-    Int64 = NDArray[np.int64]
-    Bools = NDArray[np.bool_]
+
+Int64 = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
 
 STAGES = (
     "waiting_ns",

@@ -24,13 +24,14 @@ if TYPE_CHECKING:
     from ..pairing.roundtrips import PairedRows, RoundTrips
     from .batch import Batch
 
-    Frames = dict[str, pl.DataFrame]
-    """Name in `CAMPAIGN_MAKERS`, `MAKERS` or, where requested, `DETAIL_MAKERS` -> frame."""
-
     RunMaker = Callable[[Batch, RoundTrips], pl.DataFrame]
     """Makes rows of a run from all columns of this run."""
     GroupMaker = Callable[[Batch, PairedRows], pl.DataFrame]
     """Makes rows from all runs of a group, one column at a time."""
+
+Frames = dict[str, pl.DataFrame]
+"""Name in `CAMPAIGN_MAKERS`, `MAKERS` or, where requested, `DETAIL_MAKERS` -> frame."""
+
 
 Rows = TypeVar("Rows")
 

@@ -7,21 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome, chosen_of
-from .batch import filled, first_known, is_present
+from .batch import Batch, filled, first_known, is_present
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from ..pairing.roundtrips import RoundTrips
-    from .batch import Batch
 
-    Int64 = NDArray[np.int64]
-    Bools = NDArray[np.bool_]
+
+Int64 = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

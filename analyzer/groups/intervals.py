@@ -12,9 +12,9 @@ from ..model.metrics import METRICS, frame_schema
 from ..run_statistics.batching import SMALL_GROUP, spreads_of_groups
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.runs import Runs, SendTimes, Statistic
-from ..statistics.intervals import Basis
+from ..statistics.intervals import Basis, Interval
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
-from .batch import columns_by_group, is_present, present, runs_by_group
+from .batch import Batch, columns_by_group, is_present, present, runs_by_group
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from ..pairing.roundtrips import PairedRows
     from ..run_statistics.spread import Spread
-    from ..statistics.intervals import Interval
-    from .batch import Batch
 
 INTERVAL_SCHEMA = frame_schema(
     "group:u32 metric:str percentile:str quantile:f64 estimate_ns:f64 low_ns:f64 high_ns:f64 method:str "

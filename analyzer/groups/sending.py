@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
 from ..statistics.percentiles import quantile_of
-from .batch import filled, is_present
+from .batch import Batch, filled, is_present
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from ..pairing.roundtrips import RoundTrips
-    from .batch import Batch
 
-    Int64 = NDArray[np.int64]
+
+Int64 = NDArray[np.int64]
+
 
 LATE_NS = 5_000_000
 """T1 - T0 of a late send: a wake-up that misses a timer tick at 250 Hz takes 4 ms."""

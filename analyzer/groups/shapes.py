@@ -6,22 +6,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
 from ..pairing.pair import chosen_of
 from ..run_statistics.bursts import share_inflation
 from ..run_statistics.modes import find_modes, find_trend, find_warm_up
 from ..statistics.percentiles import quantile_of
-from .batch import filled
+from .batch import Batch, filled
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from ..pairing.exchanges import Exchange
     from ..pairing.roundtrips import RoundTrips
-    from .batch import Batch
 
-    Int64 = NDArray[np.int64]
+
+Int64 = NDArray[np.int64]
+
 
 OWN_NS = 28_000
 """Difference of latency that may be the recorder's own: four events, each up to 7 us."""

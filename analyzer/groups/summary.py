@@ -17,7 +17,7 @@ from ..model.unsent import MOST_MESSAGES
 from ..pairing.pair import LOSSES
 from ..statistics.histogram import Histogram, histogram_of
 from ..statistics.percentiles import summarize_values
-from .batch import present
+from .batch import Grouping, present
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
 
     from ..pairing.roundtrips import PairedRows
-    from .batch import Grouping
 
 
 _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {

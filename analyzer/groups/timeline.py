@@ -9,7 +9,7 @@ import polars as pl
 
 from ..model.metrics import frame_schema
 from ..pairing.pair import OUTCOMES, Outcome
-from .batch import filled, first_known, present
+from .batch import Batch, filled, first_known, present
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..pairing.roundtrips import RoundTrips
-    from .batch import Batch
 
 
 ROWS_AT_ONCE = 4_000_000

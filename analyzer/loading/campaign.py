@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.base.units import counted
-from dds_trace.tracefile.reading.trace import FOREIGN_HINT
+from dds_trace.tracefile.reading.trace import FOREIGN_HINT, Trace
 
 from ..cache.event_index import Copies, EventIndex, index_events
 from ..cache.remote import find_anywhere
@@ -18,18 +19,16 @@ from ..model.finding import Source
 from .place import Place
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-
     from dds_trace.tracefile.format.descriptions import Run, Session
-    from dds_trace.tracefile.reading.trace import Trace
 
     from ..cache.loaded import LoadedTrace
 
-    Progress = Callable[[int, int, Path], None]
-    """Called before each trace is read with the number done, the number of all, and its path."""
-
     LoadAll = Callable[[Sequence[Path]], Iterator[LoadedTrace | TraceFormatError]]
     """Yields each trace at its index among traces, or why a file is none."""
+
+Progress = Callable[[int, int, Path], None]
+"""Called before each trace is read with the number done, the number of all, and its path."""
+
 
 _FILES_OF_A_SWEEP = frozenset({"state.json", "max_rate.json", "max_rate.csv", "max_rate.svg"})
 """Files of `dds-sweep` are not listed as skipped."""

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from dds_trace.base.errors import OptionError
 
 from ..cache.remote import is_remote
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+PathText: TypeAlias = str | os.PathLike[str]
+Paths: TypeAlias = PathText | Sequence[PathText]
+"""One path, or several."""
 
-    PathText: TypeAlias = str | os.PathLike[str]
-    Paths: TypeAlias = PathText | Sequence[PathText]
-    """One path, or several."""
 
 OUTPUT_FOLDER = "analysis"
 

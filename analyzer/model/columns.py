@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import polars as pl
 
 from ..statistics.percentiles import PERCENTILES
-from .metrics import METRICS, Column
+from .metrics import METRICS, Column, Metric
 from .parameters import PARAMETER_COLUMNS
-
-if TYPE_CHECKING:
-    from .metrics import Metric
 
 KEY_COLUMNS = (
     Column("run_id", pl.UInt64, "", "the run, drawn at random by its ping"),

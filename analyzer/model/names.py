@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
-from .parameters import CELL_COLUMNS, SERIES_COLUMNS
+from .parameters import CELL_COLUMNS, SERIES_COLUMNS, ParameterValue
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     import polars as pl
 
-    from .parameters import ParameterValue
 
 Item = TypeVar("Item")
 

@@ -14,7 +14,8 @@ from .setting import setting_of
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
 
-    ParameterValue = str | int | float | None
+
+ParameterValue = str | int | float | None
 
 
 class KeyPart(Enum):

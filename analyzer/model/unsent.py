@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import polars as pl
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 MOST_MESSAGES = 1 << 53
 """Largest count taken from a description: sums of many stay within an int64."""

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
-from .pair import LOSSES, MISSING, OUTCOMES, Outcome, chosen_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from .pair import PairedMessages, Published
+from .pair import LOSSES, MISSING, OUTCOMES, Outcome, PairedMessages, Published, chosen_of
 
 COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
     "published": pl.Int64,

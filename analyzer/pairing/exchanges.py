@@ -10,7 +10,7 @@ from dds_trace.base.errors import MissingEventsError
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.events import Stage
 
-from ..cache.event_index import merge_parts
+from ..cache.event_index import Copies, EventIndex, EventKey, EventPart, merge_parts
 from ..clocks.boots import machine_of
 from ..model.environment import environment_of
 from ..model.parameters import Parameters, parameters_of
@@ -22,12 +22,13 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Run, Session
 
-    from ..cache.event_index import Copies, EventIndex, EventKey, EventPart
     from ..loading.campaign import Campaign
     from ..model.finding import Source
 
-    Parts = tuple[EventPart, ...]
-    """The traces that have events of one stage, run and relay."""
+
+Parts = tuple[EventPart, ...]
+"""The traces that have events of one stage, run and relay."""
+
 
 NO_RELAY = 0
 

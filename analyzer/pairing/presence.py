@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .pair import MISSING
+from .pair import MISSING, PairedMessages, Published
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .exchanges import Exchange
-    from .pair import PairedMessages, Published
 
 
 def present(

@@ -10,14 +10,23 @@ import numpy as np
 import polars as pl
 
 from dds_trace.base.threads import InlineExecutor
-from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.format.events import EventColumns, Stage
 
 from ..model.columns import KEY_COLUMNS
 from ..model.metrics import schema_of, with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
 from .counts import COUNT_SCHEMA, count_messages
 from .one_way import OneWay, fit_exchanges, knots_of
-from .pair import MISSING, OUTCOMES, middleware_stamps, pair_messages, published_messages
+from .pair import (
+    MISSING,
+    OUTCOMES,
+    PairedMessages,
+    Published,
+    Scalar,
+    middleware_stamps,
+    pair_messages,
+    published_messages,
+)
 from .presence import present
 from .unsent import count_unsent, settled
 from .utc import utc_columns
@@ -28,11 +37,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import DTypeLike, NDArray
 
-    from dds_trace.tracefile.format.events import EventColumns
-
     from ..cache.event_index import EventKey
     from .exchanges import Exchange
-    from .pair import PairedMessages, Published, Scalar
 
 _STAMPS = ("scheduled_ns", "publish_ns", "receive_ns", "relay_in_ns", "relay_out_ns")
 

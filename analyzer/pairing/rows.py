@@ -6,10 +6,11 @@ import shutil
 import tempfile
 import weakref
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import TracebackType
 
 import polars as pl
 import pyarrow as pa
@@ -18,10 +19,6 @@ from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.metrics import schema_of
 from ..model.parameters import PARAMETER_NAMES
 from .parquet import roundtrips_writer
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from types import TracebackType
 
 ROUNDTRIP_NAMES = tuple(column.name for column in ROUNDTRIP_COLUMNS)
 

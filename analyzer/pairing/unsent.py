@@ -9,15 +9,13 @@ import numpy as np
 from dds_trace.base.units import SECOND_NS
 
 from ..model.unsent import MOST_MESSAGES
-from .pair import MISSING, first_replies
+from .pair import MISSING, Published, first_replies
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.events import EventColumns
-
-    from .pair import Published
 
 
 _PATIENCE_NS = 2 * SECOND_NS

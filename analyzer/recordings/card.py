@@ -13,18 +13,16 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.recordings.recording_files import copied_messages
 
 from .clocks import DAY_NS, apart, is_simulated, of_one_clock, set_back, stamp_jumps
-from .losses import LOST_TYPE, NONE, TopicTimes, arrival_jitter_ns, lost_by_recorder
-from .rows import ages, qos_words, sizes, timing
+from .losses import LOST_TYPE, NONE, Losses, TopicTimes, arrival_jitter_ns, lost_by_recorder
+from .rows import Row, ages, qos_words, sizes, timing
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from dds_trace.tracefile.recordings.recorded import Condition
 
-    from .losses import Losses
     from .messages import RecordedMessage, Topic
     from .periods import Hole, Int64
-    from .rows import Row
 
 OTHER_CLOCK_NS = DAY_NS
 """Median age from which on stamps are of another clock (a simulation's, or of another day)."""

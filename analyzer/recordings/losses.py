@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .clocks import of_one_clock
-from .periods import Hole, Regularity, find_regularity, joined, spread
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from .periods import Int64
+from .periods import Hole, Int64, Regularity, find_regularity, joined, spread
 
 NONE = -(2**63)
 LOST_TYPE = "rosbag2_interfaces/msg/MessagesLostEvent"

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from rosbags.typesys import Stores, get_typestore
 
@@ -14,13 +15,8 @@ from dds_trace.base.errors import MissingEventsError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
 from dds_trace.tracefile.format.header_stamps import parse_definition, plain_name, stamp_reader
 from dds_trace.tracefile.recordings.read import read_messages
-from dds_trace.tracefile.recordings.recorded import Condition
+from dds_trace.tracefile.recordings.recorded import Condition, RecordedTopic
 from dds_trace.tracefile.recordings.recording_files import content_hash
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-
-    from dds_trace.tracefile.recordings.recorded import RecordedTopic
 
 _LONGEST_FRAME_BYTES = 256
 

@@ -6,15 +6,13 @@ that sends batches, repeat a pattern of m messages. What has neither has no peri
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 Int64 = NDArray[np.int64]
 Float64 = NDArray[np.float64]

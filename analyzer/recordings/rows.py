@@ -13,8 +13,10 @@ from .losses import NONE
 if TYPE_CHECKING:
     from .periods import Int64
 
-    Row = dict[str, str | int | float | None]
-    """Column of `TOPIC_SCHEMA` -> value; a column that is missing is null."""
+
+Row = dict[str, str | int | float | None]
+"""Column of `TOPIC_SCHEMA` -> value; a column that is missing is null."""
+
 
 GAP_PERIODS = 2.0
 """Least length of a gap in median intervals."""

@@ -17,14 +17,13 @@ from ..model.finding import Source
 from .card import DAMAGED, HOLES, STRIP_PARTS, WHOLE, Card, RecordingHealth, TopicMessages
 from .losses import NONE
 from .messages import find_recordings, iter_messages
-from .rows import GAP_PERIODS, HOLE_SCHEMA, TOPIC_SCHEMA
+from .rows import GAP_PERIODS, HOLE_SCHEMA, TOPIC_SCHEMA, Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
     from .periods import Int64
-    from .rows import Row
 
 _MOST_NOTES = 10
 

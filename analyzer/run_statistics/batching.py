@@ -5,15 +5,10 @@ Numpy takes as long to start on an array as to process some thousand values.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
-from .runs import Runs
+from .runs import Runs, Statistic
 from .spread import Spread, log_errors, spread_from
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from .runs import Statistic
 
 SMALL_GROUP = 20_000
 """Messages of a group up to which batching saves time."""

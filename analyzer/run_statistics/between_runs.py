@@ -8,11 +8,11 @@ latency multiply. Of a bootstrap's 95 % intervals from three runs only 83 % cont
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import accumulate
 from statistics import NormalDist
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,14 +20,8 @@ from ..statistics.distributions import student_quantile
 from ..statistics.intervals import MIN_RUNS, Basis, Interval, mean_and_variance, without_open_end
 from ..statistics.percentiles import order_statistic_ranks
 from .bursts import COSINES, long_run_variance
-from .runs import Runs, joined_runs, quantile_at
-from .tails import episodes_of, tails_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from .runs import Float64, Run, Statistic
-    from .tails import Tail
+from .runs import Float64, Run, Runs, Statistic, joined_runs, quantile_at
+from .tails import Tail, episodes_of, tails_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,21 +9,19 @@ full.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
+Indices = NDArray[np.intp]
 
-    from numpy.typing import NDArray
-
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
-    Indices = NDArray[np.intp]
 
 COSINES = 12
 """More of them narrow the interval (by Student's t) and miss longer dependence."""

@@ -8,6 +8,7 @@ there is no verdict.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -17,18 +18,15 @@ import numpy as np
 from ..statistics.distributions import shift_for_power, student_quantile
 from ..statistics.intervals import Basis, Interval
 from ..statistics.power import POWER, smallest_shift
-from .between_runs import Scale, estimates_of_runs, scale_of
-from .two_samples import fieller_ends, mover_ends, paired_test, permutation_p_value, welch_test
+from .between_runs import Estimate, Scale, Units, estimates_of_runs, scale_of
+from .two_samples import Ends, StudentTest, fieller_ends, mover_ends, paired_test, permutation_p_value, welch_test
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from .between_runs import Estimate, Units
     from .runs import Run, Runs, Statistic, Values
-    from .two_samples import Ends, StudentTest
 
-    Passes = tuple[Sequence[int], Sequence[int]]
-    """For each run of the base and of the new side the repeat of the sweep it was measured in."""
+
+Passes = tuple[Sequence[int], Sequence[int]]
+"""For each run of the base and of the new side the repeat of the sweep it was measured in."""
 
 
 def probability_of_superiority(base: Values, new: Values) -> float | None:

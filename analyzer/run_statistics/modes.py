@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..statistics.distributions import student_cdf
 from ..statistics.percentiles import quantile_of
 from .bursts import COSINES, long_run_variance
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Float64 = NDArray[np.float64]
 
-    Float64 = NDArray[np.float64]
 
 BATCH = 5
 WARM_UP_MIN_MESSAGES = 40 * BATCH

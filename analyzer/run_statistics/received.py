@@ -8,28 +8,23 @@ runs, or within one or two, implies.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..statistics.distributions import poisson_limits, student_quantile
 from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
 from ..statistics.power import smallest_shift
 from .bursts import COSINES, episode_sizes, share_inflation
 from .change import Verdict
-from .two_samples import mover_ends, welch_test
+from .two_samples import StudentTest, mover_ends, welch_test
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+Bools = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+Int64 = NDArray[np.int64]
 
-    from numpy.typing import NDArray
-
-    from .two_samples import StudentTest
-
-    Bools = NDArray[np.bool_]
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
 
 LEAST_VARIANCE_SHARE = 0.25
 """Runs that are alike by chance do not make the share surer than this part of the variance of independent messages."""

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..statistics.percentiles import minimum_messages
 from .bursts import Cells, cells_of, mean_distance, positions_of
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    Values = NDArray[Any]  # int64 or float64
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
-    Indices = NDArray[np.intp]
+Values = NDArray[Any]  # int64 or float64
+Int64 = NDArray[np.int64]
+Float64 = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 class Run:

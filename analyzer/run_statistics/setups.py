@@ -11,24 +11,21 @@ false: docs/explanation/statistics.md.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from string import ascii_letters
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..statistics.distributions import chi_square_cdf, incomplete_beta
 from .two_samples import StudentTest
 
-if TYPE_CHECKING:
-    from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+Float64 = NDArray[np.float64]
+Key = tuple[Hashable, str]
+"""Kind of message and setup."""
 
-    from numpy.typing import NDArray
-
-    Float64 = NDArray[np.float64]
-    Key = tuple[Hashable, str]
-    """Kind of message and setup."""
 
 ALIKE_FROM = 0.2
 """P value from which on spreads are pooled: high, as few repeats hide unlike spreads."""

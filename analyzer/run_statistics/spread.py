@@ -8,19 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..statistics.intervals import mean_and_variance
+from ..statistics.intervals import Interval, mean_and_variance
 from ..statistics.power import runs_to_decide
 from .between_runs import Scale, scale_of
 from .bursts import COSINES, long_run_variance
-from .runs import Runs, quantiles_at
+from .runs import Float64, Run, Runs, Statistic, quantiles_at
 from .tails import inflations_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ..statistics.intervals import Interval
     from .change import Change
-    from .runs import Float64, Run, Statistic
 
 
 @dataclass(frozen=True, slots=True)

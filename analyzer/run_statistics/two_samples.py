@@ -5,18 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..statistics.distributions import student_cdf, student_quantile
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Float64 = NDArray[np.float64]
-    Ends = tuple[float, float, float]
-    """An estimate, its lower and its upper end."""
+Float64 = NDArray[np.float64]
+Ends = tuple[float, float, float]
+"""An estimate, its lower and its upper end."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,10 @@ import hashlib
 import json
 import re
 import secrets
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from polars.exceptions import PolarsError
 
@@ -21,10 +22,6 @@ from dds_trace.base.files import replacing
 from dds_trace.base.version import __version__
 
 from .records import from_json
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
 
 MANIFEST = "analysis.json"
 FORMAT = "dds-trace analysis"

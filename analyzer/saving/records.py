@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from types import NoneType, UnionType
-from typing import TYPE_CHECKING, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TypeVar, Union, get_args, get_origin, get_type_hints
 
 from ..model.finding import Finding, Source
 from ..statistics.intervals import Interval
 from ..verdicts.answers import CaseAnswer
 from ..verdicts.job import Job
 from ..verdicts.recommend import Recommendation
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Record = TypeVar("Record")
 

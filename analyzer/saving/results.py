@@ -11,15 +11,12 @@ import fcntl
 import os
 import re
 import secrets
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import folder_lock, remove_drafts
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 RESULT_NAMES = (
     *(f"{name}.{kind}" for name in ("roundtrips", "summary") for kind in ("parquet", "csv", "arrow")),

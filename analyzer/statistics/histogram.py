@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 MANTISSA_BITS = 10
 """Exponent and first mantissa bits of a float64 number `2**MANTISSA_BITS` equal steps in every octave, as HdrHistogram's buckets."""

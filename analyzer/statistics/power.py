@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .distributions import shift_for_power
-from .intervals import MIN_EPISODES, MIN_RUNS
+from .intervals import MIN_EPISODES, MIN_RUNS, Interval
 from .percentiles import planned_messages
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from .intervals import Interval
-
-    Float64 = NDArray[np.float64]
+Float64 = NDArray[np.float64]
 
 
 def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:

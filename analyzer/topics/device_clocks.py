@@ -10,16 +10,14 @@ import numpy as np
 import polars as pl
 
 from ..clocks.boots import boot_id_of, session_of_run
-from ..clocks.fit import RelayedMessages
-from ..clocks.track import UNKNOWN_NS, track_clock
+from ..clocks.fit import Int64, RelayedMessages
+from ..clocks.track import UNKNOWN_NS, ClockTrack, track_clock
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from dds_trace.tracefile.format.descriptions import Run, Session
 
-    from ..clocks.fit import Int64
-    from ..clocks.track import ClockTrack
     from ..pairing.rows import RowStore
 
 ANCHOR_NS = 5_000

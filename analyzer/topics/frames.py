@@ -16,19 +16,17 @@ from dds_trace.base.units import SECOND_NS
 from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.foreign import number_of
 from ..model.metrics import TOPIC_METRICS, frame_schema, schema_of
-from ..model.parameters import PARAMETER_COLUMNS
+from ..model.parameters import PARAMETER_COLUMNS, ParameterValue
 from .device_clocks import DeviceClocks
 from .hops import HOP_SCHEMA, find_sources, hop_rows, origin_name, quantile, stamper
-from .join import MESSAGE_COLUMNS, deliver, find_streams, with_ages
+from .join import MESSAGE_COLUMNS, Delivery, deliver, find_streams, with_ages
 from .taps import has_taps, heard_by_taps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from ..loading.campaign import Campaign
-    from ..model.parameters import ParameterValue
     from ..pairing.rows import RowStore
-    from .join import Delivery
 
 TOPIC_MESSAGE_SCHEMA = {**schema_of(ROUNDTRIP_COLUMNS), **MESSAGE_COLUMNS}
 

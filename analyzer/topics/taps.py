@@ -12,7 +12,7 @@ import polars as pl
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.format.taps import TapColumns
 
-from ..cache.event_index import merge_parts
+from ..cache.event_index import EventPart, merge_parts
 from ..model.foreign import object_of
 from .device_clocks import Machine, machine_of_session
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Session
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from ..cache.event_index import EventPart
     from ..loading.campaign import Campaign
 
 TAP_ROLE = "tap"

@@ -19,18 +19,26 @@ import polars as pl
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.runs import Statistic
-from ..statistics.intervals import Basis
-from .cases import CONDITIONS, Contender, contender_names, is_lossy, is_too_large, partition_groups, with_conditions
+from ..statistics.intervals import Basis, Interval
+from .cases import (
+    CONDITIONS,
+    Contender,
+    ContenderNames,
+    GroupRows,
+    Setting,
+    contender_names,
+    is_lossy,
+    is_too_large,
+    partition_groups,
+    with_conditions,
+)
 from .matching import MatchedGroup
-from .ranking import Kind, RankingOptions, SetupRuns, find_losers, rank_setups
+from .ranking import Kind, Ranking, RankingOptions, SetupRuns, find_losers, rank_setups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
     from ..model.runs import RunRows
-    from ..statistics.intervals import Interval
-    from .cases import ContenderNames, GroupRows, Setting
-    from .ranking import Ranking
 
 T = TypeVar("T")
 R = TypeVar("R")

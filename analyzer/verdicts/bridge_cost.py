@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import polars as pl
 
 from ..model.parameters import BRIDGE_MATCH_COLUMNS
 from ..statistics.percentiles import PERCENTILES
-from .cases import is_too_large, partition_groups
+from .cases import GroupRows, is_too_large, partition_groups
 from .compare import CompareOptions, compare_groups
 from .matching import match_groups
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from .cases import GroupRows
 
 _OPTIONS = CompareOptions(metrics=("latency",), statistics=tuple(p.name for p in PERCENTILES), paired=True)
 

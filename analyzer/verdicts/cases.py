@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
@@ -10,21 +11,19 @@ from typing import TYPE_CHECKING, Protocol
 import polars as pl
 
 from ..model.names import tell_apart, where_alike, where_it_varies
-from ..model.parameters import CONTENDER_COLUMNS
+from ..model.parameters import CONTENDER_COLUMNS, ParameterValue
 from ..model.setting import choice_of, condition_of
 from ..model.unsent import with_unsent
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from ..model.parameters import ParameterValue
     from ..statistics.intervals import Interval
 
-    Setting = Mapping[str, ParameterValue]
-    """Parameter column -> value, of some columns."""
 
-    ContenderNames = Mapping[tuple[ParameterValue, ...], str]
-    """The values of `CONTENDER_COLUMNS` -> name of the setting."""
+Setting = Mapping[str, ParameterValue]
+"""Parameter column -> value, of some columns."""
+ContenderNames = Mapping[tuple[ParameterValue, ...], str]
+"""The values of `CONTENDER_COLUMNS` -> name of the setting."""
+
 
 MOST_COMPARED_ROWS = 4_000_000
 """Rows of one kind of message that are compared: they are in memory at once, and sorted."""

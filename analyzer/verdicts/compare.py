@@ -15,7 +15,7 @@ import polars as pl
 from dds_trace.base.units import counted
 
 from ..model.metrics import TOPIC_METRICS
-from ..model.parameters import MATCH_COLUMNS
+from ..model.parameters import MATCH_COLUMNS, ParameterValue
 from ..model.presenter import presenter
 from ..model.runs import pass_numbers, passes_of, topics_in_blocks
 from ..run_statistics.between_runs import estimates_of_runs
@@ -43,6 +43,7 @@ from .comparison_rows import (
 )
 from .ignoring import check_match, ignored_sentences
 from .matching import (
+    MatchedGroup,
     completed_key,
     interleaved_keys,
     match_groups,
@@ -70,10 +71,11 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
 
     from ..model.finding import Finding
-    from ..model.parameters import ParameterValue
-    from .matching import Key, MatchedGroup
+    from .matching import Key
 
-    Label = dict[str, ParameterValue]
+
+Label = dict[str, ParameterValue]
+
 
 STATISTIC_BY_NAME = {"mean": MEAN, **{p.name: Statistic(p.quantile) for p in PERCENTILES}}
 

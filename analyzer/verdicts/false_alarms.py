@@ -9,8 +9,8 @@ from __future__ import annotations
 import itertools
 import math
 import random
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -19,13 +19,8 @@ from dds_trace.base.errors import OptionError
 from ..model.metrics import METRICS
 from ..model.runs import delivered_runs, split_runs
 from ..run_statistics.between_runs import interval_of_runs
-from ..statistics.intervals import Basis
+from ..statistics.intervals import Basis, Interval
 from .compare import STATISTIC_BY_NAME, CompareOptions, compare_roundtrips
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
-
-    from ..statistics.intervals import Interval
 
 
 def check_statistic(text: str) -> tuple[str, str]:

@@ -13,10 +13,10 @@ import difflib
 import math
 import operator
 import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
@@ -25,9 +25,6 @@ from dds_trace.base.units import UNIT_NS, split_quantity
 from ..model.metrics import METRICS, TOPIC_METRICS
 from ..model.names import is_topic
 from .compare import COMPARED_STATISTICS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
 
 RECEIVED_RATIO = "received_ratio"
 _SPLIT = {

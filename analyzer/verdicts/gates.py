@@ -15,17 +15,15 @@ from dds_trace.base.units import counted, format_number
 from ..model.names import group_words, is_topic, varying_parameters
 from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from ..statistics.distributions import student_cdf, student_quantile
-from ..statistics.intervals import MIN_RUNS, Basis
+from ..statistics.intervals import MIN_RUNS, Basis, Interval
 from ..statistics.power import holm_adjusted, messages_to_close
-from .compare import STATISTIC_BY_NAME
+from .compare import STATISTIC_BY_NAME, CompareOptions, Comparison
 from .gate import RECEIVED_RATIO, Against, Gate, GateOutcome
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from ..run_statistics.change import Change
-    from ..statistics.intervals import Interval
-    from .compare import CompareOptions, Comparison
     from .matching import Key
 
 ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", Against.NEW, 0.0)

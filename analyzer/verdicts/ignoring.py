@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.errors import OptionError
 
 from ..model.names import group_words, value_word, varying_parameters
-from ..model.parameters import CELL_COLUMNS, MATCH_COLUMNS
+from ..model.parameters import CELL_COLUMNS, MATCH_COLUMNS, ParameterValue
 from .matching import RELAY_COLUMNS
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from ..model.parameters import ParameterValue
     from .matching import Key
+
 
 IGNORABLE_COLUMNS = tuple(name for name in MATCH_COLUMNS if name not in CELL_COLUMNS)
 """Columns that may be ignored; times of different messages are never compared."""

@@ -5,30 +5,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
 from ..model.parameters import MATCH_COLUMNS
 from ..model.setting import FLOW, FLOWS, WITH, parse_setting, write_setting
 from ..run_statistics.received import received_interval
-from .cases import is_too_large, partition_groups
+from .cases import GroupRows, is_too_large, partition_groups
 from .compare import CompareOptions, compare_groups, with_adjusted_verdicts
 from .comparison_rows import COMPARISON_SCHEMA
 from .matching import match_groups
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+Float64 = NDArray[np.float64]
 
-    from numpy.typing import NDArray
-
-    from .cases import GroupRows
-
-    Float64 = NDArray[np.float64]
 
 _MATCH = tuple(name for name in MATCH_COLUMNS if name != "setting")
 _SETUP = (*(name for name in _MATCH if name not in ("data_type", "payload_bytes", "rate_hz")), "shared")

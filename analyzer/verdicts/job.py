@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import parse_duration, parse_rate, parse_size, split_quantity
 
 from ..model.metrics import METRICS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
 
 DEFAULT_RELIABILITY = "0.99"
 """Share of messages within the deadline where a job names none: 1000 messages can decide it."""

@@ -17,7 +17,7 @@ from ..model.runs import delivered_runs, split_runs
 from ..model.setting import without_relay
 from ..model.unsent import UNSENT
 from ..run_statistics.received import received_interval
-from ..run_statistics.runs import Runs, joined_runs
+from ..run_statistics.runs import Run, Runs, Statistic, joined_runs
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run as RunDescription
 
     from ..model.parameters import ParameterValue
-    from ..run_statistics.runs import Run, Statistic
     from ..statistics.intervals import Interval
 
     Key = tuple[ParameterValue, ...]

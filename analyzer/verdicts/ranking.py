@@ -9,26 +9,19 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..run_statistics.between_runs import Scale, scale_of
+from ..run_statistics.between_runs import Estimate, Scale, scale_of
 from ..run_statistics.change import Verdict, change_of_estimates
 from ..run_statistics.received import change_of_received
-from ..run_statistics.setups import RunLogarithms, overlap_in_time, setup_means, tier_letters
+from ..run_statistics.setups import RunLogarithms, SetupMean, overlap_in_time, setup_means, tier_letters
 from ..statistics.intervals import MIN_RUNS
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from ..run_statistics.between_runs import Estimate
-    from ..run_statistics.setups import SetupMean
 
 TAIL_ONLY = 0.05
 """Part of the significance level for a difference at p99 where the medians do not differ: two verdicts err little more than one."""

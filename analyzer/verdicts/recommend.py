@@ -17,17 +17,17 @@ import polars as pl
 
 from dds_trace.base.units import SECOND_NS, counted, format_number, format_rate, format_size
 
-from ..model.parameters import SETTING_COLUMNS, SITE_COLUMNS
+from ..model.parameters import SETTING_COLUMNS, SITE_COLUMNS, ParameterValue
 from ..model.setting import condition_of
 from ..run_statistics.between_runs import interval_of_runs
-from ..run_statistics.late_share import late_share
+from ..run_statistics.late_share import LateShare, late_share
 from ..run_statistics.runs import Statistic
 from ..run_statistics.spread import runs_to_settle_value
-from ..statistics.intervals import MIN_RUNS, Basis, ranges_overlap
+from ..statistics.intervals import MIN_RUNS, Basis, Interval, Range, ranges_overlap
 from ..statistics.percentiles import planned_messages
 from ..statistics.power import messages_to_close
-from .cases import parts_of
-from .job import guess_time
+from .cases import Setting, parts_of
+from .job import Job, SizeAndRate, guess_time
 from .matching import MatchedGroup
 
 if TYPE_CHECKING:
@@ -35,11 +35,6 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Run
 
-    from ..model.parameters import ParameterValue
-    from ..run_statistics.late_share import LateShare
-    from ..statistics.intervals import Interval, Range
-    from .cases import Setting
-    from .job import Job, SizeAndRate
 
 LEAST_RATE = 0.98
 """Share of the planned rate below which another job was measured."""

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from dds_trace.base.units import counted
 
 from ..model.environment import lasting_parts
-from ..model.finding import Severity
+from ..model.finding import Finding, Severity
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from dds_trace.tracefile.format.descriptions import Session
 
-    from ..model.finding import Finding
     from ..model.parameters import ParameterValue
     from .matching import Key
 

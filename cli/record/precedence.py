@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
 from dds_trace.recorder.choices import Discovery, Role
 from dds_trace.recorder.option_table import OPTIONS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 DEFAULT_DOMAIN = 10
 

@@ -11,25 +11,22 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from dds_trace.base.errors import OutputError
+from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import MISSING, counted, format_duration
 from dds_trace.recorder.errors import LossesError, StoppedError
 from dds_trace.recorder.host.process import stop_at_signals
 from dds_trace.recorder.recording import record
-from dds_trace.recorder.roles.live import Health
-from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, RelayProgress, TapProgress
+from dds_trace.recorder.roles.live import Health, LiveRow
+from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, Progress, RelayProgress, TapProgress
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import TracebackType
 
-    from dds_trace.base.errors import TraceError
     from dds_trace.recorder.base_recording import Recorded
     from dds_trace.recorder.options import RecordOptions
-    from dds_trace.recorder.roles.live import LiveRow
-    from dds_trace.recorder.roles.progress import Progress
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
 

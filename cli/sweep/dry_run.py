@@ -13,7 +13,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.base.units import counted
 
-from .against import shown_sides, side_folders
+from .against import NewSide, shown_sides, side_folders
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from dds_trace.recorder.sweep.plan.plan import Plan
     from dds_trace.recorder.sweep.sweep import Until
 
-    from .against import NewSide
 
 LOOPBACK_MBIT_S = 10_000
 """Rate that few machines reach through a middleware in one direction."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import textwrap
-from pathlib import Path  # noqa: TC003 - typer reads the annotations
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, TypeVar
 
 import typer
 
@@ -13,9 +14,6 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError, OutputError, OutputExistsError
 
 from ..quick_help import argument, command_app, declare_command, option
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _T = TypeVar("_T")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping  # noqa: TC003 - `from_json` looks types up
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,8 +17,6 @@ from ..records import to_json
 from .vendors import VENDORS, vendor_facts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from dds_trace.tracefile.format.json_fields import JsonObject
 
 PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables

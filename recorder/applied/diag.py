@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import socket
 import struct
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+from typing import Any
 
 NETLINK_SOCK_DIAG = 4
 RECEIVE_BYTES = 1 << 16

@@ -11,7 +11,7 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from ..domains import domain_port_range
-from .carried import SHARED_MEMORY, UNKNOWN, is_excluded, payload_path
+from .carried import SHARED_MEMORY, UNKNOWN, Traffic, is_excluded, payload_path
 from .vendors import SEGMENT, TransportFacts, vendor_facts
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from .applied import Applied
     from .asked import Asked
-    from .carried import Traffic
     from .memory import SharedMemory
     from .sockets import Socket
 

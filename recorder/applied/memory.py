@@ -5,18 +5,15 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from .vendors import PORT, SEGMENT, VENDORS, memory_owner, vendor_facts
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 SHM = Path("/dev/shm")  # noqa: S108 - POSIX shared memory of Linux, shm_overview(7)
 

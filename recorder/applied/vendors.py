@@ -7,11 +7,8 @@ file names (`fastdds_` for `fastrtps_`). Connext was not tried (no licence), so 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 SEGMENT, PORT = "segment", "port"
 """Roles of a shared-memory file: a segment contains payloads; a port is the queue of one receiver."""

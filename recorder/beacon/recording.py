@@ -17,9 +17,9 @@ from ..base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sa
 from ..errors import NothingHeardError
 from ..host.process import tuned_gc
 from ..payloads import data_types
-from ..roles.ping import open_ping
+from ..roles.ping import AnyPing, open_ping
 from ..roles.plan import RunPlan
-from ..roles.progress import BeaconProgress
+from ..roles.progress import BeaconProgress, Watch
 from ..roles.relay import Relay
 from ..roles.session import strangers_field
 from ..service.upkeep import Upkeep
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from ..backends.node import Node, Publisher, RawMessage
     from ..options import RecordOptions
-    from ..roles.ping import AnyPing
-    from ..roles.progress import Watch
 
 DATA = "string"
 RUN_S = 3600

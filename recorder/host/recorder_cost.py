@@ -5,11 +5,12 @@ from __future__ import annotations
 import statistics
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import output_error
@@ -17,13 +18,9 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.writing.destination import TraceDestination
 from dds_trace.tracefile.writing.sink import TraceSink
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+Record = Callable[[int, int, int, int], object]
+"""A function like `TraceSink.record`, called with stage, run id, sequence and monotonic time in ns."""
 
-    from numpy.typing import NDArray
-
-    Record = Callable[[int, int, int, int], object]
-    """A function like `TraceSink.record`, called with stage, run id, sequence and monotonic time in ns."""
 
 PACE_NS = 1_000_000
 """Time between two events: at 1 kHz, caches and draining thread are as in a node."""

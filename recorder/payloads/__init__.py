@@ -9,7 +9,7 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 
 from .bag import BAG
-from .base import DataType, PayloadContext, Source
+from .base import DataType, Payload, PayloadContext, Source
 from .binary import BINARY
 from .file import FILE
 from .header import header_data_type
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from ..backends.node import Node
-    from .base import Payload
 
 PAYLOADS: dict[str, DataType | Source] = {
     **{data_type.name: data_type for data_type in (BINARY, STRING, IMU)},

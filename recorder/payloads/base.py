@@ -9,7 +9,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
 from ..errors import StoppedError
-from .stamp import SentT
+from .stamp import HeaderStampPlace, SentT, StampPlace, StringStampPlace
 
 if TYPE_CHECKING:
     import threading
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..backends.node import Node, RawMessage, RosMessage
-    from .stamp import HeaderStampPlace, StampPlace, StringStampPlace
 
 ReceivedT = TypeVar("ReceivedT")
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import itertools
 import struct
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 from dds_trace.tracefile.format.encoding import CDR_HEADER
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 
 class CdrWriter:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import BinaryIO
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import open_regular
 
-from .base import Payload, Source, check_size, check_stop
+from .base import Message, Payload, Source, check_size, check_stop
 from .binary import BINARY, image_message
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Iterator
-    from typing import BinaryIO
-
-    from .base import Message
 
 _PIECE_BYTES = 1 << 20
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 
-from .base import DataType, Form, sized_by_length
+from .base import DataType, Form, Payload, sized_by_length
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ..backends.node import RawMessage
-    from .base import Payload
 
 HEADER_BYTES = 64
 """Offset of the data: encapsulation 4, time 8, frame_id with our stamp 4 + 47, rounded up to four."""

@@ -7,7 +7,7 @@ import os
 import random
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import open_regular
@@ -19,7 +19,6 @@ from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
 if TYPE_CHECKING:
     import threading
     from collections.abc import Iterator, Sequence
-    from typing import BinaryIO
 
     from ..backends.node import RawMessage, RosMessage
 

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import queue
+import threading
 import time
 from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS, counted
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..backends.node import ObjectNode
+from ..backends.node import Endpoint, Node, ObjectNode, RosMessage
 from ..choices import Durability, History, Reliability
-from .base import RELAY_SUFFIX, Message, Payload, Source
+from .base import RELAY_SUFFIX, DataType, Message, Payload, PayloadContext, Source
 from .header import recognize_data_type
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from ..backends.node import Endpoint, Node, RosMessage
-    from .base import DataType, PayloadContext
 
 MAX_WAITING = 64
 """Most messages that wait; further ones are dropped and counted."""

@@ -9,13 +9,12 @@ from dds_trace.base.units import SECOND_NS, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..payloads.cdr import CdrWriter
-from ..roles.live import Health
+from ..roles.live import Health, LiveRow, LiveTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ..backends.node import Node
-    from ..roles.live import LiveRow, LiveTable
 
 TOPIC, TYPE_NAME = "diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
 _LEVELS = {Health.OK: 0, Health.LATE: 1, Health.STALE: 3}

@@ -12,7 +12,7 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.writing.destination import discard
 
 from ..applied.carried import Traffic
-from ..backends.node import TapNode, TopicPatterns
+from ..backends.node import Node, TapNode, TopicPatterns
 from ..base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
 from ..errors import NothingHeardError
 from ..host.process import tuned_gc
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import JsonObject
 
-    from ..backends.node import Node
     from ..options import TapOptions
     from ..roles.read_back import ReadBack
 

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
 
-from dds_trace.tracefile.format.header_stamps import Field, plain_name, stamp_reader
+from dds_trace.tracefile.format.header_stamps import Field, Fields, plain_name, stamp_reader
 
 from ..backends.dds_types import DDS_TYPES
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+Members = Callable[[str], Mapping[str, str] | None]
+"""Type name -> member -> type, as in a `.msg` file or as rclpy spells it."""
 
-    from dds_trace.tracefile.format.header_stamps import Fields
-
-    Members = Callable[[str], Mapping[str, str] | None]
-    """Type name -> member -> type, as in a `.msg` file or as rclpy spells it."""
 
 _PLAIN = {"double": "float64", "float": "float32", "boolean": "bool"}
 

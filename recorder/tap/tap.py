@@ -12,9 +12,9 @@ from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, hash_content
 from dds_trace.tracefile.reading.source import TOPIC_PREFIX
 from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
 
-from ..backends.node import Publication
+from ..backends.node import Publication, RawMessage, Subscription, TapNode, TopicPatterns
 from ..choices import Durability, History, Reliability
-from ..host.clock import SystemClock
+from ..host.clock import Clock, SystemClock
 from .stamps import definition_of, reader_of
 from .streams import State, Stream
 from .worker import Worker
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from ..backends.node import RawMessage, Subscription, TapNode, TopicPatterns
-    from ..host.clock import Clock
     from ..roles.live import LiveTable, LiveTopic
 
 TAP = 5

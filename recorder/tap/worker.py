@@ -5,13 +5,11 @@ from __future__ import annotations
 import os
 import queue
 import threading
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.threads import run_in_background
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MOST_WAITING = 64
 """Messages that wait; when there are more, the receiving thread waits, and the middleware drops what its queue does not hold."""

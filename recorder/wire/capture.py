@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from dds_trace.base.errors import OptionError
-from dds_trace.tracefile.format.wire import MESSAGE_ROW
+from dds_trace.tracefile.format.wire import MESSAGE_ROW, MessageRows
 
 from ..choices import Discovery
 from ..domains import domain_port_range
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from dds_trace.tracefile.format.wire import MessageRows
 
 LOOPBACK = "lo"
 _SIOCGIFFLAGS = 0x8913

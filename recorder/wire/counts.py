@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from statistics import median
@@ -15,7 +15,6 @@ from .packets.classes import DISCOVERY, WireClass
 from .tcp_info import TcpConnection  # noqa: TC001
 
 if TYPE_CHECKING:
-    from collections import Counter
     from collections.abc import Sequence
 
     from dds_trace.tracefile.format.wire import Direction

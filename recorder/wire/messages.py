@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from dds_trace.tracefile.format.wire import MESSAGE_ROW, NEVER_NS, Direction
+from dds_trace.tracefile.format.wire import MESSAGE_ROW, NEVER_NS, Direction, MessageRows
 
 from ..payloads.stamp import STAMP_BYTES, STAMP_PREFIX, Stamp, parse_stamp
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from dds_trace.tracefile.format.wire import MessageRows
 
 _MOST_COUNTED = 65535
 WHOLE = 0

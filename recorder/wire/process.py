@@ -23,7 +23,7 @@ from dds_trace.base.errors import TraceError
 
 from ..records import from_json
 from .capture import WireOptions
-from .counts import ClassCount, WireCounts, read_interfaces, read_ip_counts
+from .counts import ClassCount, InterfaceCount, IpCounts, WireCounts, read_interfaces, read_ip_counts
 from .messages import count_repeats
 from .packets.packet_filter import wire_program
 from .ring import PacketRing, RingStatistics
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.wire import MessageRows
 
-    from .counts import InterfaceCount, IpCounts
 
 NICENESS = 5
 """The capture yields to the roles, as does SCHED_BATCH; much nicer, it would starve for longer than the ring lasts."""

@@ -6,24 +6,19 @@ import struct
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from dds_trace.tracefile.format.wire import Direction
+from dds_trace.tracefile.format.wire import Direction, MessageRows
 
-from ..payloads.stamp import PROBE_RUN_ID
+from ..payloads.stamp import PROBE_RUN_ID, Stamp
 from .counts import Beginnings, RunTally
-from .messages import MULTICAST, Copy, SendLedger, message_row, message_rows, pack_rows, stamp_at
+from .messages import MULTICAST, Copy, SendLedger, SentSample, message_row, message_rows, pack_rows, stamp_at
 from .packets.classes import AGAIN, RANK, TcpFlows, WireClass, class_of
 from .packets.fragments import FragmentTable, Piece
-from .packets.frames import TCP, UDP, read_frames
+from .packets.frames import TCP, UDP, Frame, FrameBatch, read_frames
 from .packets.rtps import HEADER_BYTES, INFO_DST, PREFIX_BYTES, Submessage, walk_submessages
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from dds_trace.tracefile.format.wire import MessageRows
-
-    from ..payloads.stamp import Stamp
-    from .messages import SentSample
-    from .packets.frames import Frame, FrameBatch
     from .packets.packet_filter import PortRange
 
 _PACKET_OTHERHOST, _PACKET_OUTGOING = 3, 4  # <linux/if_packet.h>

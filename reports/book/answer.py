@@ -15,6 +15,9 @@ from dds_trace.base.units import counted, format_duration
 
 from .groups import (
     METRIC_LABELS,
+    Group,
+    Groups,
+    VendorLabels,
     data_type_label,
     domain_label,
     format_added_ns,
@@ -25,7 +28,7 @@ from .groups import (
     way_words,
 )
 from .headline import avoid_sentence, bridge_sentence, loss_sentence, tail_sentence, where_sentence, winner_sentences
-from .numbers import finite
+from .numbers import Intervals, Values, finite
 from .outcomes import outcome_of
 from .places import place_sentence
 from .topics import topic_sentences
@@ -36,9 +39,6 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.analysis import Analysis, Details
     from dds_trace.analyzer.verdicts.answers import CaseAnswer
-
-    from .groups import Group, Groups, VendorLabels
-    from .numbers import Intervals, Values
 
 
 class PointKind(str, Enum):

@@ -5,18 +5,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_rate, format_size
 
-from .groups import data_type_label, device_label, domain_label, series_labels
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from .groups import Cell, Groups, Series
+from .groups import Cell, Groups, Series, data_type_label, device_label, domain_label, series_labels
 
 MADE_OF = {
     "choice": ("vendor", "way", "rest"),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
-from dds_trace.analyzer.model.names import is_topic, tell_apart, where_it_helps, where_it_varies
+from dds_trace.analyzer.model.names import Rule, is_topic, tell_apart, where_it_helps, where_it_varies
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.analyzer.model.names import Rule
 
 _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 

@@ -11,24 +11,32 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from dds_trace.analyzer.model.setting import condition_of, parse_setting
-from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_number, format_size
 
-from .groups import data_type_label, device_pair, domain_label, format_count, format_ratio, joined, way_words
-from .outcomes import PERCENTILES, Stretch, answers_by_kind, outcome_of, places_alike, stretches
+from .groups import (
+    Group,
+    Groups,
+    VendorLabels,
+    data_type_label,
+    device_pair,
+    domain_label,
+    format_count,
+    format_ratio,
+    joined,
+    way_words,
+)
+from .outcomes import PERCENTILES, Outcome, Stretch, answers_by_kind, outcome_of, places_alike, stretches
 from .verdicts import MODES, conditions_label, contender_labels, place_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
     from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
-    from .groups import Group, Groups, VendorLabels
     from .numbers import Values
-    from .outcomes import Outcome
 
 BUSY_SHARE = 0.25
 """Share of recordings with a full processor from which on a report warns."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,11 +16,11 @@ from dds_trace.base.units import MISSING
 from .groups import METRIC_LABELS, STATISTIC_LABELS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from dds_trace.analyzer.analysis import Analysis
 
-    Ends = Mapping[str, Mapping[str, tuple[int | None, ...]]]
+
+Ends = Mapping[str, Mapping[str, tuple[int | None, ...]]]
+
 
 PLAIN_COLUMNS = (
     *("received_ratio", "achieved_rate_hz", "transfer_rate_bytes_per_s", "own_cost_ns", "own_share"),

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from dds_trace.analyzer.verdicts.answers import Clarity
+from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
 
 from .verdicts import place_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
 PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))
 

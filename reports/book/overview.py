@@ -11,8 +11,8 @@ from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_rate, format_size
 
-from .groups import VENDORS, data_type_label, device_label, domain_label, format_count, in_order_of, qos_label
-from .recording import cost_words, setting_words, version_words
+from .groups import VENDORS, Groups, data_type_label, device_label, domain_label, format_count, in_order_of, qos_label
+from .recording import OwnCost, RunTime, cost_words, setting_words, version_words
 from .verdicts import conditions_label
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.analysis import Analysis
 
-    from .groups import Groups
-    from .recording import OwnCost, RunTime
 
 MOST_LISTED = 12
 

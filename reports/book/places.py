@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 from dds_trace.base.printable import printable
 
-from .groups import device_pair, joined
+from .groups import Groups, Series, device_pair, joined
 from .headline import factor_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from .groups import Groups, Series
     from .numbers import Intervals, Values
 
 MOST_COMPARED = 3

@@ -10,11 +10,11 @@ from dds_trace.analyzer.model.parameters import SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
-from dds_trace.analyzer.verdicts.recommend import Fit, place_of
+from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation, place_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
-from .groups import METRIC_LABELS, data_type_label, format_ratio, joined, setting_labels
+from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio, joined, setting_labels
 from .next_command import recording_commands
 from .verdicts import place_label
 
@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.verdicts.cases import Setting
     from dds_trace.analyzer.verdicts.job import Job
-    from dds_trace.analyzer.verdicts.recommend import Candidate, Recommendation
 
-    from .groups import VendorLabels
 
 COLUMNS = ("Setting", "Meets it", "Time", "95 % interval", "Received", "Of received", "Rests on", "Why")
 """`Of received` is the time over the received messages only."""

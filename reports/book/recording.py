@@ -19,7 +19,7 @@ from dds_trace.analyzer.model.applied import (
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 
-from .groups import VENDORS, format_count, in_order_of, qos_label, vendor_labels
+from .groups import VENDORS, Groups, VendorLabels, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.tracefile.format.descriptions import Session
-
-    from .groups import Groups, VendorLabels
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
-from dds_trace.analyzer.verdicts.compare import FAMILY
+from dds_trace.analyzer.verdicts.compare import FAMILY, Comparison
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
-from dds_trace.analyzer.verdicts.gates import overall_outcome, varying_columns
+from dds_trace.analyzer.verdicts.gates import GateResult, overall_outcome, varying_columns
 from dds_trace.analyzer.verdicts.ignoring import columns_to_ignore, unlike_columns
 from dds_trace.analyzer.verdicts.sides import SAME, UNKNOWN
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     import polars as pl
 
     from dds_trace.analyzer.run_statistics.change import DetectableChange
-    from dds_trace.analyzer.verdicts.compare import Comparison
-    from dds_trace.analyzer.verdicts.gates import GateResult
 
 SHOWN_STATISTICS = ("p50", "p99")
 """Statistics in the row of a result; its details have all of them."""

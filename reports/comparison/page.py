@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -30,12 +31,12 @@ from .words import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from .info import ComparedGroup, ComparisonInfo
 
-    Row = Mapping[str, Any]
-    """A row of `Comparison.distributions`."""
+
+Row = Mapping[str, Any]
+"""A row of `Comparison.distributions`."""
+
 
 _TONES = {
     "no reply came back": " bad",

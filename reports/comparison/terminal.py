@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -15,14 +15,8 @@ from dds_trace.base.streams import plain_console, without_commands
 from dds_trace.base.units import counted
 
 from ..book.groups import format_ratio
-from .info import mean_change
-from .words import both_words, change_words, statistic_words
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from .info import ComparedGroup, ComparisonInfo
-    from .words import Gated
+from .info import ComparedGroup, ComparisonInfo, mean_change
+from .words import Gated, both_words, change_words, statistic_words
 
 WIDTH = 80
 MOST_GROUPS = 10

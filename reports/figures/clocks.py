@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.printable import printable
 
@@ -13,7 +13,6 @@ from .figure import Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_p
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import Any
 
     from ..book.book import Book
 

@@ -5,6 +5,7 @@ A plan has groups in place of values: the page looks them up, as metric, statist
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -12,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 from ..book.facets import MADE_OF
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from ..book.book import Book
     from ..book.groups import Group
 
-    Test = Callable[[int], bool]
-    """Whether a group has what a figure draws."""
+
+Test = Callable[[int], bool]
+"""Whether a group has what a figure draws."""
 
 
 @dataclass(frozen=True, slots=True)

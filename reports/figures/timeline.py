@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from .figure import Figure, FigureMaker, LeftOut, Scope
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from ..book.book import Book
 
-    Float64 = NDArray[np.float64]
+
+Float64 = NDArray[np.float64]
 
 
 POINTS_IN_PAGE = 40_000

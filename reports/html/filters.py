@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_rate, format_size
 
-from ..book.groups import data_type_label, device_label, qos_label
+from ..book.groups import Cell, Groups, Series, data_type_label, device_label, qos_label
 from ..book.verdicts import MODES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from ..book.groups import Cell, Groups, Series
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from bisect import bisect_right
 from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeGuard
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
@@ -27,7 +27,7 @@ from ..book.findings import severity_counts, worst_first
 from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
 from ..book.next_command import recording_commands
 from ..book.overview import utc_words
-from ..book.sizes import HOW_TO_READ
+from ..book.sizes import HOW_TO_READ, SizeCell, SizeRow, SizeTable
 from ..figures import drawn_figures, opened_figures
 from ..figures.figure import ATOMS, MOST_LINES, Figure, LeftOut, Scope
 from .filters import filters_info
@@ -37,10 +37,8 @@ from .styles import line_styles
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
-    from typing import TypeGuard
 
     from ..book.book import Book
-    from ..book.sizes import SizeCell, SizeRow, SizeTable
 
 FILE_NAME = "report.html"
 MOST_LINKED = 40

@@ -7,14 +7,13 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from .words import topics_of
+from .words import JudgedTopic, topics_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from dds_trace.analyzer.recordings.topics import TopicReport
 
-    from .words import JudgedTopic
 
 FORMAT_VERSION = 1
 """A field may be added without a new version."""

@@ -9,6 +9,7 @@ from .terminal import strip_text
 from .words import (
     COLUMNS,
     HOW_TO_READ,
+    JudgedTopic,
     cells,
     facts_words,
     hole_lines,
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from dds_trace.analyzer.recordings.topics import TopicReport
-
-    from .words import JudgedTopic
 
 
 def render(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:

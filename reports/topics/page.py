@@ -13,6 +13,8 @@ from dds_trace.base.printable import printable
 from .words import (
     COLUMNS,
     HOW_TO_READ,
+    JudgedTopic,
+    Row,
     cells,
     clock_words,
     facts_words,
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
     from dds_trace.analyzer.recordings.card import RecordingHealth
     from dds_trace.analyzer.recordings.topics import TopicReport
 
-    from .words import JudgedTopic, Row
 
 STRIP_WIDTH = 720
 _THINNEST = 1.0

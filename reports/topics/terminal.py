@@ -14,6 +14,7 @@ from dds_trace.base.streams import plain_console
 from .words import (
     COLUMNS,
     HOW_TO_READ,
+    JudgedTopic,
     cells,
     facts_words,
     hole_lines,
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
     from dds_trace.analyzer.recordings.topics import TopicReport
 
-    from .words import JudgedTopic
 
 WIDTH = 80
 _LEVELS = "·▁▂▃▄▅▆▇█"

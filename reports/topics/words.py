@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS
+from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS, RecordingHealth
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
 from ..book.overview import utc_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from dds_trace.analyzer.recordings.card import RecordingHealth
     from dds_trace.analyzer.recordings.topics import TopicReport
     from dds_trace.analyzer.verdicts.gate import GateOutcome
     from dds_trace.analyzer.verdicts.topic_gate import TopicGate
 
-    Row = Mapping[str, Any]
-    """A row of `TopicReport.topics` or `.holes`."""
+
+Row = Mapping[str, Any]
+"""A row of `TopicReport.topics` or `.holes`."""
+
 
 COLUMNS = ("Topic", "Messages", "Rate", "Missing", "Jitter", "Size", "Age")
 HOW_TO_READ = (

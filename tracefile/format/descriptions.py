@@ -6,18 +6,13 @@ Unknown fields are kept and written back; an error names the file and the missin
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base import limits
 
-from .json_fields import FORMAT_VERSION, DescriptionFields
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from .json_fields import Json, JsonObject
+from .json_fields import FORMAT_VERSION, DescriptionFields, Json, JsonObject
 
 
 @dataclass(frozen=True, slots=True)

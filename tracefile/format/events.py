@@ -5,19 +5,16 @@ The layout is `docs/trace-format.md`; other programs depend on every name here.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 from .encoding import CDR_HEADER, MESSAGE_HEADER, RECORD_HEADER
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import NDArray
 
 EVENT_SCHEMA_NAME = "dds_trace_msgs/msg/TraceEvent"
 TAP_SCHEMA_NAME = "dds_trace_msgs/msg/TapEvent"

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+Stored = Callable[[str], "Fields | None"]
+"""Returns the fields of a type by `package/Type`."""
 
-    Stored = Callable[[str], "Fields | None"]
-    """Returns the fields of a type by `package/Type`."""
 
 _HEADER, _TIME = "std_msgs/Header", "builtin_interfaces/Time"
 _SIZES = {

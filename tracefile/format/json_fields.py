@@ -5,15 +5,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from pathlib import Path
+from typing import TypeAlias, TypeVar
 
 from dds_trace.base.errors import TraceFormatError
-from dds_trace.base.limits import STORED_INTEGER, shown
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from dds_trace.base.limits import Limit
+from dds_trace.base.limits import STORED_INTEGER, Limit, shown
 
 T = TypeVar("T")
 

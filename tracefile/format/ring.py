@@ -38,20 +38,17 @@ import os
 import struct
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import OWNER_AND_GROUP, open_regular
 
 from .descriptions import Session
 from .events import EVENT_DTYPE, Stage
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 RING_SUFFIX = ".ring"
 RING_MAGIC = b"DDSRING\n"

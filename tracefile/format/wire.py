@@ -11,16 +11,17 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from .json_fields import JsonObject
 
-    MessageRows: TypeAlias = NDArray[np.void]
-    """One-dimensional array of `MESSAGE_ROW`."""
+
+MessageRows: TypeAlias = NDArray[np.void]
+"""One-dimensional array of `MESSAGE_ROW`."""
+
 
 WIRE_TOPIC = "/dds_trace/wire"
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from bisect import bisect
 from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 
@@ -18,16 +18,9 @@ from dds_trace.base.units import counted
 
 from ..format.encoding import MAGIC
 from .chunks import DamagedChunkError, PackedChunk, UnpackMemory
-from .file import MAX_RECORD_BYTES, TornRecordError
-from .records import record_name
-from .scan import MESSAGES_AND_CHANNELS, Scan, scan_records, split_by_channel
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from .file import RecordFile, RecordHeader, Summary
-    from .records import Buffer
-    from .scan import ChannelEvents
+from .file import MAX_RECORD_BYTES, RecordFile, RecordHeader, Summary, TornRecordError
+from .records import Buffer, record_name
+from .scan import MESSAGES_AND_CHANNELS, ChannelEvents, Scan, scan_records, split_by_channel
 
 BLOCK_BYTES = 2 << 20
 """Small chunks are read together up to this size."""

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import ItemsView
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from dds_trace.base.errors import TraceFormatError
 
-from ..format.events import STAGE_OF_TOPIC
-from .records import parse_record, record_name
-
-if TYPE_CHECKING:
-    from collections.abc import ItemsView
-    from pathlib import Path
-
-    from ..format.events import Stage
-    from .records import Buffer
-
+from ..format.events import STAGE_OF_TOPIC, Stage
+from .records import Buffer, parse_record, record_name
 
 _MOST_CACHED_BYTES = 4096  # of a record that is parsed once: ours have some hundred
 

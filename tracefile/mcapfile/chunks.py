@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cramjam
 import zstandard
 
 from dds_trace.base.units import counted
 
-from .file import MAX_RECORD_BYTES
+from .file import MAX_RECORD_BYTES, RecordFile, RecordHeader
 from .records import RecordContent, crc32
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from .file import RecordFile, RecordHeader
 
 _HEADER_BYTES = 64  # all fields before the records
 

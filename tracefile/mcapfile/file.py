@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Container, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeVar
+from pathlib import Path
+from typing import TypeVar
 
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Footer, Statistics
@@ -16,16 +18,11 @@ from dds_trace.base.files import read_into
 from dds_trace.base.units import counted
 
 from ..format.encoding import MAGIC, RECORD_HEADER
-from .records import OPCODES, crc32, parse_record, record_name
+from .records import OPCODES, ParsedRecord, crc32, parse_record, record_name
 from .scan import scan_records
 
-if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
-    from pathlib import Path
+R = TypeVar("R", bound=ParsedRecord)
 
-    from .records import ParsedRecord
-
-    R = TypeVar("R", bound=ParsedRecord)
 
 _AHEAD_BYTES = 4096  # many small records at once
 

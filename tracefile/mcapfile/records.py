@@ -6,7 +6,7 @@ A file may be cut off, damaged or hostile: no field reaches beyond its record, a
 from __future__ import annotations
 
 from io import BytesIO
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeAlias, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -21,10 +21,9 @@ except ImportError:  # a device that only records, or a platform without a wheel
 
 __all__ = ["OPCODES", "ParsedRecord", "RecordContent", "crc32", "parse_record", "record_name"]
 
-if TYPE_CHECKING:
-    from typing import TypeAlias
 
-    Buffer: TypeAlias = bytes | memoryview
+Buffer: TypeAlias = bytes | memoryview
+
 
 OPCODES: dict[type[object], Opcode] = {
     Header: Opcode.HEADER,

@@ -14,12 +14,11 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER
-from ..format.events import EVENT_CDR, EVENT_DTYPE, EVENT_HEAD, EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE
+from ..format.events import EVENT_CDR, EVENT_DTYPE, EVENT_HEAD, EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, Records
 
 if TYPE_CHECKING:
     from collections.abc import Container
 
-    from ..format.events import Records
     from .records import Buffer
 
 MESSAGES_AND_CHANNELS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})

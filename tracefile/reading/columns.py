@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import sys
 import weakref
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..format.events import EVENT_DTYPE, MOST_STAMP_NS, EventColumns, Stage
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
-    from ..format.events import Records
+from ..format.events import EVENT_DTYPE, MOST_STAMP_NS, EventColumns, Records, Stage
 
 # Six fields of 8 bytes and then two of 4: two blocks of columns, each filled in one step.
 _NAMES = EVENT_DTYPE.names or ()

@@ -16,7 +16,7 @@ from dds_trace.base.units import counted
 from ..format.descriptions import Session
 from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
 from ..format.events import EVENT_RECORD_BYTES, Stage
-from ..mcapfile.blocks import BlockJobs
+from ..mcapfile.blocks import Block, BlockJobs
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
 from ..mcapfile.file import RecordFile, TornRecordError, read_summary
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
     from pathlib import Path
 
-    from ..mcapfile.blocks import Block
 
 _MOST_BLOCKS_AHEAD = 8
 _ROOM_OPCODES = frozenset({Opcode.CHUNK, Opcode.MESSAGE})

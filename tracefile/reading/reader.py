@@ -8,21 +8,16 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..format.events import EventColumns, Stage
 from .columns import ColumnsBuilder, ColumnsMemory
 from .storage import open_source, storage_files
-from .trace import TraceBuilder, ring_beside
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from .trace import Trace
+from .trace import Trace, TraceBuilder, ring_beside
 
 PIECE_EVENTS = 1 << 18
 """Most events of a piece (15 MB), unless a chunk has more."""

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import zstandard
 
 from ..format.encoding import CDR_HEADER
-from ..format.events import EVENT_CDR_BYTES, EVENT_DTYPE
+from ..format.events import EVENT_CDR_BYTES, EVENT_DTYPE, Records, Stage
 from ..mcapfile.chunks import unpack_zstd
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from ..format.events import Records, Stage
 
 TOPIC_PREFIX = "/dds_trace/"
 """Start of our topics."""

@@ -6,8 +6,9 @@ import os
 import sqlite3
 import struct
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack, closing
-from typing import TYPE_CHECKING
+from pathlib import Path
 from urllib.parse import quote
 
 from dds_trace.base.errors import TraceFormatError
@@ -16,10 +17,6 @@ from dds_trace.base.units import counted
 
 from ..format.events import EVENT_SCHEMA_NAME, STAGE_OF_TOPIC, Stage
 from .source import TOPIC_PREFIX, Batch, Text, event_batch, unpack_message
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 _HEADER = struct.Struct(">16xH10xI")  # page size, pages
 # SQLite reports an absurd size as a lack of memory.

@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.units import counted
 
 from ..format.descriptions import Run, Session
 from ..format.encoding import decode_string
-from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC
-from ..format.json_fields import parse_json
-from ..format.ring import TICKET_MASK, events_by_stage, read_ring, ring_path
+from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC, EventColumns, Stage
+from ..format.json_fields import JsonObject, parse_json
+from ..format.ring import TICKET_MASK, RingContents, events_by_stage, read_ring, ring_path
 from ..format.taps import PUBLISHER_TOPIC
 from ..format.wire import WIRE_TOPIC
-from .source import TOPIC_PREFIX, Batch
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
-    from ..format.events import EventColumns, Stage
-    from ..format.json_fields import JsonObject
-    from ..format.ring import RingContents
-    from .source import Source, Text
+from .source import TOPIC_PREFIX, Batch, Source, Text
 
 FOREIGN_HINT = "; for recordings of others: `dds-analyze PATH --topics`"
 """End of the error about a whole recording that is not ours."""

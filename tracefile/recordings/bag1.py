@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import bz2
 import struct
+from collections.abc import Iterator
 from io import BytesIO
-from typing import TYPE_CHECKING, BinaryIO
+from pathlib import Path
+from typing import BinaryIO
 
 from dds_trace.base.units import counted
 
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.chunks import DamagedChunkError, unpack_records
 from ..mcapfile.file import MAX_RECORD_BYTES
-from .recorded import Budget, RawMessage, RecordedTopic, UnreadableError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from .recorded import Condition
+from .recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError
 
 BAG1_MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7

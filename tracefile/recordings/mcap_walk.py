@@ -6,8 +6,9 @@ A chunk whose CRC matches is believed. In any other each record must fit what fo
 from __future__ import annotations
 
 import re
+from collections.abc import Generator, Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
@@ -17,14 +18,9 @@ from dds_trace.base.units import counted
 from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
-from ..mcapfile.file import MAX_RECORD_BYTES, RecordHeader, TornRecordError, read_summary
+from ..mcapfile.file import MAX_RECORD_BYTES, RecordFile, RecordHeader, TornRecordError, read_summary
 from ..mcapfile.records import parse_record, record_name
 from .recorded import Budget, UnreadableError
-
-if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
-
-    from ..mcapfile.file import RecordFile
 
 _LEAST_BYTES = {
     Opcode.HEADER: 8,

@@ -10,10 +10,10 @@ import re
 import shutil
 import sqlite3
 import tempfile
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import open_regular
@@ -22,9 +22,6 @@ from dds_trace.base.units import counted
 from ..format.bag_metadata import METADATA_NAME
 from ..mcapfile.blocks import LARGEST_FILE_RATIO, most_unpacked_bytes
 from ..reading.storage import ZSTD_SUFFIX, storage_files, unpack_file
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 _MOST_METADATA_BYTES = 16 << 20
 """A thousand topics with the QoS of ten publishers each have 6 MB."""

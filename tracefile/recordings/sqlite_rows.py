@@ -8,22 +8,18 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, BinaryIO
+from pathlib import Path
+from typing import Any, BinaryIO
 from urllib.parse import quote
 
 from dds_trace.base.units import counted
 
 from ..mcapfile.file import MAX_RECORD_BYTES
 from ..reading.sqlite_source import COMPUTED, SQLITE_ERRORS, TABLES, bound_work, missing_bytes
-from .recorded import Budget, RawMessage, RecordedTopic, UnreadableError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from .recorded import Condition
+from .recorded import Budget, Condition, RawMessage, RecordedTopic, UnreadableError
 
 SQLITE_TABLES = """
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);

@@ -6,9 +6,9 @@ import os
 import sqlite3
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from mcap.records import Attachment, Header, Metadata
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from dds_trace.base.errors import OutputExistsError, TraceFormatError
@@ -26,11 +26,6 @@ from ..recordings.recorded import Condition, RecordedTopic, UnreadableError
 from ..recordings.recording_files import open_recording
 from ..recordings.sqlite_rows import SQLITE_MAGIC, SQLITE_TABLES, sqlite_messages
 from ..writing.event_chunks import LIBRARY
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from mcap.records import Channel, Schema
 
 _LATEST_NS = 2**63 - 1
 _HEADER_BYTES = 64

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError, OutputExistsError, TraceFormatError
 from dds_trace.base.files import flush_to_disk, mode_within, output_error
@@ -14,19 +14,13 @@ from dds_trace.base.units import counted
 
 from ..format.bag_metadata import write_metadata
 from ..format.descriptions import Session
-from ..format.events import SESSION_TOPIC
-from ..format.ring import RING_SUFFIX, read_ring, ring_path, salvage_ring
+from ..format.events import SESSION_TOPIC, EventColumns, Stage
+from ..format.ring import RING_SUFFIX, RingContents, Slots, read_ring, ring_path, salvage_ring
 from ..mcapfile.file import RecordFile
 from ..reading.reader import read_trace_in_pieces
 from ..writing.payloads import CHUNK_BYTES, Payload, PayloadQueue
 from ..writing.writer import TraceWriter
 from .salvage import Salvage, SalvagedText
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from ..format.events import EventColumns, Stage
-    from ..format.ring import RingContents, Slots
 
 KILLED_SUFFIX = ".killed"
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -13,22 +13,16 @@ from dds_trace.base.errors import TraceFormatError
 
 from ..format.encoding import MAGIC, MESSAGE_HEADER, RECORD_HEADER, decode_string
 from ..format.events import EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE
-from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
+from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS, Slots
 from ..mcapfile.blocks import most_unpacked_bytes
 from ..mcapfile.channels import ChannelTable
 from ..mcapfile.chunks import DamagedChunkError, PackedChunk
-from ..mcapfile.file import TornRecordError
+from ..mcapfile.file import RecordFile, RecordHeader, TornRecordError
 from ..mcapfile.records import parse_record
 from ..mcapfile.scan import scan_records
 from ..reading.source import TOPIC_PREFIX
 from ..writing.event_chunks import LIBRARY
 from ..writing.payloads import MOST_TOPICS, Payload, PayloadTopic
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from ..format.ring import Slots
-    from ..mcapfile.file import RecordFile, RecordHeader
 
 _NUMBER_OF_STAGE = {stage: number for number, stage in STAGE_NUMBERS.items()}
 _CHANNEL_IDS = 1 << 16  # a channel id has 16 bits

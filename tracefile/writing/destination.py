@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from dds_trace.base.errors import OutputExistsError
+from dds_trace.base.errors import OutputError, OutputExistsError
 from dds_trace.base.files import OWNER_AND_GROUP, flush_to_disk, output_error
 
 from ..format.bag_metadata import METADATA_NAME
 from ..format.ring import is_recorded, ring_path
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from dds_trace.base.errors import OutputError
 
 
 @dataclass(frozen=True, slots=True)

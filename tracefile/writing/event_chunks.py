@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Schema
+from mcap.records import Channel, McapRecord, Schema
+from numpy.typing import NDArray
 
 from ..format.encoding import STRING_DEFINITION, STRING_SCHEMA_NAME
 from ..format.events import (
@@ -19,20 +21,12 @@ from ..format.events import (
     RUN_TOPIC,
     SESSION_TOPIC,
     TAP_SCHEMA_NAME,
+    EventColumns,
     Stage,
     fill_constants,
 )
-from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS
+from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS, Slots
 from ..format.taps import TAP_DEFINITION
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from mcap.records import McapRecord
-    from numpy.typing import NDArray
-
-    from ..format.events import EventColumns
-    from ..format.ring import Slots
 
 LIBRARY = "dds-trace"
 

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.records import Message
 
-from .event_chunks import Chunk, encode_record
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from .event_chunks import Index
+from .event_chunks import Chunk, Index, encode_record
 
 MOST_WAITING_BYTES = 60 << 20
 """Most bytes that wait for the disk; what comes meanwhile is left out. One message with them fits a readable chunk (64 MiB)."""

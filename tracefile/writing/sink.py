@@ -22,7 +22,7 @@ from dds_trace.base.threads import run_in_background
 
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
 from .packing import EventPacker
-from .payloads import CHUNK_BYTES, Payload, PayloadQueue
+from .payloads import CHUNK_BYTES, Payload, PayloadQueue, PayloadTopic
 from .writer import TraceFiles
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from ..format.descriptions import Run, Session
     from ..format.json_fields import Json
     from .destination import ClosedTrace, TraceDestination
-    from .payloads import PayloadTopic
 
 
 BUSY_SWITCH_INTERVAL_S = 1e-4

@@ -20,9 +20,9 @@ from dds_trace.base.version import __version__
 from ..format.bag_metadata import METADATA_NAME, TopicCount, write_metadata
 from ..format.encoding import MAGIC, encode_string
 from ..format.events import SESSION_TOPIC, Stage
-from ..format.ring import Ring, ring_path
+from ..format.ring import Ring, Slots, ring_path
 from ..mcapfile.records import crc32
-from .destination import ClosedTrace, make_room
+from .destination import ClosedTrace, TraceDestination, make_room
 from .event_chunks import (
     EVENT_SCHEMA,
     EVENT_TOPICS,
@@ -38,16 +38,13 @@ from .event_chunks import (
     encode_record,
     positions_by_channel,
 )
-from .payloads import payload_chunk
+from .payloads import Payload, PayloadTopic, payload_chunk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from ..format.descriptions import Session
-    from ..format.ring import Slots
-    from .destination import TraceDestination
-    from .payloads import Payload, PayloadTopic
 
 MAX_CHUNK_EVENTS = 1 << 14
 """Most events of a chunk: 1.5 MB before compression."""

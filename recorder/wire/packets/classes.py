@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from . import rtps
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable
 
 
 class WireClass(str, Enum):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from .rtps import LONGEST_FIELDS_BYTES, Submessage, walk_submessages
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable
 
 REMEMBERED_DATAGRAMS = 4096
 """Unfinished datagrams remembered at once."""

@@ -9,10 +9,8 @@ from __future__ import annotations
 import ctypes
 import socket
 import struct
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from collections.abc import Sequence
+from typing import NamedTuple
 
 SO_ATTACH_FILTER = 26  # <asm-generic/socket.h>
 WHOLE_FRAME = 0x40000

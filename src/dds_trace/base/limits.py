@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from .errors import OptionError
 from .printable import printable
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
 
 _SHOWN_CHARACTERS = 80
 _SHOWN_DIGITS = 20

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from .errors import OptionError
 from .limits import shown
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 MISSING = "-"
 """Text in place of a number that does not exist; 0 would be a measurement."""

@@ -22,7 +22,7 @@ from .findings.evidence import Evidence
 from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
-from .loading.place import Paths, Place
+from .loading.campaign import Paths, Place
 from .pairing.exchanges import Exchanges, find_exchanges
 from .pairing.parquet import write_summary
 from .pairing.provenance import provenance

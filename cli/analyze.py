@@ -370,7 +370,7 @@ def _report_topics(
     open_it: bool,
 ) -> None:
     from dds_trace.analyzer.pipeline import analyze
-    from dds_trace.analyzer.topics.stamp_clock import ClockRequest, StampClock
+    from dds_trace.analyzer.topics.device_clocks import ClockRequest, StampClock
     from dds_trace.analyzer.verdicts.topic_gate import parse_topic_gate
 
     from .topics import report_topics

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from dds_trace.analyzer.exports.tables import EXPORTERS
+from dds_trace.analyzer.exports.kinds import EXPORTERS, write_file, write_text_file
 from dds_trace.analyzer.recordings.card import DAMAGED, HOLES
 from dds_trace.analyzer.recordings.topics import StampCorrector, TopicReport, analyze_topics
 from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.base.errors import OptionError, OutputError
-from dds_trace.base.files import replacing
+from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
 from dds_trace.reports.topics import document, markdown, page
 from dds_trace.reports.topics.terminal import print_topics
@@ -54,8 +54,10 @@ def report_topics(
         if source.status != "read" or source.detail:
             say(f"{source.path}: {source.status}: {source.detail}")
     files = [_FILES[kind] for kind in dict.fromkeys(kinds) if kind in _FILES]
-    written = [_write(folder / name, render(report, judged)) for name, render in files]
-    written += [_export(report.topics, folder / f"topics.{kind}", kind) for kind in exports]
+    written = [write_text_file(folder / name, render(report, judged)) for name, render in files]
+    written += [
+        write_file(folder / f"topics.{kind}", partial(EXPORTERS[kind], report.topics.lazy())) for kind in exports
+    ]
     return _exit_code(report, judged, gates), written
 
 
@@ -94,23 +96,3 @@ def _ends(row: Mapping[str, Any], holes: pl.DataFrame, metric: str) -> tuple[flo
     topic_holes = holes.filter((pl.col("recording") == row["recording"]) & (pl.col("topic") == row["topic"]))
     longest_ns = max(topic_holes["duration_s"].to_list(), default=0.0) * 1e9
     return longest_ns, longest_ns
-
-
-def _write(path: Path, text: str) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as draft:
-            draft.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as err:
-        raise OutputError(f"{path} cannot be written ({err.strerror}); give another folder with --out") from err
-    return path
-
-
-def _export(topics: pl.DataFrame, path: Path, kind: str) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as draft:
-            EXPORTERS[kind](topics.lazy(), draft)
-    except (OSError, pl.exceptions.PolarsError) as err:
-        raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
-    return path

@@ -10,8 +10,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from .hulls import lowest_of_parts
-from .lines import ROUNDING_NS, Bools, Boundary, Float64, Intp, Lines, OffsetIntervals
+from .lines import ROUNDING_NS, Bools, Boundary, Float64, Intp, Lines, OffsetIntervals, lowest_of_parts
 
 WINDOW_NS = 10_000_000_000
 """Length of a window: crystals wander by well under 0.1 ppm in ten seconds, and 10 Hz gives 100 messages."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from ..cache.event_index import EventIndex, EventKey, EventPart
     from ..groups.batch import Batch
-    from ..loading.place import Place
+    from ..loading.campaign import Place
     from ..model.finding import Source
 
 _TIMEOUT_S = 30

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..cache.event_index import EventIndex
     from ..cache.loaded import LoadedTrace
     from ..groups.batch import Batch
-    from ..loading.place import Place
+    from ..loading.campaign import Place
     from .processes import Workers
 
 T = TypeVar("T")

@@ -1,24 +1,91 @@
-"""Kinds of `--export`, each with the function that writes it into a folder."""
+"""Kinds of `--export`, each with the function that writes it into a folder; rows and summary as CSV or Arrow are here."""
 
 from __future__ import annotations
 
+import io
+import os
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from polars.exceptions import PolarsError
+import polars as pl
+import pyarrow.parquet as pq
+from polars import selectors
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import replacing
 
+from ..pairing.parquet import summary_table
 from . import hdr_log, openmetrics, perfetto
-from .tables import EXPORTERS, export_tables
 
 if TYPE_CHECKING:
-    import os
-    from collections.abc import Callable, Mapping
-
     from ..analysis import Analysis
+
+_FORMULA = r"^([=+\-@\t\r]|::)"
+_HIDDEN = r"[\p{Cc}\p{Cf}\p{Co}\p{Zl}\p{Zp}]"
+
+
+def _inert(rows: pl.LazyFrame) -> pl.LazyFrame:
+    """Return rows whose texts a spreadsheet does not compute (an apostrophe precedes them) and that hide nothing."""
+    texts = selectors.string(include_categorical=True).cast(str)
+    return rows.with_columns(texts.str.replace(_FORMULA, "'$0").str.replace_all(_HIDDEN, "\ufffd"))
+
+
+EXPORTERS: Mapping[str, Callable[[pl.LazyFrame, Path], object]] = {
+    "csv": lambda rows, path: _inert(rows).sink_csv(path, datetime_format="%Y-%m-%dT%H:%M:%S%.9fZ"),
+    "arrow": lambda rows, path: rows.sink_ipc(path),
+}
+
+
+def write_file(path: Path, write: Callable[[Path], object]) -> Path:
+    """Let `write` write a draft, which then replaces the file; its folder is made. Return the path.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as draft:
+            write(draft)
+    except (OSError, pl.exceptions.PolarsError) as err:
+        raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
+    return path
+
+
+def write_text_file(path: Path, text: str) -> Path:
+    """Replace a file as `write_file` does."""
+    return write_file(path, lambda draft: draft.write_text(text, encoding="utf-8", newline="\n"))
+
+
+def export_tables(analysis: Analysis, kind: str, folder: str | os.PathLike[str]) -> list[Path]:
+    """Write `roundtrips` and `summary` as `kind` (a key of `EXPORTERS`) into a folder, and return the two files.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    frames = {"roundtrips": analysis.scan_roundtrips(), "summary": analysis.summary.lazy()}
+    return [
+        write_file(Path(folder) / f"{name}.{kind}", partial(EXPORTERS[kind], rows)) for name, rows in frames.items()
+    ]
+
+
+def summary_parquet(analysis: Analysis) -> bytes:
+    """Return `summary.parquet` for the page, with units and meanings in the metadata of its fields: 100 KB for 500 groups."""
+    file = io.BytesIO()
+    table = summary_table(analysis.summary)
+    pq.write_table(table, file, compression="zstd", compression_level=19, write_statistics=False)
+    return file.getvalue()
+
+
+EXPORT_KINDS: Mapping[str, Callable[[Analysis, Path], list[Path]]] = {
+    **{kind: lambda analysis, folder, kind=kind: export_tables(analysis, kind, folder) for kind in EXPORTERS},  # type: ignore[misc]
+    "openmetrics": lambda one, folder: [
+        write_text_file(folder / openmetrics.FILE_NAME, openmetrics.openmetrics_text(one))
+    ],
+    "hdr": lambda one, folder: [write_text_file(folder / hdr_log.FILE_NAME, hdr_log.hdr_log(one))],
+    "perfetto": lambda one, folder: [write_file(folder / perfetto.FILE_NAME, partial(perfetto.write_perfetto, one))],
+}
 
 
 def export(analysis: Analysis, kind: str, folder: str | os.PathLike[str]) -> list[Path]:
@@ -28,29 +95,4 @@ def export(analysis: Analysis, kind: str, folder: str | os.PathLike[str]) -> lis
         OutputError: a file cannot be written.
         ModuleNotFoundError: the kind needs an extra that is not installed.
     """
-    return EXPORT_KINDS[kind](analysis, folder)
-
-
-def _one_file(
-    name: str, write: Callable[[Analysis, Path], object], analysis: Analysis, folder: str | os.PathLike[str]
-) -> list[Path]:
-    path = Path(folder) / name
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as draft:
-            write(analysis, draft)
-    except (OSError, PolarsError) as err:
-        raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
-    return [path]
-
-
-def _text(make: Callable[[Analysis], str], analysis: Analysis, path: Path) -> None:
-    path.write_text(make(analysis), encoding="utf-8", newline="\n")
-
-
-EXPORT_KINDS: Mapping[str, Callable[[Analysis, str | os.PathLike[str]], list[Path]]] = {
-    **{kind: partial(lambda kind, analysis, folder: export_tables(analysis, kind, folder), kind) for kind in EXPORTERS},
-    "openmetrics": partial(_one_file, openmetrics.FILE_NAME, partial(_text, openmetrics.openmetrics_text)),
-    "hdr": partial(_one_file, hdr_log.FILE_NAME, partial(_text, hdr_log.hdr_log)),
-    "perfetto": partial(_one_file, perfetto.FILE_NAME, perfetto.write_perfetto),
-}
+    return EXPORT_KINDS[kind](analysis, Path(folder))

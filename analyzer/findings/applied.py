@@ -17,8 +17,7 @@ from ..model.applied import (
     words_not_applied,
 )
 from ..model.finding import Severity, Subject
-from .check import check
-from .evidence import SMALLER_DATAGRAMS, Evidence, Observation
+from .evidence import SMALLER_DATAGRAMS, Evidence, Observation, check
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

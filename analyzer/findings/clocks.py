@@ -12,8 +12,7 @@ from dds_trace.base.units import counted, format_duration
 from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Severity, Subject
 from ..model.foreign import number_of, object_of
-from .check import check
-from .evidence import Evidence, Observation
+from .evidence import Evidence, Observation, check
 
 _SHORTEST_SLEEP_NS = 1_000_000_000
 """Shortest time in which a device goes to sleep and wakes."""

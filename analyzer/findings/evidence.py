@@ -1,20 +1,20 @@
-"""What checks look at, and the names of its parts."""
+"""What checks look at, the names of its parts, and the record of a check."""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..clocks.boots import ping_boots
+from ..model.finding import Finding, Severity, Subject
 from ..model.names import name_groups
 from ..pairing.one_way import DevicePair, pair_devices
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-    from pathlib import Path
-
     import polars as pl
 
     from dds_trace.tracefile.format.descriptions import Session
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..loading.campaign import Campaign
     from ..pairing.exchanges import Exchange, Exchanges
     from ..pairing.rows import RowStore
+
 
 SMALLER_DATAGRAMS = "smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize) or a larger net.ipv4.ipfrag_high_thresh may help"
 
@@ -148,3 +149,35 @@ def percent(part: float, whole: float) -> str:
     """Print a share with enough digits to differ from 0 and from 100 %."""
     share = 100 * part / whole
     return f"{share:.3g} %" if share < 99 else f"{share:.6g} %"
+
+
+Observe = Callable[["Evidence"], Iterator["Observation"]]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One kind of finding; calling it yields its findings. Observations fill the `{names}` in its action."""
+
+    code: str
+    severity: Severity
+    title: str
+    action: str
+    subject: Subject
+    observe: Observe
+
+    def __call__(self, evidence: Evidence) -> Iterator[Finding]:
+        """Yield a finding for each observation."""
+        for seen in self.observe(evidence):
+            action = self.action.format(**seen.blanks)
+            seen_there = seen.where, seen.what, action, seen.groups
+            yield Finding(self.severity, self.code, *seen_there, effect=seen.effect, subject=self.subject)
+
+
+def check(code: str, severity: Severity, subject: Subject, action: str) -> Callable[[Observe], Check]:
+    """Make a `Check` of the function below; the first line of its docstring is the title."""
+
+    def decorate(observe: Observe) -> Check:
+        title = (observe.__doc__ or code).partition("\n")[0].rstrip(".")
+        return Check(code, severity, title, action, subject, observe)
+
+    return decorate

@@ -11,8 +11,7 @@ from dds_trace.base.units import counted, format_duration
 from ..model.finding import Severity, Subject
 from ..run_statistics.change import Verdict
 from ..verdicts.interference import Overtaking
-from .check import check
-from .evidence import Evidence, Observation, percent
+from .evidence import Evidence, Observation, check, percent
 
 
 @check(

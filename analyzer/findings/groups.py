@@ -11,8 +11,7 @@ from ..model.environment import environment_differences
 from ..model.finding import Severity, Subject
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES, Percentile
-from .check import check
-from .evidence import Evidence, Observation, exchange_name, some
+from .evidence import Evidence, Observation, check, exchange_name, some
 
 
 @check("nothing_counted", Severity.WARNING, Subject.RESULT, "Record more messages than warm-up messages.")

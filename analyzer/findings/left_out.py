@@ -11,8 +11,7 @@ from ..model.finding import Severity, Subject
 from ..model.parameters import BRIDGE_MATCH_COLUMNS, CASE_COLUMNS
 from ..statistics.histogram import RELATIVE_ERROR
 from ..verdicts.cases import MOST_COMPARED_ROWS, is_too_large, partition_groups
-from .check import check
-from .evidence import Evidence, Observation, some
+from .evidence import Evidence, Observation, check, some
 
 
 @check(

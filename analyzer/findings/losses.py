@@ -12,8 +12,7 @@ from dds_trace.base.units import counted, format_duration
 
 from ..model.finding import Severity, Subject
 from ..pairing.pair import Outcome
-from .check import check
-from .evidence import Evidence, Observation, exchange_name, percent
+from .evidence import Evidence, Observation, check, exchange_name, percent
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -9,8 +9,7 @@ from dds_trace.base.units import counted
 
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
-from .check import check
-from .evidence import Evidence, Observation, exchange_name, percent, some
+from .evidence import Evidence, Observation, check, exchange_name, percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -12,8 +12,7 @@ from dds_trace.base.units import counted, format_duration, format_rate
 from ..clocks.boots import machine_of
 from ..groups.sending import LATE_NS
 from ..model.finding import Severity, Subject
-from .check import check
-from .evidence import Evidence, Observation, percent
+from .evidence import Evidence, Observation, check, percent
 
 _RATE_TOLERANCE = 0.02
 """Share by which the rate may be below the requested one: a slower run measured another load."""

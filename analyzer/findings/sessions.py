@@ -12,8 +12,7 @@ from dds_trace.base.units import counted, format_duration
 from ..loading.campaign import part_of
 from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Severity, Subject
-from .check import check
-from .evidence import Evidence, Observation, some
+from .evidence import Evidence, Observation, check, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

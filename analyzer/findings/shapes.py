@@ -18,7 +18,7 @@ from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, u
 from ..model.finding import Severity, Subject
 from ..model.parameters import SIZE_LINE_COLUMNS, ParameterValue
 from ..statistics.intervals import MIN_RUNS
-from .check import check
+from .evidence import check
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

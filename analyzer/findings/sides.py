@@ -14,8 +14,7 @@ from ..model.parameters import CASE_COLUMNS
 from ..pairing.flows import Overlap, find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
 from ..verdicts.interference import flows_of
-from .check import check
-from .evidence import Evidence, Observation, percent, some
+from .evidence import Evidence, Observation, check, percent, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

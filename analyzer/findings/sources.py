@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base.units import counted
 
 from ..model.finding import Severity, Subject
-from .check import check
-from .evidence import Evidence, Observation, some
+from .evidence import Evidence, Observation, check, some
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,7 +10,7 @@ from dds_trace.base.units import format_duration, three_digits
 
 from ..model.finding import Severity, Subject
 from ..model.foreign import number_of, object_of
-from .check import check
+from .evidence import check
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

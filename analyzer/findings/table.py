@@ -25,8 +25,7 @@ from . import (
 )
 
 if TYPE_CHECKING:
-    from .check import Check
-    from .evidence import Evidence
+    from .evidence import Check, Evidence
 
 CHECKS: tuple[Check, ...] = (
     applied.settings_not_applied,

@@ -9,8 +9,7 @@ from dds_trace.base.units import counted, format_duration, three_digits
 
 from ..model.applied import may_be_cut
 from ..model.finding import Severity, Subject
-from .check import check
-from .evidence import SMALLER_DATAGRAMS, Evidence, Observation, percent
+from .evidence import SMALLER_DATAGRAMS, Evidence, Observation, check, percent
 
 _Row = dict[str, Any]
 

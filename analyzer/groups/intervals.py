@@ -9,9 +9,9 @@ import numpy as np
 import polars as pl
 
 from ..model.metrics import METRICS, frame_schema
-from ..run_statistics.batching import SMALL_GROUP, spreads_of_groups
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.runs import Runs, SendTimes, Statistic
+from ..run_statistics.spread import SMALL_GROUP, spreads_of_groups
 from ..statistics.intervals import Basis, Interval
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
 from .batch import Batch, columns_by_group, is_present, present, runs_by_group

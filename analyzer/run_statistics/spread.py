@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,8 +17,6 @@ from .runs import Float64, Run, Runs, Statistic, quantiles_at
 from .tails import inflations_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from .change import Change
 
 
@@ -116,3 +115,21 @@ def _runs_to_decide(ratio: float, spreads: tuple[float | None, float | None], *s
     units = runs_to_decide(math.log(ratio), base, new, sides[0].confidence)
     runs_of_unit = max(side.runs / side.units for side in sides)
     return None if units is None else math.ceil(round(units * runs_of_unit, 6))
+
+
+SMALL_GROUP = 20_000
+"""Messages of a group up to which batching saves time."""
+
+
+def spreads_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) -> list[list[Spread]]:
+    """Return the spread of each statistic, a quantile, in each group; each run has a message."""
+    if not groups:
+        return []
+    quantiles = [statistic.quantile for statistic in statistics if statistic.quantile is not None]
+    together = groups[0] if len(groups) == 1 else Runs(tuple(run for group in groups for run in group))
+    errors = log_errors(together, quantiles)
+    spreads, end = [], 0
+    for group in groups:
+        start, end = end, end + len(group)
+        spreads.append([spread_from(group, s, error[start:end]) for s, error in zip(statistics, errors, strict=True)])
+    return spreads

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from dds_trace.tracefile.format.events import Stage
-from dds_trace.tracefile.format.taps import TapColumns
+from dds_trace.tracefile.format.events import Stage, TapColumns
 
 from ..cache.event_index import EventPart, merge_parts
 from ..model.foreign import object_of

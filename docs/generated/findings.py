@@ -14,7 +14,7 @@ from .markdown import escaped
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from dds_trace.analyzer.findings.check import Check
+    from dds_trace.analyzer.findings.evidence import Check
 
 
 def findings() -> str:

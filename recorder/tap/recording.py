@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
-from dds_trace.base.units import counted
+from dds_trace.base.units import counted, format_duration
 from dds_trace.tracefile.writing.destination import discard
 
 from ..applied.carried import Traffic
@@ -19,9 +19,7 @@ from ..host.process import tuned_gc
 from ..roles.live import LiveTable
 from ..roles.progress import TapProgress
 from ..service.upkeep import Upkeep
-from .diagnostics import open_diagnostics
-from .own_use import OwnUse
-from .page import serve_page
+from .page import open_diagnostics, serve_page
 from .tap import Tap, summarize
 
 if TYPE_CHECKING:
@@ -31,6 +29,21 @@ if TYPE_CHECKING:
 
     from ..options import TapOptions
     from ..roles.read_back import ReadBack
+
+
+class OwnUse:
+    """Counts from its making."""
+
+    def __init__(self) -> None:
+        self._cpu_ns, self._start_ns = time.process_time_ns(), time.monotonic_ns()
+
+    def taken(self, messages: int) -> tuple[JsonObject, str]:
+        """Return the session's field `own_cost` so far, and one line for the user."""
+        cpu_ns, duration_ns = time.process_time_ns() - self._cpu_ns, time.monotonic_ns() - self._start_ns
+        of_message = f", {format_duration(cpu_ns / messages)} for each message" if messages else ""
+        words = f"the tap itself used {cpu_ns / max(duration_ns, 1):.1%} of one core{of_message}"
+        return {"cpu_ns": cpu_ns, "duration_ns": duration_ns, "messages": messages}, words
+
 
 LONELY_S = 5.0
 """Wait for a publisher until the user gets a line about it."""

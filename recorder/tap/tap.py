@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import queue
+import threading
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.threads import run_in_background
 from dds_trace.base.units import SECOND_NS, counted, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
-from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, hash_content
+from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, hash_content
 from dds_trace.tracefile.reading.source import TOPIC_PREFIX
 from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
 
@@ -17,14 +23,47 @@ from ..choices import Durability, History, Reliability
 from ..host.clock import Clock, SystemClock
 from .stamps import definition_of, reader_of
 from .streams import State, Stream
-from .worker import Worker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable
+    from collections.abc import Hashable, Iterable
 
     from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..roles.live import LiveTable, LiveTopic
+
+
+MOST_WAITING = 64
+"""Messages that wait; when there are more, the receiving thread waits, and the middleware drops what its queue does not hold."""
+NICENESS = 10
+
+
+class Worker:
+    """Calls `work` with what `hand_over` gets, in order."""
+
+    def __init__(self, work: Callable[..., None]) -> None:
+        self.error: BaseException | None = None
+        self._work = work
+        self._queue: queue.Queue[tuple[Any, ...] | None] = queue.Queue(MOST_WAITING)
+        self.hand_over = self._queue.put
+        self._thread = threading.Thread(target=self._run, name="tap-worker", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        run_in_background()
+        with suppress(OSError):  # of this thread only
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+        while (item := self._queue.get()) is not None:
+            if self.error is None:
+                try:
+                    self._work(*item)
+                except BaseException as error:  # noqa: BLE001 - a thread has no caller
+                    self.error = error
+
+    def close(self) -> None:
+        """Work at what was handed over, and end."""
+        self._queue.put(None)
+        self._thread.join()
+
 
 TAP = 5
 """The ring's number of `Stage.TAP`."""

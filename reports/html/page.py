@@ -14,7 +14,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from dds_trace.analyzer.exports.tables import summary_parquet
+from dds_trace.analyzer.exports.kinds import summary_parquet
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES, planned_messages
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.base.files import replacing

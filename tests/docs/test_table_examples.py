@@ -9,7 +9,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from dds_trace.analyzer.exports.tables import export_tables
+from dds_trace.analyzer.exports.kinds import export_tables
 from dds_trace.analyzer.pipeline import analyze
 
 ROOT = Path(__file__).parents[2]

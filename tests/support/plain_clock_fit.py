@@ -10,8 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dds_trace.analyzer.clocks.hulls import CANDIDATES
-from dds_trace.analyzer.clocks.lines import DRIFT, OffsetIntervals
+from dds_trace.analyzer.clocks.lines import CANDIDATES, DRIFT, OffsetIntervals
 from dds_trace.analyzer.clocks.lines import ROUNDING_NS as _ROUNDING_NS
 from dds_trace.analyzer.clocks.stretches import find_stretches
 from dds_trace.analyzer.clocks.windows import HALF_MESSAGES, WINDOW_NS

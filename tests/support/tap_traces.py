@@ -23,8 +23,7 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.tracefile.format.events import SESSION_TOPIC, Stage
-from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, TAP_DEFINITION
+from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, SESSION_TOPIC, TAP_DEFINITION, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,10 +12,9 @@ from dds_trace.base.units import counted
 
 from ..format.descriptions import Run, Session
 from ..format.encoding import decode_string
-from ..format.events import HOST_TOPIC, RUN_TOPIC, SESSION_TOPIC, EventColumns, Stage
+from ..format.events import HOST_TOPIC, PUBLISHER_TOPIC, RUN_TOPIC, SESSION_TOPIC, EventColumns, Stage
 from ..format.json_fields import JsonObject, parse_json
 from ..format.ring import TICKET_MASK, RingContents, events_by_stage, read_ring, ring_path
-from ..format.taps import PUBLISHER_TOPIC
 from ..format.wire import WIRE_TOPIC
 from .source import TOPIC_PREFIX, Batch, Source, Text
 

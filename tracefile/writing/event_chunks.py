@@ -20,13 +20,13 @@ from ..format.events import (
     EVENT_SCHEMA_NAME,
     RUN_TOPIC,
     SESSION_TOPIC,
+    TAP_DEFINITION,
     TAP_SCHEMA_NAME,
     EventColumns,
     Stage,
     fill_constants,
 )
 from ..format.ring import SLOT_DTYPE, STAGE_NUMBERS, Slots
-from ..format.taps import TAP_DEFINITION
 
 LIBRARY = "dds-trace"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dds_trace.analyzer.clocks.hulls import lower_hulls, lowest_of_parts, part_edges
+from dds_trace.analyzer.clocks.lines import lower_hulls, lowest_of_parts, part_edges
 
 
 def test_windows_are_cut_into_equal_parts_of_whole_messages():

@@ -26,7 +26,7 @@ from wording import numbers
 
 import dds_trace.analyzer.cache.loaded
 from dds_trace.analyzer import findings as rooms
-from dds_trace.analyzer.findings.check import Check
+from dds_trace.analyzer.findings.evidence import Check
 from dds_trace.analyzer.findings.table import CHECKS
 from dds_trace.analyzer.model.finding import Severity
 from dds_trace.analyzer.model.metrics import METRICS

@@ -11,7 +11,7 @@ import pytest
 from trace_files import Message, write_pair
 
 from dds_trace.analyzer.findings import table
-from dds_trace.analyzer.findings.check import check
+from dds_trace.analyzer.findings.evidence import check
 from dds_trace.analyzer.model.finding import Severity, Subject
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.reports.reporters import REPORT_MODULES, render_report

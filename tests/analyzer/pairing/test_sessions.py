@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from dds_trace.analyzer.pairing.sessions import Doubt, find_ping_session, find_relay_session
+from dds_trace.analyzer.pairing.exchanges import Doubt, find_ping_session, find_relay_session
 from dds_trace.tracefile.format.descriptions import Run, Session
 
 

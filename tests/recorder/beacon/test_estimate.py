@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dds_trace.analyzer.clocks.fit import RelayedMessages, fit_clocks
-from dds_trace.recorder.beacon.estimate import ClockEstimate
+from dds_trace.recorder.beacon.exchange import ClockEstimate
 
 SECOND = 1_000_000_000
 

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from dds_trace.recorder.beacon.exchange import MOST_DEVICES, MOST_WAITING, ClockNote, Exchanges, parse_note
-from dds_trace.recorder.beacon.time_service import chrony_words
+from dds_trace.recorder.beacon.recording import chrony_words
 from dds_trace.tracefile.format.encoding import encode_string
 
 MS = 1_000_000

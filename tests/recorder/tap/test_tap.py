@@ -10,7 +10,7 @@ from dds_trace.recorder.backends.node import Publication, TopicPatterns
 from dds_trace.recorder.choices import Durability, Reliability
 from dds_trace.recorder.tap.tap import TAP, Tap, chosen_qos, summarize
 from dds_trace.tracefile.format.descriptions import Qos
-from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, hash_content
+from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, hash_content
 
 IMAGE = "sensor_msgs/msg/Image"
 MS = 1_000_000

@@ -22,8 +22,7 @@ from dds_trace.recorder.payloads import data_types
 from dds_trace.recorder.recording import record
 from dds_trace.recorder.tap.tap import chosen_qos
 from dds_trace.tracefile.format.descriptions import Qos
-from dds_trace.tracefile.format.events import Stage
-from dds_trace.tracefile.format.taps import TapColumns, hash_content
+from dds_trace.tracefile.format.events import Stage, TapColumns, hash_content
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.writing.destination import TraceDestination
 

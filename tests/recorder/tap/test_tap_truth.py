@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from processes import relay, running
 
-from dds_trace.tracefile.format.events import Stage
-from dds_trace.tracefile.format.taps import TapColumns
+from dds_trace.tracefile.format.events import Stage, TapColumns
 from dds_trace.tracefile.format.wire import rows_of_text
 from dds_trace.tracefile.reading.reader import read_trace
 

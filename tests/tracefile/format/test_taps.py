@@ -12,8 +12,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from trace_files import ping_session
 
-from dds_trace.tracefile.format.events import Stage
-from dds_trace.tracefile.format.taps import PUBLISHER_TOPIC, TapColumns, hash_content
+from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, Stage, TapColumns, hash_content
 from dds_trace.tracefile.reading.reader import read_trace
 from dds_trace.tracefile.recovery.recover import recover
 from dds_trace.tracefile.writing.destination import TraceDestination

@@ -38,11 +38,11 @@ from dds_trace.tracefile.format.events import (
     EVENT_DTYPE,
     HOST_TOPIC,
     MOST_STAMP_NS,
+    TAP_DEFINITION,
     TAP_SCHEMA_NAME,
     EventColumns,
     Stage,
 )
-from dds_trace.tracefile.format.taps import TAP_DEFINITION
 from dds_trace.tracefile.format.wire import WIRE_TOPIC
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.reading import mcap_source, reader

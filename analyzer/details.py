@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
+
+from dds_trace.tracefile.format.descriptions import Run
 
 from .analysis import Details
 from .clocks.boots import ping_boots, ping_wall_offsets
@@ -16,6 +19,7 @@ from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
 from .groups.recovery import RECOVERY_SCHEMA, recovery_frame
 from .groups.wire import no_wire_frames, wire_frames
+from .loading.campaign import Campaign
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
 from .model.metrics import schema_of
 from .model.runs import pass_numbers
@@ -24,18 +28,9 @@ from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
 from .verdicts.answers import Mapper, find_answers
 from .verdicts.bridge_cost import find_bridge_costs
+from .verdicts.cases import GroupRows
 from .verdicts.interference import find_head_of_line, find_interference
 from .verdicts.recommend import Recommendation, recommend_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.format.descriptions import Run
-
-    from .loading.campaign import Campaign
-    from .verdicts.cases import GroupRows
 
 _BATCH_FRAMES = ("intervals", "one_way", "breakdown", "responses", "freshness", "outages", "clock_knots")
 """Frames of batches that are details; others are for findings."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import polars as pl
 
 from dds_trace.base.errors import OutputError
+from dds_trace.tracefile.format.descriptions import Run
 
 from .analysis import Analysis
 from .cache.event_index import total_copies
@@ -18,11 +19,12 @@ from .engines.batches import groups_in_parts, plan_batches
 from .engines.cluster import ClusterEngine
 from .engines.local import Engine, LocalEngine
 from .engines.merge import merge_results
+from .engines.process import BatchOutput, BatchResult
 from .findings.evidence import Evidence
 from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
-from .loading.campaign import Paths, Place
+from .loading.campaign import Campaign, Paths, Place, Progress
 from .pairing.exchanges import Exchanges, find_exchanges
 from .pairing.parquet import write_summary
 from .pairing.provenance import provenance
@@ -30,16 +32,8 @@ from .pairing.rows import RowWriter
 from .saving.results import replacing_results
 from .topics.frames import find_topics
 from .verdicts.cases import UnbarredRows
+from .verdicts.job import Job
 from .verdicts.ranking import RankingOptions
-
-if TYPE_CHECKING:
-    import os
-
-    from dds_trace.tracefile.format.descriptions import Run
-
-    from .engines.process import BatchOutput, BatchResult
-    from .loading.campaign import Campaign, Progress
-    from .verdicts.job import Job
 
 Step = Callable[[str, float], None]
 

@@ -8,7 +8,7 @@ import textwrap
 from typing import TYPE_CHECKING, Annotated, Any
 
 from dds_trace.recorder.bridges.base import BRIDGE_MODULES, Bridge, BridgeOptions
-from dds_trace.recorder.choices import Side  # noqa: TC001 - typer reads the annotation
+from dds_trace.recorder.choices import Side
 
 from .program import run_program
 from .quick_help import Version, argument, command_app, declare_command, option, starting

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
 
 from rich.text import Text
 
@@ -13,16 +13,12 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
 from .book.answer import PointKind
+from .book.book import Book
 from .book.findings import severity_counts
 from .book.groups import data_type_label
 from .book.headline import COMPARED, MOST_NAMED, bridge_facts, by_outcome, fastest_words, size_span
 from .book.outcomes import answers_by_kind, outcome_of, places_alike, shown_case, stretches
 from .book.verdicts import contender_labels
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from .book.book import Book
 
 WIDTH = 80
 MOST_LINES = 18

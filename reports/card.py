@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import TypeAlias
 
+from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 from dds_trace.base.version import __version__
 
 from .book.answer import PointKind
+from .book.book import Book
 from .book.groups import data_type_label
 from .book.headline import winner_sentences
 from .book.outcomes import answers_by_kind, outcome_of, places_alike, shown_case
 from .book.verdicts import MODES, contender_labels, place_of
 from .html.styles import choice_styles
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from dds_trace.analyzer.verdicts.answers import CaseAnswer
-
-    from .book.book import Book
 
 WIDTH, HEIGHT, EDGE = 1200, 630, 56
 LABELS, TIMES = 440, 150

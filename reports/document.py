@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import polars as pl
 
@@ -12,10 +12,7 @@ from dds_trace.analyzer.analysis import DETAIL_FRAMES
 from dds_trace.analyzer.saving.records import to_json
 from dds_trace.base.files import replacing
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from .book.book import Book
+from .book.book import Book
 
 FILE_NAME = "report.json"
 FORMAT_VERSION = 1

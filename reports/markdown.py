@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 from dds_trace.base.files import replacing
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
+from .book.book import Book
 from .book.groups import (
     LATENCY_MEANING,
     METRIC_LABELS,
@@ -18,16 +20,10 @@ from .book.groups import (
     format_ratio,
     markdown,
 )
+from .book.numbers import Intervals, Values
 from .book.recommendation import COLUMNS
 from .book.sizes import HOW_TO_READ, SizeCell
 from .figures.bridge_cost import Cost, bridge_cost_info
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
-
-    from .book.book import Book
-    from .book.numbers import Intervals, Values
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from plotly.graph_objects import Figure, Scatter
 from plotly.subplots import make_subplots
@@ -11,15 +11,11 @@ from plotly.subplots import make_subplots
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import format_duration, format_rate, format_size
 
+from .book.book import Book
 from .book.groups import METRIC_LABELS, STATISTIC_LABELS, format_ratio
 from .figures import FIGURES, distribution
 from .figures.figure import Faceted, LeftOut, Line, LineFigure, panel_keys
 from .html.styles import Style, line_styles
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from .book.book import Book
 
 _PANEL_WIDTH, _PANEL_HEIGHT = 330, 280
 _POSITION_WIDTH = 24

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import math
 import textwrap
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from pathlib import Path
 
 from rich.console import Group, RenderableType
 from rich.padding import Padding
@@ -17,15 +18,10 @@ from dds_trace.base.printable import printable
 from dds_trace.base.streams import plain_console, without_commands
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
+from .book.book import Book
 from .book.groups import METRIC_LABELS, format_ratio
 from .book.sizes import HOW_TO_READ, SizeCell, Threshold
 from .brief import FAIL, OPEN, PASS, WIDTH, brief_lines
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from .book.book import Book
 
 _FACT_COLUMNS = 20
 SPARK_CELLS = 12

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from sys import getsizeof
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceFormatError
+from dds_trace.tracefile.format.events import EventColumns, Stage
 from dds_trace.tracefile.reading.reader import read_trace, read_trace_in_pieces
+from dds_trace.tracefile.reading.trace import Trace
 
 from .event_index import EventKey, EventPart, split_trace
 from .remote import local_copy
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-    from pathlib import Path
-
-    from dds_trace.tracefile.format.events import EventColumns, Stage
-    from dds_trace.tracefile.reading.trace import Trace
 
 
 @dataclass(frozen=True, slots=True, eq=False)

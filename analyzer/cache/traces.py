@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError, TraceFormatError
+from dds_trace.tracefile.format.events import EventColumns, Stage
+from dds_trace.tracefile.reading.trace import Trace
 
 from .entries import Fill, StoredParts, read_entry, store_parts, write_entry
 from .event_index import split_trace
 from .loaded import LoadedTrace, load_trace, loaded_or_error, read_in_pieces
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from dds_trace.tracefile.format.events import EventColumns, Stage
-    from dds_trace.tracefile.reading.trace import Trace
-
-    from .store import TraceCache
+from .store import TraceCache
 
 MOST_EVENTS_IN_MEMORY = 12_000_000
 """Events in memory, 56 bytes each; other traces wait in files."""

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from dds_trace.tracefile.format.descriptions import Run, Session
+from dds_trace.tracefile.format.descriptions import Run, Session
 
 _SAME_BOOT_S = 2
 """Largest difference of the wall clock at monotonic zero between two sessions of one boot: NTP slews it."""

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..groups.batch import WHOLE_GROUP_EVENTS, AnalysisOptions, Batch, Grouping
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..pairing.exchanges import Exchange
+from ..pairing.exchanges import Exchange
 
 BATCH_EVENTS = 1_000_000
 """Events of a batch, unless one group has more: a hundred megabytes. Smaller ones lose to polars' fixed times.

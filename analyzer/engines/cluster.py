@@ -7,27 +7,23 @@ is lost with a worker.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from dds_trace.base.errors import BackendUnavailableError, TraceFormatError
 from dds_trace.tracefile.format.events import EventColumns
 
+from ..cache.event_index import EventIndex, EventKey, EventPart
 from ..cache.loaded import LoadedTrace, load_trace
 from ..cache.remote import find_anywhere
-from ..loading.campaign import Campaign, Progress, campaign_of, skipped_source
+from ..groups.batch import Batch
+from ..loading.campaign import Campaign, Place, Progress, campaign_of, skipped_source
+from ..model.finding import Source
 from .batches import keep_freed_memory
 from .process import BatchOutput, process
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-
-    from ..cache.event_index import EventIndex, EventKey, EventPart
-    from ..groups.batch import Batch
-    from ..loading.campaign import Place
-    from ..model.finding import Source
 
 _TIMEOUT_S = 30
 

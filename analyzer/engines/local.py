@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from pathlib import Path
+from typing import Protocol, TypeVar
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.threads import in_turn
 
+from ..cache.event_index import EventIndex
+from ..cache.loaded import LoadedTrace
 from ..cache.store import TraceCache
 from ..cache.traces import TraceLoader
-from ..loading.campaign import Campaign, Progress, load_campaign
+from ..groups.batch import Batch
+from ..loading.campaign import Campaign, Place, Progress, load_campaign
 from .batches import is_large, keep_freed_memory
 from .process import BatchOutput, process
+from .processes import Workers
 from .result_cache import ResultCache
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-    from pathlib import Path
-
-    from ..cache.event_index import EventIndex
-    from ..cache.loaded import LoadedTrace
-    from ..groups.batch import Batch
-    from ..loading.campaign import Place
-    from .processes import Workers
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -7,26 +7,21 @@ A sketch merges log-linear histograms (`statistics/histogram.py`): a percentile 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
+from ..cache.event_index import Copies, EventKey
+from ..groups.batch import Grouping
 from ..groups.frames import Frames, concatenate_frames
 from ..groups.summary import Statistics, Summary, measure_groups, summarize_groups
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from numpy.typing import NDArray
-
-    from ..cache.event_index import Copies, EventKey
-    from ..groups.batch import Grouping
-    from .process import BatchResult
+from .process import BatchResult
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,12 +7,13 @@ compressed: packing and reading would take three times as long for a quarter of 
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
 import pyarrow as pa
@@ -20,12 +21,8 @@ import pyarrow as pa
 from dds_trace.base.errors import OutputError
 
 from ..model.metrics import METRICS, with_metrics
+from ..pairing.exchanges import Exchange
 from ..pairing.roundtrips import STAMP_NAMES, PairedRows, RoundTrips, bounds_of, describe, outcome_names
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from ..pairing.exchanges import Exchange
 
 _FORMULAS = {metric.column.name: metric.formula.alias(metric.column.name) for metric in METRICS.values()}
 

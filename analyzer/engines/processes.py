@@ -12,29 +12,25 @@ import signal
 import sys
 import tempfile
 import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from dds_trace.base.errors import TraceError, TraceFormatError
 
+from ..cache.event_index import EventKey, EventPart
 from ..cache.loaded import LoadedTrace, loaded_or_error
 from ..cache.store import TraceCache
 from ..cache.traces import TraceLoader
+from ..groups.batch import Batch
 from .batches import keep_freed_memory
 from .gc_tuning import tune_gc
 from .process import BatchOutput, process
 from .result_cache import ResultCache
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from ..cache.event_index import EventKey, EventPart
-    from ..groups.batch import Batch
-
 
 Stored = tuple[str, LoadedTrace | TraceFormatError]
 """Key in the cache or "", and the trace, or why the file is not one."""

@@ -13,31 +13,26 @@ from __future__ import annotations
 import io
 import json
 import platform
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import polars as pl
 import pyarrow as pa
 
 import dds_trace.tracefile
 from dds_trace.base.version import __version__
+from dds_trace.tracefile.format.descriptions import Run, Session
 
+from ..cache.event_index import EventKey, EventPart
 from ..cache.store import SEAL_BYTES, TraceCache
+from ..groups.batch import Batch
+from ..groups.frames import Frames
+from ..pairing.roundtrips import RoundTrips
 from .packed_rows import PackedRows, pack_rows
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from collections.abc import Set as AbstractSet
-
-    from dds_trace.tracefile.format.descriptions import Run, Session
-
-    from ..cache.event_index import EventKey, EventPart
-    from ..groups.batch import Batch
-    from ..groups.frames import Frames
-    from ..pairing.roundtrips import RoundTrips
 
 MOST_BYTES = 64 << 20
 

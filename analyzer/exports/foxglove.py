@@ -7,11 +7,12 @@ message is its sending on the ping's wall clock; plus `outbound_ms` it is the re
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -25,12 +26,7 @@ from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.encoding import CDR_HEADER
 
 from ..model.metrics import METRICS
-
-if TYPE_CHECKING:
-    import os
-    from collections.abc import Mapping, Sequence
-
-    from ..model.parameters import ParameterValue
+from ..model.parameters import ParameterValue
 
 SCHEMA_NAME = "dds_trace_msgs/msg/MessageLatency"
 _FIRST = ("latency", "rtt", "response", "intermediate")

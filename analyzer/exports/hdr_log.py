@@ -9,23 +9,18 @@ import base64
 import re
 import struct
 import zlib
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from dds_trace.base.version import __version__
 
+from ..analysis import Analysis
 from ..model.metrics import TOPIC_METRICS
 from ..model.names import name_groups
 from ..statistics.histogram import histogram_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
-
-    from ..analysis import Analysis
 
 FILE_NAME = "latency.hlog"
 

@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import polars as pl
 import pyarrow.parquet as pq
@@ -16,11 +15,9 @@ from polars import selectors
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import replacing
 
+from ..analysis import Analysis
 from ..pairing.parquet import summary_table
 from . import hdr_log, openmetrics, perfetto
-
-if TYPE_CHECKING:
-    from ..analysis import Analysis
 
 _FORMULA = r"^([=+\-@\t\r]|::)"
 _HIDDEN = r"[\p{Cc}\p{Cf}\p{Co}\p{Zl}\p{Zp}]"

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
+from ..analysis import Analysis
 from ..model.metrics import METRICS, TOPIC_METRICS
 from ..model.parameters import PARAMETER_NAMES
 from ..statistics.percentiles import PERCENTILES
-
-if TYPE_CHECKING:
-    from ..analysis import Analysis
-
 
 Rows = Sequence[Mapping[str, object]]
 

@@ -7,21 +7,18 @@ clock of the first device, the others' by the fits of their clocks.
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
 from dds_trace.base.printable import printable
 
+from ..analysis import Analysis
 from ..clocks.boots import ping_wall_offsets
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from ..analysis import Analysis
-    from ..clocks.fit import Int64
+from ..clocks.fit import Int64
 
 FILE_NAME = "timeline.pftrace"
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.applied import (
     interface_bytes,
@@ -18,11 +19,6 @@ from ..model.applied import (
 )
 from ..model.finding import Severity, Subject
 from .evidence import SMALLER_DATAGRAMS, Evidence, Observation, check
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from dds_trace.tracefile.format.descriptions import Session
 
 
 @check(

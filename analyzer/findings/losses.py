@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import polars as pl
 
 from dds_trace.base.units import counted, format_duration
 
 from ..model.finding import Severity, Subject
+from ..pairing.exchanges import Exchange
 from ..pairing.pair import Outcome
 from .evidence import Evidence, Observation, check, exchange_name, percent
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from ..pairing.exchanges import Exchange
 
 _LOST = {
     Outcome.LOST_OUTBOUND.value: "on the way out",

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
 
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
+from ..pairing.exchanges import Exchange, Unplaced
 from .evidence import Evidence, Observation, check, exchange_name, percent, some
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from dds_trace.tracefile.format.descriptions import Session
-
-    from ..pairing.exchanges import Exchange, Unplaced
 
 
 @check(

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted, format_duration
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..loading.campaign import part_of
 from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Severity, Subject
 from .evidence import Evidence, Observation, check, some
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from dds_trace.tracefile.format.descriptions import Session
 
 
 @check(

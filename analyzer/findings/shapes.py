@@ -7,26 +7,20 @@ A result is reported if at least half of its runs show the same: with the false 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import polars as pl
 
 from dds_trace.base.units import counted, format_duration, format_size
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.applied import SHARED_MEMORY, UNKNOWN, maps_memory, payload_path, udp_receive_buffer_bytes
 from ..model.finding import Severity, Subject
 from ..model.parameters import SIZE_LINE_COLUMNS, ParameterValue
 from ..statistics.intervals import MIN_RUNS
-from .evidence import check
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from dds_trace.tracefile.format.descriptions import Session
-
-    from .evidence import Evidence, Observation
-
+from .evidence import Evidence, Observation, check
 
 _HALF = 2
 """A result is reported if one in this many of its runs, or more, show the same."""

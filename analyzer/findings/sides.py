@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
 from ..model.parameters import CASE_COLUMNS
+from ..pairing.exchanges import Exchange
 from ..pairing.flows import Overlap, find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
 from ..verdicts.interference import flows_of
 from .evidence import Evidence, Observation, check, percent, some
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from dds_trace.tracefile.format.descriptions import Session
-
-    from ..pairing.exchanges import Exchange
 
 
 @check(

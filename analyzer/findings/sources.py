@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from dds_trace.base.units import counted
+from dds_trace.tracefile.reading.trace import Trace
 
 from ..model.finding import Severity, Subject
 from .evidence import Evidence, Observation, check, some
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from dds_trace.tracefile.reading.trace import Trace
 
 
 @check(

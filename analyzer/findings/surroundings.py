@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration, three_digits
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.finding import Severity, Subject
 from ..model.foreign import number_of, object_of
-from .evidence import check
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from dds_trace.tracefile.format.descriptions import Session
-
-    from .evidence import Evidence, Observation
+from .evidence import Evidence, Observation, check
 
 _LEAST_BUSY = {"cpu": 0.5, "memory": 0.3, "network": 0.01}
 """Processors that a load uses at least where it is the one that was requested."""

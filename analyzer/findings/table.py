@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from ..model.finding import Finding, Severity
 from . import (
@@ -23,9 +22,7 @@ from . import (
     surroundings,
     wire,
 )
-
-if TYPE_CHECKING:
-    from .evidence import Check, Evidence
+from .evidence import Check, Evidence
 
 CHECKS: tuple[Check, ...] = (
     applied.settings_not_applied,

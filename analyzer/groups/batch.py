@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
+from ..cache.event_index import EventKey
 from ..model.applied import words_not_applied
 from ..model.metrics import METRICS, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, Parameters
+from ..pairing.exchanges import Exchange
+from ..pairing.roundtrips import PairedRows
+from ..verdicts.job import Job
 from ..verdicts.ranking import RankingOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from ..cache.event_index import EventKey
-    from ..pairing.exchanges import Exchange
-    from ..pairing.roundtrips import PairedRows
-    from ..verdicts.job import Job
-
 
 DEADLINE_METRIC = "response"
 """Default metric of a deadline: what a user with a schedule waits for."""

@@ -11,8 +11,8 @@ it is received (`received <= T3`), nor stamped before it is handed over (`source
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -21,16 +21,11 @@ from numpy.typing import NDArray
 from dds_trace.tracefile.format.events import Stage
 
 from ..model.metrics import frame_schema
+from ..pairing.exchanges import Exchange
 from ..pairing.pair import MISSING, chosen_of
 from ..pairing.roundtrips import MIDDLEWARE_STAMPS, RECEPTION_STAMPS, PairedRows, RoundTrips
 from ..statistics.percentiles import minimum_messages, quantile_of
 from .batch import Batch, exchanges_by_group, filled, is_present
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from ..pairing.exchanges import Exchange
-
 
 Int64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -11,13 +12,8 @@ from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
 from ..pairing.pair import LOSSES, OUTCOMES, Outcome, chosen_of
+from ..pairing.roundtrips import RoundTrips
 from .batch import Batch, filled, first_known, is_present
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from ..pairing.roundtrips import RoundTrips
-
 
 Int64 = NDArray[np.int64]
 Bools = NDArray[np.bool_]

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
 
 import polars as pl
 
+from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.reading.trace import Trace
+
 from ..model.foreign import number_of, object_of
 from ..model.metrics import frame_schema
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from dds_trace.tracefile.format.descriptions import Session
-    from dds_trace.tracefile.reading.trace import Trace
 
 MOST_OF_SESSION = 2000
 """Most samples of a session; of more, those with the busiest processor of each stretch."""

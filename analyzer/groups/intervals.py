@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ..model.metrics import METRICS, frame_schema
+from ..pairing.roundtrips import PairedRows
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.runs import Runs, SendTimes, Statistic
-from ..run_statistics.spread import SMALL_GROUP, spreads_of_groups
+from ..run_statistics.spread import SMALL_GROUP, Spread, spreads_of_groups
 from ..statistics.intervals import Basis, Interval
 from ..statistics.percentiles import PERCENTILES, quantile_of, summarize_values
 from .batch import Batch, columns_by_group, is_present, present, runs_by_group
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from ..pairing.roundtrips import PairedRows
-    from ..run_statistics.spread import Spread
 
 INTERVAL_SCHEMA = frame_schema(
     "group:u32 metric:str percentile:str quantile:f64 estimate_ns:f64 low_ns:f64 high_ns:f64 method:str "

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypedDict
+from collections.abc import Iterable, Mapping
+from typing import TypedDict
 
 import polars as pl
 
 from dds_trace.base.limits import STORED_TIME_NS
+from dds_trace.tracefile.reading.trace import Trace
 
 from ..model.foreign import number_of, object_of
 from ..model.metrics import frame_schema
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from dds_trace.tracefile.reading.trace import Trace
-
-    from ..pairing.rows import RowStore
-    from .batch import Grouping
+from ..pairing.rows import RowStore
+from .batch import Grouping
 
 RECOVERY_SCHEMA = frame_schema(
     "group:u32 run_id:u64 by:str began_ns:i64 ended_ns:i64 outage_ns:i64 limit_ns:i64 never:bool out_ns:i64 back_ns:i64 "

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
+from ..pairing.roundtrips import RoundTrips
 from ..statistics.percentiles import quantile_of
 from .batch import Batch, filled, is_present
-
-if TYPE_CHECKING:
-    from ..pairing.roundtrips import RoundTrips
-
 
 Int64 = NDArray[np.int64]
 

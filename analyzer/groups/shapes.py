@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
+from ..pairing.exchanges import Exchange
 from ..pairing.pair import chosen_of
+from ..pairing.roundtrips import RoundTrips
 from ..run_statistics.bursts import share_inflation
 from ..run_statistics.modes import find_modes, find_trend, find_warm_up
 from ..statistics.percentiles import quantile_of
 from .batch import Batch, filled
-
-if TYPE_CHECKING:
-    from ..pairing.exchanges import Exchange
-    from ..pairing.roundtrips import RoundTrips
-
 
 Int64 = NDArray[np.int64]
 

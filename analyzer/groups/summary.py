@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.columns import STATISTICS, SUMMARY_COLUMNS
 from ..model.foreign import number_of, object_of
 from ..model.metrics import METRICS
 from ..model.unsent import MOST_MESSAGES
 from ..pairing.pair import LOSSES
+from ..pairing.roundtrips import PairedRows
 from ..statistics.histogram import Histogram, histogram_of
 from ..statistics.percentiles import summarize_values
 from .batch import Grouping, present
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.format.descriptions import Session
-
-    from ..pairing.roundtrips import PairedRows
-
 
 _STATISTICS_SCHEMA: dict[str, type[pl.DataType]] = {
     "group": pl.UInt32,

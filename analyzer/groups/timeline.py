@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
 from ..pairing.pair import OUTCOMES, Outcome
+from ..pairing.roundtrips import RoundTrips
 from .batch import Batch, filled, first_known, present
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from ..pairing.roundtrips import RoundTrips
-
 
 ROWS_AT_ONCE = 4_000_000
 

@@ -6,27 +6,23 @@ Counts are in the ping's runs and in the relay's trace; records of messages, of 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
+from dds_trace.tracefile.format.descriptions import Run
+from dds_trace.tracefile.format.json_fields import Json, JsonObject
 from dds_trace.tracefile.format.wire import MESSAGE_ROW, Direction, rows_of_text
+from dds_trace.tracefile.reading.trace import Trace
 
 from ..model.foreign import number_of, object_of, objects_of
 from ..model.metrics import frame_schema
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from dds_trace.tracefile.format.descriptions import Run
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
-    from dds_trace.tracefile.reading.trace import Trace
-
-    from ..pairing.rows import RowStore
-    from .batch import Grouping
+from ..pairing.rows import RowStore
+from .batch import Grouping
 
 WIRE_SCHEMA = frame_schema(
     "group:u32 runs:u32 complete:bool kernel_drops:u64 total_bytes:u64 payload_bytes:u64 "

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+
+from dds_trace.tracefile.format.descriptions import Session
 
 from .foreign import object_of, objects_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from dds_trace.tracefile.format.descriptions import Session
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 """Values of `payload_path` that are no interfaces."""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import JsonObject
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 
 def object_of(value: object) -> JsonObject:

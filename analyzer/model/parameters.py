@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from enum import Enum, auto
-from typing import TYPE_CHECKING, Annotated, get_args, get_type_hints
+from typing import Annotated, get_args, get_type_hints
 
 import polars as pl
 
+from dds_trace.tracefile.format.descriptions import Run, Session
+
 from .metrics import Column
 from .setting import setting_of
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Run, Session
-
 
 ParameterValue = str | int | float | None
 

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
+from dds_trace.tracefile.format.descriptions import Run as RunDescription
+
+from ..run_statistics.change import Passes
 from ..run_statistics.runs import Run
 from .unsent import UNSENT
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.format.descriptions import Run as RunDescription
-
-    from ..run_statistics.change import Passes
 
 PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
 """Label of a run with the number of its pass of the sweep."""

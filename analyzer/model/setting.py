@@ -6,14 +6,11 @@ They are in `settings` of sessions and runs; in older traces in `host.middleware
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Iterator, Mapping
 from urllib.parse import unquote
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
-
-    from dds_trace.tracefile.format.descriptions import Run, Session
-    from dds_trace.tracefile.format.json_fields import Json, JsonObject
+from dds_trace.tracefile.format.descriptions import Run, Session
+from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 FLOW, WITH, FLOWS = "flow", "with", "flows"
 """A run's flow, the flows of its plan that ran with it (joined by +), and the number of runs of its machine."""

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import MissingEventsError
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import Stage
 
 from ..cache.event_index import Copies, EventIndex, EventKey, EventPart, merge_parts
 from ..clocks.boots import machine_of, session_of_run
+from ..loading.campaign import Campaign
 from ..model.environment import environment_of
+from ..model.finding import Source
 from ..model.parameters import Parameters, parameters_of
 from .flows import RunSpan, count_flows
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from dds_trace.tracefile.format.descriptions import Run, Session
-
-    from ..loading.campaign import Campaign
-    from ..model.finding import Source
-
 
 Parts = tuple[EventPart, ...]
 """The traces that have events of one stage, run and relay."""

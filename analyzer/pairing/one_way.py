@@ -6,23 +6,18 @@ devices takes the knots of all runs as messages.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ..clocks.boots import boot_id_of, share_boot
 from ..clocks.fit import ClockFit, RelayedMessages, fit_clocks
 from ..clocks.slews import Slew, Stretch, find_slews, is_bent
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from .exchanges import Exchange
-
+from .exchanges import Exchange
 
 _PAIR = ("ping_device", "relay_device", "boot", "relay_boot")
 

@@ -9,15 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.format.events import EventColumns
-
+from dds_trace.tracefile.format.events import EventColumns
 
 MISSING = np.iinfo(np.int64).min
 """A missing stamp in int64 arrays, null in frames."""

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import replacing
 
 from ..model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
+from ..model.metrics import Column
 from .pair import OUTCOMES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from ..model.metrics import Column
-    from .roundtrips import PairedRows
+from .roundtrips import PairedRows
 
 _ROWS_PER_PAGE = 1 << 15
 

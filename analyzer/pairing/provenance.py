@@ -6,7 +6,8 @@ The keys are part of the contract (`docs/trace-format.md`). Equal input gives eq
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -14,14 +15,9 @@ import pyarrow.parquet as pq
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.json_fields import FORMAT_VERSION
 
+from ..loading.campaign import Campaign
+from .exchanges import Exchanges
 from .utc import is_synchronized, utc_text
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from ..loading.campaign import Campaign
-    from .exchanges import Exchanges
 
 MOST_NAMED = 1000
 """Traces and sessions that are listed: a reader loads all of it with the schema."""

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Run
+from dds_trace.tracefile.format.events import EventColumns
 
 from ..model.unsent import MOST_MESSAGES
 from .pair import MISSING, Published, first_replies
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.format.descriptions import Run
-    from dds_trace.tracefile.format.events import EventColumns
-
 
 _PATIENCE_NS = 2 * SECOND_NS
 """Time that a reply may take in a run without any: a ping's wait at its end."""

@@ -6,22 +6,17 @@ wrong as the device's clock was then.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
+
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.columns import UTC_COLUMNS
+from .exchanges import Exchange
 from .pair import MISSING
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from dds_trace.tracefile.format.descriptions import Session
-
-    from .exchanges import Exchange
 
 _SANE_NS = 1 << 61
 """Instants and offsets beyond (73 years) are damaged; the sum of two others fits into an int64."""

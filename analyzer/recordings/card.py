@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from array import array
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from operator import itemgetter
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dds_trace.base.units import counted
+from dds_trace.tracefile.recordings.recorded import Condition
 from dds_trace.tracefile.recordings.recording_files import copied_messages
 
 from .clocks import DAY_NS, apart, is_simulated, of_one_clock, set_back, stamp_jumps
-from .losses import LOST_TYPE, NONE, Losses, TopicTimes, arrival_jitter_ns, lost_by_recorder
+from .losses import LOST_TYPE, NONE, Losses, TopicTimes, arrival_jitter_ns
+from .messages import TopicMessages
+from .periods import Hole, Int64
 from .rows import Row, ages, qos_words, sizes, timing
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from dds_trace.tracefile.recordings.recorded import Condition
-
-    from .messages import RecordedMessage, Topic
-    from .periods import Hole, Int64
 
 OTHER_CLOCK_NS = DAY_NS
 """Median age from which on stamps are of another clock (a simulation's, or of another day)."""
@@ -58,72 +52,12 @@ class RecordingHealth:
     pauses: tuple[tuple[float, float], ...] = ()
 
 
-@dataclass(slots=True)
-class TopicMessages:
-    """The messages of one topic while a recording is read: 64 bytes each; `bound_ns` is of stamps on the recorder's clock."""
-
-    topic: Topic
-    log_ns: array[int] = field(default_factory=lambda: array("q"))
-    publish_ns: array[int] = field(default_factory=lambda: array("q"))
-    stamp_ns: array[int] = field(default_factory=lambda: array("q"))
-    payload_bytes: array[int] = field(default_factory=lambda: array("q"))
-    content: array[int] = field(default_factory=lambda: array("q"))
-    sequence: array[int] = field(default_factory=lambda: array("q"))
-    publisher: array[int] = field(default_factory=lambda: array("q"))
-    frame: array[int] = field(default_factory=lambda: array("q"))
-    lost: dict[str, tuple[int, int]] = field(default_factory=dict)
-    bound_ns: int | None = None
-
-    def add(self, message: RecordedMessage) -> None:
-        """Append a message."""
-        self.log_ns.append(message.log_ns)
-        self.publish_ns.append(NONE if message.publish_ns is None else message.publish_ns)
-        self.stamp_ns.append(NONE if message.stamp_ns is None else message.stamp_ns)
-        self.payload_bytes.append(message.payload_bytes)
-        self.content.append(message.content)
-        self.sequence.append(NONE if message.sequence is None else message.sequence)
-        self.publisher.append(message.publisher)
-        self.frame.append(message.frame)
-        if self.topic.message_type == LOST_TYPE:
-            for topic, transport, recorder in lost_by_recorder(message.data):
-                before = self.lost.get(topic, (0, 0))
-                self.lost[topic] = before[0] + transport, before[1] + recorder
-
-    @property
-    def copies(self) -> int:
-        """Messages whose log time and content another one has."""
-        keys = np.array([self.log_ns, self.content])
-        keys = keys[:, np.lexsort(keys)]
-        return int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
-
-    def times(self, first_ns: int, last_ns: int, lost: tuple[int, int] | None) -> TopicTimes:
-        """Return the messages of the recording's clock by log time, all of them if none is."""
-        log_ns = np.frombuffer(self.log_ns, np.int64)
-        order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
-        inside = order[(log_ns[order] >= first_ns) & (log_ns[order] <= last_ns)]
-        order = inside if len(inside) else order
-        columns = (
-            self.log_ns,
-            self.publish_ns,
-            self.stamp_ns,
-            self.payload_bytes,
-            self.sequence,
-            self.publisher,
-            self.frame,
-        )
-        log, publish, stamp, payload, sequence, publisher, frame = (
-            np.frombuffer(column, np.int64)[order] for column in columns
-        )
-        is_ros1 = self.topic.encoding == "ros1"
-        return TopicTimes(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, lost)
-
-
 class Card:
     """Everything that is found in one recording."""
 
     def __init__(self, path: str, columns: Sequence[TopicMessages], condition: Condition) -> None:
         self._path, self._notes = path, [*condition.notes]
-        logged = np.sort(np.concatenate([np.frombuffer(topic.log_ns, np.int64) for topic in columns]))
+        logged = np.sort(np.concatenate([topic.column("log_ns") for topic in columns]))
         logged = self._of_one_clock(logged)
         self._start_ns, self._end_ns = int(logged[0]), int(logged[-1])
         lost = {name: counts for topic in columns for name, counts in topic.lost.items()}
@@ -154,7 +88,7 @@ class Card:
             DAMAGED if condition.damages else HOLES if has_holes else WHOLE,
             self._start_ns,
             duration_ns,
-            sum(len(topic.log_ns) for topic in columns),
+            sum(len(topic) for topic in columns),
             len(condition.chunks),
             1 - paused_ns / duration_ns if duration_ns else 1.0,
             tuple(condition.damages),
@@ -179,7 +113,7 @@ class Card:
         for topic, topic_times, found in zip(columns, times, losses, strict=True):
             name, stamped = topic.topic.name, topic_times.stamp_ns != NONE
             self._notes += copied_messages(name, topic.copies)
-            self._notes += set_back(name, np.frombuffer(topic.log_ns, np.int64))
+            self._notes += set_back(name, topic.column("log_ns"))
             if found.clock_steps:
                 steps = counted(found.clock_steps, "time")
                 self._notes.append(
@@ -194,17 +128,14 @@ class Card:
 
     def _add(self, topic: TopicMessages, times: TopicTimes, losses: Losses, pauses: Sequence[tuple[int, int]]) -> None:
         regularity, about = losses.regularity, topic.topic
-        inside = [
-            any(hole.start_ns < end and start < hole.start_ns + hole.duration_ns for start, end in pauses)
-            for hole in losses.holes
-        ]
+        inside = [any(_overlap(hole, *pause) for pause in pauses) for hole in losses.holes]
         transport, recorder = times.lost or (None, None)
         row: Row = {
             "recording": self._path,
             "topic": about.name,
             "message_type": about.message_type,
             "encoding": about.encoding,
-            "messages": len(topic.log_ns),
+            "messages": len(topic),
             **timing(times.log_ns),
             "jitter_ns": arrival_jitter_ns(times.log_ns, regularity),
             **sizes(times.payload_bytes, int(times.log_ns[-1] - times.log_ns[0])),

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
 
 from dds_trace.base.units import counted, format_duration
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .periods import Int64
+from .periods import Int64
 
 DAY_NS = 86_400 * 10**9
 _APART_NS = 30 * DAY_NS

@@ -1,62 +1,31 @@
-"""Messages of any recording (rosbag1, rosbag2, MCAP): topic, times, size and header stamp."""
+"""Messages of any recording (rosbag1, rosbag2, MCAP) by topic: times, size and header stamp."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
-from functools import cache
+from array import array
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
+import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.base.errors import MissingEventsError
 from dds_trace.tracefile.format.bag_metadata import METADATA_NAME
 from dds_trace.tracefile.format.header_stamps import parse_definition, plain_name, stamp_reader
-from dds_trace.tracefile.recordings.read import read_messages
-from dds_trace.tracefile.recordings.recorded import Condition, RecordedTopic
+from dds_trace.tracefile.recordings.recorded import RawMessage, RecordedTopic
 from dds_trace.tracefile.recordings.recording_files import content_hash
+
+from .losses import LOST_TYPE, NONE, TopicTimes, lost_by_recorder
+from .periods import Int64
 
 _LONGEST_FRAME_BYTES = 256
 
 _TEXTS = ("ros1msg", "ros2msg")
 
 _SUFFIXES = (".mcap", ".bag", ".bag.active", ".db3", ".mcap.zstd", ".db3.zstd")
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """A topic of a recording.
-
-    `message_type` is empty if unknown; a topic `has_stamp` if its messages have a header, at any depth, or start with a time; `qos` as recorded.
-    """
-
-    name: str
-    message_type: str
-    encoding: str
-    has_stamp: bool
-    qos: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedMessage:
-    """One message; times in ns since 1970, or since boot if the recording has such times; None for one it lacks.
-
-    Messages of unlike `content` are not copies of each other. Publishers of one topic differ by `publisher` (rosbag1) or by the `frame`
-    of their headers, where they do.
-    """
-
-    topic: Topic
-    log_ns: int
-    publish_ns: int | None
-    stamp_ns: int | None
-    payload_bytes: int
-    content: int
-    sequence: int | None
-    publisher: int
-    frame: int
-    data: bytes
 
 
 def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:
@@ -88,52 +57,78 @@ def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.P
     return sorted(recordings)
 
 
-def iter_messages(path: Path, condition: Condition | None = None) -> Iterator[RecordedMessage]:
-    """Yield the messages of one recording, file by file; what was found broken is added to `condition`.
+_COLUMNS = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "publisher", "frame", "content")
 
-    Raises:
-        TraceFormatError: the path is not a recording, or its reading ends early; messages before that were yielded.
+
+@dataclass(slots=True)
+class TopicMessages:
+    """The messages of one topic while a recording is read: 64 bytes each; `bound_ns` is of stamps on the recorder's clock.
+
+    Publishers of one topic differ by `publisher` (rosbag1) or by the `frame` of their headers, where they do; messages of unlike
+    `content` are not copies of each other.
     """
-    readers: dict[RecordedTopic, _Readers] = {}
-    for raw in read_messages(path, Condition() if condition is None else condition):
-        if raw.topic not in readers:
-            readers[raw.topic] = _readers_of(raw.topic)
-        topic, stamp, begins_with_header = readers[raw.topic]
-        data = raw.data
-        stamp_ns, frame, sequence = stamp(data) if stamp else None, 0, raw.sequence
-        if begins_with_header:
-            frame = hash(_frame(data))
-            if topic.encoding == "ros1":
-                sequence = int.from_bytes(data[:4], "little")
-        yield RecordedMessage(
-            topic,
-            raw.log_ns,
-            raw.publish_ns,
-            stamp_ns,
+
+    topic: RecordedTopic
+    columns: dict[str, array[int]] = field(default_factory=lambda: {name: array("q") for name in _COLUMNS})
+    lost: dict[str, tuple[int, int]] = field(default_factory=dict)
+    bound_ns: int | None = None
+
+    def __len__(self) -> int:
+        return len(self.columns["log_ns"])
+
+    def add(self, message: RawMessage) -> None:
+        """Append a message."""
+        stamp, begins_with_header = _readers_of(message.topic)
+        data, sequence = message.data, message.sequence
+        if begins_with_header and message.topic.encoding == "ros1":
+            sequence = int.from_bytes(data[:4], "little")
+        values = (
+            message.log_ns,
+            message.publish_ns,
+            stamp(data) if stamp else None,
             len(data),
-            content_hash(data),
             sequence,
-            hash(raw.topic.publisher),
-            frame,
-            data,
+            hash(message.topic.publisher),
+            hash(_frame(data)) if begins_with_header else 0,
+            content_hash(data),
         )
+        for column, value in zip(self.columns.values(), values, strict=True):
+            column.append(NONE if value is None else value)
+        if self.topic.message_type == LOST_TYPE:
+            for topic, transport, recorder in lost_by_recorder(data):
+                before = self.lost.get(topic, (0, 0))
+                self.lost[topic] = before[0] + transport, before[1] + recorder
+
+    def column(self, name: str) -> Int64:
+        """Return a column in stored order; `NONE` for a value that a message lacks."""
+        return np.frombuffer(self.columns[name], np.int64)
+
+    @property
+    def copies(self) -> int:
+        """Messages whose log time and content another one has."""
+        keys = np.array([self.columns["log_ns"], self.columns["content"]])
+        keys = keys[:, np.lexsort(keys)]
+        return int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
+
+    def times(self, first_ns: int, last_ns: int, lost: tuple[int, int] | None) -> TopicTimes:
+        """Return the messages of the recording's clock by log time, all of them if none is."""
+        log_ns = self.column("log_ns")
+        order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
+        inside = order[(log_ns[order] >= first_ns) & (log_ns[order] <= last_ns)]
+        order = inside if len(inside) else order
+        log, publish, stamp, payload, sequence, publisher, frame = (self.column(name)[order] for name in _COLUMNS[:-1])
+        is_ros1 = self.topic.encoding == "ros1"
+        return TopicTimes(log, publish, stamp, payload, sequence, publisher, frame, is_ros1, lost)
 
 
-class _Readers(NamedTuple):
-    """A topic, how its stamp is read, and whether its messages begin with a header."""
-
-    topic: Topic
-    stamp: Callable[[bytes], int | None] | None
-    begins_with_header: bool
-
-
-def _readers_of(topic: RecordedTopic) -> _Readers:
+@lru_cache(maxsize=10_000)
+def _readers_of(topic: RecordedTopic) -> tuple[Callable[[bytes], int | None] | None, bool]:
+    """Return how a topic's stamp is read, and whether its messages begin with a header."""
     definition = topic.definition if topic.definition_encoding in _TEXTS else ""
     definition = definition or _definition_of(topic.message_type)
     stamp = stamp_reader(topic.message_type, definition, topic.encoding)
     fields = parse_definition(topic.message_type, definition)[plain_name(topic.message_type)]
-    begins = stamp is not None and fields[0].type == "std_msgs/Header" and fields[0].length is None
-    return _Readers(Topic(topic.name, topic.message_type, topic.encoding, stamp is not None, topic.qos), stamp, begins)
+    return stamp, stamp is not None and fields[0].type == "std_msgs/Header" and fields[0].length is None
 
 
 def _frame(data: bytes) -> bytes:

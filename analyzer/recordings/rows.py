@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..model.metrics import frame_schema
 from .losses import NONE
-
-if TYPE_CHECKING:
-    from .periods import Int64
-
+from .periods import Int64
 
 Row = dict[str, str | int | float | None]
 """Column of `TOPIC_SCHEMA` -> value; a column that is missing is null."""

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import os
 from array import array
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from pathlib import Path
+from typing import Protocol
 
-import numpy as np
 import polars as pl
 
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
+from dds_trace.tracefile.recordings.read import read_messages
 from dds_trace.tracefile.recordings.recorded import Condition
 
 from ..model.finding import Source
-from .card import DAMAGED, HOLES, STRIP_PARTS, WHOLE, Card, RecordingHealth, TopicMessages
+from .card import DAMAGED, HOLES, STRIP_PARTS, WHOLE, Card, RecordingHealth
 from .losses import NONE
-from .messages import find_recordings, iter_messages
+from .messages import TopicMessages, find_recordings
+from .periods import Int64
 from .rows import GAP_PERIODS, HOLE_SCHEMA, TOPIC_SCHEMA, Row
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-    from pathlib import Path
-
-    from .periods import Int64
 
 _MOST_NOTES = 10
 
@@ -70,16 +67,16 @@ def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[
     """Replace the stamps of topics by corrected ones; return notes."""
     times = {}
     for topic in columns:
-        log_ns, stamp_ns = (np.frombuffer(column, np.int64) for column in (topic.log_ns, topic.stamp_ns))
+        log_ns, stamp_ns = topic.column("log_ns"), topic.column("stamp_ns")
         has_stamp = stamp_ns != NONE
         times[topic.topic.name] = log_ns[has_stamp], stamp_ns[has_stamp]
     corrected, notes = clock.corrections(times)
     for topic in columns:
         if topic.topic.name in corrected:
             placed_ns, bound_ns = corrected[topic.topic.name]
-            stamp_ns = np.array(topic.stamp_ns)
+            stamp_ns = topic.column("stamp_ns").copy()
             stamp_ns[stamp_ns != NONE] = placed_ns
-            topic.stamp_ns = array("q", stamp_ns.tobytes())
+            topic.columns["stamp_ns"] = array("q", stamp_ns.tobytes())
             topic.bound_ns = int(bound_ns.max())
     return notes
 
@@ -113,7 +110,7 @@ def analyze_topics(
             progress(recording)
         condition, columns, failure = Condition(), dict[tuple[str, str, str], TopicMessages](), ""
         try:
-            for message in iter_messages(recording, condition):
+            for message in read_messages(recording, condition):
                 topic = message.topic
                 key = topic.name, topic.message_type, topic.encoding
                 if key not in columns:
@@ -137,7 +134,7 @@ def analyze_topics(
         detail = "; ".join(said[:_MOST_NOTES])
         if len(said) > _MOST_NOTES:
             detail += f"; and {len(said) - _MOST_NOTES} more"
-        sources.append(Source(str(recording), status, detail, sum(len(topic.log_ns) for topic in columns.values())))
+        sources.append(Source(str(recording), status, detail, sum(map(len, columns.values()))))
     if not any(source.status != "skipped" for source in sources):
         reasons = "; ".join(f"{source.path}: {source.detail}" for source in sources[:3])
         raise MissingEventsError(

@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,11 +18,8 @@ from ..statistics.distributions import shift_for_power, student_quantile
 from ..statistics.intervals import Basis, Interval
 from ..statistics.power import POWER, smallest_shift
 from .between_runs import Estimate, Scale, Units, estimates_of_runs, scale_of
+from .runs import Run, Runs, Statistic, Values
 from .two_samples import Ends, StudentTest, fieller_ends, mover_ends, paired_test, permutation_p_value, welch_test
-
-if TYPE_CHECKING:
-    from .runs import Run, Runs, Statistic, Values
-
 
 Passes = tuple[Sequence[int], Sequence[int]]
 """For each run of the base and of the new side the repeat of the sweep it was measured in."""

@@ -9,15 +9,12 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..statistics.distributions import student_quantile
 from ..statistics.intervals import MIN_RUNS, mean_and_variance
-
-if TYPE_CHECKING:
-    from .runs import Float64, Runs
+from .runs import Float64, Runs
 
 _NORMAL = NormalDist()
 _LEVELS, _SPREADS, _BINS = 25, 25, 128

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,11 +12,9 @@ from ..statistics.intervals import Interval, mean_and_variance
 from ..statistics.power import runs_to_decide
 from .between_runs import Scale, scale_of
 from .bursts import COSINES, long_run_variance
+from .change import Change
 from .runs import Float64, Run, Runs, Statistic, quantiles_at
 from .tails import inflations_of
-
-if TYPE_CHECKING:
-    from .change import Change
 
 
 @dataclass(frozen=True, slots=True)

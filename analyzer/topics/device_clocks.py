@@ -6,27 +6,22 @@
 from __future__ import annotations
 
 from collections import defaultdict, deque
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
 
 from dds_trace.base.errors import OptionError
+from dds_trace.tracefile.format.descriptions import Run, Session
 
 from ..clocks.boots import boot_id_of, session_of_run
 from ..clocks.fit import Int64, RelayedMessages
 from ..clocks.track import UNKNOWN_NS, ClockTrack, track_clock
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-
-    from dds_trace.tracefile.format.descriptions import Run, Session
-
-    from ..pairing.rows import RowStore
-
+from ..pairing.rows import RowStore
 
 ANCHOR_NS = 5_000
 """Error of a reading of wall and monotonic clock one after the other."""

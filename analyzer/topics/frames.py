@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from dds_trace.base.units import SECOND_NS
 
+from ..loading.campaign import Campaign
 from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.foreign import number_of
 from ..model.metrics import TOPIC_METRICS, frame_schema, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, ParameterValue
+from ..pairing.rows import RowStore
 from .device_clocks import DeviceClocks
 from .hops import HOP_SCHEMA, find_sources, hop_rows, origin_name, quantile, stamper
 from .join import MESSAGE_COLUMNS, Delivery, deliver, find_streams, with_ages
 from .taps import has_taps, heard_by_taps
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from ..loading.campaign import Campaign
-    from ..pairing.rows import RowStore
 
 TOPIC_MESSAGE_SCHEMA = {**schema_of(ROUNDTRIP_COLUMNS), **MESSAGE_COLUMNS}
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from ..clocks.fit import Int64
 from ..model.metrics import frame_schema
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from ..clocks.fit import Int64
-    from .device_clocks import Machine
-    from .join import Delivery
+from .device_clocks import Machine
+from .join import Delivery
 
 HOP_SCHEMA = frame_schema(
     "chain:u32 hop:u32 topic:str next_topic:str from_event:str to_event:str ping_device:str relay_device:str messages:u64 "

@@ -7,22 +7,17 @@ a bridge, which publishes again, the same content. Contents that repeat are then
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
+from ..clocks.fit import Int64
 from ..clocks.track import UNKNOWN_NS
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from ..clocks.fit import Int64
-    from .device_clocks import DeviceClocks, Machine
-    from .taps import Heard
+from .device_clocks import DeviceClocks, Machine
+from .taps import Heard
 
 LEAST_ALIKE = 0.5
 """Share of the messages of the shorter of two streams that the other has, if a bridge made one of the other."""

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
 
+from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import Stage, TapColumns
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 from ..cache.event_index import EventPart, merge_parts
+from ..loading.campaign import Campaign
 from ..model.foreign import object_of
 from .device_clocks import Machine, machine_of_session
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Session
-    from dds_trace.tracefile.format.json_fields import JsonObject
-
-    from ..loading.campaign import Campaign
 
 TAP_ROLE = "tap"
 

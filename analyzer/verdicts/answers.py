@@ -8,15 +8,17 @@ advises against because of its losses, never leads.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import polars as pl
 
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
+from ..model.runs import RunRows
 from ..run_statistics.between_runs import estimates_of_runs
 from ..run_statistics.runs import Statistic
 from ..statistics.intervals import Basis, Interval
@@ -34,11 +36,6 @@ from .cases import (
 )
 from .matching import MatchedGroup
 from .ranking import Kind, Ranking, RankingOptions, SetupRuns, find_losers, rank_setups
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-
-    from ..model.runs import RunRows
 
 T = TypeVar("T")
 R = TypeVar("R")

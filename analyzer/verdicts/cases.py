@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import polars as pl
 
@@ -14,10 +14,7 @@ from ..model.names import tell_apart, where_alike, where_it_varies
 from ..model.parameters import CONTENDER_COLUMNS, ParameterValue
 from ..model.setting import choice_of, condition_of
 from ..model.unsent import with_unsent
-
-if TYPE_CHECKING:
-    from ..statistics.intervals import Interval
-
+from ..statistics.intervals import Interval
 
 Setting = Mapping[str, ParameterValue]
 """Parameter column -> value, of some columns."""

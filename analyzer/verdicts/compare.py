@@ -7,13 +7,16 @@ metrics and statistics (losses: over the groups), stays below 1 - confidence.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import polars as pl
 
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.descriptions import Run, Session
 
+from ..model.finding import Finding
 from ..model.metrics import TOPIC_METRICS
 from ..model.parameters import MATCH_COLUMNS, ParameterValue
 from ..model.presenter import presenter
@@ -66,11 +69,6 @@ from .sides import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-
-    from dds_trace.tracefile.format.descriptions import Run, Session
-
-    from ..model.finding import Finding
     from .matching import Key
 
 

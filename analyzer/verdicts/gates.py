@@ -7,12 +7,14 @@ that the new side lacks, or received no reply in, always is.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from dds_trace.base.units import counted, format_number
 
 from ..model.names import group_words, is_topic, varying_parameters
+from ..run_statistics.change import Change
 from ..run_statistics.spread import runs_to_settle_ratio, runs_to_settle_value
 from ..statistics.distributions import student_cdf, student_quantile
 from ..statistics.intervals import MIN_RUNS, Basis, Interval
@@ -21,10 +23,8 @@ from .compare import STATISTIC_BY_NAME, CompareOptions, Comparison
 from .gate import RECEIVED_RATIO, Against, Gate, GateOutcome
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from ..run_statistics.change import Change
     from .matching import Key
+
 
 ALL_GROUPS = Gate("every group of the base answers", RECEIVED_RATIO, "", "<=", Against.NEW, 0.0)
 """The gate that a missing or dead group fails."""

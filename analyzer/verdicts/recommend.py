@@ -9,13 +9,14 @@ measurement it is `likely` at best. A run must have finished at the planned rate
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
 
 import polars as pl
 
 from dds_trace.base.units import SECOND_NS, counted, format_number, format_rate, format_size
+from dds_trace.tracefile.format.descriptions import Run
 
 from ..model.parameters import SETTING_COLUMNS, SITE_COLUMNS, ParameterValue
 from ..model.setting import condition_of
@@ -29,12 +30,6 @@ from ..statistics.power import messages_to_close
 from .cases import Setting, parts_of
 from .job import Job, SizeAndRate, guess_time
 from .matching import MatchedGroup
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from dds_trace.tracefile.format.descriptions import Run
-
 
 LEAST_RATE = 0.98
 """Share of the planned rate below which another job was measured."""

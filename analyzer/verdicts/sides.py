@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from dds_trace.base.units import counted
+from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.environment import lasting_parts
 from ..model.finding import Finding, Severity
+from ..model.parameters import ParameterValue
 
 if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Session
-
-    from ..model.parameters import ParameterValue
     from .matching import Key
+
 
 SAME, UNKNOWN = "same", "unknown"
 

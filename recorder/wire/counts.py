@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..applied import counters
 from ..records import to_json
-from .messages import RepeatCount  # noqa: TC001 - `records.from_json` looks the types of the fields up
+from .messages import RepeatCount
 from .packets.classes import DISCOVERY, WireClass
-from .tcp_info import TcpConnection  # noqa: TC001
+from .tcp_info import TcpConnection
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

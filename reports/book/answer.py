@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis, Details
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
+from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.base.units import counted, format_duration
 
 from .groups import (
@@ -33,12 +36,6 @@ from .outcomes import outcome_of
 from .places import place_sentence
 from .topics import topic_sentences
 from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, place_label, verdicts_info
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from dds_trace.analyzer.analysis import Analysis, Details
-    from dds_trace.analyzer.verdicts.answers import CaseAnswer
 
 
 class PointKind(str, Enum):

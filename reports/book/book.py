@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.report_values import RunSpan, bridge_loads
 
 from .answer import Conclusion, answer_info
@@ -27,11 +28,6 @@ from .recording import (
 )
 from .sizes import SizeTable, size_table
 from .topics import TopicTable, topic_tables
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from dds_trace.analyzer.analysis import Analysis
 
 
 class Book:

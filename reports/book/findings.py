@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.finding import Finding, Subject
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import counted
 
 from .groups import Groups, group_labels
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from dds_trace.analyzer.analysis import Analysis
-
-    from .numbers import Values
+from .numbers import Values
 
 SEVERITIES = {"error": "error", "warning": "warning", "info": "note"}
 

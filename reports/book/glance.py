@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from .facets import Facets
-    from .numbers import Intervals
-    from .sizes import PlaceRows, SizeCell, SizeRow, SizeTable
+from .facets import Facets
+from .numbers import Intervals
+from .sizes import PlaceRows, SizeCell, SizeRow, SizeTable
 
 MOST_BLOCKS, MOST_ROWS = 6, 18
 

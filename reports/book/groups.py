@@ -7,20 +7,17 @@ of one cell can be compared; groups of one series form a line.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.metrics import METRICS, TOPIC_METRICS
 from dds_trace.analyzer.model.names import Rule, is_topic, tell_apart, where_it_helps, where_it_varies
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import MISSING, format_duration, format_number, format_rate, format_size, three_digits
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from dds_trace.analyzer.analysis import Analysis
 
 _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 

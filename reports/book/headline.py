@@ -6,10 +6,11 @@ Each rests on verdicts within one device pair and link; over several pairs it ha
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.setting import condition_of, parse_setting
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
@@ -28,15 +29,9 @@ from .groups import (
     joined,
     way_words,
 )
+from .numbers import Values
 from .outcomes import PERCENTILES, Outcome, Stretch, answers_by_kind, outcome_of, places_alike, stretches
 from .verdicts import MODES, conditions_label, contender_labels, place_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
-    from dds_trace.analyzer.analysis import Analysis
-
-    from .numbers import Values
 
 BUSY_SHARE = 0.25
 """Share of recordings with a full processor from which on a report warns."""

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import re
 import shlex
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
 
 from dds_trace.analyzer.model.setting import parse_setting
+from dds_trace.analyzer.verdicts.cases import Setting
+from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.base.printable import printable
 from dds_trace.base.units import spell_duration, spell_size
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from dds_trace.analyzer.verdicts.cases import Setting
-    from dds_trace.analyzer.verdicts.job import Job
 
 QOS_DEFAULTS = {
     "reliability": "reliable",

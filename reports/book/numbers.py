@@ -5,19 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.report_values import LEVELS, curves, planned_shares, sustained_shares
 from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.base.units import MISSING
 
 from .groups import METRIC_LABELS, STATISTIC_LABELS
-
-if TYPE_CHECKING:
-    from dds_trace.analyzer.analysis import Analysis
-
 
 Ends = Mapping[str, Mapping[str, tuple[int | None, ...]]]
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
-from typing import TYPE_CHECKING
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_rate, format_size
@@ -14,12 +15,6 @@ from dds_trace.base.units import counted, format_rate, format_size
 from .groups import VENDORS, Groups, data_type_label, device_label, domain_label, format_count, in_order_of, qos_label
 from .recording import OwnCost, RunTime, cost_words, setting_words, version_words
 from .verdicts import conditions_label
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from dds_trace.analyzer.analysis import Analysis
-
 
 MOST_LISTED = 12
 

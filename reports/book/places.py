@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from dds_trace.base.printable import printable
 
 from .groups import Groups, Series, device_pair, joined
 from .headline import factor_words
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
-
-    from .numbers import Intervals, Values
+from .numbers import Intervals, Values
 
 MOST_COMPARED = 3
 

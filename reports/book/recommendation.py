@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
+from dds_trace.analyzer.verdicts.cases import Setting
+from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation, place_of
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
@@ -17,13 +19,6 @@ from dds_trace.base.units import MISSING, counted, format_duration, format_rate,
 from .groups import METRIC_LABELS, VendorLabels, data_type_label, format_ratio, joined, setting_labels
 from .next_command import recording_commands
 from .verdicts import place_label
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from dds_trace.analyzer.verdicts.cases import Setting
-    from dds_trace.analyzer.verdicts.job import Job
-
 
 COLUMNS = ("Setting", "Meets it", "Time", "95 % interval", "Received", "Of received", "Rests on", "Why")
 """`Of received` is the time over the received messages only."""

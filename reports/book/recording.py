@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.groups.timeline import run_rows
 from dds_trace.analyzer.model.applied import (
     SHARED_MEMORY,
@@ -18,15 +19,10 @@ from dds_trace.analyzer.model.applied import (
 )
 from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
+from dds_trace.tracefile.format.descriptions import Session
 
 from .groups import VENDORS, Groups, VendorLabels, format_count, in_order_of, qos_label, vendor_labels
 from .numbers import whole_ns
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from dds_trace.analyzer.analysis import Analysis
-    from dds_trace.tracefile.format.descriptions import Session
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import polars as pl
 
+from dds_trace.analyzer.analysis import Analysis, Details
 from dds_trace.analyzer.model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
+from dds_trace.analyzer.verdicts.answers import CaseAnswer
 from dds_trace.analyzer.verdicts.cases import CONDITIONS, Contender, with_conditions
 from dds_trace.base.printable import printable
 from dds_trace.base.units import MISSING, counted, format_duration, format_rate, format_size
 
 from .groups import METRIC_LABELS, VendorLabels, data_type_label, device_pair, format_ratio
 from .verdicts import MODES, contender_labels, data_type_rank, place_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from dds_trace.analyzer.analysis import Analysis, Details
-    from dds_trace.analyzer.verdicts.answers import CaseAnswer
-
 
 Key = tuple[object, ...]
 """Values of `CASE_COLUMNS`, the conditions, then values of `CONTENDER_COLUMNS`: one setup with one message."""

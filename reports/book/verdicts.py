@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.analyzer.model.names import tell_apart, where_alike
+from dds_trace.analyzer.model.parameters import ParameterValue
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Headline, find_headlines
@@ -14,12 +16,6 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
 from .groups import DATA_TYPES, VendorLabels, data_type_label, device_pair, format_ratio, way_words
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from dds_trace.analyzer.model.parameters import ParameterValue
-
 
 CLEARLY = (
     "Setups are compared for the same message, on the same devices and link, at the median and, where every setup has enough messages "

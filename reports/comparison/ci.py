@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 
+from .info import ComparisonInfo
 from .words import gate_interval_words, measured_words, why_words
-
-if TYPE_CHECKING:
-    from .info import ComparisonInfo
 
 
 def render_junit(info: ComparisonInfo) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.printable import printable
@@ -12,6 +13,7 @@ from dds_trace.base.units import counted
 
 from ..book.groups import markdown
 from ..book.verdicts import received_words, runs_words
+from .info import ComparedGroup, ComparisonInfo
 from .words import (
     GATE_COLUMNS,
     VERDICTS,
@@ -25,11 +27,6 @@ from .words import (
     statistic_words,
     time_words,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from .info import ComparedGroup, ComparisonInfo
 
 MOST_GROUPS = 50
 """Results and gates without `--all`, for a comment of a pull request."""

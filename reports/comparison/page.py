@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
@@ -17,6 +17,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import format_duration
 
 from ..book.verdicts import received_words, runs_words
+from .info import ComparedGroup, ComparisonInfo
 from .words import (
     GATE_COLUMNS,
     VERDICTS,
@@ -29,10 +30,6 @@ from .words import (
     statistic_words,
     time_words,
 )
-
-if TYPE_CHECKING:
-    from .info import ComparedGroup, ComparisonInfo
-
 
 Row = Mapping[str, Any]
 """A row of `Comparison.distributions`."""

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.analyzer.verdicts.gate import Against
+from dds_trace.analyzer.verdicts.gates import GateResult
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import MISSING, format_duration, format_number, three_digits
 
 from ..book.groups import ALL_METRIC_LABELS, STATISTIC_LABELS, format_ratio, joined
 from ..book.verdicts import episodes_words
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from dds_trace.analyzer.verdicts.gates import GateResult
 
 LOST = "lost"
 """Replaces a time where too many messages were lost for the statistic."""

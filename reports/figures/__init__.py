@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
+from ..book.book import Book
 from . import (
     breakdown,
     bridge_cost,
@@ -20,11 +21,6 @@ from . import (
     wire,
 )
 from .figure import Figure, FigureMaker, LeftOut, LineFigure, Scope, is_few
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..book.book import Book
 
 FIGURES: list[FigureMaker | LineFigure] = [
     dots.FIGURE,

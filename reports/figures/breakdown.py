@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from ..book.book import Book
 from ..book.numbers import whole_ns
 from .figure import Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, plane_facet
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.book import Book
-
 
 PART_LABELS = {
     "waiting_ns": "Late send (T0 to T1)",

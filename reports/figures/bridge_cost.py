@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.base.units import counted
 
+from ..book.book import Book
 from ..book.numbers import finite, whole_ns
 from ..book.verdicts import received_words, runs_words
 from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.book import Book
 
 
 @dataclass(frozen=True, slots=True)

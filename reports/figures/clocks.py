@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.printable import printable
 
+from ..book.book import Book
 from ..book.groups import STATISTIC_LABELS, drift_words
 from ..book.numbers import whole_ns
 from .figure import Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, plane_facet
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.book import Book
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.statistics.intervals import Basis
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 
+from ..book.book import Book
 from ..book.groups import METRIC_LABELS
 from ..book.numbers import any_curve
 from .figure import Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, plane_facet
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.book import Book
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from dds_trace.analyzer.groups.report_values import Planned, planned_percentiles
 from dds_trace.analyzer.model.parameters import SAME_SIDES_COLUMNS
 
+from ..book.book import Book
+from ..book.groups import Groups
 from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
-
-if TYPE_CHECKING:
-    from ..book.book import Book
-    from ..book.groups import Groups
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from ..book.book import Book
 from .bridge_cost import BridgedCell, bridge_cost_info
 from .figure import FEW_GROUPS, Figure, FigureMaker, LeftOut, is_few
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.book import Book
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ..book.book import Book
 from ..book.facets import MADE_OF
-
-if TYPE_CHECKING:
-    from ..book.book import Book
-    from ..book.groups import Group
-
+from ..book.groups import Group
 
 Test = Callable[[int], bool]
 """Whether a group has what a figure draws."""

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from ..book.book import Book
 from ..book.groups import data_type_label
 from .figure import Figure, FigureMaker, LeftOut
-
-if TYPE_CHECKING:
-    from ..book.book import Book
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import polars as pl
 
+from ..book.book import Book
 from .figure import Figure, FigureMaker, LeftOut, Scope
-
-if TYPE_CHECKING:
-    from ..book.book import Book
-
 
 SAMPLES_IN_PAGE = 30_000
 """Most samples in a page (about 300 KB of JSON); of more, every n-th is drawn."""

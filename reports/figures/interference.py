@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from ..book.book import Book
 from ..book.numbers import whole_ns
 from ..book.verdicts import received_words, runs_words
 from .bridge_cost import BridgedCell, Cost, rounded
 from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.book import Book
 
 
 @dataclass(frozen=True, slots=True)

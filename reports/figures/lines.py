@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
+from ..book.book import Book
 from .figure import LineFigure
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from ..book.book import Book
 
 KEPT_UP = 0.99
 """Replies per second as a share of the requested rate that counts as kept up."""

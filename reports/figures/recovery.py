@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
-from typing import TYPE_CHECKING
 
+from ..book.book import Book
 from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.book import Book
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from ..book.book import Book
 from ..book.numbers import whole_ns
 from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, is_few, plane_facet
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.book import Book
 
 PART_LABELS = {
     "data": "Data, first time",

@@ -11,26 +11,23 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from html import escape
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import TypeAlias
 
+from dds_trace.analyzer.analysis import Analysis
 from dds_trace.analyzer.pipeline import analyze, default_output
 from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.streams import say
 
 from ..book.book import Book
 from .page import live_script, render_live, without_plotly
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from dds_trace.analyzer.analysis import Analysis
 
 Stamp: TypeAlias = "tuple[tuple[str, int, int], ...]"
 """Path, size in bytes and time of change in ns of every file below a folder."""

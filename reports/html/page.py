@@ -5,10 +5,12 @@ from __future__ import annotations
 import base64
 import math
 from bisect import bisect_right
+from collections.abc import Iterable
 from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
-from typing import TYPE_CHECKING, TypeGuard
+from pathlib import Path
+from typing import TypeGuard
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
@@ -22,6 +24,7 @@ from dds_trace.base.printable import printable
 from dds_trace.base.units import UNIT_NS, format_duration, format_rate, format_size
 from dds_trace.base.version import __version__
 
+from ..book.book import Book
 from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
 from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
@@ -33,12 +36,6 @@ from ..figures.figure import ATOMS, MOST_LINES, Figure, LeftOut, Scope
 from .filters import filters_info
 from .packing import json_island, packed, packed_script, policy_hash
 from .styles import line_styles
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from ..book.book import Book
 
 FILE_NAME = "report.html"
 MOST_LINKED = 40

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from ..book.facets import Facets
 from ..book.groups import VENDORS, in_order_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..book.facets import Facets
 
 # Okabe and Ito's colour-blind-safe hues, darkened for white paper and lightened for a dark one to a contrast of 3:1
 # (WCAG 1.4.11). The vendors of `VENDORS` have fixed indices; others take the free ones by name.

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+
+from dds_trace.analyzer.recordings.topics import TopicReport
 
 from .words import JudgedTopic, topics_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from dds_trace.analyzer.recordings.topics import TopicReport
-
 
 FORMAT_VERSION = 1
 """A field may be added without a new version."""

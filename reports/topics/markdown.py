@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+
+from dds_trace.analyzer.recordings.topics import TopicReport
 
 from ..book.groups import markdown
 from .terminal import strip_text
@@ -18,11 +20,6 @@ from .words import (
     topics_of,
     verdict_words,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from dds_trace.analyzer.recordings.topics import TopicReport
 
 
 def render(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:

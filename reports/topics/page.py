@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
+from dds_trace.analyzer.recordings.card import RecordingHealth
+from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.base.printable import printable
 
 from .words import (
@@ -25,13 +28,6 @@ from .words import (
     topics_of,
     verdict_words,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from dds_trace.analyzer.recordings.card import RecordingHealth
-    from dds_trace.analyzer.recordings.topics import TopicReport
-
 
 STRIP_WIDTH = 720
 _THINNEST = 1.0

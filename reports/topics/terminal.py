@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from rich.table import Table
 from rich.text import Text
 
+from dds_trace.analyzer.recordings.topics import TopicReport
 from dds_trace.base.printable import printable
 from dds_trace.base.streams import plain_console
 
@@ -23,12 +24,6 @@ from .words import (
     topics_of,
     verdict_words,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from dds_trace.analyzer.recordings.topics import TopicReport
-
 
 WIDTH = 80
 _LEVELS = "·▁▂▃▄▅▆▇█"

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS, RecordingHealth
+from dds_trace.analyzer.recordings.topics import TopicReport
+from dds_trace.analyzer.verdicts.gate import GateOutcome
+from dds_trace.analyzer.verdicts.topic_gate import TopicGate
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 
 from ..book.overview import utc_words
-
-if TYPE_CHECKING:
-    from dds_trace.analyzer.recordings.topics import TopicReport
-    from dds_trace.analyzer.verdicts.gate import GateOutcome
-    from dds_trace.analyzer.verdicts.topic_gate import TopicGate
-
 
 Row = Mapping[str, Any]
 """A row of `TopicReport.topics` or `.holes`."""

@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import base64
 import binascii
+from collections.abc import Iterator
 from enum import IntEnum
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .json_fields import JsonObject
-
+from .json_fields import JsonObject
 
 MessageRows: TypeAlias = NDArray[np.void]
 """One-dimensional array of `MESSAGE_ROW`."""

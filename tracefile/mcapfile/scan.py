@@ -7,19 +7,16 @@ the first mismatch of opcode, length or CDR header that record is stepped over b
 from __future__ import annotations
 
 import struct
+from collections.abc import Container
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
 
 from ..format.encoding import MESSAGE_HEADER, RECORD_HEADER
 from ..format.events import EVENT_CDR, EVENT_DTYPE, EVENT_HEAD, EVENT_RECORD_BYTES, EVENT_RECORD_DTYPE, Records
-
-if TYPE_CHECKING:
-    from collections.abc import Container
-
-    from .records import Buffer
+from .records import Buffer
 
 MESSAGES_AND_CHANNELS = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL})
 """Opcodes of the records in a chunk."""

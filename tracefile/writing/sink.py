@@ -13,25 +13,20 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.threads import run_in_background
 
+from ..format.descriptions import Run, Session
 from ..format.events import RUN_TOPIC, SESSION_TOPIC
+from ..format.json_fields import Json
+from .destination import ClosedTrace, TraceDestination
 from .packing import EventPacker
 from .payloads import CHUNK_BYTES, Payload, PayloadQueue, PayloadTopic
 from .writer import TraceFiles
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from ..format.descriptions import Run, Session
-    from ..format.json_fields import Json
-    from .destination import ClosedTrace, TraceDestination
-
 
 BUSY_SWITCH_INTERVAL_S = 1e-4
 """Switch interval while another thread fills the ring (see `_quick_switches`)."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import struct
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import zstandard
@@ -18,6 +19,7 @@ from dds_trace.base.files import OWNER_AND_GROUP, flush_to_disk, output_error
 from dds_trace.base.version import __version__
 
 from ..format.bag_metadata import METADATA_NAME, TopicCount, write_metadata
+from ..format.descriptions import Session
 from ..format.encoding import MAGIC, encode_string
 from ..format.events import SESSION_TOPIC, Stage
 from ..format.ring import Ring, Slots, ring_path
@@ -39,12 +41,6 @@ from .event_chunks import (
     positions_by_channel,
 )
 from .payloads import Payload, PayloadTopic, payload_chunk
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from ..format.descriptions import Session
 
 MAX_CHUNK_EVENTS = 1 << 14
 """Most events of a chunk: 1.5 MB before compression."""

@@ -12,12 +12,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.analyzer.recordings.messages import iter_messages
 from dds_trace.base.errors import OptionError, TraceFormatError
 from dds_trace.recorder.payloads import STRING
 from dds_trace.recorder.payloads.bag import load_payload
 from dds_trace.tracefile.mcapfile import blocks, chunks
 from dds_trace.tracefile.recordings import bag1, read
+from dds_trace.tracefile.recordings.read import read_messages
 from dds_trace.tracefile.recordings.recorded import Condition
 
 KB = 1000
@@ -68,7 +68,7 @@ def write_bag(request, tmp_path):
 
 def test_an_honest_packed_bag_is_read_as_before(write_bag):
     path = write_bag(10 * KB, 200 * KB, 0)
-    longest, *_, shortest = sorted((message.payload_bytes for message in iter_messages(path)), reverse=True)
+    longest, *_, shortest = sorted((len(message.data) for message in read_messages(path, Condition())), reverse=True)
     assert 200 * KB <= longest < 201 * KB
     assert shortest < KB
     payload = load_payload(f"{path}#/zeros", {TYPE: STRING})
@@ -79,7 +79,7 @@ def test_a_bag_that_unpacks_to_more_than_the_bound_ends_in_one_line(write_bag, m
     path = write_bag(*[900 * KB] * 8)
     monkeypatch.setattr(blocks, "_UNSUSPECTED_FILE_BYTES", 5000 * KB)
     with pytest.raises(TraceFormatError, match=r"unpacks to more than (200|50) times its size"):
-        list(iter_messages(path))
+        list(read_messages(path, Condition()))
     with pytest.raises(OptionError, match=r"unpacks to more than (200|50) times its size"):
         load_payload(f"{path}#/zeros", {TYPE: STRING})
 
@@ -92,5 +92,5 @@ def test_no_piece_is_unpacked_beyond_a_record(write_bag, monkeypatch):
         monkeypatch.setattr(module, "MAX_RECORD_BYTES", 800 * KB)
     condition = Condition()
     with suppress(TraceFormatError):
-        assert not list(iter_messages(path, condition))
+        assert not list(read_messages(path, condition))
     assert re.search(r"unpacks to more than|it claims", f"{condition.damages}") or path.name == "ros2-messages"

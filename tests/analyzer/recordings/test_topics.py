@@ -16,12 +16,14 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.analyzer.recordings.messages import find_recordings, iter_messages
+from dds_trace.analyzer.recordings.messages import find_recordings
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
 from dds_trace.reports.topics.terminal import print_topics
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.recordings import recorded
+from dds_trace.tracefile.recordings.read import read_messages
+from dds_trace.tracefile.recordings.recorded import Condition
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 10**9
@@ -250,7 +252,7 @@ def test_what_is_no_recording_is_named(tmp_path):
     ]
     assert report.topics.height == 1
     with pytest.raises(TraceFormatError, match=r"bad\.mcap"):
-        list(iter_messages(tmp_path / "bad.mcap"))
+        list(read_messages(tmp_path / "bad.mcap", Condition()))
 
 
 def test_nothing_readable_is_an_error(tmp_path):
@@ -279,7 +281,7 @@ def test_no_allocation_by_a_size_that_a_file_claims(tmp_path):
     huge = b"\x89MCAP0\r\n" + b"\x06" + struct.pack("<Q", 10**12) + b"\0" * 64
     (tmp_path / "huge.mcap").write_bytes(huge)
     with pytest.raises(TraceFormatError, match=r"huge\.mcap"):
-        list(iter_messages(tmp_path / "huge.mcap"))
+        list(read_messages(tmp_path / "huge.mcap", Condition()))
 
 
 def test_a_bag_with_a_damaged_index_is_read(tmp_path):
@@ -297,7 +299,7 @@ def test_a_bag_with_a_damaged_index_is_read(tmp_path):
         "trS=nT_ty^"
     )
     (tmp_path / "hostile.bag").write_bytes(zlib.decompress(base64.b85decode(packed)))
-    assert len(list(iter_messages(tmp_path / "hostile.bag"))) == 3
+    assert len(list(read_messages(tmp_path / "hostile.bag", Condition()))) == 3
 
 
 @pytest.mark.parametrize("times", [(2**64 - 1, 1), (1, 2**63)], ids=["log", "publish"])
@@ -325,17 +327,17 @@ def write_chunks(path, *chunks):
 def test_a_chunk_is_not_unpacked_to_what_it_claims(tmp_path, claimed):
     path = write_chunks(tmp_path / "x.mcap", (claimed, zstandard.compress(bytes(100_000_000))[:500]))
     with pytest.raises(TraceFormatError, match=r"it claims|unpacks to more than"):
-        list(iter_messages(path))
+        list(read_messages(path, Condition()))
 
 
 def test_a_file_of_small_bombs_is_not_unpacked_whole(tmp_path, monkeypatch):
     bomb = struct.pack("<BQ", 0x80, 1_000_000) + bytes(1_000_000)
     path = write_chunks(tmp_path / "x.mcap", *[(len(bomb), zstandard.compress(bomb))] * 20)
     with pytest.raises(TraceFormatError, match="cannot be read"):
-        list(iter_messages(path))
+        list(read_messages(path, Condition()))
     monkeypatch.setattr(blocks, "_UNSUSPECTED_FILE_BYTES", 0)
     with pytest.raises(TraceFormatError, match="unpacks to more than 200 times"):
-        list(iter_messages(path))
+        list(read_messages(path, Condition()))
 
 
 def test_messages_of_a_few_bytes_are_bounded_in_number(tmp_path, monkeypatch, sentences):

@@ -54,6 +54,8 @@ class Details:
         interference: flows with others against each by itself (`interference.INTERFERENCE_SCHEMA`).
         head_of_line: whether messages of a flow wait for another's (`interference.HEAD_OF_LINE_SCHEMA`).
         recoveries: runs with an outage that the sweep made (`recovery.RECOVERY_SCHEMA`).
+        fan_out: one message to several relays, and several pings (`fan_out.FAN_OUT_SCHEMA`).
+        fan_out_positions: the same by relay (`fan_out.FAN_OUT_POSITION_SCHEMA`).
         wire: cost on the wire by group recorded with `--wire` (`groups.wire`).
         wire_classes: the same by class of traffic.
         wire_repeats: the same by number of repeats.
@@ -77,6 +79,8 @@ class Details:
     interference: pl.DataFrame
     head_of_line: pl.DataFrame
     recoveries: pl.DataFrame
+    fan_out: pl.DataFrame
+    fan_out_positions: pl.DataFrame
     wire: pl.DataFrame
     wire_classes: pl.DataFrame
     wire_repeats: pl.DataFrame

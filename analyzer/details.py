@@ -14,6 +14,7 @@ from dds_trace.tracefile.format.descriptions import Run
 from .analysis import Details
 from .clocks.boots import ping_boots, ping_wall_offsets
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, Batch, Grouping
+from .groups.fan_out import FAN_OUT_FRAMES, fan_out_frames
 from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
@@ -72,10 +73,12 @@ def collect_details(
             wall_offsets_ns=ping_wall_offsets(campaign.sessions.values(), campaign.runs.values()),
             options=options.ranking,
         )
+    host_samples = host_sample_frame(campaign.traces)
     return Details(
         **{name: frames[name] for name in _BATCH_FRAMES},
         clock_fits=clock_fits.result(),
-        host_samples=host_sample_frame(campaign.traces),
+        host_samples=host_samples,
+        **fan_out_frames(grouping, rows, host_samples),
         bridge_costs=find_bridge_costs(judged, passes),
         interference=find_interference(judged, passes),
         head_of_line=find_head_of_line(judged, passes),
@@ -105,6 +108,7 @@ def details_not_requested() -> Details:
         interference=find_interference(no_rows),
         head_of_line=find_head_of_line(no_rows),
         recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
+        **{name: pl.DataFrame(schema=schema) for name, schema in FAN_OUT_FRAMES.items()},
         **no_wire_frames()._asdict(),
         answers=(),
         deadline_ns=None,

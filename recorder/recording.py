@@ -52,6 +52,8 @@ if TYPE_CHECKING:
     from .roles.read_back import ReadBack
     from .roles.wire_record import WireRecord
 
+SERVING = "serves domain"
+"""In the note of a relay that has started, for which a sweep waits."""
 WIRE_LOOKS = 4
 """After as many checks without a message a relay writes the counts of its capture."""
 QUIET_LOOKS = 10
@@ -117,7 +119,7 @@ class _Recording(BaseRecording):
                 if self.rehearses:
                     self.stop.set()
                 else:
-                    self.watch.note(f"relay {relay_id:08x} serves domain {options.node.domain_id} until it is stopped")
+                    self.watch.note(f"relay {relay_id:08x} {SERVING} {options.node.domain_id} until it is stopped")
                 with sampled(upkeep.sink, wire):
                     self._watch_relay(relay, node, upkeep, read_back, wire)
                 wire.write_relay(relay.progress().relayed, self.session_id, upkeep.sink)

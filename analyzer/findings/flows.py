@@ -1,4 +1,4 @@
-"""Checks of flows that ran together."""
+"""Checks of flows that ran together, and of messages to several relays."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from collections.abc import Iterator
 
 import polars as pl
 
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import SECOND_NS, counted, format_duration
 
 from ..model.finding import Severity, Subject
 from ..run_statistics.change import Verdict
 from ..verdicts.interference import Overtaking
 from .evidence import Evidence, Observation, check, percent
+
+SLOW_MATCH_NS = 2 * SECOND_NS
+"""Above what the fastest discovery of 20 participants took on a busy machine; a robot's start waits for it."""
 
 
 @check(
@@ -59,4 +62,39 @@ def waiting_flows(evidence: Evidence) -> Iterator[Observation]:
             f"Of {counted(row['caught'], 'message')} of {row['flow']} that left while one of {row['other']} was under way and stayed so for "
             f"twice the usual round trip, {row['overtook']} returned before it{wait}.",
             1 - row["overtook_ratio"],
+        )
+
+
+@check(
+    "shared_cores",
+    Severity.INFO,
+    Subject.RESULT,
+    "A rise with the number of relays may be this machine's and not the middleware's: lower rates, or a device for each host "
+    "([[devices]] of a plan), may help to tell.",
+)
+def sharing_recorders(evidence: Evidence) -> Iterator[Observation]:
+    """Pings and relays of a result shared processors."""
+    for row in evidence.details.fan_out.filter(pl.col("recorders") > pl.col("processors")).iter_rows(named=True):
+        cores = counted(row["processors"], "processor")
+        effect = 1 - row["processors"] / row["recorders"]
+        yield evidence.result(row["group"], f"{row['recorders']} recorders ran on one machine with {cores}.", effect)
+
+
+@check(
+    "slow_discovery",
+    Severity.WARNING,
+    Subject.RESULT,
+    "Wait for all of them before the first message that counts; a list of peers in place of multicast, or fewer participants, may help.",
+)
+def slow_discovery(evidence: Evidence) -> Iterator[Observation]:
+    """Running relays were met late, and messages until then were lost."""
+    for row in evidence.details.fan_out.filter(pl.col("matched_max_ns") > SLOW_MATCH_NS).iter_rows(named=True):
+        size = row["discovery_bytes_p50"]
+        yield evidence.result(
+            row["group"],
+            f"Until the last of {counted(row['receivers'], 'relay')} answered a ping that had just started, up to "
+            f"{format_duration(row['matched_max_ns'])} passed; {row['missed_p50']:.3g} messages to relays were lost until then (p50 of the runs)"
+            + (f", and discovery took {size:,.0f} bytes" if size else "")
+            + ".",
+            1 - SLOW_MATCH_NS / row["matched_max_ns"],
         )

@@ -71,6 +71,8 @@ CHECKS: tuple[Check, ...] = (
     shapes.two_modes,
     flows.disturbed_flows,
     flows.waiting_flows,
+    flows.slow_discovery,
+    flows.sharing_recorders,
     sides.overlapping_pings,
     sides.recorded_in_sequence,
     sides.unlike_versions,

@@ -140,17 +140,21 @@ def _records(traces: Iterable[Trace]) -> pl.DataFrame:
     """Return the records of sent messages; the relay is 0 on the way out."""
     parts = [rows_of_text(text) for trace in traces for text in trace.wire]
     packed = np.concatenate([np.empty(0, MESSAGE_ROW), *parts])
-    sent = packed[packed["direction"] != Direction.RECEIVED]
+    is_kept = packed["direction"] != Direction.RECEIVED
+    capture, sent = np.repeat(np.arange(len(parts)), list(map(len, parts)))[is_kept], packed[is_kept]
     # On the loopback interface both captures have the message: one record is enough. A capture has a record for each other
     # interface on which a message left; files may be copies.
     is_sent = pl.col("direction") == Direction.SENT.value
     return (
         pl.DataFrame({name: np.ascontiguousarray(sent[name]) for name in _RECORD_COLUMNS})
-        .group_by(*_KEY, "relay_id")
+        .with_columns(capture=capture)
+        .group_by(*_KEY, "relay_id", "capture")
         .agg(
             pl.col("repeats", "resent_after_ns", "waited_heartbeats").max(),
             interfaces=pl.col("first_ns").filter(is_sent).n_unique(),
         )
+        .group_by(*_KEY, "relay_id")
+        .agg(pl.exclude("capture").max())
     )
 
 

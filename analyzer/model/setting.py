@@ -15,7 +15,9 @@ from dds_trace.tracefile.format.json_fields import Json, JsonObject
 FLOW, WITH, FLOWS = "flow", "with", "flows"
 """A run's flow, the flows of its plan that ran with it (joined by +), and the number of runs of its machine."""
 
-CONDITIONS = frozenset({"link", "relays", "data", "load", "outage", "outage_by", FLOW, WITH, FLOWS})
+CONDITIONS = frozenset(
+    {"link", "relays", "hosts", "pings", "topics", "data", "load", "outage", "outage_by", FLOW, WITH, FLOWS}
+)
 """Keys that nobody chooses: groups that differ in these are no alternatives."""
 
 _OLD: Mapping[str, Callable[[str], str | None]] = {
@@ -38,7 +40,7 @@ def setting_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 
     values = {key: value for key, value in ping_settings.items() if key not in _BOTH_SIDES}
     values |= _run_settings(run)
     if relays > 1:
-        values["relays"] = str(relays)
+        values.setdefault("relays", str(relays))
     if flows > 1:
         values[FLOWS] = str(flows)
     if relay is not None:

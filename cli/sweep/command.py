@@ -101,6 +101,7 @@ def main_command(
         dds-sweep new mine.toml
     """
     from dds_trace.recorder.backends import installed_middlewares
+    from dds_trace.recorder.sweep.plan.flows import is_crowded
     from dds_trace.recorder.sweep.plan.plan_file import read_plan
 
     from .against import new_side, run_sides
@@ -117,8 +118,10 @@ def main_command(
     requested = read_plan(plan, installed_middlewares, by_hand=printed is not None)
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)
-    if requested.flows and (max_rate or against is not None):
-        raise OptionError("[[flows]] are swept as they are; remove --max-rate or --against")
+    if (requested.flows or any(map(is_crowded, requested.cells))) and (max_rate or against is not None):
+        raise OptionError(
+            "[[flows]], relays, hosts, pings and topics are swept as they are; remove --max-rate or --against"
+        )
     gates = read_thresholds(requested, target, is_judged=not (max_rate or against))
     if dry_run or rehearse:
         code = dry_run_of(requested, out, other, target, max_rate=max_rate, as_json=as_json, rehearses=rehearse)

@@ -57,6 +57,7 @@ class Backend:
         security: levels besides `off`.
         priorities: priorities that messages can have, None for none.
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
+        can_multicast: whether it sends messages to groups unless requested otherwise.
         environment: variables and files that configure it.
         check_settings: raises an `OptionError` for further options that have no effect.
         missing_rmw: returns how to install a ROS middleware, None for an installed one.
@@ -78,6 +79,7 @@ class Backend:
     security: tuple[Security, ...] = ()
     priorities: range | None = None
     can_drop: bool = False
+    can_multicast: bool = False
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     check_settings: Callable[[NodeOptions], None] | None = None
     missing_rmw: Callable[[str], str | None] | None = None
@@ -114,13 +116,7 @@ class Backend:
             raise OptionError(
                 f"--congestion-control {options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
             )
-        if options.priority is not None and options.priority not in (self.priorities or ()):
-            known = "none" if self.priorities is None else f"{self.priorities[0]} to {self.priorities[-1]}"
-            raise OptionError(f"--priority {options.priority}: the priorities of the backend {self.name}: {known}")
-        if options.when_full is not WhenFull.DEFAULT and not self.can_drop:
-            raise OptionError(
-                f"--when-full {options.when_full.value}: the backend {self.name} has no such choice; leave it out"
-            )
+        self._check_sending(options)
         if options.transport not in self.transports:
             names = ", ".join(transport.value for transport in self.transports)
             raise OptionError(f"--transport {options.transport.value}: the backend {self.name} only has {names}")
@@ -131,6 +127,17 @@ class Backend:
             raise OptionError(f"--peer {options.peers[0]}: the backend {self.name} discovers its peers; remove --peer")
         if self.check_settings is not None:
             self.check_settings(options)
+
+    def _check_sending(self, options: NodeOptions) -> None:
+        if options.priority is not None and options.priority not in (self.priorities or ()):
+            known = "none" if self.priorities is None else f"{self.priorities[0]} to {self.priorities[-1]}"
+            raise OptionError(f"--priority {options.priority}: the priorities of the backend {self.name}: {known}")
+        if options.when_full is not WhenFull.DEFAULT and not self.can_drop:
+            raise OptionError(
+                f"--when-full {options.when_full.value}: the backend {self.name} has no such choice; leave it out"
+            )
+        if not options.multicast and not self.can_multicast:
+            raise OptionError(f"--no-multicast: the backend {self.name} sends no message to a group; leave it out")
 
     def port_of(self, domain_id: int) -> int:
         """Return the relay's port in a domain."""

@@ -23,6 +23,9 @@ CYCLONE_LOCALHOST = (
 # Without this Cyclone DDS sends data for this machine through an interface of the network.
 CYCLONE_LOOPBACK = '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo"/></Interfaces></General></Domain></CycloneDDS>'
 
+# Participants find each other by multicast, and data go to each reader by itself.
+CYCLONE_UNICAST = "<CycloneDDS><Domain><General><AllowMulticast>spdp</AllowMulticast></General></Domain></CycloneDDS>"
+
 _NAMES_LOOPBACK = re.compile(
     r"<NetworkInterface\b[^>]*\b(?:name=[\"']lo[\"']|address=[\"']127\.)"
     r"|<NetworkInterfaceAddress>\s*(?:lo|127\.[\d.]+)\s*<"  # before Cyclone DDS 0.10
@@ -47,10 +50,13 @@ def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.e
     return CYCLONE_LOOPBACK
 
 
-def cyclone_settings(discovery: Discovery, *, tuned: bool, environment: Mapping[str, str] = os.environ) -> str:
+def cyclone_settings(
+    discovery: Discovery, *, tuned: bool, multicast: bool = True, environment: Mapping[str, str] = os.environ
+) -> str:
     """Return a value of CYCLONEDDS_URI: the user's settings, then ours, which win."""
     parts = [
         environment.get("CYCLONEDDS_URI", ""),
+        "" if multicast else CYCLONE_UNICAST,
         CYCLONE_LOCALHOST if discovery is Discovery.LOCALHOST else "",
         CYCLONE_TUNED if tuned else "",
     ]

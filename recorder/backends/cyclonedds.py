@@ -72,7 +72,7 @@ class CycloneNode(ThreadedNode):
         super().__init__(options)
         _check_version()
         localhost = cyclone_loopback(options.discovery)
-        settings = cyclone_settings(options.discovery, tuned=options.tuned)
+        settings = cyclone_settings(options.discovery, tuned=options.tuned, multicast=options.multicast)
         settings = ",".join(filter(None, (localhost, settings)))
         try:
             configured = ",".join(filter(None, (settings, security_settings(options))))
@@ -446,5 +446,6 @@ BACKEND = Backend(
     speaks_dds=True,
     security=tuple(level for level in Security if level is not Security.OFF),
     priorities=range(-(1 << 31), 1 << 31),
+    can_multicast=True,
     environment=MiddlewareEnvironment(configuration=(ConfigurationVariable("CYCLONEDDS_URI", ","),)),
 )

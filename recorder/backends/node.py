@@ -140,6 +140,12 @@ class NodeOptions:
         "For zenoh, when the link is full: default (block if reliable, else drop), block or drop.",
         axis=Axis(),
     )
+    multicast: bool = option(
+        True,
+        "--no-multicast",
+        Panel.MIDDLEWARE,
+        "Cyclone DDS: send each message to each relay by itself; multicast is left to discovery.",
+    )
     listens: bool = field(default=False, metadata=OUTSIDE_OF_KEY)
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from dds_trace.tracefile.format.descriptions import Run
+    from dds_trace.tracefile.format.json_fields import Json
     from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..backends.node import Node, RawMessage, RosMessage
@@ -37,6 +38,8 @@ LEAD_NS = SECOND_NS // 20
 """Time from the end of the preparations to the first planned send."""
 PROBE_PERIODS_NS = tuple(SECOND_NS // part for part in (10, 5, 5, 2, 2, 1))
 """Times between readiness probes, which are as large as the messages and must not queue up; the last one repeats."""
+QUICK_PROBES, QUICK_NS = 60, SECOND_NS // 20
+"""First probes for several relays and their period: when each one is met is known as well."""
 SETTLE_NS = SECOND_NS // 5
 """Silence after the last echo of a probe before the run may start."""
 DRAIN_NS = 2 * SECOND_NS
@@ -103,7 +106,8 @@ class Ping(Generic[SentT, ReceivedT]):
 
         self._nonce = secrets.randbits(63)  # of the first probe
         self._nonces: dict[int, int] = {}  # of a probe -> time of sending
-        self._met: set[int] = set()  # relays that sent a probe back
+        self._opened_ns = self._now()
+        self._met: dict[int, tuple[int, int]] = {}  # relay -> when it first sent a probe back, and probes it had missed
         self._pending: deque[tuple[int, int, int, int, int]] = deque(maxlen=MAX_PENDING)  # replies of others
         self._probed_ns = 0  # of the latest probe within the run
         self._strangers = strangers
@@ -138,7 +142,7 @@ class Ping(Generic[SentT, ReceivedT]):
             if run_id == PROBE_RUN_ID and sequence in self._nonces:
                 self._echoed_ns = receive_ns
                 self._longest_echo_ns = max(self._longest_echo_ns, receive_ns - self._nonces[sequence])
-                self.meet(relay_id)
+                self.meet(relay_id, sequence - self._nonce)
             return
         replies = self._replies
         if sequence >= self.plan.total or not replies.publish_ns[sequence]:
@@ -153,11 +157,11 @@ class Ping(Generic[SentT, ReceivedT]):
         self._record(T2, run_id, sequence, receive_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
         replies.note(sequence, relay_id, receive_ns)
 
-    def meet(self, relay_id: int) -> None:
-        """Accept the replies of a relay that has echoed a probe, also earlier ones."""
+    def meet(self, relay_id: int, missed: int = 0) -> None:
+        """Accept the replies of a relay that has echoed a probe after the `missed` first ones, also earlier ones."""
         if relay_id in self._met or len(self._met) >= MAX_RELAYS:
             return
-        self._met.add(relay_id)
+        self._met[relay_id] = self._echoed_ns - self._opened_ns, missed
         for _ in range(len(self._pending)):
             waiting = self._pending.popleft()
             if waiting[0] != relay_id:
@@ -195,7 +199,8 @@ class Ping(Generic[SentT, ReceivedT]):
                 return False
             elif now_ns >= next_ns:
                 self._probe()
-                next_ns = now_ns + PROBE_PERIODS_NS[min(sent, len(PROBE_PERIODS_NS) - 1)]
+                is_quick = relays > 1 and sent < QUICK_PROBES
+                next_ns = now_ns + (QUICK_NS if is_quick else PROBE_PERIODS_NS[min(sent, len(PROBE_PERIODS_NS) - 1)])
                 sent += 1
             self._clock.wait_until(now_ns + POLL_NS, stop)
         return False
@@ -245,7 +250,9 @@ class Ping(Generic[SentT, ReceivedT]):
         self._ended = True
         feed = self.plan.payload.feed
         skipped = {} if feed is None else {"skipped_messages": feed.skipped}
-        finished = description.finished(self._published, ended_ns=ended_ns, **skipped)
+        matched = sorted(self._met.values())
+        discovery: Json = {"matched_ns": [at_ns for at_ns, _ in matched], "missed": [missed for _, missed in matched]}
+        finished = description.finished(self._published, ended_ns=ended_ns, discovery=discovery, **skipped)
         sink.write_run(finished)
         return finished
 

@@ -49,6 +49,7 @@ class WireRecord:
         self._capture = capture
         self._note = note
         self._relayed = 0  # by a relay until its counts were last written
+        self._discovery_bytes = 0  # before a ping's run
 
     @property
     def processes(self) -> Mapping[str, int]:
@@ -57,6 +58,8 @@ class WireRecord:
 
     def begin(self, run_id: int | None = None) -> None:
         """Restart counting (0.25 s), with records of one run or all."""
+        if run_id is not None and (before := self._take()) is not None:
+            self._discovery_bytes = before.counts.discovery_bytes
         if self._capture is None:
             return
         try:
@@ -69,7 +72,9 @@ class WireRecord:
         result = self._take()
         if result is None:
             return run
-        described = replace(run, extra={**run.extra, "wire": result.counts.to_dict()})
+        met = run.extra.get("discovery")
+        discovery = {**(met if isinstance(met, dict) else {}), "bytes": self._discovery_bytes}
+        described = replace(run, extra={**run.extra, "wire": result.counts.to_dict(), "discovery": discovery})
         sink.write_run(described)
         _write_rows(result, sink)
         return described

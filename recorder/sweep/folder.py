@@ -29,7 +29,7 @@ TRACE_ENDINGS = ("", RING_SUFFIX)
 LOG_ENDINGS = (".log", ".half.log")
 """After a segment's name: the logs of the relay and of its half of a bridge."""
 
-_SEGMENT = r"\d{1,6}-\d{1,15}-\d{1,6}\.mcap"
+_SEGMENT = r"\d{1,6}-\d{1,15}-\d{1,6}(\.\d{1,3}-\d{1,3})?\.mcap"
 _CELL_TRACE = r"[\w+-][\w.+-]*\.ping\.mcap"
 _OWN_NAME = re.compile(
     rf"({_SEGMENT}({'|'.join(map(re.escape, (*TRACE_ENDINGS, *LOG_ENDINGS)))})|{_CELL_TRACE}(\.ring|\.log)?)"
@@ -105,8 +105,19 @@ def remove_files(folder: Path, name: str, endings: Collection[str]) -> None:
 
 
 def is_segment_name(name: str) -> bool:
-    """Return whether a name is a relay's: GROUP-MILLISECONDS-START.mcap."""
+    """Return whether a name is a relay's: GROUP-MILLISECONDS-START.mcap, or GROUP-MILLISECONDS-START.RELAY-HOST.mcap."""
     return re.fullmatch(_SEGMENT, name, re.ASCII) is not None
+
+
+def segment_of(first: str, number: int, host: int) -> str:
+    """Return the segment of one of several relays (1, 2 ...) on a host (0, 1 ...) from that of the first one."""
+    return first if number == 1 else f"{first.removesuffix('.mcap')}.{number}-{host}.mcap"
+
+
+def place_of(segment: str) -> tuple[int, int]:
+    """Return number and host of the relay of a segment, as `segment_of` got them."""
+    number, _, host = segment.removesuffix(".mcap").partition(".")[2].partition("-")
+    return int(number or 1), int(host or 0)
 
 
 def log_path(folder: Path, segment: str) -> Path:

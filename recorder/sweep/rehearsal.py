@@ -41,7 +41,8 @@ def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dic
     for group in group_by_relay(plan, plan.cells):
         relay_reason = _refusal(check_arguments, relay_arguments(plan, group.need), folder)
         for cell in group.cells:
-            arguments = ping_arguments(plan, cell, DEFAULT_WAIT_S, plan.relay.reached_at)
+            further = [host.reached_at or "" for host in plan.hosts[1:]]
+            arguments = ping_arguments(plan, cell, DEFAULT_WAIT_S, plan.relay.reached_at, further)
             reason = _refusal(check_arguments, arguments, folder)
             if reason is None and relay_reason is not None:
                 reason = f"its relay: {relay_reason}"
@@ -139,7 +140,8 @@ class _Rehearsal:
         return self._reasons[alike]
 
     def _ping_arguments(self, cell: Cell) -> list[str]:
-        return ping_arguments(self._plan, cell, self._station.wait_s, self._station.relay_address)
+        station = self._station
+        return ping_arguments(self._plan, cell, station.wait_s, station.relay_address, station.further)
 
     def _refusal(self, arguments: Sequence[str]) -> str | None:
         return _refusal(self._check_arguments, arguments, self._scratch)

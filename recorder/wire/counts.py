@@ -245,10 +245,14 @@ class WireCounts:
         return self.total_bytes / self.sample_bytes if self.sample_bytes else None
 
     @property
+    def discovery_bytes(self) -> int:
+        """Bytes of SPDP, SEDP and liveliness, both directions."""
+        return self._bytes_of(_DISCOVERY_NAMES)
+
+    @property
     def discovery_bytes_per_minute(self) -> float | None:
         """Bytes of SPDP, SEDP and liveliness a minute, both directions; None if no time passed."""
-        size = self._bytes_of(_DISCOVERY_NAMES)
-        return size * 60 / self.duration_s if self.duration_s else None
+        return self.discovery_bytes * 60 / self.duration_s if self.duration_s else None
 
     @property
     def again_bytes_share(self) -> float | None:

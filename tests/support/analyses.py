@@ -17,6 +17,7 @@ from roundtrip_frames import PLAIN, rows_by_group
 
 from dds_trace import Analysis, Details, Finding, Severity, Source
 from dds_trace.analyzer.groups.breakdown import breakdown_frame, response_frame
+from dds_trace.analyzer.groups.fan_out import FAN_OUT_FRAMES
 from dds_trace.analyzer.groups.freshness import freshness_frame, outage_frame
 from dds_trace.analyzer.groups.host_samples import HOST_SAMPLE_SCHEMA
 from dds_trace.analyzer.groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, sample_columns
@@ -222,6 +223,7 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
         interference=find_interference(rows_by_group(_three_runs(roundtrips))),
         head_of_line=find_head_of_line(rows_by_group(_three_runs(roundtrips))),
         recoveries=pl.DataFrame(schema=RECOVERY_SCHEMA),
+        **{name: pl.DataFrame(schema=schema) for name, schema in FAN_OUT_FRAMES.items()},
         **no_wire_frames()._asdict(),
         answers=find_answers(rows_by_group(_three_runs(roundtrips))),
     )

@@ -51,6 +51,7 @@ def main():
         print("a first line", flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
     if behaviour in UNTIL_STOPPED:
+        print("serves domain", flush=True)
         (FOLDER / f"waiting-{cell}").touch()
         wait_for(lambda: told_to_stop)
         (FOLDER / f"waiting-{cell}").unlink()

@@ -88,6 +88,10 @@ def _axis_of(row: Option) -> PlanAxis:
     )
 
 
+def _recorders(meaning: str, *, for_relay: bool = False) -> PlanAxis:
+    return PlanAxis(meaning, limits.RECORDERS, for_relay=for_relay, kind=int, default=1)
+
+
 AXES: Mapping[str, PlanAxis] = {
     **{row.name[2:].replace("-", "_"): _axis_of(row) for row in OPTIONS.values() if row.axis},
     "relay_backend": PlanAxis(
@@ -113,6 +117,23 @@ AXES: Mapping[str, PlanAxis] = {
         "(`loss`), or the relay is killed and another one started (`relay`); all but the last need `[network]` or `[link]`",
         limits.OneOf(tuple(kind.value for kind in OutageBy)),
         default=OutageBy.LINK.value,
+    ),
+    "relays": _recorders(
+        "relays on each host, which all answer each message ([fan-out](../how-to/fan-out.md))", for_relay=True
+    ),
+    "hosts": _recorders(
+        "hosts with relays: namespaces on one bridge with `[network]`, or the first ones of `[[devices]]`",
+        for_relay=True,
+    ),
+    "pings": _recorders("pings that send at the same time on one topic"),
+    "topics": _recorders("topics at the same time, each with a ping of its own", for_relay=True),
+    "multicast": PlanAxis(
+        "whether Cyclone DDS may send a message once for all relays; `false`: to each one by itself, as all other middlewares do",
+        limits.FLAG,
+        option="--no-multicast",
+        for_relay=True,
+        kind=bool,
+        default=True,
     ),
 }
 """The axes of a plan: options of `dds-record`, and what else two sides may differ in."""
@@ -145,7 +166,7 @@ class Cell:
     """The axes of one run, and the number of the pass.
 
     Attributes:
-        flow: name of the run's flow, empty in a plan without flows.
+        flow: name of the run's flow, or of one of several `pings` or `topics`; else empty.
         with_flows: flows that run at the same time.
     """
 
@@ -167,6 +188,11 @@ class Cell:
     environment: str = ""
     outage: float = 0.0
     outage_by: str = OutageBy.LINK.value
+    relays: int = 1
+    hosts: int = 1
+    pings: int = 1
+    topics: int = 1
+    multicast: bool = True
     repeat: int = 1
     flow: str = ""
     with_flows: tuple[str, ...] = ()
@@ -192,15 +218,25 @@ class Cell:
     def together(self) -> Cell:
         """A key that is equal for cells that are recorded at the same time."""
         if not self.with_flows:
-            return self
+            return replace(self, flow="") if self.senders > 1 else self
         flows = tuple(sorted((self.flow, *self.with_flows)))
         return replace(self, data="", size=None, rate=DEFAULT_RATE_HZ, flow="", with_flows=flows)
+
+    @property
+    def senders(self) -> int:
+        """How many pings run at the same time."""
+        return len(self.with_flows) + max(self.pings, self.topics)
+
+    @property
+    def receivers(self) -> int:
+        """How many relays answer each message."""
+        return self.relays * self.hosts
 
     @property
     def relay(self) -> Cell:
         """The parameters of this cell's relay; the others are at their defaults."""
         values = {name: getattr(self, name) for name in RELAY_AXES}
-        if self.flow:  # one relay serves all flows
+        if self.flow and self.senders == len(self.with_flows) + 1:  # one relay serves all flows
             values |= {name: DEFAULTS[name] for name in SENDER_AXES}
         if self.relay_backend is not None:
             values |= {"backend": self.relay_backend, "rmw": self.relay_rmw}
@@ -256,8 +292,8 @@ def environment_name(folder: str) -> str:
 
 
 def _other_name(name: str, value: object) -> str:
-    if value is True:
-        return name
+    if isinstance(value, bool):
+        return name if value else f"no-{name}"
     if name == "environment":
         return environment_name(str(value))
     if isinstance(value, float):

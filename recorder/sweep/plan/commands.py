@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 from ...choices import Load
 from .cells import AXES, DEFAULTS, RELAY_AXES, environment_name
+from .flows import ONLY_RELAY, sender_cells
 from .plan import connects_to_relay
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from .cells import Cell
+    from .flows import RelayPlace
     from .plan import DeviceSettings, Plan
     from .schedule import CellGroup
 
@@ -23,13 +25,19 @@ AGAINST_LABEL = "against"
 """Label with the cell of the other plan."""
 
 
-def relay_arguments(plan: Plan, need: Cell, number: int = 1) -> list[str]:
+def relay_arguments(plan: Plan, need: Cell, number: int = 1, place: RelayPlace = ONLY_RELAY) -> list[str]:
     """Return the arguments of a relay in pass `number`, without `--out`."""
+    device = plan.hosts[place.host] if plan.hosts else plan.relay
+    flows = plan.flows or [cell.flow for cell in sender_cells(need) if cell.flow]
+    is_single = need.receivers == 1
+    if need.hosts > 1 and device.name is None:
+        device = replace(device, name=device.ssh or f"host-{place.host + 1}")
     return [
         *("--role", "relay", "--domain", str(plan.run.domain)),
         *_axis_arguments(need, RELAY_AXES),
-        *(argument for flow in plan.flows for argument in ("--flow", flow)),
-        *_common_arguments(plan, plan.relay, number),
+        *(argument for flow in flows for argument in ("--flow", flow)),
+        *(() if is_single else ("--relay-id", str(place.number))),
+        *_common_arguments(plan, device, number, is_single=is_single),
     ]
 
 
@@ -46,8 +54,14 @@ def half_arguments(plan: Plan, group: CellGroup) -> list[str]:
     ]
 
 
-def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | None) -> list[str]:
-    """Return the arguments of a cell's ping, without `--out`; `relay_address` is None on one machine."""
+def ping_arguments(
+    plan: Plan, cell: Cell, wait_s: float, relay_address: str | None, further: Sequence[str] = ()
+) -> list[str]:
+    """Return the arguments of a cell's ping, without `--out`.
+
+    `relay_address` is None on one machine; `further` are the addresses of the second host and those after it.
+    """
+    hosts = [relay_address, *further][: cell.hosts] if connects_to_relay(cell.backend) else []
     partner = plan.partners.get(replace(cell, repeat=1).name)
     domain = plan.run.ping_domain if cell.crosses_domains else plan.run.domain
     return [
@@ -55,7 +69,7 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *(("--relay-domain", str(plan.run.domain)) if cell.crosses_domains else ()),
         *_axis_arguments(cell, [name for name in AXES if name not in ("relay_backend", "relay_rmw")]),
         *(("--bridge-peer", f"{relay_address}:{plan.relay.bridge_port}") if plan.runs_halves(cell) else ()),
-        *(("--peer", relay_address) if relay_address and connects_to_relay(cell.backend) else ()),
+        *(word for host in hosts if host for word in ("--peer", host)),
         *(("--load-to", relay_address) if relay_address and cell.load == Load.NETWORK.value else ()),
         *("--messages", str(plan.run.messages_at(cell.rate, cell.outage)), "--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
@@ -65,10 +79,18 @@ def ping_arguments(plan: Plan, cell: Cell, wait_s: float, relay_address: str | N
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
         *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
         *_outage_arguments(plan, cell),
-        *(("--flow", cell.flow, "--setting", f"flow={cell.flow}") if cell.flow else ()),
+        *(("--flow", cell.flow) if cell.flow and cell.pings == 1 else ()),
+        *(("--setting", f"flow={cell.flow}") if cell.flow else ()),
+        *(("--relays", str(cell.receivers)) if cell.receivers > 1 else ()),
+        *_fan_out_arguments(cell),
         *(("--setting", f"with={'+'.join(cell.with_flows)}") if cell.with_flows else ()),
-        *_common_arguments(plan, plan.ping, cell.repeat, is_single=not cell.with_flows),
+        *_common_arguments(plan, plan.ping, cell.repeat, is_single=cell.senders == cell.receivers == 1),
     ]
+
+
+def _fan_out_arguments(cell: Cell) -> list[str]:
+    counts = {"relays": cell.receivers, "hosts": cell.hosts, "pings": cell.pings, "topics": cell.topics}
+    return [word for name, count in counts.items() if count > 1 for word in ("--setting", f"{name}={count}")]
 
 
 def _outage_arguments(plan: Plan, cell: Cell) -> list[str]:
@@ -101,5 +123,5 @@ def _axis_arguments(parameters: Cell, names: Iterable[str]) -> list[str]:
 
 def _option(option: str, value: object) -> list[str]:
     if isinstance(value, bool):
-        return [option] if value else []
+        return [option]  # a flag, of a value that is not the default
     return [option, f"{value:g}" if isinstance(value, float) else str(value)]

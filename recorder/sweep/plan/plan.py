@@ -213,6 +213,7 @@ class Plan:
         by_hand: whether a person starts the relay.
         partners: cell without pass -> cell of the other plan that it alternates with.
         flows: names of the flows on each relay.
+        hosts: of `[[devices]]`, the relays' devices; `relay` is the first of them.
         thresholds: metric -> conditions that each result has to meet, such as `< 20 ms`.
     """
 
@@ -231,6 +232,7 @@ class Plan:
     partners: Mapping[str, str] = field(default_factory=dict)
     thresholds: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     flows: tuple[str, ...] = ()
+    hosts: tuple[DeviceSettings, ...] = ()
 
     @property
     def discovery(self) -> str:
@@ -264,7 +266,7 @@ class Plan:
                 and (name, value)
                 not in (("wire", False), ("outage_after_seconds", 3.0), ("outage_limit_seconds", 20.0))
             },
-            "devices": [(device.ssh, device.options) for device in (self.ping, self.relay)],
+            "devices": [(device.ssh, device.options) for device in (self.ping, self.relay, *self.hosts[1:])],
             "namespaces": self.namespaces,
             "link": self.link.to_dict() if self.link else None,
             "connectivity": self.connectivity,

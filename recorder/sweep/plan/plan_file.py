@@ -19,7 +19,7 @@ from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data
 from .cells import AXES, DEFAULTS, Cell
 from .drive import read_drive
-from .flows import FLOW_KEYS, MESSAGE_AXES, MOST_FLOWS, Flow, flow_cells
+from .flows import FLOW_KEYS, MESSAGE_AXES, MOST_FLOWS, Flow, fan_out_faults, flow_cells, sender_cells
 from .link import PRESETS, Link
 from .outage import OutageBy
 from .plan import DeviceSettings, Exclusion, Network, Order, Plan, RunSettings, Search
@@ -92,14 +92,18 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
         check_runs(where, len(listed), run.repeats)
         if "order" not in root.table("run").values:
             run = replace(run, order=Order.ALTERNATING)
+    listed = [sender for setup in listed for sender in sender_cells(setup)]
+    check_runs(where, len(listed), run.repeats)
     if not listed:
         raise OptionError(f"{where}: the plan has nothing to record; give [axes] or [[matrix]] some values")
     cells, excluded = _apply(exclusions, listed)
     _check_names(cells, where, run.repeats)
     link = _link(root.table("link"))
-    devices = root.table("devices")
+    is_list = isinstance(root.values.get("devices"), list)
+    hosts = tuple(table.fill(DeviceSettings()) for table in root.tables("devices")) if is_list else ()
+    devices = TomlTable({}, where) if is_list else root.table("devices")
     devices.allow(*TABLES["devices"].words)
-    relay = devices.table("relay").fill(DeviceSettings())
+    relay = hosts[0] if hosts else devices.table("relay").fill(DeviceSettings())
     network = root.table("network").fill(Network())
     plan = Plan(
         name=_folder_name(root, name),
@@ -116,6 +120,7 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
         search=root.table("search").fill(Search()),
         thresholds=_thresholds(root.table("thresholds")),
         flows=tuple(flow.name for flow in flows),
+        hosts=hosts,
     )
     _check(plan, where)
     return plan
@@ -289,6 +294,7 @@ def _check(plan: Plan, where: str) -> None:
             search.min_rate >= search.max_rate,
             f"[search] min_rate ({search.min_rate:g}) must be below max_rate ({search.max_rate:g})",
         ),
+        *fan_out_faults(plan),
     )
     for is_at_fault, sentence in faults:
         if is_at_fault:

@@ -121,7 +121,7 @@ class Estimate:
 
     def cell_seconds(self, cell: Cell) -> float:
         """Return the expected time of a run, settling included."""
-        overhead_s = RUN_OVERHEAD_S + BRIDGE_OVERHEAD_S * cell.crosses_domains + start_lead_s(len(cell.with_flows) + 1)
+        overhead_s = RUN_OVERHEAD_S + BRIDGE_OVERHEAD_S * cell.crosses_domains + start_lead_s(cell.senders)
         overhead_s += OWN_COST_S * self.plan.run.measures_own_cost(cell.repeat)
         if self._measured_s:
             overhead_s = sum(self._measured_s) / len(self._measured_s)

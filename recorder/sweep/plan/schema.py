@@ -87,7 +87,8 @@ TABLES: Mapping[str, Table] = {
     ),
     "run": Table("What all runs have in common.", _keys_of(RunSettings)),
     "devices": Table(
-        "The two devices; both are this machine unless the relay has `ssh`.",
+        "The two devices; both are this machine unless the relay has `ssh`. Or `[[devices]]`, one for each of several `hosts`, with the keys of "
+        "`[devices.relay]` ([several devices](../how-to/fan-out.md#several-devices)).",
         {
             "connectivity": _text(
                 "the link as the traces name it: `loopback`, `wired`, `wireless`, or a word of yours",
@@ -123,7 +124,9 @@ TABLES: Mapping[str, Table] = {
 """Tables by dotted name; the root has no name."""
 
 PLAN_LIMITS: Mapping[str, Mapping[str, Limit]] = {
-    name: {word: key.limit for word, key in table.keys.items()} for name, table in TABLES.items()
+    name: {word: key.limit for word, key in {**table.keys, **further}.items()}
+    for name, table in TABLES.items()
+    for further in [TABLES["devices.relay"].keys if name == "devices" else {}]
 }
 """Table of a plan -> key -> validator."""
 
@@ -249,6 +252,7 @@ _RULES: Mapping[str, Schema] = {
             {"not": {"anyOf": [{"required": ["messages"]}, {"required": ["seconds"]}]}},
         ]
     },
+    "devices": {"type": ["object", "array"], "items": {"$ref": "#/properties/devices/properties/relay"}},
     "thresholds": {"additionalProperties": {"anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}]}},
 }
 """Rules beyond single keys: a run has a length in messages or in time; thresholds have names of metrics."""

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
+
+from ...options import DEFAULT_WAIT_S
+from ...roles.ping import MAX_RELAYS
+from ..folder import segment_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from ..station.devices import RelayDevice, StartedProgram
+
+START_POLL_S = 0.05
 
 HOPELESS_EXIT_CODES = {OptionError.exit_code, BackendUnavailableError.exit_code}
 """Exit codes of `dds-record` that another attempt would repeat."""
@@ -24,15 +32,25 @@ class CellFailedError(Exception):
 
 
 class GroupRelay:
-    """The relay of a group of cells with its half of a bridge; after it ends by itself a new segment follows."""
+    """The relays of a group of cells, or one with its half of a bridge; after one ends by itself new segments follow.
+
+    `arguments` are each relay's, by the number of its host; `waits` for them to have started, so that only the ping is new.
+    """
 
     def __init__(
-        self, device: RelayDevice, arguments: Sequence[str], half: Sequence[str] | None, new_segments: Iterator[str]
+        self,
+        device: RelayDevice,
+        arguments: Sequence[tuple[int, Sequence[str]]],
+        half: Sequence[str] | None,
+        new_segments: Iterator[str],
+        *,
+        waits: bool = False,
     ) -> None:
         self._device = device
         self._arguments = arguments
         self._half = half
         self._new_segments = new_segments
+        self._waits = waits
         self._segments: list[str] = []
         self._running: dict[str, StartedProgram] = {}
         self._hopeless: CellFailedError | None = None
@@ -43,10 +61,16 @@ class GroupRelay:
             raise self._hopeless
         if not self._running:
             segment = next(self._new_segments)
-            self._segments.append(segment)
-            self._running["relay"] = self._device.start(self._arguments, segment)
+            for number, (host, arguments) in enumerate(self._arguments, 1):
+                own = segment_of(segment, number, host)
+                self._segments.append(own)
+                self._running["relay" if number == 1 else f"relay {number}"] = self._device.start(arguments, own)
             if self._half is not None:
                 self._running["bridge's half"] = self._device.start_half(self._half, segment)
+            until_s = time.monotonic() + DEFAULT_WAIT_S * self._waits
+            while time.monotonic() < until_s and not all(one.is_serving for one in self._running.values()):
+                self.check()
+                time.sleep(START_POLL_S)
         return self.segment
 
     def check(self) -> None:
@@ -65,8 +89,13 @@ class GroupRelay:
 
     @property
     def segment(self) -> str:
-        """The latest segment."""
-        return self._segments[-1]
+        """The latest segment of the first relay."""
+        return self._segments[-len(self._arguments)]
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """The segments of the other relays."""
+        return tuple(self._segments[len(self._segments) - len(self._arguments) + 1 :])
 
     def kill(self) -> None:
         """Kill the relay, so that the next `serve` starts another one."""
@@ -74,9 +103,9 @@ class GroupRelay:
         self.end()
 
     def end(self) -> None:
-        """Stop the programs that still run."""
-        for program in reversed(self._running.values()):
-            program.stop()
+        """Stop the programs that still run: several relays at the same time, half of a bridge before its relay."""
+        with ThreadPoolExecutor(1 if self._half is not None else MAX_RELAYS) as pool:
+            list(pool.map(lambda program: program.stop(), reversed(self._running.values())))
         self._running.clear()
 
     def stop(self) -> list[str]:

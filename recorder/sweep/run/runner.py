@@ -20,9 +20,9 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.format.ring import ring_path
 
 from ...errors import RelayLostError
-from ..folder import TRACE_ENDINGS, clear_parts, make_parts, remove_files
+from ..folder import TRACE_ENDINGS, clear_parts, make_parts, place_of, remove_files
 from ..plan.commands import half_arguments, ping_arguments, relay_arguments
-from ..plan.flows import recorded_together
+from ..plan.flows import is_crowded, recorded_together, relay_places
 from ..plan.schedule import Estimate, start_lead_s
 from ..station.programs import Program
 from .group_relay import HOPELESS_EXIT_CODES, CellFailedError, GroupRelay
@@ -170,9 +170,13 @@ class Runner:
         """Yield the relay of a group; split its trace at the end."""
         relay = GroupRelay(
             self._station.within(group.need.environment).device,
-            relay_arguments(self.plan, group.need, group.cells[0].repeat),
+            [
+                (place.host, relay_arguments(self.plan, group.need, group.cells[0].repeat, place))
+                for place in relay_places(group.need)
+            ],
             half_arguments(self.plan, group) if group.bridge else None,
             self._segment_names(group),
+            waits=any(map(is_crowded, self.plan.cells)),
         )
         self._progress.relay(group.need.relay_name)
         try:
@@ -213,6 +217,7 @@ class Runner:
                         status=Status.RECORDED,
                         run_id=result.run_id,
                         segment=relay.segment,
+                        further=relay.further,
                         killed_segment=segment if relay.segment != segment else "",
                         result=result,
                         link=link,
@@ -316,7 +321,7 @@ class Runner:
 
     def _start_ping(self, cell: Cell, draft: Path, start: Sequence[str]) -> Program:
         station = self._station
-        arguments = ping_arguments(self.plan, cell, station.wait_s, station.relay_address)
+        arguments = ping_arguments(self.plan, cell, station.wait_s, station.relay_address, station.further)
         command = [*station.within(cell.environment).ping_command, *arguments, *start, "--out", str(draft)]
         return Program(command, draft.with_name(draft.name + ".log"), lock=station.lock)
 
@@ -339,7 +344,7 @@ class Runner:
         device = self._station.device
         is_here = (cells or killed) and not device.keeps_traces
         try:
-            counts = self._split(device.collect(segment), cells, killed) if is_here else {}
+            counts = self._split(device.collect(segment), cells, killed, place_of(segment)[0]) if is_here else {}
         except BackendUnavailableError as err:
             self._progress.note(f"{err}; the relay's trace is fetched when the sweep is run again")
             return
@@ -349,10 +354,13 @@ class Runner:
             is_silent = cell.result is None or not cell.result.received
             # After an outage a new relay may never get a message; the killed one has the others.
             is_expected = device.keeps_traces or is_silent or cell.outage is not None
-            if is_expected or counts.get(int(cell.run_id, 16)):
-                self.state[name] = replace(cell, status=Status.COMPLETE, segment="")
+            count = counts.get(int(cell.run_id, 16))
+            # One of several relays may get none of the messages.
+            if is_expected or count or (segment in cell.further and count is not None):
+                self.state[name] = cell.collected(segment)
             else:
-                self.state[name] = replace(cell, status=Status.FAILED, segment="", reason="its relay trace is lost")
+                lost = replace(cell.collected(segment), status=Status.FAILED, reason="its relay trace is lost")
+                self.state[name] = lost
                 self._progress.note(f"{name}: its relay trace is lost")
         try:
             device.discard(segment)
@@ -360,11 +368,11 @@ class Runner:
             self._progress.note(f"{err}; a trace that is no longer needed stays on the device")
 
     def _split(
-        self, path: Path | None, cells: Mapping[str, CellState], killed: Mapping[str, CellState]
+        self, path: Path | None, cells: Mapping[str, CellState], killed: Mapping[str, CellState], number: int
     ) -> dict[int, int]:
         drive = self.plan.link.drive if self.plan.link else None
         parts = [
-            CellPart(int(cell.run_id, 16), self.relay_path(name), cell.link, drive, cell.outage)
+            CellPart(int(cell.run_id, 16), self.relay_path(name, number), cell.link, drive, cell.outage)
             for name, cell in cells.items()
         ]
         parts += [
@@ -381,9 +389,9 @@ class Runner:
         """Return the path of a cell's ping trace."""
         return self.folder / f"{name}.ping.mcap"
 
-    def relay_path(self, name: str) -> Path:
-        """Return the path of a cell's relay trace."""
-        return self.folder / f"{name}.relay.mcap"
+    def relay_path(self, name: str, number: int = 1) -> Path:
+        """Return the path of the trace of a cell's relay, of several the one with this number."""
+        return self.folder / f"{name}.relay{'' if number == 1 else f'-{number}'}.mcap"
 
     def _segment_names(self, group: CellGroup) -> Iterator[str]:
         began_ms = time.time_ns() // 1_000_000

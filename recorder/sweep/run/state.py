@@ -46,6 +46,7 @@ class CellState:
         link: report of the emulated link for the run.
         outage: the outage within the run.
         killed_segment: the trace of the relay that the outage killed, which contains the first part of the run.
+        further: the traces of the second relay and those after it, which contain this cell's part.
     """
 
     status: Status = Status.PENDING
@@ -57,6 +58,17 @@ class CellState:
     link: LinkReport | None = None
     outage: OutageReport | None = None
     killed_segment: str = ""
+    further: tuple[str, ...] = ()
+
+    def collected(self, segment: str) -> CellState:
+        """Return the state without a segment that was split, complete after the last one."""
+        left = replace(
+            self,
+            segment="" if self.segment == segment else self.segment,
+            further=tuple(name for name in self.further if name != segment),
+        )
+        is_complete = not (left.segment or left.further) and left.status is Status.RECORDED
+        return replace(left, status=Status.COMPLETE) if is_complete else left
 
     @property
     def done(self) -> bool:
@@ -95,7 +107,7 @@ class SweepState:
 
     def in_segment(self, segment: str) -> dict[str, CellState]:
         """Return this segment's cells."""
-        return {name: cell for name, cell in self._cells.items() if cell.segment == segment}
+        return {name: cell for name, cell in self._cells.items() if segment in (cell.segment, *cell.further)}
 
     def killed_in(self, segment: str) -> dict[str, CellState]:
         """Return the cells whose outage killed the relay of this segment."""
@@ -104,7 +116,9 @@ class SweepState:
     @property
     def segments(self) -> list[str]:
         """Relay traces that still contain parts of cells, oldest first."""
-        segments = (name for cell in self._cells.values() for name in (cell.killed_segment, cell.segment))
+        segments = (
+            name for cell in self._cells.values() for name in (cell.killed_segment, cell.segment, *cell.further)
+        )
         return list(dict.fromkeys(filter(None, segments)))
 
     def _load(self) -> None:
@@ -118,6 +132,7 @@ class SweepState:
                     result=CellResult(**cell["result"]) if cell["result"] else None,
                     link=cell["link"] or None,
                     outage=cell.get("outage") or None,
+                    further=tuple(cell.get("further") or ()),
                 )
                 for name, cell in document["cells"].items()
             }
@@ -164,10 +179,10 @@ def _check_names(name: str, cell: CellState) -> None:
     """Refuse foreign names: they become paths, and the file may be somebody else's."""
     if not re.fullmatch(r"[\w+-][\w.+-]*", name):
         raise ValueError(f"{name!r} is not the name of a cell")
-    for segment in filter(None, (cell.segment, cell.killed_segment)):
+    for segment in filter(None, (cell.segment, cell.killed_segment, *cell.further)):
         if not is_segment_name(segment):
             raise ValueError(f"{segment!r} is not the name of a relay's trace")
     if cell.run_id and not re.fullmatch(r"[0-9a-f]{1,16}", cell.run_id):
         raise ValueError(f"{cell.run_id!r} is not a run id")
-    if bool(cell.segment) > bool(cell.run_id):
+    if bool(cell.segment or cell.further) > bool(cell.run_id):
         raise ValueError(f"{name} has a relay's trace but no run")

@@ -1,4 +1,4 @@
-"""A check before a sweep of two devices: by how much their clocks differ, from a beacon on each."""
+"""A check before a sweep of several devices: by how much the clocks of all pairs differ, from a beacon on each."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from dds_trace.base.errors import TraceError
 
 from ...backends import load_backend
 from ...backends.base import Meeting
-from ..folder import TRACE_ENDINGS, make_parts, remove_files
+from ..folder import TRACE_ENDINGS, log_path, make_parts, remove_files, segment_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from ..plan.plan import Plan
+    from .devices import StartedProgram
     from .station import Station
 
 SECONDS = 6
@@ -27,7 +28,7 @@ MARK = "your clocks differ"
 
 
 def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[str], None]) -> None:
-    """Note the difference of both devices' clocks, on the plan's first backend with discovery; a failure stops no sweep."""
+    """Note how the clocks of all pairs of devices differ, on the plan's first backend with discovery; a failure stops no sweep."""
     backends = (cell.backend for cell in plan.cells if not cell.environment)
     backend = next((name for name in backends if load_backend(name).meeting is Meeting.DISCOVERY), None)
     if backend is None:
@@ -35,21 +36,42 @@ def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[s
     words = ["--role", "beacon", "--rate", "5", "--backend", backend, "--domain", str(plan.run.domain)]
     words += ["--discovery", plan.discovery, "--no-own-cost", "--force"]
     out = make_parts(folder) / OWN
+    names = [host.name or host.ssh or "" for host in plan.hosts] or [""]
+    others: dict[str, StartedProgram] = {}
+    seen: list[str] = []
     try:
         station.device.prepare()
-        other = station.device.start([*words, "--duration", str(int(TIMEOUT_S))], SEGMENT)
         try:
+            for number, name in enumerate(names):
+                given = ["--device", name] if name else []
+                segment = segment_of(SEGMENT, number + 1, number)
+                long = [*words, *given, "--duration", str(int(TIMEOUT_S))]
+                others[segment] = station.device.start(long, segment)
             command = [*station.ping_command, *words, "--duration", str(SECONDS), "--out", str(out)]
             done = subprocess.run(
                 command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False, errors="replace"
             )
         finally:
-            other.stop()
-            station.device.discard(SEGMENT)
+            for other in others.values():
+                other.stop()
+            for number, segment in enumerate(others, 1):
+                log = log_path(out.parent, segment)
+                latest = _latest(log.read_text(errors="replace")) if len(names) > 1 else {}
+                seen += [f"seen from {names[number - 1]}: {latest[name]}" for name in names[number:] if name in latest]
+                station.device.discard(segment)
             remove_files(out.parent, OWN, TRACE_ENDINGS)
     except (TraceError, OSError, subprocess.TimeoutExpired) as error:
         note(f"the clocks of both devices were not compared: {error}")
         return
-    lines = [line for line in done.stderr.splitlines() if MARK in line]
+    lines = _latest(done.stderr)
     last = (done.stderr.splitlines() or ["no answer"])[-1]
-    note(lines[-1] if lines else f"the clocks of both devices were not compared: {last}")
+    for line in [*lines.values(), *seen] or [f"the clocks of both devices were not compared: {last}"]:
+        note(line)
+    for name in names:
+        if name and lines and name not in lines:
+            note(f"{name}: its clock was not compared; its beacon did not answer")
+
+
+def _latest(text: str) -> dict[str, str]:
+    """Return the name of each other device -> the latest line about it."""
+    return {line.partition(":")[0].split()[-1]: line for line in text.splitlines() if MARK in line}

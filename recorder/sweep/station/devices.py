@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING, Protocol
 
-from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
+from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, place_of, remove_files
 from .programs import DEFAULTS_VARIABLE, Program, rehearse_program
 
 if TYPE_CHECKING:
@@ -23,6 +23,10 @@ class StartedProgram(Protocol):
     @property
     def exit_code(self) -> int | None:
         """Exit code, None while it runs."""
+
+    @property
+    def is_serving(self) -> bool:
+        """Whether it has started, as far as that is known."""
 
     def stop(self) -> object:
         """End the program and wait until its trace is closed."""
@@ -97,6 +101,47 @@ class LocalDevice(RelayDevice):
         remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
 
 
+class SpreadDevice(RelayDevice):
+    """Several hosts as one device: each relay is on the one that the name of its segment has."""
+
+    def __init__(self, hosts: Sequence[RelayDevice]) -> None:
+        self.hosts = hosts
+
+    def _host(self, segment: str) -> RelayDevice:
+        return self.hosts[place_of(segment)[1]]
+
+    def check(self) -> None:
+        """Check each host."""
+        for host in self.hosts:
+            host.check()
+
+    def rehearse(self, arguments: Sequence[str]) -> str | None:
+        """Rehearse a relay on each host."""
+        return next(filter(None, (host.rehearse(arguments) for host in self.hosts)), None)
+
+    def prepare(self) -> None:
+        """Prepare each host."""
+        for host in self.hosts:
+            host.prepare()
+
+    def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
+        """Start a relay on its host."""
+        return self._host(segment).start(arguments, segment)
+
+    def collect(self, segment: str) -> Path | None:
+        """Bring a trace from its host."""
+        return self._host(segment).collect(segment)
+
+    def discard(self, segment: str) -> None:
+        """Remove a trace from its host."""
+        self._host(segment).discard(segment)
+
+    def clear(self, keep: Collection[str]) -> None:
+        """Remove traces of an interrupted sweep from each host."""
+        for host in self.hosts:
+            host.clear(keep)
+
+
 class PrintedDevice(RelayDevice):
     """A device whose person starts each relay by a printed command."""
 
@@ -129,6 +174,7 @@ class _PrintedProgram:
 
     failure = None
     exit_code = None
+    is_serving = True
 
     def stop(self) -> None:
         """Do nothing."""

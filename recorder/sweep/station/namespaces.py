@@ -21,13 +21,14 @@ from .emulation import INTERFACE, SYSTEM_PATH, count_traffic, ip, open_tap, queu
 
 if TYPE_CHECKING:
     import subprocess
+    from collections.abc import Iterable
     from types import TracebackType
 
     from typing_extensions import Self
 
     from ..plan.link import ForwarderReport, Link, LinkReport
 
-_NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay)")
+_NAME = re.compile(r"ddstrace-(\d+)-\d+-(?:ping|relay|switch|host\d+)")
 _ROLES = ("ping", "relay")
 _LINK_ENDED = "the emulated link ended by itself; run the sweep again"
 OTHER_ADDRESS = "10.213.0.11"
@@ -54,14 +55,25 @@ class Side:
 
 
 class NamespacePair:
-    """A context manager: two namespaces and the link between them, by default a bare veth."""
+    """A context manager: two namespaces and the link between them, by default a bare veth.
 
-    def __init__(self, link: Link | None) -> None:
+    With several `hosts` there is a namespace for each, and all are on a bridge in one more.
+    """
+
+    def __init__(self, link: Link | None, hosts: int = 1) -> None:
         self.link = link
         number = self._number = next(_counter)
         self.ping, self.relay = (
             Side(f"ddstrace-{os.getpid()}-{number}-{role}", f"10.213.0.{host}") for host, role in enumerate(_ROLES, 1)
         )
+        self.relays = (
+            self.relay,
+            *(
+                Side(f"ddstrace-{os.getpid()}-{number}-host{host}", f"10.213.0.{20 + host}")
+                for host in range(2, hosts + 1)
+            ),
+        )
+        self._switch = f"ddstrace-{os.getpid()}-{number}-switch" if hosts > 1 else ""
         self.applied_by = ""
         self.commands: list[str] = []
         self._forwarder: subprocess.Popen[str] | None = None
@@ -109,20 +121,8 @@ class NamespacePair:
             ip("-n", self.ping.namespace, "link", "set", INTERFACE, "down")
             return
         for side in (self.ping, self.relay):
-            tc(
-                "-n",
-                side.namespace,
-                "qdisc",
-                "replace",
-                "dev",
-                INTERFACE,
-                "root",
-                "handle",
-                "ff:",
-                "pfifo",
-                "limit",
-                "0",
-            )
+            replaced = f"qdisc replace dev {INTERFACE} root handle ff: pfifo limit 0"
+            tc("-n", side.namespace, *replaced.split())
 
     def restore(self, by: OutageBy) -> None:
         """End what `cut` did, with another address of the ping for `ADDRESS`."""
@@ -166,7 +166,7 @@ class NamespacePair:
         }
 
     def _create(self) -> None:
-        sides = (self.ping, self.relay)
+        sides = (self.ping, *self.relays)
         for side in sides:
             ip("netns", "add", side.namespace)
             ip("-n", side.namespace, "link", "set", "lo", "up")
@@ -181,6 +181,8 @@ class NamespacePair:
                 open_tap(f"ddt{os.getpid()}.{self._number}{role[0]}", side.namespace)
                 for role, side in zip(_ROLES, sides, strict=True)
             ]
+        elif self._switch:
+            self._join(sides)
         else:
             ip("-n", sides[0].namespace, "link", "add", INTERFACE, "type", "veth",
                "peer", "name", INTERFACE, "netns", sides[1].namespace)  # fmt: skip
@@ -199,6 +201,17 @@ class NamespacePair:
         if needs_forwarder and link is not None:
             self._forwarder = start_forwarder(self._taps, link)
         self.report()  # the traffic of the setup does not count
+
+    def _join(self, sides: Iterable[Side]) -> None:
+        """Put all sides on one bridge, in a namespace of its own, which forwards groups to all as a plain switch does."""
+        ip("netns", "add", self._switch)
+        ip("-n", self._switch, "link", "add", "bridge0", "type", "bridge", "mcast_snooping", "0")
+        ip("-n", self._switch, "link", "set", "bridge0", "up")
+        for number, side in enumerate(sides):
+            port = f"port{number}"
+            ip("-n", side.namespace, "link", "add", INTERFACE, "type", "veth",
+               "peer", "name", port, "netns", self._switch)  # fmt: skip
+            ip("-n", self._switch, "link", "set", port, "master", "bridge0", "up")
 
     def _has_netem(self) -> bool:
         try:
@@ -234,9 +247,9 @@ class NamespacePair:
         for descriptor in self._taps:
             os.close(descriptor)
         self._taps = []
-        for side in (self.ping, self.relay):
+        for name in (self.ping.namespace, *(side.namespace for side in self.relays), self._switch):
             with contextlib.suppress(BackendUnavailableError):  # creating it may have failed
-                ip("netns", "delete", side.namespace)
+                ip("netns", "delete", name)
 
 
 def remove_stale() -> list[str]:

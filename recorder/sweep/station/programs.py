@@ -18,6 +18,7 @@ from dds_trace.base.files import create_file
 from ...bridges.process.programs import program_environment
 from ...bridges.process.supervise import describe_end
 from ...host.process import ending_with_parent
+from ...recording import SERVING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,6 +98,11 @@ class Program:
     def failure(self) -> str | None:
         """Reason of its end, None while it runs."""
         return None if self.exit_code is None else self.last_words()
+
+    @property
+    def is_serving(self) -> bool:
+        """Whether a relay has said that it serves its domain."""
+        return SERVING in self.log.read_text(errors="replace")
 
     def wait(self, timeout_s: float) -> int | None:
         """Return the exit code, None if it still runs."""

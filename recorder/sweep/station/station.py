@@ -11,7 +11,7 @@ from dds_trace.base.files import expand_home
 from ...options import DEFAULT_WAIT_S
 from ...security.keys import shared_keys
 from ..folder import make_parts
-from .devices import LocalDevice, PrintedDevice
+from .devices import LocalDevice, PrintedDevice, SpreadDevice
 from .namespaces import NamespacePair
 from .programs import environment_program, local_program
 from .ssh import SshDevice, folder_there
@@ -35,7 +35,7 @@ class Station:
     Attributes:
         ping_command: `dds-record` on this machine, with the words before it.
         lock: file descriptor of the folder's lock, for the programs to inherit.
-        relay_address: address of the relay's device, None on one machine.
+        relay_address: address of the relay's device, None on one machine; `further` of the other hosts.
         report_link: `NamespacePair.report`, None without an emulated link.
         drive_link: `NamespacePair.drive`, None for a link without a file.
         pair: the two namespaces, for outages.
@@ -51,6 +51,7 @@ class Station:
     drive_link: Callable[..., None] | None = None
     pair: NamespacePair | None = None
     environments: Mapping[str, tuple[Sequence[str], RelayDevice]] = field(default_factory=dict)
+    further: tuple[str, ...] = ()
 
     def within(self, environment: str) -> Station:
         """Return this station with the `dds-record` of another Python environment, if one is given."""
@@ -79,16 +80,21 @@ def open_station(
         yield Station(own, PrintedDevice(show), lock, PERSON_WAIT_S, plan.relay.reached_at)
         return
     if plan.relay.ssh is not None:
-        device = SshDevice(plan.relay, parts, folder_there(plan.name, folder))
-        yield Station(own, device, lock, relay_address=plan.relay.reached_at)
+        devices = plan.hosts or (plan.relay,)
+        ssh = [SshDevice(one, parts, folder_there(plan.name, folder)) for one in devices]
+        further = tuple(one.reached_at or "" for one in devices[1:])
+        device = SpreadDevice(ssh) if further else ssh[0]
+        yield Station(own, device, lock, relay_address=plan.relay.reached_at, further=further)
         return
     with ExitStack() as stack:
-        pair = stack.enter_context(NamespacePair(plan.link)) if plan.namespaces else None
+        hosts = max(cell.hosts for cell in plan.cells)
+        pair = stack.enter_context(NamespacePair(plan.link, hosts)) if plan.namespaces else None
         keys = stack.enter_context(shared_keys({cell.security for cell in plan.cells}))
-        ping_prefix, relay_prefix = (pair.ping.prefix, pair.relay.prefix) if pair else ([], [])
+        ping_prefix, relay_prefixes = (pair.ping.prefix, [one.prefix for one in pair.relays]) if pair else ([], [[]])
 
         def both(program: Sequence[str]) -> tuple[Sequence[str], RelayDevice]:
-            return [*ping_prefix, *keys, *program], LocalDevice(parts, [*relay_prefix, *keys, *program], lock)
+            relays = [LocalDevice(parts, [*prefix, *keys, *program], lock) for prefix in relay_prefixes]
+            return [*ping_prefix, *keys, *program], SpreadDevice(relays) if len(relays) > 1 else relays[0]
 
         yield Station(
             *both(own),
@@ -98,4 +104,5 @@ def open_station(
             drive_link=pair.drive if pair and plan.link and plan.link.file else None,
             pair=pair,
             environments={environment: both(program) for environment, program in others.items()},
+            further=tuple(one.address for one in pair.relays[1:]) if pair else (),
         )

@@ -415,3 +415,39 @@ KINDS.heatmap = function heatmap(plan, width, all) {
     rows: kept.flatMap((panel) => panel.tiles.map(([, , group]) => groupRow(group, valueOf(group)))),
   };
 };
+
+KINDS.fan_out = function fanOut(plan, width, all) {
+  const lines = Object.entries(plan.lines)
+    .map(([name, points]) => ({ name, points: points.filter((point) => passes(point.group)) }))
+    .filter(({ points }) => points.length)
+    .map((line) => ({ ...line, look: { ...choiceLook(line.points[0].group), label: line.name } }));
+  const panel = (title, key, label) => ({
+    title,
+    traces: lines.map(({ look, points }) => {
+      const shown = points.filter((point) => point[key] !== null);
+      const values = shown.map((point) => point[key]);
+      const hover = (point) => groupHover(point.group, `${plan.of}: ${point.count}`, `${label}: ${formatNs(point[key])}`);
+      const trace = marks(look, shown, { x: (point) => point.count, y: (point) => point[key] * S, hover });
+      if (key !== "last_ns") return trace;
+      const ends = shown.map((point) => [point.first_ns, point.last_ns]);
+      return { ...trace, error_y: errorBars(values, ends, 1 / S, trace.marker.color) };
+    }),
+    x: () => ({ type: "linear", title: axisTitle(plan.of), zeroline: false, rangemode: "tozero", tickformat: "d" }),
+    y: timeAxis(lines.flatMap(({ points }) => points.flatMap((one) => (key === "last_ns" ? [one.first_ns, one[key]] : one[key])))),
+  });
+  const panels = [panel("First to last receiver", "last_ns", "Last"), panel("Until all have matched", "matched_ns", "Matched")];
+  const times = ["First receiver p50", "Last receiver p50", "Matched p50"];
+  return {
+    ...gridOf(lines.length ? panels : [], width, { yTitle: timeTitle("Time, p50"), height: 190, below: 46, all }),
+    parts: lines.map(({ name, look }) => ({ name, color: look.color })),
+    missing: 0,
+    columns: [
+      ...GROUP_COLUMNS,
+      { label: plan.of, format: formatCount },
+      ...times.map((label) => ({ label, unit: "ns", format: formatNs })),
+    ],
+    rows: lines.flatMap(({ points }) =>
+      points.map((one) => groupRow(one.group, one.count, one.first_ns, one.last_ns, one.matched_ns)),
+    ),
+  };
+};

@@ -35,6 +35,7 @@ CHANGES = {name: {bool: True, int: 3, float: 3.0}.get(axis.kind, "other") for na
     "transport": "udp",
     "executor": "single",
     "tuned": True,
+    "multicast": False,
     "environment": "/opt/kilted",
     "congestion_control": "reno",
     "load": "cpu",

@@ -40,7 +40,10 @@ class Device:
 def compare(tmp_path, device, backend="cyclonedds", program=BEACON):
     notes = []
     plan = SimpleNamespace(
-        cells=[SimpleNamespace(backend=backend, environment="")], run=SimpleNamespace(domain=12), discovery="subnet"
+        cells=[SimpleNamespace(backend=backend, environment="")],
+        run=SimpleNamespace(domain=12),
+        discovery="subnet",
+        hosts=(),
     )
     station = SimpleNamespace(device=device, ping_command=[sys.executable, "-c", program])
     compare_clocks(plan, station, tmp_path, notes.append)

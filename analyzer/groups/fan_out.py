@@ -1,0 +1,165 @@
+"""The frames about fan-out: when each relay got the same message, what it cost, and how long all took to meet."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from statistics import median
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from ..clocks.boots import machine_of
+from ..model.foreign import number_of, object_of, objects_of
+from ..model.metrics import frame_schema
+from ..model.setting import parse_setting
+from ..statistics.percentiles import summarize_values
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..pairing.exchanges import Exchange
+    from ..pairing.rows import RowStore
+    from .batch import Grouping
+
+_TIMES = ("first_receiver", "last_receiver", "spread", "first_reply", "last_reply")
+FAN_OUT_SCHEMA = frame_schema(
+    "group:u32 groups:str runs:u32 receivers:u32 senders:u32 messages:u64 complete:u64 "
+    + " ".join(f"{name}_p50_ns:f64 {name}_p99_ns:f64" for name in _TIMES)
+    + " bound_ns:i64 position_step_ns:f64 ping_cpu_percent:f64 relay_cpu_percent:f64 wire_bytes_per_receiver:f64 "
+    "matched_p50_ns:f64 matched_max_ns:f64 missed_p50:f64 discovery_bytes_p50:f64 recorders:u32 processors:u32"
+)
+"""A row per set of runs with the same receivers, in a campaign with several receivers or senders; `group` is the first of `groups`.
+
+`complete` messages reached all receivers and came back. `*_receiver` from T1 to T3 of the first and of the last relay on the ping's
+clock, wrong by at most `bound_ns`; `spread` between the two; `*_reply` from T1 to T2. `position_step_ns`: how much later the median is
+from one relay's number to the next. `relay_cpu_percent` of one relay, mean; `wire_bytes_per_receiver` sent by the ping (on loopback
+both ways) per message; `matched_*` from the ping's endpoints to the first echo of the last relay, `missed` messages times receivers
+lost until then. `recorders` of a run on the ping's machine."""
+
+FAN_OUT_POSITION_SCHEMA = frame_schema(
+    "group:u32 relay_id:u32 device:str messages:u64 received:u64 outbound_p50_ns:f64 after_first_p50_ns:f64 first_share:f64 last_share:f64"
+)
+"""A row per relay of a row of `FAN_OUT_SCHEMA` with several: shares are of the complete messages that it got first, and last."""
+
+FAN_OUT_FRAMES = {"fan_out": FAN_OUT_SCHEMA, "fan_out_positions": FAN_OUT_POSITION_SCHEMA}
+
+_COLUMNS = ("run_id", "relay_id", "sequence", "publish_ns", "receive_ns", "outbound_ns", "clock_bound_ns")
+_MESSAGE = ("run_id", "sequence")
+
+
+def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """Return the frames of `FAN_OUT_FRAMES` by name, empty where all runs have one receiver and one sender."""
+    made: dict[str, list[dict[str, object]]] = {"fan_out": [], "fan_out_positions": []}
+    exchanges: dict[int, list[Exchange]] = defaultdict(list)
+    groups: dict[int, set[int]] = defaultdict(set)
+    for exchange, group in zip(grouping.exchanges, grouping.group_of_exchange.tolist(), strict=True):
+        exchanges[exchange.run.run_id].append(exchange)
+        groups[exchange.run.run_id].add(group)
+    runs: dict[tuple[int, ...], list[list[Exchange]]] = defaultdict(list)
+    for run_id, own in exchanges.items():
+        runs[tuple(sorted(groups[run_id]))].append(own)
+    if any(map(_is_crowded, exchanges.values())) and rows.has_rows:
+        for together, of_runs in sorted(runs.items()):
+            frame = rows.frame(rows.groups.filter(pl.col("group").is_in(together)), _COLUMNS)
+            own_rows = frame.filter(pl.col("run_id").is_in([one[0].run.run_id for one in of_runs]))
+            relays = _by_relay(together[0], of_runs, own_rows)
+            made["fan_out"].append(
+                {
+                    "group": together[0],
+                    "groups": " ".join(map(str, together)),
+                    **_times(own_rows, relays),
+                    **_costs(of_runs, host_samples),
+                }
+            )
+            made["fan_out_positions"] += relays if len(relays) > 1 else []
+    return {name: pl.DataFrame(made[name], schema) for name, schema in FAN_OUT_FRAMES.items()}
+
+
+def _is_crowded(exchanges: Sequence[Exchange]) -> bool:
+    return exchanges[0].relays > 1 or not {"pings", "topics"}.isdisjoint(
+        parse_setting(exchanges[0].parameters().setting)
+    )
+
+
+def _complete(rows: pl.DataFrame) -> pl.DataFrame:
+    return rows.filter(pl.col("outbound_ns").is_not_null().all().over(_MESSAGE))
+
+
+def _by_relay(group: int, runs: Sequence[Sequence[Exchange]], rows: pl.DataFrame) -> list[dict[str, object]]:
+    devices = {exchange.relay_id: exchange.relay.device for one in runs for exchange in one if exchange.relay}
+    out = pl.col("outbound_ns")
+    after_first, before_last = out - out.min().over(_MESSAGE), out.max().over(_MESSAGE) - out
+    complete = _complete(rows).with_columns(after_first=after_first, before_last=before_last)
+    timed = complete.group_by("relay_id").agg(
+        outbound_p50_ns=out.median(),
+        after_first_p50_ns=pl.col("after_first").median(),
+        first_share=(pl.col("after_first") == 0).mean(),
+        last_share=(pl.col("before_last") == 0).mean(),
+    )
+    counts = rows.group_by("relay_id").agg(messages=pl.len(), received=pl.col("receive_ns").count())
+    relays = counts.join(timed, on="relay_id", how="left").sort("relay_id").iter_rows(named=True)
+    return [{"group": group, "device": devices.get(relay["relay_id"]), **relay} for relay in relays]
+
+
+def _times(rows: pl.DataFrame, relays: Sequence[dict[str, object]]) -> dict[str, object]:
+    out, reply = pl.col("outbound_ns"), pl.col("receive_ns") - pl.col("publish_ns")
+    complete = _complete(rows)
+    messages = complete.group_by(_MESSAGE).agg(
+        first_receiver=out.min(),
+        last_receiver=out.max(),
+        spread=out.max() - out.min(),
+        first_reply=reply.min(),
+        last_reply=reply.max(),
+    )
+    times = {name: summarize_values(messages[name].sort().to_numpy()) for name in _TIMES}
+    medians = pl.Series([relay["outbound_p50_ns"] for relay in relays], dtype=pl.Float64).drop_nulls().to_numpy()
+    bound = complete["clock_bound_ns"]
+    return {
+        "messages": rows.select(_MESSAGE).n_unique(),
+        "complete": messages.height,
+        **{f"{name}_{key}_ns": times[name][key] for name in _TIMES for key in ("p50", "p99")},
+        "bound_ns": None if bound.null_count() else bound.max(),
+        "position_step_ns": np.polyfit(range(len(medians)), medians, 1)[0] if len(medians) > 1 else None,
+    }
+
+
+def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame) -> dict[str, object]:
+    values: dict[str, list[float]] = defaultdict(list)
+    recorders = []
+    for exchanges in runs:
+        run, ping = exchanges[0].run, exchanges[0].ping
+        relays = {exchange.relay.session_id: exchange.relay for exchange in exchanges if exchange.relay}
+        during = samples.filter(pl.col("wall_ns").is_between(exchanges[0].start_ns, exchanges[0].end_ns))
+        for name, sessions in (("ping", [ping.session_id]), ("relay", list(relays))):
+            percent = during.filter(pl.col("session_id").is_in(sessions))["node_cpu_percent"].mean()
+            values[name] += [percent] if isinstance(percent, float) else []
+        classes = objects_of(object_of(run.extra.get("wire")).get("classes"))
+        sent = sum(number_of(one.get("bytes")) or 0 for one in classes if one.get("direction") != "received")
+        values["wire"] += [sent / run.published / len(exchanges)] if classes and run.published else []
+        met = object_of(run.extra.get("discovery"))
+        values["matched"] += [max(times)] if (times := _numbers(met.get("matched_ns"))) else []
+        values["missed"] += [sum(_numbers(met.get("missed")))] if times else []
+        values["discovery"] += _numbers([met.get("bytes")])
+        here = machine_of(ping)
+        recorders.append(exchanges[0].flows + sum(machine_of(relay) == here for relay in relays.values()))
+    p50 = {name: median(own) for name, own in values.items() if own}
+    return {
+        "runs": len(runs),
+        "receivers": max(map(len, runs)),
+        "senders": runs[0][0].flows,
+        "ping_cpu_percent": p50.get("ping"),
+        "relay_cpu_percent": p50.get("relay"),
+        "wire_bytes_per_receiver": p50.get("wire"),
+        "matched_p50_ns": p50.get("matched"),
+        "matched_max_ns": max(values["matched"], default=None),
+        "missed_p50": p50.get("missed"),
+        "discovery_bytes_p50": p50.get("discovery"),
+        "recorders": max(recorders),
+        "processors": next(iter(_numbers([runs[0][0].ping.host.get("cpu_cores")])), None),
+    }
+
+
+def _numbers(values: object) -> list[float]:
+    numbers = map(number_of, values if isinstance(values, list) else [])
+    return [number for number in numbers if number is not None and number >= 0]

@@ -1,0 +1,99 @@
+"""Several relays of one message: a known spread, order and cost come back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from trace_files import (
+    RUN_ID,
+    Message,
+    merged_events,
+    ping_events,
+    ping_session,
+    relay_events,
+    relay_session,
+    run,
+    write_trace,
+)
+
+from dds_trace.analyzer.pipeline import analyze
+
+US, S = 1_000, 1_000_000_000
+MESSAGES, RELAYS = 200, 3
+BOOT = {"boot_id": "a-boot"}
+WIRE = {
+    "classes": [
+        {"name": "data", "direction": "sent", "bytes": 600_000, "packets": 600},
+        {"name": "data", "direction": "received", "bytes": 900_000, "packets": 600},
+    ]
+}
+DISCOVERY = {"matched_ns": [S // 10, S // 5, 3 * S], "missed": [1, 2, 30], "bytes": 4321}
+
+
+def message(sequence, relay):
+    """Relay 1 gets it after 100 us, each further one 50 us later; every tenth message relay 3 gets first."""
+    sent = sequence * S // 100
+    out = 100 * US + 50 * US * (relay - 1)
+    if relay == RELAYS and sequence % 10 == 0:
+        out = 60 * US
+    t3 = sent + out
+    return Message(sequence, t0=sent, t1=sent, t3=t3, t4=t3 + 10 * US, t2=t3 + 110 * US)
+
+
+def lost(one):
+    return replace(one, t2=None, t3=None, t4=None)
+
+
+def campaign(folder, change=lambda one, _relay: one, relays=RELAYS, **fields):
+    sent = [message(sequence, 1) for sequence in range(MESSAGES)]
+    described = run(planned_messages=MESSAGES, published=MESSAGES, relay_domain_id=10, extra=fields)
+    ping = ping_session(host={"cpu_cores": 2}, extra=BOOT)
+    events = [ping_events([lost(one) for one in sent], run_id=RUN_ID)]
+    for relay in range(1, relays + 1):
+        got = [change(message(sequence, relay), relay) for sequence in range(MESSAGES)]
+        events.append(ping_events([replace(one, t1=None) for one in got], run_id=RUN_ID, relay_id=relay))
+        session = relay_session(session_id=100 + relay, relay_id=relay, extra=BOOT)
+        write_trace(folder / f"relay-{relay}.mcap", session, (), relay_events(got, run_id=RUN_ID, relay_id=relay))
+    write_trace(folder / "ping.mcap", ping, [described], merged_events(events))
+    return analyze(folder)
+
+
+def test_the_known_first_and_last_receiver_come_back(tmp_path):
+    analysis = campaign(tmp_path, wire=WIRE, discovery=DISCOVERY)
+    (row,) = analysis.details.fan_out.iter_rows(named=True)
+    assert (row["receivers"], row["senders"], row["messages"], row["complete"]) == (3, 1, MESSAGES, MESSAGES)
+    assert row["first_receiver_p50_ns"] == 100 * US
+    assert row["last_receiver_p50_ns"] == 200 * US
+    assert (row["spread_p50_ns"], row["spread_p99_ns"]) == (100 * US, 100 * US)
+    assert (row["first_reply_p50_ns"], row["last_reply_p50_ns"]) == (210 * US, 310 * US)
+    assert row["position_step_ns"] == pytest.approx(50 * US)
+    assert row["bound_ns"] == 0
+    assert row["wire_bytes_per_receiver"] == 600_000 / MESSAGES / RELAYS
+    assert (row["matched_p50_ns"], row["missed_p50"], row["discovery_bytes_p50"]) == (3 * S, 33, 4321)
+    assert (row["recorders"], row["processors"]) == (4, 2)
+    shares = analysis.details.fan_out_positions.select("relay_id", "first_share", "last_share").rows()
+    assert shares == [(1, 0.9, 0.0), (2, 0.0, 0.1), (3, 0.1, 0.9)]
+    codes = {finding.code for finding in analysis.findings}
+    assert {"shared_cores", "slow_discovery"} <= codes
+
+
+def test_a_message_that_one_relay_missed_is_in_no_spread(tmp_path):
+    analysis = campaign(tmp_path, lambda one, relay: lost(one) if relay == 2 and one.sequence < 50 else one)
+    (row,) = analysis.details.fan_out.iter_rows(named=True)
+    assert (row["messages"], row["complete"]) == (MESSAGES, MESSAGES - 50)
+    received = analysis.details.fan_out_positions["received"].to_list()
+    assert received == [MESSAGES, MESSAGES - 50, MESSAGES]
+    assert row["matched_p50_ns"] is None
+
+
+def test_one_relay_has_no_fan_out(tmp_path):
+    details = campaign(tmp_path, relays=1).details
+    assert details.fan_out.is_empty()
+    assert details.fan_out_positions.is_empty()
+
+
+@pytest.mark.parametrize("described", [{"matched_ns": "soon", "missed": [-1, None]}, [], "x", {"matched_ns": [1e300]}])
+def test_what_a_file_says_of_discovery_is_checked(tmp_path, described):
+    (row,) = campaign(tmp_path, discovery=described).details.fan_out.iter_rows(named=True)
+    assert row["matched_p50_ns"] is None

@@ -42,7 +42,14 @@ autodoc_typehints_format = "short"
 napoleon_google_docstring = True
 napoleon_use_ivar = True
 
-DIARIES = ("results/performance", "results/coverage", "results/loopback/report", "results/flows", "results/outages")
+DIARIES = (
+    "results/performance",
+    "results/coverage",
+    "results/loopback/report",
+    "results/flows",
+    "results/fan-out",
+    "results/outages",
+)
 """Pages on experiments of our own: linked and found by search, not in the navigation."""
 
 

@@ -42,7 +42,7 @@ TWO_LINKS = "gallery+emulated-link"
 
 BAG = "drive"
 
-CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks", "flows", "outages", "two-machines", BAG)
+CAMPAIGNS = ("gallery", TWO_LINKS, "emulated-link", "two-clocks", "flows", "fan-out", "outages", "two-machines", BAG)
 """Folders of docs/results/, joined by + where they are analyzed together; where the first has no such figure, the next is looked at."""
 
 
@@ -79,6 +79,7 @@ CAMPAIGN_OF: Mapping[str, tuple[str, str]] = {
     "timeline": ("emulated-link", LINK_CELL),
     "host_load": ("gallery", "502 KB"),
     "interference": ("flows", ""),
+    "fan_out": ("fan-out", ""),
     "recovery": ("outages", ""),
 }
 """Figure -> campaign and message that show it well; others are taken of `gallery`."""

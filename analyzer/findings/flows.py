@@ -70,7 +70,7 @@ def waiting_flows(evidence: Evidence) -> Iterator[Observation]:
     Severity.INFO,
     Subject.RESULT,
     "A rise with the number of relays may be this machine's and not the middleware's: lower rates, or a device for each host "
-    "([[devices]] of a plan), may help to tell.",
+    "([[devices]] of a plan), may help to judge.",
 )
 def sharing_recorders(evidence: Evidence) -> Iterator[Observation]:
     """Pings and relays of a result shared processors."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from ..book.book import Book
 
-COUNTS = ("relays", "hosts", "pings", "topics", "flow", "flows")
+COUNTS = ("relays", "hosts", "pings", "topics", "flow", "flows", "wire")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def fan_out_figure(info: FanOut) -> Figure | LeftOut:
     """Draw bars from the first to the last receiver, and marks of the time until all have matched."""
     name, title = "fan_out", "One message to several relays"
     how_to_read = (
-        "Each bar reaches from the median time at which the first relay gets a message to that of the last one; the mark is the last. On "
+        "Each bar reaches from the first relay that gets a message to the last one (median times); the mark is the last. On "
         "the right: the time from the start of the ping to the first answer of the last relay, which were all running."
     )
     if not info.lines:

@@ -54,7 +54,7 @@ def main():
         print("serves domain", flush=True)
         (FOLDER / f"waiting-{cell}").touch()
         wait_for(lambda: told_to_stop)
-        (FOLDER / f"waiting-{cell}").unlink()
+        (FOLDER / f"waiting-{cell}").unlink(missing_ok=True)
     shutil.copy(FOLDER / "traces" / trace, sys.argv[sys.argv.index("--out") + 1])
     return 12 if behaviour == "silent" else 0
 

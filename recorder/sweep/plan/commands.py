@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 from ...choices import Load
 from .cells import AXES, DEFAULTS, RELAY_AXES, environment_name
-from .flows import ONLY_RELAY, sender_cells
+from .flows import ONLY_RELAY, RelayPlace, sender_cells
 from .plan import connects_to_relay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from .cells import Cell
-    from .flows import RelayPlace
     from .plan import DeviceSettings, Plan
     from .schedule import CellGroup
 

@@ -280,7 +280,17 @@ def test_without_details_the_figures_that_need_them_say_so(campaign):
     plain = replace(campaign, details=details_not_requested())
     left_out = {drawn.name for maker in FIGURES if isinstance(drawn := maker.draw(Book(plain)), LeftOut)}
     of_wire = {"wire_cost", "sent_again", "first_message"}
-    of_details = {"bridge_cost", "breakdown", "one_way", "clock", "host_load", "run_spread", "interference", "recovery"}
+    of_details = {
+        "bridge_cost",
+        "breakdown",
+        "one_way",
+        "clock",
+        "host_load",
+        "run_spread",
+        "interference",
+        "recovery",
+        "fan_out",
+    }
     assert left_out == of_details | of_wire | {"by_device"}
 
 

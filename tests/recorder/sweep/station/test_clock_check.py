@@ -77,3 +77,30 @@ def test_backends_that_need_an_address_have_no_check(tmp_path):
     device = Device()
     assert compare(tmp_path, device, backend="socket") == []
     assert not device.started
+
+
+def test_all_pairs_of_several_devices_are_compared(tmp_path):
+    class Hosts(Device):
+        """Devices whose logs are here, as ssh leaves them."""
+
+        def start(self, arguments, segment):
+            name = arguments[arguments.index("--device") + 1]
+            other = {"left": "right", "right": "left"}[name]
+            (tmp_path / ".parts" / f"{segment}.log").write_text(f"{other}: your clocks differ by 2 ms\n")
+            return super().start(arguments, segment)
+
+    notes = []
+    hosts = [SimpleNamespace(name=name, ssh=f"pi@{name}") for name in ("left", "right")]
+    plan = SimpleNamespace(
+        cells=[SimpleNamespace(backend="cyclonedds", environment="")],
+        run=SimpleNamespace(domain=12),
+        discovery="subnet",
+        hosts=hosts,
+    )
+    program = BEACON.replace("jetson", "left")
+    station = SimpleNamespace(device=(device := Hosts()), ping_command=[sys.executable, "-c", program])
+    compare_clocks(plan, station, tmp_path, notes.append)
+    assert notes[:2] == [LINE.replace("jetson", "left"), "seen from left: right: your clocks differ by 2 ms"]
+    assert notes[2].startswith("right: ")  # did not answer
+    assert [segment for _, segment in device.started] == [SEGMENT, "0-0-0.2-1.mcap"]
+    assert device.stopped == 2

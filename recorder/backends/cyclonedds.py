@@ -71,9 +71,8 @@ class CycloneNode(ThreadedNode):
 
         super().__init__(options)
         _check_version()
-        localhost = cyclone_loopback(options.discovery)
-        settings = cyclone_settings(options.discovery, tuned=options.tuned, multicast=options.multicast)
-        settings = ",".join(filter(None, (localhost, settings)))
+        own = cyclone_settings(options.discovery, tuned=options.tuned, multicast=options.multicast)
+        settings = ",".join(filter(None, (cyclone_loopback(options.discovery), own)))
         try:
             configured = ",".join(filter(None, (settings, security_settings(options))))
             self._domain = _configured_domain(options.domain_id, configured)

@@ -63,7 +63,7 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
         for together, of_runs in sorted(runs.items()):
             frame = rows.frame(rows.groups.filter(pl.col("group").is_in(together)), _COLUMNS)
             own_rows = frame.filter(pl.col("run_id").is_in([one[0].run.run_id for one in of_runs]))
-            relays = _by_relay(together[0], of_runs, own_rows)
+            relays = _by_relay(together[0], of_runs, own_rows) if max(map(len, of_runs)) > 1 else []
             made["fan_out"].append(
                 {
                     "group": together[0],
@@ -72,7 +72,7 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
                     **_costs(of_runs, host_samples),
                 }
             )
-            made["fan_out_positions"] += relays if len(relays) > 1 else []
+            made["fan_out_positions"] += relays
     return {name: pl.DataFrame(made[name], schema) for name, schema in FAN_OUT_FRAMES.items()}
 
 
@@ -140,7 +140,7 @@ def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame) -> dict[st
         met = object_of(run.extra.get("discovery"))
         values["matched"] += [max(times)] if (times := _numbers(met.get("matched_ns"))) else []
         values["missed"] += [sum(_numbers(met.get("missed")))] if times else []
-        values["discovery"] += _numbers([met.get("bytes")])
+        values["discovery"] += filter(None, _numbers([met.get("bytes")]))
         here = machine_of(ping)
         recorders.append(exchanges[0].flows + sum(machine_of(relay) == here for relay in relays.values()))
     p50 = {name: median(own) for name, own in values.items() if own}

@@ -45,16 +45,16 @@ def lost(one):
     return replace(one, t2=None, t3=None, t4=None)
 
 
-def campaign(folder, change=lambda one, _relay: one, relays=RELAYS, **fields):
+def campaign(folder, change=lambda one, _relay: one, relays=RELAYS, run_id=RUN_ID, first=1, **fields):
     sent = [message(sequence, 1) for sequence in range(MESSAGES)]
-    described = run(planned_messages=MESSAGES, published=MESSAGES, relay_domain_id=10, extra=fields)
-    ping = ping_session(host={"cpu_cores": 2}, extra=BOOT)
-    events = [ping_events([lost(one) for one in sent], run_id=RUN_ID)]
-    for relay in range(1, relays + 1):
-        got = [change(message(sequence, relay), relay) for sequence in range(MESSAGES)]
-        events.append(ping_events([replace(one, t1=None) for one in got], run_id=RUN_ID, relay_id=relay))
-        session = relay_session(session_id=100 + relay, relay_id=relay, extra=BOOT)
-        write_trace(folder / f"relay-{relay}.mcap", session, (), relay_events(got, run_id=RUN_ID, relay_id=relay))
+    described = run(run_id=run_id, planned_messages=MESSAGES, published=MESSAGES, relay_domain_id=10, extra=fields)
+    ping = ping_session(session_id=run_id + 1, host={"cpu_cores": 2}, extra=BOOT)
+    events = [ping_events([lost(one) for one in sent], run_id=run_id)]
+    for relay in range(first, first + relays):
+        got = [change(message(sequence, relay - first + 1), relay) for sequence in range(MESSAGES)]
+        events.append(ping_events([replace(one, t1=None) for one in got], run_id=run_id, relay_id=relay))
+        session = relay_session(session_id=run_id + 100 + relay, relay_id=relay, extra=BOOT)
+        write_trace(folder / f"relay-{relay}.mcap", session, (), relay_events(got, run_id=run_id, relay_id=relay))
     write_trace(folder / "ping.mcap", ping, [described], merged_events(events))
     return analyze(folder)
 
@@ -85,6 +85,17 @@ def test_a_message_that_one_relay_missed_is_in_no_spread(tmp_path):
     received = analysis.details.fan_out_positions["received"].to_list()
     assert received == [MESSAGES, MESSAGES - 50, MESSAGES]
     assert row["matched_p50_ns"] is None
+
+
+def test_relays_of_repeats_are_no_positions(tmp_path):
+    """A relay without a number of its own has another one in each run."""
+    campaign(tmp_path / "three")
+    campaign(tmp_path / "one", relays=1, run_id=RUN_ID + 1)
+    campaign(tmp_path / "again", relays=1, run_id=RUN_ID + 2, first=7)
+    details = analyze(tmp_path).details
+    assert details.fan_out.sort("receivers")["receivers"].to_list() == [1, 3]
+    assert details.fan_out.filter(receivers=1)["position_step_ns"].to_list() == [None]
+    assert len(details.fan_out_positions) == RELAYS
 
 
 def test_one_relay_has_no_fan_out(tmp_path):

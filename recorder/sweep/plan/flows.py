@@ -76,7 +76,7 @@ def is_crowded(cell: Cell) -> bool:
 def fan_out_faults(plan: Plan) -> Iterator[tuple[bool, str]]:
     """Yield for each rule whether the plan breaks it, and the sentence that says so."""
     crowded = [cell for cell in plan.cells if is_crowded(cell)]
-    most, places = max(cell.hosts for cell in plan.cells), len(plan.hosts)
+    most, places = max((cell.hosts for cell in plan.cells), default=1), len(plan.hosts)
     alone = next((cell.backend for cell in crowded if cell.relays > 1 and connects_to_relay(cell.backend)), "")
     is_mixed = plan.by_hand or bool(plan.flows)
     yield (

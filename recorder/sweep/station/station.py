@@ -87,7 +87,7 @@ def open_station(
         yield Station(own, device, lock, relay_address=plan.relay.reached_at, further=further)
         return
     with ExitStack() as stack:
-        hosts = max(cell.hosts for cell in plan.cells)
+        hosts = max((cell.hosts for cell in plan.cells), default=1)
         pair = stack.enter_context(NamespacePair(plan.link, hosts)) if plan.namespaces else None
         keys = stack.enter_context(shared_keys({cell.security for cell in plan.cells}))
         ping_prefix, relay_prefixes = (pair.ping.prefix, [one.prefix for one in pair.relays]) if pair else ([], [[]])

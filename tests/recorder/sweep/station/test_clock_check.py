@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from dds_trace.base.errors import BackendUnavailableError
-from dds_trace.recorder.sweep.station.clock_check import OWN, SEGMENT, compare_clocks
+from dds_trace.recorder.sweep.station.clock_check import MARK, OWN, SEGMENT, compare_clocks
 
 LINE = "jetson: your clocks differ by 1.234 ms +- 0.021 (that one shows the later time; chrony: follows ntp1)"
 BEACON = (
@@ -86,7 +86,7 @@ def test_all_pairs_of_several_devices_are_compared(tmp_path):
         def start(self, arguments, segment):
             name = arguments[arguments.index("--device") + 1]
             other = {"left": "right", "right": "left"}[name]
-            (tmp_path / ".parts" / f"{segment}.log").write_text(f"{other}: your clocks differ by 2 ms\n")
+            (tmp_path / ".parts" / f"{segment}.log").write_text(f"{other}: {MARK} by 2 ms\n")
             return super().start(arguments, segment)
 
     notes = []
@@ -100,7 +100,7 @@ def test_all_pairs_of_several_devices_are_compared(tmp_path):
     program = BEACON.replace("jetson", "left")
     station = SimpleNamespace(device=(device := Hosts()), ping_command=[sys.executable, "-c", program])
     compare_clocks(plan, station, tmp_path, notes.append)
-    assert notes[:2] == [LINE.replace("jetson", "left"), "seen from left: right: your clocks differ by 2 ms"]
+    assert notes[:2] == [LINE.replace("jetson", "left"), f"seen from left: right: {MARK} by 2 ms"]
     assert notes[2].startswith("right: ")  # did not answer
     assert [segment for _, segment in device.started] == [SEGMENT, "0-0-0.2-1.mcap"]
     assert device.stopped == 2

@@ -1,10 +1,11 @@
 """What a tap costs others: latency of another subscriber and CPU of publisher and tap, with and without it in turn.
 
-    python benchmarks/bench_tap.py [--pairs 8] [--seconds 6] [--backend ros2] [--json]
+    python benchmarks/bench_tap.py [--pairs 8] [--seconds 6] [--backend ros2] [--control] [--json]
 
 A publisher and a subscriber of ROS 2 run throughout; the tap is started and ended beside them, and its first second does not
 count. Each pair of slices gives one ratio, and the pairs an interval of the median (sign test, 95 %). Exit code 1 if a bar is
-missed: the subscriber's p50 within 5 %, the tap at most 5 % of a core at 50 Hz.
+missed: the subscriber's p50 within 5 %, the tap at most 5 % of a core at 50 Hz. `--control` measures the topic of 50 Hz alone, and a
+second plain subscriber of rclpy in turn with tap and nothing: what any second subscriber costs.
 """
 
 from __future__ import annotations
@@ -94,6 +95,16 @@ class Result:
     publisher_core_without: float
     publisher_core_with: float
     tap_core: float
+    control: tuple[float, float, float] | None = None
+    tap_against_control: tuple[float, float, float] | None = None
+
+    @property
+    def of_control(self) -> str:
+        """The ratios of the control in words."""
+        if self.control is None or self.tap_against_control is None:
+            return ""
+        plain, tap = ("{:.3f} ({:.3f} to {:.3f})".format(*ratio) for ratio in (self.control, self.tap_against_control))
+        return f"; with a plain subscriber {plain}, tap against that {tap}"
 
 
 def start(role: str, size: int, rate_hz: float, path: Path) -> subprocess.Popen[bytes]:
@@ -118,6 +129,15 @@ def start_tap(folder: Path, backend: str) -> subprocess.Popen[str]:
         if "joined" in line:
             return tap
     raise RuntimeError("the tap did not join the topic")
+
+
+def start_plain(folder: Path, size: int, rate_hz: float) -> subprocess.Popen[bytes]:
+    """Start another subscriber and wait until it hears the topic."""
+    heard = folder / f"plain{time.monotonic_ns()}"
+    plain = start("subscriber", size, rate_hz, heard)
+    while not (heard.exists() and heard.stat().st_size):
+        time.sleep(0.1)
+    return plain
 
 
 def end(process: subprocess.Popen) -> None:  # type: ignore[type-arg]
@@ -161,9 +181,16 @@ def median_interval(values: Sequence[float]) -> tuple[float, float]:
     return ordered[first], ordered[count - 1 - first]
 
 
-def run_case(size: int, rate_hz: float, pairs: int, seconds: float, backend: str) -> Result:
+def ratio_of(slices: Sequence[Slice], base: Sequence[Slice]) -> tuple[float, float, float]:
+    """Return the median ratio of p50 of neighbouring slices, and its interval."""
+    ratios = [one.p50_us / other.p50_us for one, other in zip(slices, base, strict=True)]
+    return statistics.median(ratios), *median_interval(ratios)
+
+
+def run_case(size: int, rate_hz: float, pairs: int, seconds: float, backend: str, *, control: bool) -> Result:
     """Measure one topic."""
-    without, with_tap = list[Slice](), list[Slice]()
+    kinds = ("nothing", "tap", "plain") if control else ("nothing", "tap")
+    slices: dict[str, list[Slice]] = {kind: [] for kind in kinds}
     with tempfile.TemporaryDirectory(prefix="bench-tap-") as name:
         folder = Path(name)
         latencies = folder / "latencies"
@@ -173,17 +200,18 @@ def run_case(size: int, rate_hz: float, pairs: int, seconds: float, backend: str
             while not (latencies.exists() and latencies.stat().st_size > 1600) and time.monotonic() < deadline:
                 time.sleep(0.2)
             for number in range(pairs):
-                for is_tapped in (False, True) if number % 2 else (True, False):  # ABBA: a trend cancels
-                    tap = start_tap(folder, backend) if is_tapped else None
-                    part = measure(seconds, latencies, processes[1].pid, tap.pid if tap else None)
-                    (with_tap if is_tapped else without).append(part)
-                    if tap is not None:
-                        end(tap)
+                for kind in kinds if number % 2 else kinds[::-1]:  # ABBA: a trend cancels
+                    other: subprocess.Popen[str] | subprocess.Popen[bytes] | None = None
+                    if kind != "nothing":
+                        other = start_tap(folder, backend) if kind == "tap" else start_plain(folder, size, rate_hz)
+                    slices[kind].append(measure(seconds, latencies, processes[1].pid, other.pid if other else None))
+                    if other is not None:
+                        end(other)
         finally:
             for process in processes:
                 end(process)
-    ratios = [tapped.p50_us / bare.p50_us for tapped, bare in zip(with_tap, without, strict=True)]
-    low, high = median_interval(ratios)
+    without, with_tap = slices["nothing"], slices["tap"]
+    ratio, low, high = ratio_of(with_tap, without)
     middle = statistics.median
     return Result(
         payload_bytes=size,
@@ -191,12 +219,14 @@ def run_case(size: int, rate_hz: float, pairs: int, seconds: float, backend: str
         pairs=pairs,
         p50_us_without=middle(part.p50_us for part in without),
         p50_us_with=middle(part.p50_us for part in with_tap),
-        ratio=middle(ratios),
+        ratio=ratio,
         ratio_low=low,
         ratio_high=high,
         publisher_core_without=middle(part.publisher_core for part in without),
         publisher_core_with=middle(part.publisher_core for part in with_tap),
         tap_core=middle(part.tap_core or 0.0 for part in with_tap),
+        control=ratio_of(slices["plain"], without) if control else None,
+        tap_against_control=ratio_of(with_tap, slices["plain"]) if control else None,
     )
 
 
@@ -206,17 +236,21 @@ def main() -> int:
     parser.add_argument("--pairs", type=int, default=8)
     parser.add_argument("--seconds", type=float, default=6.0)
     parser.add_argument("--backend", default="ros2")
+    parser.add_argument("--control", action="store_true")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     results = []
-    for size, rate_hz in CASES:
-        result = run_case(size, rate_hz, arguments.pairs, arguments.seconds, arguments.backend)
+    for size, rate_hz in CASES[:1] if arguments.control else CASES:
+        result = run_case(
+            size, rate_hz, arguments.pairs, arguments.seconds, arguments.backend, control=arguments.control
+        )
         results.append(result)
         if not arguments.json:
             print(
                 f"{size / 1000:.0f} KB at {rate_hz:g} Hz: p50 {result.p50_us_without:.0f} us without, {result.p50_us_with:.0f} us "
                 f"with a tap, ratio {result.ratio:.3f} ({result.ratio_low:.3f} to {result.ratio_high:.3f}); publisher "
-                f"{result.publisher_core_without:.1%} -> {result.publisher_core_with:.1%} of a core, tap {result.tap_core:.1%}",
+                f"{result.publisher_core_without:.1%} -> {result.publisher_core_with:.1%} of a core, tap {result.tap_core:.1%}"
+                f"{result.of_control}",
                 flush=True,
             )
     if arguments.json:

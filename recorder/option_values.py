@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -43,6 +44,11 @@ def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]
 def parse_topics(texts: Iterable[str]) -> tuple[str, ...]:
     """Return the names in texts such as `/camera/image,/tf`, each once."""
     return tuple(dict.fromkeys(name.strip() for text in texts for name in text.split(",") if name.strip()))
+
+
+def parse_rate_or_max(text: str) -> float:
+    """Return a rate in Hz, infinite for `max`."""
+    return math.inf if text == "max" else parse_rate(text, "--rate")
 
 
 def parse_rates(texts: Iterable[str]) -> dict[str, float]:

@@ -17,7 +17,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from .choices import Discovery, Load, Role, Serialization
 from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, detail, option
-from .option_values import KeepFree, Rotation, parse_pairs, parse_rates, parse_topics
+from .option_values import KeepFree, Rotation, parse_pairs, parse_rate_or_max, parse_rates, parse_topics
 from .payloads import check_data
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 DEFAULT_MESSAGES = 1000
 """Messages of a run: gates were simulated with it (docs/explanation/coverage.md)."""
 DEFAULT_RATE_HZ = 10.0
+MAX_RATE_PING_SHARE = 0.01
 DEFAULT_WARMUP = 10
 DEFAULT_WAIT_S = 20.0
 BEACON_RATE_HZ = 2.0
@@ -76,10 +77,21 @@ class PingOptions:
         None,
         "--rate HZ",
         Panel.SCHEDULE,
-        f"Messages per second. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate; of a beacon {BEACON_RATE_HZ:g}",
-        limit=limits.RATE_HZ,
+        f"Messages per second, or max: as fast as they are taken. Default: {DEFAULT_RATE_HZ:g}; of a bag its own rate; of a beacon {BEACON_RATE_HZ:g}",
+        limit=limits.RATE_HZ_OR_MAX,
+        parse=parse_rate_or_max,
         roles=(Role.PING, Role.BEACON),
-        axis=Axis(for_relay=False, default=DEFAULT_RATE_HZ, unit="Hz"),
+        axis=Axis(
+            for_relay=False, meaning='messages a second, or `"max"`', default=DEFAULT_RATE_HZ, kind=float, unit="Hz"
+        ),
+    )
+    ping_share: float | None = option(
+        None,
+        "--ping-share SHARE",
+        Panel.SCHEDULE,
+        f"Share of the messages that is sent back, at --rate max. Default: {MAX_RATE_PING_SHARE:g}",
+        limit=limits.PING_SHARE,
+        axis=Axis(for_relay=False),
     )
     messages: int | None = detail(
         None,
@@ -171,6 +183,8 @@ class PingOptions:
             for key, value in pairs.items():
                 limits.check(limits.LABEL_KEY, key, name)
                 limits.check(limits.TEXT, value, f"{name} {key}")
+        if self.ping_share is not None and self.rate_hz != float("inf"):
+            raise OptionError("--ping-share needs --rate max; on a schedule every message is sent back")
         joins_halves = self.bridge_listen is not None or bool(self.bridge_peers)
         if self.bridge == "none" and (self.bridge_running or joins_halves):
             raise OptionError("--bridge-running, --bridge-listen and --bridge-peer need --bridge NAME")

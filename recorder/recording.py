@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import secrets
 import threading
 import time
@@ -12,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from dds_trace.base import limits
 from dds_trace.tracefile.writing.destination import discard
 
 from .backends import load_backend
@@ -60,6 +62,8 @@ QUIET_LOOKS = 10
 """After as many checks without a message a relay collects garbage."""
 HOPELESS_S = 2.6
 """Wait for an echo where QoS can never match; not in step with Fast DDS's 3 s retry."""
+MAX_RATE_RING_SLOTS = 1 << 19
+"""Events that wait for the disk at `--rate max`, several seconds of them."""
 ALL_RELAYS_S = 3.0
 """Longest wait for further relays after the first one has answered."""
 
@@ -84,6 +88,8 @@ def record(options: RecordOptions, stop: threading.Event, watch: Watch, *, rehea
     to = options.load_to or next(iter(options.node.peers), "127.0.0.1").partition(":")[0] if options.ping else None
     with opened_keys(options.node.security, options.node.keys) as keys, loaded(load.value, to) as load_fields:
         options = replace(options, node=replace(options.node, keys=keys))
+        if options.ping is not None and options.ping.rate_hz == math.inf:
+            options = replace(options, destination=replace(options.destination, ring_slots=MAX_RATE_RING_SLOTS))
         if options.tap is not None:
             return TapRecording(options, stop, watch, rehearses=rehearses, load_fields=load_fields).record(options.tap)
         if options.beacon_rate_hz is not None:
@@ -141,7 +147,7 @@ class _Recording(BaseRecording):
                 payload = payload.in_flow(flow)
             plan = plan_run(self.options, ping_options, payload, session_id=self.session_id, seed=seed)
             self._warn_of_depth(plan)
-            self.measure_costs(plan.rate_hz)
+            self.measure_costs(min(plan.rate_hz, limits.RATE_HZ.high))
             wire = stack.enter_context(self.open_wire(ping_options))
             node = stack.enter_context(self.open_node("ping"))
             ping = open_ping(node, plan, self.clock)

@@ -125,7 +125,7 @@ def several_networks(evidence: Evidence) -> Iterator[Observation]:
         run = exchange.run
         payload_bytes[exchange.ping.session_id][run.run_id] = counts["with_warmup"] * run.payload_bytes
         if exchange.relay is not None:
-            payload_bytes[exchange.relay.session_id][run.run_id] = counts["relayed"] * run.payload_bytes
+            payload_bytes[exchange.relay.session_id][run.run_id] = counts["reached"] * run.payload_bytes
     for session_id, by_run in payload_bytes.items():
         session, payload = evidence.campaign.sessions[session_id], sum(by_run.values())
         names = [name for name, sent in interface_bytes(session).items() if sent >= _SENT_SHARE * payload]

@@ -201,7 +201,7 @@ def missing_schedule(evidence: Evidence) -> Iterator[Observation]:
     unscheduled = {
         exchange.run.run_id
         for exchange, _, counts in evidence.counts_by_exchange()
-        if counts["published"] and counts["unscheduled"] == counts["published"]
+        if counts["published"] and counts["unscheduled"] == counts["published"] and exchange.run.rate_hz
     }
     if unscheduled:
         yield Observation(

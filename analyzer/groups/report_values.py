@@ -85,7 +85,7 @@ def planned_shares(summary: pl.DataFrame) -> tuple[float | None, ...]:
 def sustained_shares(summary: pl.DataFrame) -> tuple[float | None, ...]:
     """Return for each group its replies per second as a share of the requested rate; None where a factor is unknown."""
     share = pl.col("achieved_rate_hz") * pl.col("received_ratio") / pl.col("rate_hz")
-    return tuple(summary.select(share).to_series().to_list())
+    return tuple(summary.select(pl.when(pl.col("rate_hz") > 0).then(share)).to_series().to_list())
 
 
 class RunSpan(NamedTuple):

@@ -145,7 +145,8 @@ def _counts_and_rates(exchange_counts: pl.DataFrame, grouping: Grouping) -> pl.D
     payload_bytes = pl.Series([exchange.run.payload_bytes for exchange in exchanges], dtype=pl.Int64)
     planned = [min(max(exchange.run.planned_messages, 0), MOST_MESSAGES) for exchange in exchanges]
     own_ns = [own_cost_ns(exchange.ping, exchange.relay) for exchange in exchanges]
-    moved = pl.when(recorded).then("relayed").otherwise("replied")
+    all_pinged = pl.Series([exchange.run.ping_every == 1 for exchange in exchanges], dtype=pl.Boolean)
+    moved = pl.when(recorded).then("reached").when(all_pinged).then("replied")
     return (
         exchange_counts.lazy()
         .with_columns(
@@ -154,18 +155,21 @@ def _counts_and_rates(exchange_counts: pl.DataFrame, grouping: Grouping) -> pl.D
             pl.Series("planned", planned, dtype=pl.Int64),
             pl.Series("environment", [exchange.environment() for exchange in exchanges], dtype=pl.String),
             pl.Series("own_cost_ns", own_ns, dtype=pl.Float64),
-            (pl.col("published") - 1).alias("intervals"),
+            (pl.col("sent") - 1).alias("intervals"),
+            moved.alias("reached"),
             (moved * payload_bytes).alias("moved_bytes"),
             pl.when(recorded).then("relay_span_ns").otherwise("reply_span_ns").alias("moved_span_ns"),
         )
         .group_by("group")
         .agg(
-            pl.col("published", "received", *LOSSES, "duplicates", "reordered", "planned", "unsent").sum(),
+            pl.col("published", "received", *LOSSES, "duplicates", "reordered", "planned", "unsent", "sent").sum(),
+            pl.when(pl.col("reached").null_count() == 0).then(pl.col("reached").sum()).alias("reached"),
             pl.col("run_id").n_unique().alias("runs"),
             pl.col("environment").unique().sort().str.join("+"),
             pl.col("own_cost_ns").median(),
             _per_second("intervals", "publish_span_ns").alias("achieved_rate_hz"),
             _per_second("moved_bytes", "moved_span_ns").alias("transfer_rate_bytes_per_s"),
+            _per_second("reached", "moved_span_ns").alias("reached_rate_hz"),
         )
         .with_columns(ratio(pl.col("received"), pl.col("published")).alias("received_ratio"))
         .sort("group")

@@ -70,7 +70,7 @@ COUNT_COLUMNS = (
         "transfer_rate_bytes_per_s",
         pl.Float64,
         "B/s",
-        "payload bytes that reached the relay / (last T4 - first T3), summed over the runs; "
+        "payload bytes that reached the relay / (last T4 or T3 - first T3), summed over the runs; "
         "without relay events: received replies / (last T2 - first T2)",
     ),
 )
@@ -103,6 +103,19 @@ OWN_COLUMNS = (
     Column("own_share", pl.Float64, "", "own_cost_ns / rtt_p50_ns"),
 )
 
+SENT_COLUMNS = (
+    Column(
+        "sent",
+        pl.UInt64,
+        "",
+        "messages published, with those that no reply was requested for (`ping_share`), times the relays",
+    ),
+    Column(
+        "reached", pl.UInt64, "", "of these, messages that reached the relay; without its trace, those with a reply"
+    ),
+    Column("reached_rate_hz", pl.Float64, "Hz", "reached / (last T4 or T3 - first T3), summed over the runs"),
+)
+
 STATISTICS = ("mean", "std", "min", *(p.name for p in PERCENTILES), "max")
 """Statistics of a metric in the summary, in column order: `<metric>_<statistic>_ns`."""
 
@@ -124,5 +137,6 @@ SUMMARY_COLUMNS = (
     + PARAMETER_COLUMNS[_FIRST_PARAMETERS:_PARAMETERS_BEFORE_RUNS]
     + RUN_COLUMNS
     + OWN_COLUMNS
+    + SENT_COLUMNS
     + PARAMETER_COLUMNS[_PARAMETERS_BEFORE_RUNS:]
 )

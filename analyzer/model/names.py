@@ -72,7 +72,7 @@ def name_groups(parameters: pl.DataFrame) -> list[str]:
 
 def _sent(group: Mapping[str, ParameterValue]) -> str:
     data_type, payload_bytes, rate_hz = (group[name] for name in CELL_COLUMNS)
-    return f"{data_type} {payload_bytes} B at {rate_hz:g} Hz"
+    return f"{data_type} {payload_bytes} B at {f'{rate_hz:g} Hz' if rate_hz else 'max'}"
 
 
 def _word(name: str, group: Mapping[str, ParameterValue]) -> str:

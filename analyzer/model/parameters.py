@@ -8,6 +8,7 @@ from typing import Annotated, get_args, get_type_hints
 
 import polars as pl
 
+from dds_trace.base.units import by_number
 from dds_trace.tracefile.format.descriptions import Run, Session
 
 from .metrics import Column
@@ -89,9 +90,9 @@ class Parameters:
         """Return the values in the order of `PARAMETER_COLUMNS`."""
         return tuple(getattr(self, name) for name in PARAMETER_NAMES)
 
-    def order(self) -> tuple[tuple[bool, ParameterValue], ...]:
+    def order(self) -> tuple[tuple[bool, object], ...]:
         """Return the key by which groups are sorted: column by column, null last."""
-        return tuple((value is None, value) for value in self.values())
+        return tuple((value is None, by_number(value) if isinstance(value, str) else value) for value in self.values())
 
 
 def parameters_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1) -> Parameters:

@@ -6,6 +6,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from dds_trace.tracefile.format.events import EventColumns
+
 from .pair import LOSSES, MISSING, OUTCOMES, Outcome, PairedMessages, Published, chosen_of
 
 COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
@@ -36,6 +38,8 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
     "absent": pl.Int64,
     "outlived": pl.Int64,
     "longest_gap_ns": pl.Int64,
+    "sent": pl.Int64,
+    "reached": pl.Int64,
 }
 """Columns of the frame `counts`, one row per exchange; all i64.
 
@@ -48,6 +52,7 @@ to last T1, first T3 to last T4, first to last T2, null without both. `relayed`,
 due and never published. `in_flight`: messages without a row: the ping was killed before their fate was known (both
 `unsent.py`). `absent`: messages without a row as the relay was not there (`presence.py`). `outlived`: lost messages between two
 arrivals that are further apart than a reliable history keeps a message; `longest_gap_ns`: the longest of these times.
+`sent`, `reached`: messages with T1, and of these with T3, also those that were not to be sent back, as the first two spans have them.
 """
 
 
@@ -100,6 +105,20 @@ def count_messages(
         "absent": absent,
         "outlived": sum(lost for lost, _ in gaps),
         "longest_gap_ns": max(longest_ns for _, longest_ns in gaps),
+        "sent": len(published),
+        "reached": np.count_nonzero(relayed),
+    }
+
+
+def count_all(t1: EventColumns, t3: EventColumns, warmup_messages: int) -> dict[str, int | None]:
+    """Count all messages of a run with `ping_every`; these replace counts of `count_messages`."""
+    first = np.uint64(warmup_messages)
+    t1, t3 = t1.take(t1.sequence >= first), t3.take(t3.sequence >= first)
+    return {
+        "sent": len(np.unique(t1.sequence)),
+        "reached": len(np.intersect1d(t1.sequence, t3.sequence)),
+        "publish_span_ns": _span_ns(t1.monotonic_ns, t1.monotonic_ns),
+        "relay_span_ns": _span_ns(t3.monotonic_ns, t3.monotonic_ns),
     }
 
 

@@ -50,7 +50,7 @@ class Published:
         sequence: uint64, strictly ascending.
         publish_ns: int64, T1.
         scheduled_ns: int64, T0, or MISSING throughout if the run had no schedule.
-        with_warmup: distinct messages with a T1, warm-up included.
+        with_warmup: distinct messages with a T1, warm-up and those without a reply included.
         repeated: T1 events beyond the first of their message; none in a sound trace.
     """
 
@@ -116,8 +116,8 @@ class PairedMessages:
         )
 
 
-def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
-    """Select the counted messages of a run: distinct, sorted, from sequence number `warmup_messages` on."""
+def published_messages(t1: EventColumns, warmup_messages: int, ping_every: int = 1) -> Published:
+    """Select the counted messages of a run: distinct, sorted, from sequence number `warmup_messages` on, every n-th."""
     sequence, publish_ns, scheduled_ns = t1.sequence, t1.monotonic_ns, t1.scheduled_ns
     # Zeros of a recorder without a schedule: no two messages are planned for the boot of the device.
     if len(t1) > 1 and not scheduled_ns.any():
@@ -130,7 +130,9 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
         distinct = first | _is_new(publish_ns)
         repeated = int(np.count_nonzero(distinct) - np.count_nonzero(first))
         sequence, publish_ns, scheduled_ns = sequence[first], publish_ns[first], scheduled_ns[first]
-    counted = slice(int(np.searchsorted(sequence, np.uint64(warmup_messages))), None)
+    counted: slice | NDArray[np.bool_] = slice(int(np.searchsorted(sequence, np.uint64(warmup_messages))), None)
+    if ping_every > 1:
+        counted = (sequence >= np.uint64(warmup_messages)) & is_pinged(sequence, ping_every)
     return Published(
         sequence=sequence[counted],
         publish_ns=publish_ns[counted],
@@ -140,6 +142,12 @@ def published_messages(t1: EventColumns, warmup_messages: int) -> Published:
         repeated=repeated,
         payload_range_bytes=(int(t1.payload_bytes.min(initial=_UINT32_MAX)), int(t1.payload_bytes.max(initial=0))),
     )
+
+
+def is_pinged(sequence: NDArray[np.uint64], ping_every: int) -> NDArray[np.bool_]:
+    """Return for each message whether it wants a reply."""
+    pinged: NDArray[np.bool_] = sequence % np.uint64(ping_every) == 0
+    return pinged
 
 
 def pair_messages(published: Published, t2: EventColumns, t3: EventColumns, t4: EventColumns) -> PairedMessages:

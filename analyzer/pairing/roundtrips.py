@@ -15,7 +15,7 @@ from dds_trace.tracefile.format.events import EventColumns, Stage
 from ..model.columns import KEY_COLUMNS
 from ..model.metrics import schema_of, with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
-from .counts import COUNT_SCHEMA, count_messages
+from .counts import COUNT_SCHEMA, count_all, count_messages
 from .one_way import OneWay, fit_exchanges, knots_of
 from .pair import (
     MISSING,
@@ -23,6 +23,7 @@ from .pair import (
     PairedMessages,
     Published,
     Scalar,
+    is_pinged,
     middleware_stamps,
     pair_messages,
     published_messages,
@@ -169,13 +170,18 @@ def pair_exchanges(
     pool = pool or InlineExecutor()
     # A run's messages are the same for each of its relays.
     published = {
-        run_id: published_messages(events[exchange.event_keys()[0]], exchange.run.warmup_messages)
+        run_id: published_messages(
+            events[exchange.event_keys()[0]], exchange.run.warmup_messages, exchange.run.ping_every
+        )
         for run_id, exchange in {exchange.run.run_id: exchange for exchange in exchanges}.items()
     }
     messages_of_exchanges = [published[exchange.run.run_id] for exchange in exchanges]
 
     def pair(exchange: Exchange, messages: Published) -> PairedMessages:
-        return pair_messages(messages, *(events[key] for key in exchange.event_keys()[1:]))
+        _, t2, t3, t4 = (events[key] for key in exchange.event_keys())
+        if exchange.run.ping_every > 1:
+            t3 = t3.take(is_pinged(t3.sequence, exchange.run.ping_every))
+        return pair_messages(messages, t2, t3, t4)
 
     in_service = present(exchanges, messages_of_exchanges, pair)
     masks = [
@@ -186,6 +192,12 @@ def pair_exchanges(
     rows = int(bounds[-1])
 
     filled, counts = _Filled(rows), []
+    of_all = [
+        count_all(events[exchange.event_keys()[0]], events[exchange.event_keys()[2]], exchange.run.warmup_messages)
+        if exchange.run.ping_every > 1
+        else {}
+        for exchange in exchanges
+    ]
     for exchange, every, is_there, mask, first in zip(
         exchanges, messages_of_exchanges, in_service, masks, bounds[:-1].tolist(), strict=True
     ):
@@ -230,7 +242,9 @@ def pair_exchanges(
         described=describe(exchanges),
         outcome=columns["outcome"],
         bounds=bounds,
-        counts=pl.DataFrame([count.result() for count in counts], schema=COUNT_SCHEMA),
+        counts=pl.DataFrame(
+            [count.result() | more for count, more in zip(counts, of_all, strict=True)], schema=COUNT_SCHEMA
+        ),
         stamps=tuple(pl.Series(name, columns[name]) for name in STAMP_NAMES if name in columns),
         clock_knots=knots_of(exchanges, range(len(exchanges)), one_way.fits),
     )

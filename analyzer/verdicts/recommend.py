@@ -236,7 +236,7 @@ def _measure(rows: pl.DataFrame, request: _Request) -> _Measurement:
 
 def _share_of_rate(sent_ns: pl.Series, rate_hz: float) -> float | None:
     times = sent_ns.unique().sort()
-    if len(times) < 2:
+    if len(times) < 2 or not rate_hz:
         return None
     return float((len(times) - 1) * SECOND_NS / (int(times[-1]) - int(times[0])) / rate_hz)
 

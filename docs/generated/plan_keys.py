@@ -21,6 +21,7 @@ _KINDS = {str: "text", int: "whole number", float: "number", bool: "true or fals
 _BOUNDS: Mapping[type[Limit], Callable[..., list[str]]] = {
     limits.Whole: lambda limit: [f"{limit.low} to {limit.high}"],
     limits.Real: lambda limit: [f"{'above ' if limit.is_above else ''}{limit.low:.15g} to {limit.high:.15g}"],
+    limits.RealOrMax: lambda limit: [f"{limit.low:.15g} to {limit.high:.15g}, or max"],
     limits.Words: lambda limit: [] if limit is limits.TEXT else [limit.what],
     limits.Flag: lambda _: [],
 }

@@ -32,6 +32,8 @@ STALL_S = 0.1
 
 def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
     """Return a warning about a history that keeps no more than `STALL_S` of messages."""
+    if math.isinf(rate_hz):
+        return None
     needed = math.floor(rate_hz * STALL_S) + 1
     if history != History.KEEP_LAST or depth >= needed:
         return None

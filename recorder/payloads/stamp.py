@@ -13,6 +13,8 @@ STAMP_BYTES = 46
 STAMP_PREFIX = b"dt1:"
 PROBE_RUN_ID = 0
 """Run id of readiness probes, which relays echo and nobody records."""
+NO_REPLY = (1 << 32) - 1
+"""In place of a relay's id: relays record the message and do not send it back."""
 
 SentT = TypeVar("SentT")
 """What is sent: a `bytearray`, or a message object."""
@@ -64,8 +66,8 @@ def _number(digits: bytes | bytearray | str) -> int:
 class StampPlace(Protocol[SentT, ReceivedT_contra]):
     """The stamp in one kind of message, serialized or an object."""
 
-    def write(self, message: SentT, run_id: int, sequence: int) -> None:
-        """Write a new message's stamp, with relay 0."""
+    def write(self, message: SentT, run_id: int, sequence: int, relay_id: int = 0) -> None:
+        """Write a new message's stamp; `relay_id` is 0 or `NO_REPLY`."""
 
     def write_second(self, message: SentT, wall_ns: int) -> int:
         """Write the second of `wall_ns` (ns since 1970) into `header.stamp`, and return its start in ns.
@@ -97,8 +99,8 @@ class RawStampPlace:
         self._nanoseconds = None if time_offset is None else time_offset + _NANOSECONDS_AT
         self._last = (b"", 0)  # text and id of the last run
 
-    def write(self, message: bytearray, run_id: int, sequence: int) -> None:
-        message[self._start : self._end] = stamp_text(run_id, sequence)
+    def write(self, message: bytearray, run_id: int, sequence: int, relay_id: int = 0) -> None:
+        message[self._start : self._end] = stamp_text(run_id, sequence, relay_id)
 
     def write_second(self, message: bytearray, wall_ns: int) -> int:
         second = wall_ns // _SECOND_NS
@@ -146,8 +148,8 @@ class RawStampPlace:
 class HeaderStampPlace:
     """The stamp in `header.frame_id` of a message object."""
 
-    def write(self, message: RosMessage, run_id: int, sequence: int) -> None:
-        message.header.frame_id = stamp_text(run_id, sequence).decode()
+    def write(self, message: RosMessage, run_id: int, sequence: int, relay_id: int = 0) -> None:
+        message.header.frame_id = stamp_text(run_id, sequence, relay_id).decode()
 
     def write_second(self, message: RosMessage, wall_ns: int) -> int:
         second = message.header.stamp.sec = wall_ns // _SECOND_NS
@@ -177,8 +179,8 @@ class HeaderStampPlace:
 class StringStampPlace:
     """The stamp in the first 46 characters of a `std_msgs/msg/String` object."""
 
-    def write(self, message: RosMessage, run_id: int, sequence: int) -> None:
-        message.data = stamp_text(run_id, sequence).decode() + message.data[STAMP_BYTES:]
+    def write(self, message: RosMessage, run_id: int, sequence: int, relay_id: int = 0) -> None:
+        message.data = stamp_text(run_id, sequence, relay_id).decode() + message.data[STAMP_BYTES:]
 
     def write_second(self, message: RosMessage, wall_ns: int) -> int:  # noqa: ARG002 - the role's signature
         return wall_ns

@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import threading
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
 from dds_trace.base.units import SECOND_NS
@@ -13,7 +14,7 @@ from ..applied.carried import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.process import tuned_gc
-from ..payloads.stamp import PROBE_RUN_ID, SentT
+from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT
 from .lanes import object_lane, raw_lane
 from .progress import PingProgress, Replies, Silence
 from .relay import UNSTAMPED
@@ -252,6 +253,8 @@ class Ping(Generic[SentT, ReceivedT]):
         skipped = {} if feed is None else {"skipped_messages": feed.skipped}
         matched = sorted(self._met.values())
         discovery: Json = {"matched_ns": [at_ns for at_ns, _ in matched], "missed": [missed for _, missed in matched]}
+        if self.plan.is_timed:
+            description = replace(description, planned_messages=max(self._published - self.plan.warmup, 0))
         finished = description.finished(self._published, ended_ns=ended_ns, discovery=discovery, **skipped)
         sink.write_run(finished)
         return finished
@@ -288,7 +291,7 @@ class Ping(Generic[SentT, ReceivedT]):
             position = sequence % len(sizes)
             message = self._messages[position]
             scheduled_ns = plan.scheduled_ns(start_ns, sequence)
-            self._stamps.write(message, self.run_id, sequence)
+            self._stamps.write(message, self.run_id, sequence, NO_REPLY if sequence % plan.ping_every else 0)
             if not wait_until(scheduled_ns, stop):
                 return
             yield message, sizes[position], scheduled_ns
@@ -310,7 +313,7 @@ class Ping(Generic[SentT, ReceivedT]):
         replies = self._replies
         began_ns = self._now()
         deadline_ns = began_ns + max(LONGEST_DRAIN_NS, began_ns - sending_ns)
-        while not replies.are_complete(self._published) and not hopeless.is_set():
+        while not replies.are_complete(self.plan.pinged(self._published)) and not hopeless.is_set():
             quiet_ns = self._now() - max(began_ns, replies.last_ns)
             patience_ns = max(DRAIN_NS, 2 * max(self._longest_echo_ns, replies.longest_rtt_ns))
             if quiet_ns > patience_ns or self._now() > deadline_ns:
@@ -324,18 +327,18 @@ class Ping(Generic[SentT, ReceivedT]):
         replies = self._replies
         p50_ns, p99_ns = replies.percentiles_ns()
         received = replies.received
-        expected = self._published if self._ended else replies.highest + 1
+        expected = self.plan.pinged(self._published if self._ended else replies.highest + 1)
         lost = max(expected - received, 0)
-        warmup = self.plan.warmup
-        warmed_up = replies.received_before(warmup)
+        warmup = self.plan.pinged(self.plan.warmup)
+        warmed_up = replies.received_before(self.plan.warmup)
         return PingProgress(
-            self.plan.total,
+            self._published if self.plan.is_timed else self.plan.total,
             self._published,
             received,
             lost,
             p50_ns,
             p99_ns,
-            warmup,
+            self.plan.warmup,
             warmed_up,
             max(min(expected, warmup) - warmed_up, 0),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos, Run
 
 from ..choices import Serialization
-from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, run_settings
+from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, MAX_RATE_PING_SHARE, run_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -22,9 +23,21 @@ if TYPE_CHECKING:
     from ..payloads.base import DataType, Payload
 
 
+MOST_MESSAGES_A_SECOND = 200_000
+"""More than a Python process can send."""
+MOST_TIMED_MESSAGES = 20_000_000
+"""Messages that end a run at `--rate max` before its time, with 400 MB of ledger."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """The messages of a run and their schedule; no statistic counts the first `warmup` ones."""
+    """The messages of a run and their schedule; no statistic counts the first `warmup` ones.
+
+    Attributes:
+        rate_hz: infinite for messages that leave as fast as the middleware takes them.
+        ping_every: every n-th message is sent back.
+        is_timed: whether time ends the run, and `messages` is only a bound.
+    """
 
     payload: Payload
     rate_hz: float
@@ -32,6 +45,8 @@ class RunPlan:
     warmup: int = 0
     qos: Qos = field(default_factory=Qos)
     serialization: Serialization = Serialization.RAW
+    ping_every: int = 1
+    is_timed: bool = False
     bridge: str = "none"
     relay_domain_id: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
@@ -43,8 +58,12 @@ class RunPlan:
         return self.warmup + self.messages
 
     def scheduled_ns(self, start_ns: int, sequence: int) -> int:
-        """Return T0 of a message, which is fixed before the run."""
-        return start_ns + round(sequence * SECOND_NS / self.rate_hz)
+        """Return T0 of a message, which is fixed before the run; 0 without a rate."""
+        return 0 if math.isinf(self.rate_hz) else start_ns + round(sequence * SECOND_NS / self.rate_hz)
+
+    def pinged(self, messages: int) -> int:
+        """Return how many of the first messages are sent back."""
+        return -(-messages // self.ping_every)
 
     def describe(self, run_id: int) -> Run:
         """Return the trace's description of the run."""
@@ -52,7 +71,7 @@ class RunPlan:
             run_id=run_id,
             data_type=self.payload.data_type.name,
             payload_bytes=self.payload.payload_bytes,
-            rate_hz=self.rate_hz,
+            rate_hz=0.0 if math.isinf(self.rate_hz) else self.rate_hz,
             planned_messages=self.messages,
             warmup_messages=self.warmup,
             bridge=self.bridge,
@@ -60,7 +79,7 @@ class RunPlan:
             serialization=self.serialization.value,
             qos=self.qos,
             labels=self.labels,
-            extra=self.extra,
+            extra={**self.extra, **({"ping_every": self.ping_every} if self.ping_every > 1 else {})},
         )
 
 
@@ -69,7 +88,8 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
     check_serialization([payload.data_type], options.serialization)
     check_rate(ping, is_live=payload.feed is not None)
     rate_hz = ping.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
-    limits.check(limits.RATE_HZ, rate_hz, f"rate of {ping.data}")
+    limits.check(limits.RATE_HZ_OR_MAX, rate_hz, f"rate of {ping.data}")
+    share = ping.ping_share or (MAX_RATE_PING_SHARE if math.isinf(rate_hz) else 1.0)
     own_domain_id = options.node.domain_id
     source = {"data_source": payload.source} if payload.source else {"seed": seed}
     running = {"bridge_running": True} if ping.bridge_running else {}
@@ -80,6 +100,8 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
         warmup=ping.warmup,
         qos=options.node.qos,
         serialization=options.serialization,
+        ping_every=round(1 / share),
+        is_timed=math.isinf(rate_hz) and ping.messages is None,
         bridge=ping.bridge,
         relay_domain_id=own_domain_id if ping.relay_domain_id is None else ping.relay_domain_id,
         labels=ping.labels,
@@ -92,7 +114,11 @@ def count_messages(messages: int | None, duration_s: float | None, rate_hz: floa
     if messages is not None:
         return messages
     if duration_s is None:
+        if math.isinf(rate_hz):
+            raise OptionError("--rate max has no end of its own: give --duration 10, or --messages")
         return DEFAULT_MESSAGES
+    if math.isinf(rate_hz):
+        return min(round(duration_s * MOST_MESSAGES_A_SECOND) + 1, MOST_TIMED_MESSAGES)
     fitting = max(round(duration_s * rate_hz) - warmup, 1)
     limits.check(limits.MESSAGES, fitting, f"--duration {duration_s:g} at {rate_hz:g} Hz are")
     return fitting

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
 from ..applied.carried import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock
-from ..payloads.stamp import PROBE_RUN_ID, SentT
+from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT
 from .lanes import object_lane, raw_lane
 from .progress import RelayProgress
 
@@ -39,7 +39,7 @@ class Relay:
     """The relay of `data_types` on a node, whose thread does all the work.
 
     `relay_id`, not 0, is in every reply; `on_probe` is called after the reply to each readiness probe, `on_relayed` with run,
-    sequence, T3 and T4 after any other. Messages that are `is_own` by run and sequence get none.
+    sequence, T3 and T4 after any other. Messages that are `is_own` by run and sequence, or want none, get none.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Relay:
     def _receiver(self, form: Form[SentT, ReceivedT], publisher: Publisher[SentT]) -> Receive[ReceivedT]:
         make_reply, read, payload_bytes_of = form.stamp.reply, form.stamp.read, form.payload_bytes_of
         now, publish = self._clock.monotonic_ns, publisher.publish
-        record_and_stamp, stages = self._sink.record_and_stamp, (T3, T4)
+        record, record_and_stamp, stages = self._sink.record, self._sink.record_and_stamp, (T3, T4)
         relay_id, relay_id_text = self.relay_id, b"%08x" % self.relay_id
         on_probe, is_own, on_relayed = self._on_probe, self._is_own, self._on_relayed
 
@@ -126,8 +126,12 @@ class Relay:
                 self._foreign += 1
                 self._strangers.count(UNSTAMPED)
                 return
-            run_id, sequence, _ = stamp
+            run_id, sequence, wanted = stamp
             if is_own(run_id, sequence):
+                return
+            if wanted == NO_REPLY:
+                record(T3, run_id, sequence, relay_in_ns, 0, source_ns, received_ns, size, relay_id)
+                self._note(run_id, size)
                 return
             if run_id == PROBE_RUN_ID:
                 publish(reply)
@@ -138,10 +142,7 @@ class Relay:
             )
             publish(reply)
             on_relayed(run_id, sequence, relay_in_ns, relay_out_ns)
-            self._relayed += 1
-            self._payload_bytes += size
-            if run_id != self._last_run:
-                self._note_run(run_id)
+            self._note(run_id, size)
             forecast = forecast_of(message, run_id, sequence + 1, size)
 
         return receive
@@ -165,8 +166,12 @@ class Relay:
 
         return forecast_of
 
-    def _note_run(self, run_id: int) -> None:
-        """Count a new run; forget the run with the oldest last message."""
+    def _note(self, run_id: int, size: int) -> None:
+        """Count a message, and a new run; forget the run with the oldest last message."""
+        self._relayed += 1
+        self._payload_bytes += size
+        if run_id == self._last_run:
+            return
         self._last_run = run_id
         if not self._recent_runs.pop(run_id, False):
             self._runs += 1

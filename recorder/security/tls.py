@@ -52,7 +52,7 @@ class TlsSocket:
         connection.sendall(self._outgoing.read())
         connection.settimeout(None)
         self.fileno, self.setsockopt = connection.fileno, connection.setsockopt
-        self.shutdown, self.close = connection.shutdown, connection.close
+        self.shutdown, self.close, self.getsockname = connection.shutdown, connection.close, connection.getsockname
 
     def describe(self) -> str:
         """Return version, cipher and the peer's name, as the connection has them."""

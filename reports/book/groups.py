@@ -17,7 +17,15 @@ from dds_trace.analyzer.model.names import Rule, is_topic, tell_apart, where_it_
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
-from dds_trace.base.units import MISSING, format_duration, format_number, format_rate, format_size, three_digits
+from dds_trace.base.units import (
+    MISSING,
+    by_number,
+    format_duration,
+    format_number,
+    format_rate,
+    format_size,
+    three_digits,
+)
 
 _MARKDOWN_PLAIN = frozenset(" ,()%+-=/'.;:?!\"")
 
@@ -355,7 +363,7 @@ def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
 
 def _series_order(series: Series) -> tuple[object, ...]:
     vendors = [*VENDORS, series.vendor]
-    rest = tuple(str(getattr(series, name)) for name in Series.__dataclass_fields__)
+    rest = tuple(by_number(str(getattr(series, name))) for name in Series.__dataclass_fields__)
     return (vendors.index(series.vendor), series.vendor, series.domain_mode != "same", series.bridge, rest)
 
 

@@ -40,7 +40,12 @@ SETTING_OPTIONS = {
 }
 """Setting of one side -> its option; any other is a `--setting` of the ping."""
 
-PING_OPTIONS = {"bridge_running": "--bridge-running", "bridge_listen": "--bridge-listen", "relays": "--relays"}
+PING_OPTIONS = {
+    "bridge_running": "--bridge-running",
+    "bridge_listen": "--bridge-listen",
+    "relays": "--relays",
+    "ping_share": "--ping-share",
+}
 
 LISTENS_AT = "0.0.0.0:7447"
 """A trace does not contain the address of a bridge's half."""
@@ -83,7 +88,7 @@ def _message(setting: Setting, extra: Mapping[str, str], job: Job, messages: int
     yield from ("--data", extra.get("data", job.data_type))
     if "data" not in extra and job.data_type != IMU:
         yield from ("--size", spell_size(job.payload_bytes))
-    yield from ("--rate", f"{job.rate_hz:g}", "--messages", str(messages))
+    yield from ("--rate", f"{job.rate_hz:g}" if job.rate_hz else "max", "--messages", str(messages))
     for key, value in sorted(extra.items()):
         if key in PING_OPTIONS:
             yield from _option(PING_OPTIONS[key], LISTENS_AT if key == "bridge_listen" else value)

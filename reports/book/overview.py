@@ -114,7 +114,7 @@ def _rates(groups: Groups) -> str:
         return ""
     if len(rates) > MOST_LISTED:
         return f"{len(rates)} rates from {format_rate(rates[0])} to {format_rate(rates[-1])}"
-    return ", ".join(format_rate(rate).removesuffix(" Hz") for rate in rates) + " Hz"
+    return ", ".join(format_rate(rate).removesuffix(" Hz") for rate in rates) + (" Hz" if rates[-1] else "")
 
 
 def _when(analysis: Analysis, times: Sequence[RunTime]) -> str:

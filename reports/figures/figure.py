@@ -181,10 +181,11 @@ def _atoms(key: str) -> tuple[str, ...]:
 
 def _position(book: Book, x: str, group: Group) -> float:
     cell = book.groups.cell_of(group)
+    rate_hz = cell.rate_hz or book.values.plain["achieved_rate_hz"][group.index] or 1.0
     positions = {
         "size": float(cell.payload_bytes),
-        "rate": cell.rate_hz,
-        "load": cell.payload_bytes * cell.rate_hz,
+        "rate": rate_hz,
+        "load": cell.payload_bytes * rate_hz,
         "plane": float(group.cell),
         "cell": float(group.cell),
     }

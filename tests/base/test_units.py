@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import (
+    by_number,
     counted,
     format_duration,
     format_rate,
@@ -169,3 +170,8 @@ def test_what_is_written_reads_back(size_bytes):
 def test_sizes_are_exact(payload_bytes, shown, spelled):
     assert format_size(payload_bytes) == shown
     assert spell_size(payload_bytes) == spelled
+
+
+def test_numbers_within_texts_sort_as_numbers():
+    texts = ["", "link=lte", "link=lte,outage=0.3s", "link=lte,outage=2s", "link=lte,outage=12s", "robot 9", "robot 10"]
+    assert sorted(set(texts), key=by_number) == texts

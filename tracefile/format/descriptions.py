@@ -117,6 +117,7 @@ class Run:
 
     Attributes:
         run_id: 64-bit random number, 16 hex digits in the JSON.
+        rate_hz: 0 for messages that left as fast as the middleware took them.
         data_type: `binary`, `string`, `imu` or another payload's name.
         payload_bytes: application bytes of a message, without the stamp.
         planned_messages: messages to measure, without warm-up.
@@ -149,6 +150,12 @@ class Run:
         """Time for which a reliable history of limited depth keeps a message, None for others."""
         is_limited = self.qos.reliability == "reliable" and self.qos.history == "keep_last"
         return self.qos.depth / self.rate_hz * 1e9 if is_limited and self.rate_hz > 0 else None
+
+    @property
+    def ping_every(self) -> int:
+        """Every n-th message was to be sent back, from 0 on."""
+        every = self.extra.get("ping_every")
+        return every if isinstance(every, int) and 1 < every < 1 << 63 else 1
 
     def finished(self, published: int, **extra: Json) -> Run:
         """Return the run at its end, with `extra` added."""

@@ -7,6 +7,7 @@ the other side gave to this address, as anybody can write a source address.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import socket
@@ -92,3 +93,13 @@ def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:
             "of a device: end the other one, or choose another --domain"
         ) from err
     return bound
+
+
+def is_own_address(host: str) -> bool:
+    """Return whether an interface of this machine has the address."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.bind((host, 0))
+        except OSError as err:
+            return err.errno != errno.EADDRNOTAVAIL
+    return True

@@ -32,6 +32,7 @@ from .greeting import (
     Greeting,
     PeerError,
     bound_socket,
+    is_own_address,
 )
 
 if TYPE_CHECKING:
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from .greeting import Address, Receivers
 
 HALF_OPEN_S = 5.0
-"""Time for a connection to greet."""
 READER_PATIENCE_S = 0.25
 """Longest wait for a subscriber that only reads along."""
 SENDER_PATIENCE_S = 1.0
@@ -126,6 +126,8 @@ class TcpLinks:
         for peer in self._connected:
             if not peer.has_greeted and now_s - peer.since_s > HALF_OPEN_S:
                 self._drop(peer, HALF_OPEN)
+            if peer.is_chosen and not is_own_address(peer.own_host):  # TCP would try for a quarter of an hour
+                peer.shut_down()
         for key, _ in self._selector.select(ROUND_S):
             key.data()
 
@@ -278,13 +280,11 @@ class _TcpPeer:
     def __init__(
         self, connection: socket.socket | TlsSocket, has_memory: Callable[[_TcpPeer, int], bool], *, is_chosen: bool
     ) -> None:
-        self.since_s = time.monotonic()
-        self.has_greeted = False
-        self.is_slow = False
+        self.since_s, self.own_host = time.monotonic(), connection.getsockname()[0]
+        self.has_greeted = self.is_slow = self._has_sent = False
         self.frame_bytes = 0  # of the frame that it sends
         self._has_memory = has_memory
-        self._is_chosen = is_chosen
-        self._has_sent = False
+        self.is_chosen = is_chosen
         self.greeting = Greeting()
         self.topics: Container[str] = ()  # its subscriptions
         self.thread: threading.Thread | None = None
@@ -333,7 +333,7 @@ class _TcpPeer:
             rest = rest[sent:]
             waited_s = time.monotonic() - began_s
             is_late = waited_s > (SENDER_PATIENCE_S if self._has_sent else READER_PATIENCE_S) / 2
-            if rest and not self._is_chosen and is_late and sent < LEAST_READ_BYTES:
+            if rest and not self.is_chosen and is_late and sent < LEAST_READ_BYTES:
                 raise BlockingIOError
 
     def read(self, receivers: Receivers, delivering: FastLock) -> None:
@@ -391,7 +391,7 @@ class _TcpPeer:
                 self._take_greeting(message)
         if frames and not self._has_sent:
             self._has_sent = True
-            if not self._is_chosen:
+            if not self.is_chosen:
                 self._be_patient(SENDER_PATIENCE_S)
         return frames
 

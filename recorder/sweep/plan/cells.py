@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -178,6 +179,7 @@ class Cell:
     data: str = "binary"
     size: int | None = None
     rate: float = DEFAULT_RATE_HZ
+    ping_share: float | None = None
     reliability: str = "reliable"
     durability: str = "volatile"
     history: str = "keep_last"
@@ -211,8 +213,8 @@ class Cell:
 
     @property
     def payload_bit_s(self) -> float | None:
-        """Payload in bit/s in one direction, None where the data decides the size."""
-        return None if self.size is None else self.size * 8 * self.rate
+        """Payload in bit/s in one direction, None where the data or the middleware decides it."""
+        return None if self.size is None or math.isinf(self.rate) else self.size * 8 * self.rate
 
     @property
     def together(self) -> Cell:
@@ -271,7 +273,7 @@ class Cell:
             *relay,
             "same" if self.bridge == "none" else self.bridge,
             data,
-            f"{self.rate:g}Hz",
+            "max" if math.isinf(self.rate) else f"{self.rate:g}Hz",
             *self.changed_axes,
             *([self.flow] if self.flow else []),
             *(["with-" + "+".join(self.with_flows)] if self.with_flows else []),
@@ -297,5 +299,5 @@ def _other_name(name: str, value: object) -> str:
     if name == "environment":
         return environment_name(str(value))
     if isinstance(value, float):
-        return f"{name}-{value:g}s"
+        return f"{name}-{value:g}{AXES[name].unit}"
     return f"{name}-{value}" if isinstance(value, int) or name == "outage_by" else str(value)

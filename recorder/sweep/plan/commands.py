@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -70,7 +71,8 @@ def ping_arguments(
         *(("--bridge-peer", f"{relay_address}:{plan.relay.bridge_port}") if plan.runs_halves(cell) else ()),
         *(word for host in hosts if host for word in ("--peer", host)),
         *(("--load-to", relay_address) if relay_address and cell.load == Load.NETWORK.value else ()),
-        *("--messages", str(plan.run.messages_at(cell.rate, cell.outage)), "--warmup", str(plan.run.warmup)),
+        *_length_arguments(plan, cell),
+        *("--warmup", str(plan.run.warmup)),
         *("--wait", f"{wait_s:g}"),
         *("--label", f"sweep={plan.name}", "--label", f"cell={replace(cell, repeat=1).name}"),
         *("--label", f"{PASS_LABEL}={cell.repeat}"),
@@ -90,6 +92,12 @@ def ping_arguments(
 def _fan_out_arguments(cell: Cell) -> list[str]:
     counts = {"relays": cell.receivers, "hosts": cell.hosts, "pings": cell.pings, "topics": cell.topics}
     return [word for name, count in counts.items() if count > 1 for word in ("--setting", f"{name}={count}")]
+
+
+def _length_arguments(plan: Plan, cell: Cell) -> list[str]:
+    if math.isinf(cell.rate):
+        return ["--duration", f"{plan.run.seconds:g}"]
+    return ["--messages", str(plan.run.messages_at(cell.rate, cell.outage))]
 
 
 def _outage_arguments(plan: Plan, cell: Cell) -> list[str]:
@@ -123,4 +131,6 @@ def _axis_arguments(parameters: Cell, names: Iterable[str]) -> list[str]:
 def _option(option: str, value: object) -> list[str]:
     if isinstance(value, bool):
         return [option]  # a flag, of a value that is not the default
+    if value == math.inf:
+        return [option, "max"]
     return [option, f"{value:g}" if isinstance(value, float) else str(value)]

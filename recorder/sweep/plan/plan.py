@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -101,6 +102,8 @@ class RunSettings:
 
     def planned_seconds(self, rate_hz: float, outage_s: float = 0.0) -> float:
         """Return the time of a run's schedule, with warm-up."""
+        if math.isinf(rate_hz):
+            return self.seconds
         return (self.messages_at(rate_hz, outage_s) + self.warmup) / rate_hz
 
     def measures_own_cost(self, number: int) -> bool:

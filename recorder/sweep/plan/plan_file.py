@@ -247,7 +247,18 @@ def _check(plan: Plan, where: str) -> None:
             "[run] needs either messages or seconds above zero; give one of them, or none for the default",
         ),
         (
-            any(run.messages_at(cell.rate, cell.outage) > limits.MAX_MESSAGES for cell in plan.cells),
+            any(math.isinf(cell.rate) and (cell.outage or not run.seconds) for cell in plan.cells),
+            'rate = "max" needs [run] seconds, and no outage',
+        ),
+        (
+            any(cell.ping_share is not None and math.isfinite(cell.rate) for cell in plan.cells),
+            'ping_share needs rate = "max"; on a schedule every message is sent back',
+        ),
+        (
+            any(
+                math.isfinite(cell.rate) and run.messages_at(cell.rate, cell.outage) > limits.MAX_MESSAGES
+                for cell in plan.cells
+            ),
             f"a run has more than {limits.MAX_MESSAGES} messages; give fewer seconds or a lower rate",
         ),
         (
@@ -342,6 +353,8 @@ def _axis_value(table: TomlTable, name: str, value: object) -> AxisValue:
     try:
         if name == "size" and isinstance(value, str):
             value = parse_size(value)
+        elif name == "rate" and value == "max":
+            return math.inf
         elif name == "data" and isinstance(value, str):
             check_data(value)
     except OptionError as err:

@@ -221,7 +221,11 @@ def _data(_: Key) -> Schema:
     return {"anyOf": [{"enum": list(data_types())}, text]}
 
 
-_SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"size": _size, "data": _data}
+def _rate(key: Key) -> Schema:
+    return {"anyOf": [_of_limit(key), {"const": "max"}]}
+
+
+_SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"size": _size, "rate": _rate, "data": _data}
 """Axes whose values are not described by type and limit."""
 
 
@@ -236,7 +240,10 @@ def _words(limit: limits.Words) -> Schema:
 
 _BOUNDS: Mapping[type[Limit], Callable[..., Schema]] = {
     limits.Whole: lambda limit: {"minimum": limit.low, "maximum": limit.high},
-    limits.Real: lambda limit: {"exclusiveMinimum" if limit.is_above else "minimum": limit.low, "maximum": limit.high},
+    **dict.fromkeys(
+        (limits.Real, limits.RealOrMax),
+        lambda limit: {"exclusiveMinimum" if limit.is_above else "minimum": limit.low, "maximum": limit.high},
+    ),
     limits.Words: _words,
     limits.OneOf: lambda limit: {"enum": list(limit.choices)},
     limits.Flag: lambda _: {},

@@ -31,7 +31,7 @@ class CellResult:
 
     Attributes:
         run_id: 16 hex digits.
-        received: published messages with a reply.
+        published: messages that were to be sent back, all without `ping_share`; `received`: those with a reply.
         sent_bytes: application bytes of all published messages; `returned_bytes`: of those with a reply.
         achieved_rate_hz: rate of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50` ... `p99.9`) -> T2 - T1, None without replies; likewise `response_ms`, T2 - T0.
@@ -75,7 +75,9 @@ def read_result(path: Path) -> CellResult:
     run = trace.runs[0]
     if run.state != "finished":
         raise TraceFormatError(path, "the run was not finished")
-    sent = _measured_events(trace, Stage.T1, run)
+    all_sent = _measured_events(trace, Stage.T1, run)
+    every = run.extra.get("ping_every")
+    sent = all_sent.take(all_sent.sequence % np.uint64(every) == 0) if isinstance(every, int) else all_sent
     replies = _measured_events(trace, Stage.T2, run)
     # The first reply of each message counts.
     answered, first = np.unique(replies.sequence, return_index=True)
@@ -83,7 +85,7 @@ def read_result(path: Path) -> CellResult:
     both, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
     published = trace.events[Stage.T1]
     returned = np.isin(published.sequence, trace.events[Stage.T2].sequence)
-    span_ns = int(sent.monotonic_ns[-1] - sent.monotonic_ns[0]) if len(sent) > 1 else 0
+    span_ns = int(all_sent.monotonic_ns[-1] - all_sent.monotonic_ns[0]) if len(all_sent) > 1 else 0
     return CellResult(
         run_id=f"{run.run_id:016x}",
         planned=run.planned_messages,
@@ -91,11 +93,11 @@ def read_result(path: Path) -> CellResult:
         received=len(both),
         sent_bytes=int(published.payload_bytes.sum(dtype=np.int64)),
         returned_bytes=int(published.payload_bytes[returned].sum(dtype=np.int64)),
-        achieved_rate_hz=(len(sent) - 1) / (span_ns / 1e9) if span_ns else None,
+        achieved_rate_hz=(len(all_sent) - 1) / (span_ns / 1e9) if span_ns else None,
         rtt_ms=_percentiles_ms(receive_ns[in_answered] - sent.monotonic_ns[in_sent]),
-        response_ms=_percentiles_ms(receive_ns[in_answered] - sent.scheduled_ns[in_sent]),
+        response_ms=_percentiles_ms(receive_ns[in_answered] - sent.scheduled_ns[in_sent]) if run.rate_hz else None,
         dropped_events=sum(session.dropped_events for session in trace.sessions),
-        cut_off=len(sent) < run.planned_messages,
+        cut_off=len(all_sent) < run.planned_messages,
         not_applied="; ".join(_words_not_applied(trace)),
     )
 

@@ -425,7 +425,7 @@ function cellAxis(cells) {
       range: [-0.6, cells.length - 0.4],
       tickmode: "array",
       tickvals: kept,
-      ticktext: kept.map((place) => plain(digits(cells[place].hz))),
+      ticktext: kept.map((place) => plain(cells[place].hz ? digits(cells[place].hz) : "max")),
       tickangle: 0,
       showgrid: false,
       zeroline: false,

@@ -65,6 +65,16 @@ class Real:
 
 
 @dataclass(frozen=True, slots=True)
+class RealOrMax(Real):
+    """As `Real`, or infinite, which is written `max`."""
+
+    def fault(self, value: object) -> str | None:
+        """See `Limit.fault`."""
+        fault = Real.fault(self, value)
+        return None if fault is None or value == math.inf else f"{fault}, or max"
+
+
+@dataclass(frozen=True, slots=True)
 class Words:
     """Texts that match `pattern` as a whole, with at most `most` characters; `what` is the noun and form for the error."""
 
@@ -188,6 +198,8 @@ DOMAIN_ID = Whole(0, LAST_DOMAIN, "a DDS domain id")
 RELAY_ID = Whole(1, (1 << 32) - 1, "a relay's id")
 SIZE_BYTES = Whole(0, MAX_PAYLOAD_BYTES, "the size of a message in bytes")
 RATE_HZ = Real(1e-6, 1e6, "a rate in messages a second")
+RATE_HZ_OR_MAX = RealOrMax(RATE_HZ.low, RATE_HZ.high, RATE_HZ.what)
+PING_SHARE = Real(1e-6, 1, "the share of the messages that are sent back")
 MESSAGES = Whole(1, MAX_MESSAGES, "the number of messages to measure")
 MESSAGES_OR_NONE = Whole(0, MAX_MESSAGES, "the number of messages")
 WARMUP = Whole(0, MAX_MESSAGES, "the number of warm-up messages")

@@ -31,6 +31,14 @@ UNIT_BYTES = {"": 1} | {unit.lower(): size for unit, size in (_DECIMAL_BYTES | _
 _QUANTITY = re.compile(r"\s*(\d{1,30}(?:\.\d{0,30})?|\.\d{1,30})\s*([a-zµ%]*)\s*", re.IGNORECASE | re.ASCII)
 
 
+_NUMBER = re.compile(r"(\d+(?:\.\d+)?)", re.ASCII)
+
+
+def by_number(text: str) -> tuple[tuple[str | float, ...], str]:
+    """Return the key that sorts texts by the numbers within them: `outage=2s` before `outage=12s`."""
+    return tuple(float(part) if index % 2 else part for index, part in enumerate(_NUMBER.split(text))), text
+
+
 def counted(count: float, one: str, many: str = "", *, text: str = "") -> str:
     """Return a count with its noun, `2 messages`; `many` is an irregular plural, `text` the printed count."""
     noun = one if count == 1 else many or f"{one}s"
@@ -105,8 +113,8 @@ def parse_rate(text: str, what: str = "rate") -> float:
 
 
 def format_rate(value_hz: float | None) -> str:
-    """Write a rate to three digits: `10 Hz`."""
-    return format_quantity(value_hz, {"Hz": 1})
+    """Write a rate to three digits, `10 Hz`; 0 is `max`, as fast as the middleware takes messages."""
+    return "max" if value_hz == 0 else format_quantity(value_hz, {"Hz": 1})
 
 
 def parse_size(text: str, what: str = "size") -> int:

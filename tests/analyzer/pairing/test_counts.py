@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from trace_files import event
 
-from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA, count_messages
+from dds_trace.analyzer.pairing.counts import COUNT_SCHEMA, count_all, count_messages
 from dds_trace.analyzer.pairing.pair import pair_messages, published_messages
 from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
 
@@ -50,6 +50,8 @@ def test_every_kind_of_message_is_counted_once():
         "relay_span_ns": 30,  # first T3 50, last T4 80
         "reply_span_ns": 194,  # 1011 to 1205
         "relayed": 4,
+        "sent": 6,
+        "reached": 4,
         "replied": 3,
         "orphans": 1,  # 99
         "with_warmup": 7,
@@ -107,3 +109,14 @@ def test_stamps_that_are_damage_wrap_in_silence():
 
 def test_without_a_schedule_every_message_is_unscheduled():
     assert count([(0, 100), (1, 200)], scheduled=False)["unscheduled"] == 2
+
+
+def test_of_a_run_with_every_other_message_pinged_all_messages_count_for_the_throughput():
+    t1, t3 = (
+        columns(*(event(s, 10 * s) for s in range(1, 8))),
+        columns(*(event(s, 1000 + 10 * s) for s in (0, 2, 3, 4, 7))),
+    )
+    published = published_messages(t1, 2, 2)
+    assert published.sequence.tolist() == [2, 4, 6]
+    assert published.with_warmup == 7
+    assert count_all(t1, t3, 2) == {"sent": 6, "reached": 4, "publish_span_ns": 50, "relay_span_ns": 50}

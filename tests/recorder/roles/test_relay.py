@@ -10,6 +10,7 @@ from fake_clock import FakeClock
 from fake_node import FakeNode, ListSink
 
 from dds_trace.recorder.payloads import data_types
+from dds_trace.recorder.payloads.stamp import NO_REPLY
 from dds_trace.recorder.roles import relay as relay_module
 from dds_trace.recorder.roles.relay import UNSTAMPED, Relay
 from dds_trace.tracefile.format.descriptions import Qos
@@ -143,11 +144,12 @@ def test_runs_are_counted_once_however_they_take_turns_and_old_ones_are_forgotte
     monkeypatch.setattr(relay_module, "RECENT_RUNS", 3)
     relay = object.__new__(relay_module.Relay)
     relay._runs, relay._last_run, relay._recent_runs = 0, 0, {}
+    relay._relayed = relay._payload_bytes = 0
     for run_id in (7, 8, 7, 9, 8, 7):
-        relay._note_run(run_id)
+        relay._note(run_id, 1)
     assert (relay._runs, list(relay._recent_runs)) == (3, [9, 8, 7])
-    relay._note_run(10)
-    relay._note_run(7)
+    relay._note(10, 1)
+    relay._note(7, 1)
     assert (relay._runs, list(relay._recent_runs)) == (4, [8, 10, 7])  # 9 was the longest ago
 
 
@@ -167,3 +169,15 @@ def test_any_bytes_cost_only_their_message(name, form):
     assert [event[:3] for event in bench.sink.events[before:]] == [(3, 7, 1), (4, 7, 1)]
     assert bench.node.strangers.counts[UNSTAMPED] >= 62 - 16
     assert all(0 <= event[2] < 2**64 and 0 <= event[7] < 2**32 for event in bench.sink.events)
+
+
+@pytest.mark.parametrize("name", ["binary", "string", "imu"])
+def test_a_message_that_wants_no_reply_is_recorded_and_not_sent_back(bench, name):
+    data_type = data_types()[name]
+    message = bytearray(bench.message(name, 7, 3))
+    data_type.raw.stamp.write(message, 7, 3, NO_REPLY)
+    bench.node.deliver(data_type.topic, bytes(message), 11, 12)
+    assert not bench.node.publishers[data_type.relay_topic].sent
+    ((stage, run_id, sequence, *_),) = bench.sink.events
+    assert (stage, run_id, sequence) == (3, 7, 3)
+    assert bench.relay.progress().relayed == 1

@@ -140,3 +140,9 @@ def test_only_what_varies_can_be_filtered():
         "Binary 67 KB at 20 Hz": (1, 0),
         "Binary 1 MB at 20 Hz": (2, 0),
     }
+
+
+def test_settings_are_listed_by_number():
+    lengths = ("0.3s", "2s", "12s", "120s")
+    labels = labels_of(*(Measured([MS], setting=f"outage={length}") for length in reversed(lengths)))
+    assert labels == [f"Fast DDS, outage={length}" for length in lengths]

@@ -77,8 +77,9 @@ function chosenFacet({ x, panels, lines }) {
 function positionOf(x, group) {
   const cell = cellOf(group);
   if (x === "size") return cell.bytes;
-  if (x === "rate") return cell.hz;
-  if (x === "load") return cell.bytes * cell.hz;
+  const hz = cell.hz || DATA.values.plain.achieved_rate_hz[group] || 1;
+  if (x === "rate") return hz;
+  if (x === "load") return cell.bytes * hz;
   return x === "cell" || x === "plane" ? DATA.groups.cell[group] : optionOf(x, group);
 }
 

@@ -388,7 +388,7 @@ KINDS.heatmap = function heatmap(plan, width, all) {
         type: "linear",
         tickmode: "array",
         tickvals: rates.map((_, i) => i),
-        ticktext: rates.map((rate) => digits(rate)),
+        ticktext: rates.map((rate) => (rate ? digits(rate) : "max")),
         showgrid: false,
         zeroline: false,
         title: axisTitle("Rate (Hz)"),

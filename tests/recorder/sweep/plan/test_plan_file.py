@@ -220,3 +220,26 @@ def test_bridges_and_backends_of_a_plan_are_those_of_the_tables(monkeypatch):
     monkeypatch.setitem(BRIDGE_MODULES, "added-later", "no_module_is_loaded_for_this")
     plan = parse(RUN + '[axes]\nbridge = ["none", "added-later"]\n')
     assert [cell.bridge for cell in plan.cells] == ["none", "added-later"]
+
+
+def test_a_rate_of_max_lasts_for_the_seconds_of_the_plan():
+    plan = parse("[run]\nseconds = 2.5\n[axes]\nrate = ['max', 10]\n[[exclude]]\nrate = 10\n")
+    (cell,) = plan.cells
+    assert cell.name == "ros2_same_binary_max"
+    assert plan.run.planned_seconds(cell.rate) == 2.5
+    arguments = ping_arguments(plan, cell, 20, None)
+    assert [arguments[arguments.index(name) + 1] for name in ("--rate", "--duration")] == ["max", "2.5"]
+    assert "--messages" not in arguments
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        RUN + "[axes]\nrate = 'max'\n",
+        "[run]\nseconds = 1\n[network]\nnamespaces = true\n[axes]\nrate = 'max'\noutage = 1\n",
+        RUN + "[axes]\nping_share = 0.5\n",
+    ],
+)
+def test_a_rate_of_max_needs_a_time_and_a_share_needs_it(text):
+    with pytest.raises(OptionError, match="max"):
+        parse(text)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.units import parse_duration
@@ -18,9 +18,6 @@ from .choices import Durability, FileMode, History, Reliability, Role
 from .option import Axis, Option, Panel, option, options_of
 from .option_values import parse_percentage
 from .options import PingOptions, RecordOptions, TapOptions
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,22 +7,19 @@ import threading
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from .backends import load_backend
+from .backends.node import Node
 from .bridges.requested import check_requested_bridge
 from .domains import check_domain_id
 from .errors import StoppedError
 from .host.process import parse_cpus
+from .options import PingOptions, RecordOptions
 from .payloads import is_live, open_payload, served_data_types
 from .payloads.binary import BINARY
 from .recording import record
 from .roles.plan import check_rate, check_serialization
-
-if TYPE_CHECKING:
-    from .backends.node import Node
-    from .options import PingOptions, RecordOptions
-    from .roles.progress import Watch
+from .roles.progress import Watch
 
 
 def rehearse(options: RecordOptions, watch: Watch) -> None:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 from ..records import to_json
 from .counters import InterfaceCounters, MulticastGroup, read_groups, read_interfaces, read_kernel_counters, read_limits
 from .memory import Library, SharedMemory, read_libraries, read_memory
 from .sockets import Socket, read_sockets
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import JsonObject
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,12 +7,9 @@ If both paths could explain the counts, the path is `unknown`. Only the bytes of
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
+from .applied import Applied, Snapshot
 from .counters import InterfaceCounters
-
-if TYPE_CHECKING:
-    from .applied import Applied, Snapshot
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 LOOPBACK = "lo"

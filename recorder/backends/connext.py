@@ -6,11 +6,12 @@ It needs a licence. Messages pass in serialized form, in a DynamicData of CDR. O
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module, metadata
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.units import SECOND_NS
@@ -20,13 +21,21 @@ from ..choices import Discovery, Durability, History, Reliability
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
-from .node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, NodeSubscription, ThreadedNode, TopicView
+from .node import (
+    LAST_ACKNOWLEDGEMENT_S,
+    ROUND_S,
+    Endpoint,
+    Middleware,
+    NodeOptions,
+    NodeSubscription,
+    Publisher,
+    RawMessage,
+    Receive,
+    Subscription,
+    ThreadedNode,
+    TopicView,
+)
 from .qos import duration_extra, incompatible_pairs, requested_durations
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription
 
 TUNED_PROPERTIES = {"dds.transport.UDPv4.builtin.recv_socket_buffer_size": "4000000"}
 LOCALHOST_PROPERTIES = {"dds.transport.UDPv4.builtin.parent.allow_interfaces_list": "127.0.0.1"}

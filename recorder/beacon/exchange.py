@@ -6,19 +6,15 @@ import json
 import threading
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from dds_trace.base.limits import STORED_RELAY_ID, STORED_TIME_NS, Whole
 from dds_trace.base.printable import printable
 from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.encoding import decode_string, encode_string
+from dds_trace.tracefile.writing.sink import TraceSink
 
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Run
-    from dds_trace.tracefile.writing.sink import TraceSink
-
-    from ..backends.node import Publisher, RawMessage
-
+from ..backends.node import Publisher, RawMessage
 
 WINDOW_NS = 5 * SECOND_NS
 """Of the round trips of this time only the quickest counts: the others waited somewhere."""

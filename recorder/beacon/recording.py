@@ -10,15 +10,19 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.events import SESSION_TOPIC
 from dds_trace.tracefile.writing.destination import discard
+from dds_trace.tracefile.writing.sink import TraceSink
 
+from ..backends.node import Node, Publisher, RawMessage
 from ..base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
 from ..errors import NothingHeardError
 from ..host.clock import read_adjtimex
 from ..host.process import tuned_gc
+from ..options import RecordOptions
 from ..payloads import data_types
 from ..roles.ping import AnyPing, open_ping
 from ..roles.plan import RunPlan
@@ -27,14 +31,6 @@ from ..roles.relay import Relay
 from ..roles.session import strangers_field
 from ..service.upkeep import Upkeep
 from .exchange import NOTES_TOPIC, NOTES_TYPE, ClockNote, Exchanges, NotingSink
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Run
-    from dds_trace.tracefile.writing.sink import TraceSink
-
-    from ..backends.node import Node, Publisher, RawMessage
-    from ..options import RecordOptions
-
 
 TIMEOUT_S = 2.0
 _NAME, _OFFSET_S, _LEAP = 1, 4, 13

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from importlib import import_module
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
@@ -14,10 +15,6 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, Transport
 from ..payloads import data_types
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
 
 BRIDGE_MODULES = {
     "builtin": "dds_trace.recorder.bridges.builtin",

@@ -5,24 +5,18 @@ from __future__ import annotations
 import gc
 import json
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import TraceError, TraceFormatError
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends import open_node
-from ..backends.node import NodeOptions
+from ..backends.node import Node, NodeOptions, RawMessage, Receive
 from ..choices import Discovery, Transport
 from ..host.process import stop_at_signals, tuned_gc
-from .base import BridgedTopic, BridgeOptions, Half
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from ..backends.node import Node, RawMessage, Receive
-    from .base import BridgeSide
+from .base import BridgedTopic, BridgeOptions, BridgeSide, Half
 
 INSTALL_ROS2 = (
     "it needs ROS 2's rclpy: pip install 'dds-trace[ros2]' (in a clone '.[ros2]'), or source /opt/ros/DISTRO/setup.bash"

@@ -8,22 +8,19 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+from collections.abc import Callable
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.version import __version__
 
+from ..backends.node import RawMessage, Receive
 from ..choices import Reliability
 from .base import Bridge, Halves
 from .builtin_common import INSTALL_ROS2, UP_LINE, Forwarder, open_side, options_from_json, options_to_json, run, serve
 from .zenoh_link import zenoh_link
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from ..backends.node import RawMessage, Receive
 
 KEY_PREFIX = "dds_trace/bridge"
 """A topic's zenoh key is `dds_trace/bridge/TOPIC`."""

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ..backends.qos import requested_durations
 from ..backends.ros2.installation import find_program, package_version
-from .base import Bridge
+from .base import Bridge, BridgeOptions
 from .process.programs import discovery_environment
 from .texts import yaml_text
-
-if TYPE_CHECKING:
-    from .base import BridgeOptions
 
 PACKAGE = "domain_bridge"
 

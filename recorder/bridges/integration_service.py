@@ -8,20 +8,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends.qos import requested_durations
 from ..choices import History
-from .base import Bridge
+from .base import Bridge, BridgeOptions
 from .process.programs import discovery_environment, program_on_path
 from .texts import yaml_text
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Qos
-
-    from .base import BridgeOptions
 
 PROGRAM = "integration-service"
 STATIC, DYNAMIC = "ros2", "ros2_dynamic"

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from contextlib import ExitStack
 
 from dds_trace.base.errors import OptionError
 
 from ..backends import load_backend
 from ..choices import Security
+from ..options import PingOptions, RecordOptions
+from ..payloads.base import DataType
 from .base import BRIDGE_MODULES, BRIDGED_TOPICS, BridgedTopic, BridgeOptions, load_bridge, split_halves
-from .process.running import open_bridge
-
-if TYPE_CHECKING:
-    from contextlib import ExitStack
-
-    from ..options import PingOptions, RecordOptions
-    from ..payloads.base import DataType
-    from .process.running import RunningBridge
+from .process.running import RunningBridge, open_bridge
 
 
 def open_requested_bridge(

@@ -12,7 +12,7 @@ from dds_trace.base.units import SECOND_NS
 from ..backends.dds_types import DDS_TYPES, dds_name, split_type
 from ..backends.qos import requested_durations
 from ..choices import Discovery
-from .base import Bridge
+from .base import Bridge, BridgeOptions, BridgeSide
 from .process.programs import program_on_path, reported_version
 from .texts import element, xml_text
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.descriptions import Qos
 
-    from .base import BridgeOptions, BridgeSide
 
 PROGRAM = "rtiroutingservice"
 CONFIGURATION_NAME = "dds_trace"

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element, indent, tostring
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 # YAML 1.1 and 1.2 both read these as strings without quotes.
 _PLAIN = re.compile(r"(?!(?:true|false|yes|no|on|off|null|y|n)$)[A-Za-z_/][\w./:-]*", re.IGNORECASE)

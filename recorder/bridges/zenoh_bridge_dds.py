@@ -5,15 +5,10 @@ It is a program, or a plugin of zenoh's router (`zenohd`).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ..choices import Discovery
-from .base import Bridge, Halves
+from .base import Bridge, BridgeOptions, Halves
 from .process.programs import program_on_path, reported_version
 from .zenoh_link import plugin_arguments, plugin_configuration, router_with, zenoh_environment
-
-if TYPE_CHECKING:
-    from .base import BridgeOptions
 
 PROGRAM, PLUGIN = "zenoh-bridge-dds", "dds"
 

@@ -6,16 +6,12 @@ It knows the direction of ROS topics. It is a program, or a plugin of zenoh's ro
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
 
 from ..backends.ros2.installation import find_program
 from ..choices import Discovery
-from .base import Bridge, Halves
+from .base import Bridge, BridgeOptions, Halves
 from .process.programs import program_on_path, reported_version
 from .zenoh_link import plugin_arguments, plugin_configuration, router_with, zenoh_environment
-
-if TYPE_CHECKING:
-    from .base import BridgeOptions
 
 PROGRAM, PLUGIN, PACKAGE = "zenoh-bridge-ros2dds", "ros2dds", "zenoh_bridge_ros2dds"
 

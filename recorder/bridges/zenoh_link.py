@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..backends.cyclone_settings import cyclone_loopback, cyclone_settings
 from ..security.tls import zenoh_tls
-from .base import Half
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from .base import BridgeOptions
+from .base import BridgeOptions, Half
 
 
 def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:

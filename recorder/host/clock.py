@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Callable
-
-    from dds_trace.tracefile.format.json_fields import JsonObject
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 STOP_CHECK_NS = 50_000_000
 """Longest wait between two checks of `stop`."""

@@ -10,18 +10,15 @@ import platform
 import re
 import shutil
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import psutil
 
+from dds_trace.tracefile.format.json_fields import Json
+
 from ..applied.counters import read_limits
 from .environment import MiddlewareEnvironment
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from dds_trace.tracefile.format.json_fields import Json
 
 _SOCKET_BUFFERS = ("rmem_default", "rmem_max", "wmem_default", "wmem_max", "optmem_max", "netdev_max_backlog")
 

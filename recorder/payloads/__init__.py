@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 
+from ..backends.node import Node
 from .bag import BAG
 from .base import DataType, Payload, PayloadContext, Source
 from .binary import BINARY
@@ -16,12 +18,6 @@ from .header import header_data_type
 from .imu import IMU, IMU_FILE
 from .string import STRING
 from .topic import TOPIC
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Callable, Iterable
-
-    from ..backends.node import Node
 
 PAYLOADS: dict[str, DataType | Source] = {
     **{data_type.name: data_type for data_type in (BINARY, STRING, IMU)},

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
+from ..backends.node import Node, RawMessage, RosMessage
 from ..errors import StoppedError
 from .stamp import HeaderStampPlace, SentT, StampPlace, StringStampPlace
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Callable, Mapping, Sequence
-    from contextlib import AbstractContextManager
-    from pathlib import Path
-
-    from ..backends.node import Node, RawMessage, RosMessage
 
 ReceivedT = TypeVar("ReceivedT")
 

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import random
 import struct
-from typing import TYPE_CHECKING
+import threading
+from collections.abc import Iterable, Iterator
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
+from ..backends.node import RawMessage, RosMessage
 from .base import DataType, Form, Message, Payload, check_stop
 from .cdr import CdrWriter
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Iterable, Iterator
-
-    from ..backends.node import RawMessage, RosMessage
 
 DEFAULT_BYTES = 33_000
 MAX_BYTES = MAX_PAYLOAD_BYTES  # within the four bytes of width, step and the length of `data`

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import re
+import threading
+from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 
+from ..backends.node import RawMessage
 from .base import DataType, Form, Payload, sized_by_length
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Mapping
-
-    from ..backends.node import RawMessage
 
 HEADER_BYTES = 64
 """Offset of the data: encapsulation 4, time 8, frame_id with our stamp 4 + 47, rounded up to four."""

@@ -5,22 +5,19 @@ from __future__ import annotations
 import math
 import os
 import random
+import threading
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import open_regular
 
+from ..backends.node import RawMessage, RosMessage
 from .base import DataType, Form, Message, Payload, Source, check_size, check_stop, sized_by_length
 from .cdr import CdrWriter
 from .stamp import HEADER_STAMP, RAW_HEADER_STAMP, stamp_text
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Iterator, Sequence
-
-    from ..backends.node import RawMessage, RosMessage
 
 # orientation, angular velocity and linear acceleration, each with its 3 x 3 covariance
 FIELDS = (4, 9, 3, 9, 3, 9)

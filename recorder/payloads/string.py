@@ -5,20 +5,16 @@ from __future__ import annotations
 import random
 import string
 import struct
-from typing import TYPE_CHECKING
+import threading
+from collections.abc import Iterator
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import MAX_PAYLOAD_BYTES
 
+from ..backends.node import RawMessage, RosMessage
 from .base import DataType, Form, Message, Payload, check_stop, sized_by_length
 from .cdr import CdrWriter
 from .stamp import RAW_STRING_STAMP, STAMP_BYTES, STRING_STAMP, stamp_text
-
-if TYPE_CHECKING:
-    import threading
-    from collections.abc import Iterator
-
-    from ..backends.node import RawMessage, RosMessage
 
 PAPER_BYTES = (4, 91, 1405, 2675)
 DEFAULT_BYTES = PAPER_BYTES[1]

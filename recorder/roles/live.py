@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from dds_trace.base.units import SECOND_NS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from dds_trace.tracefile.format.json_fields import JsonObject
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 KEPT_MESSAGES = 1000
 WINDOW_NS = 5 * SECOND_NS

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.version import __version__
 from dds_trace.tracefile.format.descriptions import Session
+from dds_trace.tracefile.format.json_fields import JsonObject
 
 from ..applied.carried import LOOPBACK
 from ..applied.counters import read_interfaces
 from ..backends import load_backend, load_backends
+from ..backends.node import Node
+from ..backends.strangers import Strangers
 from ..choices import Discovery
+from ..host.clock import ClockAnchor
 from ..host.environment import join_environments
 from ..host.fingerprint import host_fingerprint, read_boot_id
-
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import JsonObject
-
-    from ..backends.node import Node
-    from ..backends.strangers import Strangers
-    from ..host.clock import ClockAnchor
 
 
 def describe_session(

@@ -11,18 +11,16 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..choices import Security
 from .dds_documents import governance, permissions
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
 
 VARIABLE = "DDS_TRACE_KEYS"
 """Folder with a folder of keys for each level, which a sweep makes for its programs."""

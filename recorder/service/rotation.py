@@ -7,19 +7,15 @@ import re
 import stat
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.units import format_size
 from dds_trace.tracefile.format.ring import RING_SUFFIX, ring_path
 from dds_trace.tracefile.reading.mcap_source import read_first_session
+from dds_trace.tracefile.writing.destination import TraceDestination
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from dds_trace.tracefile.writing.destination import TraceDestination
-
-    from ..option_values import KeepFree
+from ..option_values import KeepFree
 
 DIGITS = 5
 """Least digits of a file's number, so that names sort by time."""

@@ -12,21 +12,17 @@ import secrets
 import stat
 import tempfile
 import time
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.files import open_regular
+from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.ring import ring_path
 
 from .rotation import later_files
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from dds_trace.tracefile.format.descriptions import Session
 
 SUFFIX = ".recording"
 ENTRY_BYTES = 8192

@@ -5,26 +5,21 @@ Folders recorded one after the other differ first of all by time; interleaved ru
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted
 
 from .folder import locked_folder
-from .plan.plan import depth_warnings
+from .plan.plan import Plan, depth_warnings
 from .plan.schedule import CellGroup, Remaining, group_by_relay, plan_seconds, schedule_pass
 from .run.progress import SweepProgress
 from .run.runner import Runner
 from .station.station import open_station
 from .sweep import SweepOutcome
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from .plan.plan import Plan
 
 BASE, NEW = "base", "new"
 

@@ -8,19 +8,14 @@ import json
 import math
 from dataclasses import asdict
 from html import escape
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.units import spell_size
 
 from .folder import replace_text
-from .search import RateAnswer
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from .plan.plan import Search
-    from .search import MaxRate
+from .plan.plan import Search
+from .search import MaxRate, RateAnswer
 
 COLUMNS = ("middleware", "bridge", "data", "size", "max_rate_hz", "answer", "fails_at_hz", "held", "why")
 

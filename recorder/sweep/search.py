@@ -7,22 +7,19 @@ response time (planned send to reply, so that a late sender counts).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from dds_trace.base.units import counted
 
+from .plan.cells import Cell
+from .plan.plan import Plan, Search
 from .plan.schedule import group_by_relay
+from .run.result import CellResult
+from .run.runner import Runner
 from .run.state import Status
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from .plan.cells import Cell
-    from .plan.plan import Plan, Search
-    from .run.result import CellResult
-    from .run.runner import Runner
 
 SUSTAINED_SHARE = 0.95
 """Share of the requested rate that the sender must reach."""

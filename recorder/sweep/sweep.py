@@ -3,36 +3,30 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted
 
 from .folder import locked_folder
-from .plan.plan import depth_warnings
+from .plan.cells import Cell
+from .plan.plan import Plan, depth_warnings
 from .plan.schedule import number_groups, schedule, schedule_pass
+from .run.progress import SweepProgress
 from .run.runner import Runner
 from .run.state import Status
-from .search import find_max_rates, search_plan
+from .search import MaxRate, find_max_rates, search_plan
 from .station.clock_check import compare_clocks
 from .station.station import open_station
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
+RunIds = Mapping[str, tuple[int, ...]]
+"""Name of a cell -> ids of its complete runs, in the order of the passes."""
+MeasureWidths = Callable[[Path, RunIds], Mapping[str, float]]
+"""Function from the folder of a sweep and its runs to the half width of each cell's interval."""
 
-    from .plan.cells import Cell
-    from .plan.plan import Plan
-    from .run.progress import SweepProgress
-    from .search import MaxRate
-
-    RunIds = Mapping[str, tuple[int, ...]]
-    """Name of a cell -> ids of its complete runs, in the order of the passes."""
-
-    MeasureWidths = Callable[[Path, RunIds], Mapping[str, float]]
-    """Function from the folder of a sweep and its runs to the half width of each cell's interval."""
 
 INCOMPLETE_EXIT_CODE = 10
 """Exit code of `dds-sweep` if some cells have no complete recording; the `TraceError` tree has 1 to 9."""

@@ -5,23 +5,18 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
+from ..backends.node import Node
 from ..payloads.cdr import CdrWriter
 from ..roles.live import Health, LiveRow, LiveTable
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from ..backends.node import Node
-
 
 HOST = "127.0.0.1"
 _NAMES = ("127.0.0.1", "localhost")

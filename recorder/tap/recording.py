@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import gc
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted, format_duration
+from dds_trace.tracefile.format.json_fields import JsonObject
 from dds_trace.tracefile.writing.destination import discard
 
 from ..applied.carried import Traffic
@@ -16,19 +17,13 @@ from ..backends.node import Node, TapNode, TopicPatterns
 from ..base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
 from ..errors import NothingHeardError
 from ..host.process import tuned_gc
+from ..options import TapOptions
 from ..roles.live import LiveTable
 from ..roles.progress import TapProgress
+from ..roles.read_back import ReadBack
 from ..service.upkeep import Upkeep
 from .page import open_diagnostics, serve_page
 from .tap import Tap, summarize
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from dds_trace.tracefile.format.json_fields import JsonObject
-
-    from ..options import TapOptions
-    from ..roles.read_back import ReadBack
 
 
 class OwnUse:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from dds_trace.base.units import SECOND_NS
+from dds_trace.tracefile.format.descriptions import Qos
+from dds_trace.tracefile.format.json_fields import JsonObject
 
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.descriptions import Qos
-    from dds_trace.tracefile.format.json_fields import JsonObject
-
-    from ..backends.node import Publication
+from ..backends.node import Publication
 
 SILENT_PERIODS = 10
 SHORTEST_SILENCE_NS = 2 * SECOND_NS

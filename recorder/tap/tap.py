@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.threads import run_in_background
@@ -17,20 +17,14 @@ from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, hash_content
 from dds_trace.tracefile.reading.source import TOPIC_PREFIX
 from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
+from dds_trace.tracefile.writing.sink import TraceSink
 
 from ..backends.node import Publication, RawMessage, Subscription, TapNode, TopicPatterns
 from ..choices import Durability, History, Reliability
 from ..host.clock import Clock, SystemClock
+from ..roles.live import LiveTable, LiveTopic
 from .stamps import definition_of, reader_of
 from .streams import State, Stream
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable
-
-    from dds_trace.tracefile.writing.sink import TraceSink
-
-    from ..roles.live import LiveTable, LiveTopic
-
 
 MOST_WAITING = 64
 """Messages that wait; when there are more, the receiving thread waits, and the middleware drops what its queue does not hold."""

@@ -15,11 +15,13 @@ import os
 import select
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dds_trace.base.errors import TraceError
+from dds_trace.tracefile.format.wire import MessageRows
 
 from ..records import from_json
 from .capture import WireOptions
@@ -29,12 +31,6 @@ from .packets.packet_filter import wire_program
 from .ring import PacketRing, RingStatistics
 from .tally import WireTally
 from .tcp_info import ClosedConnections, TcpConnection, read_connections
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from dds_trace.tracefile.format.wire import MessageRows
-
 
 NICENESS = 5
 """The capture yields to the roles, as does SCHED_BATCH; much nicer, it would starve for longer than the ring lasts."""

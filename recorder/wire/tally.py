@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from dds_trace.tracefile.format.wire import Direction, MessageRows
 
@@ -14,12 +15,8 @@ from .messages import MULTICAST, Copy, SendLedger, SentSample, message_row, mess
 from .packets.classes import AGAIN, RANK, TcpFlows, WireClass, class_of
 from .packets.fragments import FragmentTable, Piece
 from .packets.frames import TCP, UDP, Frame, FrameBatch, read_frames
+from .packets.packet_filter import PortRange
 from .packets.rtps import HEADER_BYTES, INFO_DST, PREFIX_BYTES, Submessage, walk_submessages
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from .packets.packet_filter import PortRange
 
 _PACKET_OTHERHOST, _PACKET_OUTGOING = 3, 4  # <linux/if_packet.h>
 _UDP_BYTES = 8

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import OptionError
 
@@ -20,11 +20,7 @@ from ..applied.diag import (
     parse_socket,
     tcp_info_fields,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from .packets.packet_filter import PortRange
+from .packets.packet_filter import PortRange
 
 _TCP_DESTROYED_GROUP = 1 << 0  # SKNLGRP_INET_TCP_DESTROY as a bit of the address
 _CONNECTED_STATES = 0xFFF & ~(1 << 10) & ~(1 << 6)  # not LISTEN, not TIME_WAIT

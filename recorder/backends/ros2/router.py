@@ -11,9 +11,10 @@ import signal
 import socket
 import subprocess
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from dds_trace.base.errors import BackendUnavailableError
 
@@ -21,10 +22,6 @@ from ...applied.vendors import ros_middleware
 from ...choices import Discovery
 from ...host.process import ending_with_parent
 from .installation import find_program
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
 
 PATIENCE_S = 10.0
 _ENDPOINT = re.compile(r"connect/endpoints\s*=\s*\[\s*\"tcp/(?P<host>\[[^\]]+\]|[^:\"]+):(?P<port>\d{1,5})")

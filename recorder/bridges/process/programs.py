@@ -7,15 +7,11 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ...choices import Discovery
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..base import BridgeOptions
+from ..base import BridgeOptions
 
 VERSION_TIMEOUT_S = 10.0
 

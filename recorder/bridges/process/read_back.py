@@ -4,21 +4,15 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import psutil
 
-from ...applied.applied import read_applied
-from ...applied.asked import asked_settings
-from ...applied.differences import differences
+from dds_trace.tracefile.format.json_fields import Json
 
-if TYPE_CHECKING:
-    from dds_trace.tracefile.format.json_fields import Json
-
-    from ...applied.applied import Applied
-    from ...applied.asked import Asked
-    from ...applied.differences import Difference
-    from ..base import Bridge, BridgeOptions
+from ...applied.applied import Applied, read_applied
+from ...applied.asked import Asked, asked_settings
+from ...applied.differences import Difference, differences
+from ..base import Bridge, BridgeOptions
 
 LINK_MIDDLEWARES = ("zenoh", "socket")
 """Middlewares that join the halves of a bridge; `--transport` and `--tuned` are not for them."""

@@ -7,27 +7,21 @@ import socket
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError
+from dds_trace.tracefile.format.json_fields import Json
 
+from ...applied.differences import Difference
 from ...errors import BridgeError
-from ..base import Half, load_bridge, split_halves
+from ..base import Bridge, BridgeOptions, Half, load_bridge, split_halves
 from .programs import program_environment
 from .read_back import ProgramReadBack
 from .supervise import SupervisedProgram, describe_end, killing_signal
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from dds_trace.tracefile.format.json_fields import Json
-
-    from ...applied.differences import Difference
-    from ..base import Bridge, BridgeOptions
 
 UP_TIMEOUT_S = 20.0
 """ROS 2 on a small board needs seconds to start."""

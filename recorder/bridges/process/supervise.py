@@ -11,16 +11,13 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import psutil
 
 from ...errors import BridgeError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 STOP_PATIENCE_S = 4.0
 """Time to end after SIGINT, then after SIGTERM, before SIGKILL."""

@@ -5,21 +5,20 @@ from __future__ import annotations
 import csv
 import hashlib
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import open_regular
 from dds_trace.base.units import SECOND_NS, counted
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+Row: TypeAlias = tuple[float, float, float, float, float]
+"""Values of `COLUMNS`."""
 
-    Row: TypeAlias = tuple[float, float, float, float, float]
-    """Values of `COLUMNS`."""
 
 COLUMNS = ("time_s", "rate_mbit_s", "delay_ms", "loss_percent", "jitter_ms")
 """Columns of the file; `time_s` is required, a missing one is 0 in every row (no limit of the rate)."""

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, TypedDict
+from typing import TypeAlias, TypedDict
 
 from dds_trace.base import limits
 
 from .cells import plan_key
-from .drive import read_drive
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from .drive import Drive
+from .drive import Drive, read_drive
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import re
 import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
@@ -16,9 +16,6 @@ from ...options import DEFAULT_MESSAGES
 from ...payloads import check_data, sources
 from .link import PRESETS
 from .schema import INSTALLED, POINTER, TABLES, plain
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 WIDTH = 100
 

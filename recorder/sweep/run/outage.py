@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypedDict
+from typing import TypedDict
 
+from ..plan.cells import Cell
 from ..plan.outage import OutageBy
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from ..plan.cells import Cell
-    from ..plan.plan import RunSettings
-    from ..station.namespaces import NamespacePair
+from ..plan.plan import RunSettings
+from ..station.namespaces import NamespacePair
 
 
 class OutageReport(TypedDict):

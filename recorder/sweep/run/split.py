@@ -6,32 +6,26 @@ The parts keep `session_id` and clock anchor: a reader sees one recording over s
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 
 from dds_trace.base.errors import TraceFormatError
 from dds_trace.base.files import mode_within, replacing
 from dds_trace.tracefile.format.events import HOST_TOPIC, SESSION_TOPIC
+from dds_trace.tracefile.format.json_fields import JsonObject
+from dds_trace.tracefile.format.ring import Slots
 from dds_trace.tracefile.format.wire import WIRE_TOPIC
 from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.reading.trace import Trace
 from dds_trace.tracefile.writing.event_chunks import slots_in_time
 from dds_trace.tracefile.writing.writer import TraceWriter
 
-from ..plan.drive import COLUMNS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from dds_trace.tracefile.format.json_fields import JsonObject
-    from dds_trace.tracefile.format.ring import Slots
-    from dds_trace.tracefile.reading.trace import Trace
-
-    from ..plan.drive import Drive
-    from ..plan.link import LinkReport
-    from .outage import OutageReport
+from ..plan.drive import COLUMNS, Drive
+from ..plan.link import LinkReport
+from .outage import OutageReport
 
 _SAMPLE_MARGIN_NS = 1_000_000_000
 """Longest time from the end of a run to its last host sample: one sampling period."""

@@ -10,15 +10,12 @@ import struct
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..plan.link import EndCounters, Link
+from ..plan.link import EndCounters, Link
 
 INTERFACE = "link0"
 """The link's device in either namespace."""

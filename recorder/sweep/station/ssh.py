@@ -12,8 +12,9 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, BinaryIO
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.base.files import create_file, mode_within, replacing
@@ -21,15 +22,9 @@ from dds_trace.base.units import counted
 from dds_trace.base.version import __version__
 
 from ..folder import LOG_ENDINGS, TRACE_ENDINGS, log_path, remove_files
-from .devices import RelayDevice
+from ..plan.plan import DeviceSettings
+from .devices import RelayDevice, StartedProgram
 from .programs import DEFAULTS_VARIABLE, Program
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-    from typing import IO, BinaryIO
-
-    from ..plan.plan import DeviceSettings
-    from .devices import StartedProgram
 
 SSH_TIMEOUT_S = 60.0
 MOST_TRACE_BYTES = 1 << 30

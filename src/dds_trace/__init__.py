@@ -58,10 +58,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dds_trace.analyzer.exports.kinds import export_tables
-
     from .analyzer.analysis import Analysis, Details, load_analysis
     from .analyzer.exports.foxglove import write_derived
+    from .analyzer.exports.kinds import export_tables
     from .analyzer.model.finding import Finding, Severity, Source
     from .analyzer.pipeline import analyze
     from .analyzer.recordings.topics import analyze_topics

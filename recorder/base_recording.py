@@ -13,7 +13,7 @@ from dds_trace.tracefile.format.events import HOST_TOPIC
 from .backends import open_node
 from .choices import Security
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
-from .host.process import apply_privileges
+from .host.process import apply_privileges, realtime_threads
 from .host.sampling import HostSampler
 from .options import side_settings
 from .roles.floor import measured_cost, measured_floor
@@ -163,7 +163,7 @@ class BaseRecording:
         )
 
     def fields_at_end(self) -> JsonObject:
-        """Return the session's `clock` (the kernel's correction at start and end), `load` and `security`."""
+        """Return the session's `clock` (the kernel's correction at start and end), `load`, `realtime_threads` and `security`."""
         clock: JsonObject = {"resolution_ns": self.clock_step_ns, "begin": self.correction, "end": read_adjtimex()}
         keys, security = self.options.node.keys, {}
         if keys is not None and self._node is not None:
@@ -172,7 +172,12 @@ class BaseRecording:
                 "keys_sha256": public_hash(keys),
                 "applied": "TLS of the bridge's link" if self.has_bridge else self._node.read_security(),
             }
-        return {"clock": clock, **self._load_fields(), **({"security": security} if security else {})}
+        return {
+            "clock": clock,
+            **self._load_fields(),
+            **realtime_threads(),
+            **({"security": security} if security else {}),
+        }
 
     def note_disk(self, sink: TraceSink) -> None:
         """Note a disk that cannot be written, once."""

@@ -54,6 +54,8 @@ class Load(Enum):
     CPU = "cpu"
     MEMORY = "memory"
     NETWORK = "network"
+    AWAKE = "awake"
+    DMA_LATENCY = "dma-latency"
 
 
 class WhenFull(Enum):

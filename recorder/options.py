@@ -124,6 +124,14 @@ class PingOptions:
         "Do not send before this time (seconds since 1970), so that several pings start together. Default: at the first echo",
         limit=limits.UNIX_S,
     )
+    wake_ms: int = option(
+        0,
+        "--wake MS",
+        Panel.SCHEDULE,
+        "Send a probe this long before each message, which wakes processors and fills caches. Default: none",
+        limit=limits.WAKE_MS,
+        axis=Axis(for_relay=False, unit="ms"),
+    )
     relays: int = detail(1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS)
     bridge: str = detail(
         "none",
@@ -317,15 +325,17 @@ class RecordOptions:
         Panel.PROCESS,
         "Run under SCHED_FIFO with this priority, 1 to 99, and all memory locked.",
         limit=limits.REALTIME_PRIORITY,
+        axis=Axis(),
     )
     load: Load = option(
         Load.NONE,
         "--load KIND",
         Panel.PROCESS,
-        "Load this machine while recording, once for all its recordings; network is 100 Mbit/s of UDP that the ping sends:",
+        "Load this machine while recording, once for all its recordings; network is 100 Mbit/s of UDP that the ping sends; awake and "
+        "dma-latency only keep its processors from sleeping:",
         axis=Axis(
-            meaning="load of the machine of each side while it records: every processor, copies in memory, or 100 Mbit/s of UDP "
-            "from the ping to the relay's device ([load](../how-to/sweep.md#under-load))"
+            meaning="load of the machine of each side while it records: every processor, copies in memory, 100 Mbit/s of UDP "
+            "from the ping to the relay's device, or what only keeps processors from sleeping ([load](../how-to/sweep.md#under-load))"
         ),
     )
     load_to: str | None = detail(

@@ -13,7 +13,7 @@ from ..model.finding import Severity, Subject
 from ..model.foreign import number_of, object_of
 from .evidence import Evidence, Observation, check
 
-_LEAST_BUSY = {"cpu": 0.5, "memory": 0.3, "network": 0.01}
+_LEAST_BUSY = {"cpu": 0.5, "memory": 0.3, "network": 0.01, "awake": 0.01}
 """Processors that a load uses at least where it is the one that was requested."""
 
 

@@ -16,7 +16,7 @@ FLOW, WITH, FLOWS = "flow", "with", "flows"
 """A run's flow, the flows of its plan that ran with it (joined by +), and the number of runs of its machine."""
 
 CONDITIONS = frozenset(
-    {"link", "relays", "hosts", "pings", "topics", "data", "load", "outage", "outage_by", FLOW, WITH, FLOWS}
+    {"link", "relays", "hosts", "pings", "topics", "data", "load", "outage", "outage_by", "queue", FLOW, WITH, FLOWS}
 )
 """Keys that nobody chooses: groups that differ in these are no alternatives."""
 

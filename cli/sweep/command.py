@@ -88,6 +88,21 @@ def main_command(
             "environment with dds-record, or SAME, which measures how often the comparison is wrong.",
         ),
     ] = None,
+    explain_rates: Annotated[
+        bool,
+        option(
+            "--explain-rates",
+            "Explain why the plan's slowest rate takes longer than its fastest: in shares that add up.",
+        ),
+    ] = False,
+    explain_size: Annotated[
+        str | None,
+        option(
+            "--explain-size SIZE",
+            "Explain a jump of the latency around a size, such as 502KB, or between two: 400KB..700KB. Varies buffer, segment, "
+            "fragment, history and a link's queue one at a time.",
+        ),
+    ] = None,
     as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
@@ -106,16 +121,26 @@ def main_command(
 
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
+    from .explain import made_explanation, run_explanation
     from .precision import precision
     from .thresholds import read_thresholds
 
     _refuse_together(
-        {"--max-rate": max_rate, "--until": until, "--against": against, "--print": printed},
+        {
+            "--max-rate": max_rate,
+            "--until": until,
+            "--against": against,
+            "--print": printed,
+            "--explain-rates": explain_rates,
+            "--explain-size": explain_size,
+        },
         {"--max-passes": max_passes, "--until": until},
     )
     limits.check(limits.FOLDER, str(out), "--out")
     limits.check(limits.REPEATS, max_passes, "--max-passes")
     requested = read_plan(plan, installed_middlewares, by_hand=printed is not None)
+    explained = made_explanation(requested, explain_size) if explain_rates or explain_size else None
+    requested = explained.plan if explained else requested
     target = None if until is None else precision(until, max_passes, requested)
     other = None if against is None else new_side(against, plan, requested, installed_middlewares)
     if (requested.flows or any(map(is_crowded, requested.cells))) and (max_rate or against is not None):
@@ -132,6 +157,8 @@ def main_command(
     try:
         if max_rate:
             code = _search(requested, out, as_json)
+        elif explained is not None:
+            code = run_explanation(explained, out, as_json=as_json)
         elif other is not None:
             code = run_sides(requested, other, out, as_json=as_json)
         else:

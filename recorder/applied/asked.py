@@ -38,6 +38,8 @@ class Asked:
         shared_memory: requested on or off, None if the vendor decides.
         interface: the only one that a configuration names, or empty.
         profile: file name of the user's own profile, or empty.
+        buffer_is_exact: whether a larger receive buffer contradicts it too.
+        segment_bytes: of the process's own shared memory, 0 for the vendor's.
         congestion_control: TCP congestion control, empty for the system's.
     """
 
@@ -52,6 +54,8 @@ class Asked:
     interface: str = ""
     profile: str = ""
     congestion_control: str = ""
+    buffer_is_exact: bool = False
+    segment_bytes: int = 0
 
     def to_json(self) -> JsonObject:
         """Return the session's field `asked`."""
@@ -68,6 +72,8 @@ def asked_settings(
     congestion_control: str | None = None,
     environment: Mapping[str, str] | None = None,
     settings: Mapping[str, str] | None = None,
+    buffer_bytes: int | None = None,
+    segment_bytes: int | None = None,
 ) -> Asked:
     """Return what the options of a recording and the user's configuration request.
 
@@ -84,11 +90,15 @@ def asked_settings(
             transport=facts.transport if transport == "default" else transport,
             receive_buffer_bytes=facts.receive_bytes,
         )
+    if segment_bytes is not None:
+        requested = replace(requested, segment_bytes=segment_bytes)
     if vendor == "cyclonedds":
         uri = (settings or {}).get("CYCLONEDDS_URI", (environment or {}).get("CYCLONEDDS_URI", ""))
-        return replace(requested, interface=interface_named(uri))
-    if vendor == "fastdds" and requested.transport == "default":
-        return _asked_by_environment(requested, environment or {})
+        requested = replace(requested, interface=interface_named(uri))
+    elif vendor == "fastdds" and requested.transport == "default":
+        requested = _asked_by_environment(requested, environment or {})
+    if buffer_bytes is not None:
+        requested = replace(requested, receive_buffer_bytes=buffer_bytes, buffer_is_exact=True)
     return requested
 
 

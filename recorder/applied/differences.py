@@ -28,6 +28,8 @@ KERNELS_PORT = 32_768
 """First port that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""
 GRANTED_PER_REQUESTED = 2
 """Linux grants twice the socket buffer that a program sets (socket(7))."""
+LEAST_BUFFER_BYTES = 2304
+"""Linux grants no less (SOCK_MIN_RCVBUF)."""
 
 
 class Setting(Enum):
@@ -45,6 +47,8 @@ class Setting(Enum):
     SECURITY = "security"
     PRIORITY = "priority"
     WHEN_FULL = "when_full"
+    BUFFER = "buffer"
+    SEGMENT = "segment"
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +128,23 @@ def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None
     buffers = [read.receive_buffer_bytes for read in in_domain] or [
         max((read.receive_buffer_bytes for read in sockets), default=0)
     ]
+    expected_bytes = GRANTED_PER_REQUESTED * requested.receive_buffer_bytes
+    if requested.buffer_is_exact and sockets and min(buffers) > max(expected_bytes, LEAST_BUFFER_BYTES):
+        words = f"asked for receive buffers that the kernel shows as {expected_bytes:,} bytes, and it shows {min(buffers):,}"
+        return Difference(Setting.BUFFER, str(requested.receive_buffer_bytes), str(min(buffers)), words)
     return _buffer(
         "receive", "net.core.rmem_max", requested.receive_buffer_bytes, min(buffers) if sockets else None, applied
     )
+
+
+def _segment(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
+    """Compare the process's own segments of Fast DDS, which have the requested size and a table."""
+    own = [file.size_bytes for file in _memory_of(requested, applied) if file.role == SEGMENT and file.is_own]
+    asked_bytes = requested.segment_bytes
+    if requested.vendor != "fastdds" or not asked_bytes or not own or asked_bytes <= max(own) <= 2 * asked_bytes:
+        return None
+    words = f"asked for a segment of {asked_bytes:,} bytes, the mapped one has {max(own):,}"
+    return Difference(Setting.SEGMENT, str(asked_bytes), str(max(own)), words)
 
 
 def _send_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
@@ -250,6 +268,7 @@ def _described(memory: list[SharedMemory]) -> str:
 _RULES: tuple[Callable[[Asked, Applied, Traffic | None], Difference | None], ...] = (
     _transport,
     _receive_buffer,
+    _segment,
     _send_buffer,
     _interface,
     _shared_memory,

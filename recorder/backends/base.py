@@ -15,7 +15,7 @@ from ..domains import check_domain_id, first_port
 from ..host.environment import MiddlewareEnvironment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from .node import Node, NodeOptions
 
@@ -56,6 +56,7 @@ class Backend:
         has_congestion_control: whether TCP's congestion control can be chosen.
         security: levels besides `off`.
         priorities: priorities that messages can have, None for none.
+        sizes: transport -> names of `Sizes` that can be chosen with it.
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         can_multicast: whether it sends messages to groups unless requested otherwise.
         environment: variables and files that configure it.
@@ -78,6 +79,7 @@ class Backend:
     transports: tuple[Transport, ...] = (Transport.DEFAULT,)
     security: tuple[Security, ...] = ()
     priorities: range | None = None
+    sizes: Mapping[Transport, tuple[str, ...]] = field(default_factory=dict)
     can_drop: bool = False
     can_multicast: bool = False
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
@@ -117,6 +119,7 @@ class Backend:
                 f"--congestion-control {options.congestion_control}: the backend {self.name} has no TCP of its own; leave it out"
             )
         self._check_sending(options)
+        self._check_sizes(options)
         if options.transport not in self.transports:
             names = ", ".join(transport.value for transport in self.transports)
             raise OptionError(f"--transport {options.transport.value}: the backend {self.name} only has {names}")
@@ -138,6 +141,16 @@ class Backend:
             )
         if not options.multicast and not self.can_multicast:
             raise OptionError(f"--no-multicast: the backend {self.name} sends no message to a group; leave it out")
+
+    def _check_sizes(self, options: NodeOptions) -> None:
+        for name, size in options.sizes._asdict().items():
+            if size is not None and name not in self.sizes.get(options.transport, ()):
+                over = (
+                    f" over {options.transport.value}"
+                    if self.sizes and options.transport is not Transport.DEFAULT
+                    else ""
+                )
+                raise OptionError(f"--{name} {size}: the backend {self.name}{over} has no such size; leave it out")
 
     def port_of(self, domain_id: int) -> int:
         """Return the relay's port in a domain."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..applied.asked import configuration_texts
 from ..choices import Discovery
+from .sizes import VENDORS_SIZES, Sizes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -50,8 +51,22 @@ def cyclone_loopback(discovery: Discovery, environment: Mapping[str, str] = os.e
     return CYCLONE_LOOPBACK
 
 
+_FRAGMENTS = (
+    "<CycloneDDS><Domain><General><MaxMessageSize>{packet}B</MaxMessageSize><FragmentSize>{fragment}B</FragmentSize></General>"
+    "</Domain></CycloneDDS>"
+)
+_BUFFER = '<CycloneDDS><Domain><Internal><SocketReceiveBufferSize min="{bytes}B" max="{bytes}B"/></Internal></Domain></CycloneDDS>'
+_HEADERS_BYTES = 256
+"""Room of RTPS headers next to a fragment."""
+
+
 def cyclone_settings(
-    discovery: Discovery, *, tuned: bool, multicast: bool = True, environment: Mapping[str, str] = os.environ
+    discovery: Discovery,
+    *,
+    tuned: bool,
+    multicast: bool = True,
+    environment: Mapping[str, str] = os.environ,
+    sizes: Sizes = VENDORS_SIZES,
 ) -> str:
     """Return a value of CYCLONEDDS_URI: the user's settings, then ours, which win."""
     parts = [
@@ -59,5 +74,7 @@ def cyclone_settings(
         "" if multicast else CYCLONE_UNICAST,
         CYCLONE_LOCALHOST if discovery is Discovery.LOCALHOST else "",
         CYCLONE_TUNED if tuned else "",
+        _FRAGMENTS.format(packet=sizes.fragment + _HEADERS_BYTES, fragment=sizes.fragment) if sizes.fragment else "",
+        _BUFFER.format(bytes=sizes.buffer) if sizes.buffer else "",
     ]
     return ",".join(filter(None, parts))

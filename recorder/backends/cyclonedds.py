@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.base.errors import BackendUnavailableError
 from dds_trace.base.units import SECOND_NS
 
-from ..choices import Security
+from ..choices import Security, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
 from .cyclone_policies import cyclone_qos, priority_of, qos_of
@@ -47,8 +47,7 @@ if TYPE_CHECKING:
     from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription, TapReceive, TopicPatterns
 
 MAX_ENDPOINTS = 10_000
-MAX_TRIGGERS = 256
-"""Most readers that one wait reports."""
+MAX_TRIGGERS = 256  # most readers that one wait reports
 TYPE_WAIT_NS = SECOND_NS
 """Longest wait for the definition of a publisher's type."""
 TYPE_CONSISTENCY = 24
@@ -71,7 +70,7 @@ class CycloneNode(ThreadedNode):
 
         super().__init__(options)
         _check_version()
-        own = cyclone_settings(options.discovery, tuned=options.tuned, multicast=options.multicast)
+        own = cyclone_settings(options.discovery, tuned=options.tuned, multicast=options.multicast, sizes=options.sizes)
         settings = ",".join(filter(None, (cyclone_loopback(options.discovery), own)))
         try:
             configured = ",".join(filter(None, (settings, security_settings(options))))
@@ -446,5 +445,6 @@ BACKEND = Backend(
     security=tuple(level for level in Security if level is not Security.OFF),
     priorities=range(-(1 << 31), 1 << 31),
     can_multicast=True,
+    sizes={Transport.DEFAULT: ("buffer", "fragment")},
     environment=MiddlewareEnvironment(configuration=(ConfigurationVariable("CYCLONEDDS_URI", ","),)),
 )

@@ -14,6 +14,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
+from .sizes import Sizes, size_option
 from .strangers import Strangers
 
 if TYPE_CHECKING:
@@ -146,7 +147,15 @@ class NodeOptions:
         Panel.MIDDLEWARE,
         "Cyclone DDS: send each message to each relay by itself; multicast is left to discovery.",
     )
+    buffer_bytes: int | None = size_option("buffer", "Receive buffer of each socket", limits.BUFFER_BYTES)
+    segment_bytes: int | None = size_option("segment", "Shared memory for messages", limits.SEGMENT_BYTES)
+    fragment_bytes: int | None = size_option("fragment", "Largest part of a message in a packet", limits.FRAGMENT_BYTES)
     listens: bool = field(default=False, metadata=OUTSIDE_OF_KEY)
+
+    @property
+    def sizes(self) -> Sizes:
+        """The requested sizes."""
+        return Sizes(self.buffer_bytes, self.segment_bytes, self.fragment_bytes)
 
 
 @dataclass(frozen=True, slots=True)

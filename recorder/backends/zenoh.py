@@ -270,9 +270,18 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
         if options.transport is Transport.SHM:
             raise OptionError("--transport shm: shared memory is not encrypted; leave it or --security out")
         shared_memory = {"enabled": False}
+    sizes = options.sizes
+    if sizes.segment is not None:
+        pool = {**shared_memory.get("transport_optimization", {"enabled": True}), "pool_size": sizes.segment}
+        shared_memory = {"enabled": True, **shared_memory, "transport_optimization": pool}
+    link: dict[str, Any] = {} if options.keys is None else {"tls": zenoh_tls(options.keys, listens=options.listens)}
+    if sizes.buffer is not None:
+        link["tcp"] = {"so_rcvbuf": sizes.buffer, "so_sndbuf": sizes.buffer}
+    if sizes.fragment is not None:
+        link["tx"] = {"batch_size": sizes.fragment}
     transport: dict[str, Any] = {"shared_memory": shared_memory} if shared_memory else {}
-    if options.keys is not None:
-        transport["link"] = {"tls": zenoh_tls(options.keys, listens=options.listens)}
+    if link:
+        transport["link"] = link
     scheme = "tcp" if options.keys is None else "tls"
     listen, connect = [], []
     if options.listens:
@@ -327,6 +336,11 @@ BACKEND = Backend(
     transports=tuple(_SHARED_MEMORY),
     security=(Security.ENCRYPT_RTPS,),
     priorities=range(1, 8),
+    sizes={
+        Transport.DEFAULT: ("buffer", "segment", "fragment"),
+        Transport.SHM: ("segment",),
+        Transport.TCP: ("buffer", "fragment"),
+    },
     can_drop=True,
     environment=MiddlewareEnvironment(
         configuration=(

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import psutil
 
+from dds_trace.base.errors import OptionError
+
 from .process import ending_with_parent
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import JsonObject
 
+DMA_LATENCY = "/dev/cpu_dma_latency"
 PROGRAM = Path(__file__).with_name("load_program.py")
 
 
@@ -27,12 +30,20 @@ def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObje
     """Load the machine within the block; yields a function that returns the session's field `load`, if there is a load.
 
     Args:
-        kind: `none`, `cpu`, `memory` or `network`.
+        kind: as of `--load`.
         host: where `network` sends; None sends nothing.
+
+    Raises:
+        OptionError: this user may not keep the processors from sleeping.
     """
     if kind == "none" or (kind == "network" and host is None):
         yield dict
         return
+    if kind == "dma-latency":
+        try:
+            os.close(os.open(DMA_LATENCY, os.O_RDWR))
+        except OSError as err:
+            raise OptionError(f"--load {kind}: {DMA_LATENCY}: {err.strerror}; run as root, or leave it out") from err
     # -I -S starts fastest: only the standard library.
     command = [*ending_with_parent(), sys.executable, "-I", "-S", str(PROGRAM), kind, host or ""]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL) as process:

@@ -1,8 +1,9 @@
 """Load for a machine, in a process of its own with the standard library only: `load_program.py KIND HOST`.
 
 `cpu` keeps every processor busy, `memory` copies 64 MiB again and again on half of them, by stress-ng where it is
-installed; `network` sends UDP to the discard port of HOST. Of `cpu` and `memory` a machine has one at a time: a second
-program waits for the first. It prints what makes the load once it starts, and runs until it is killed.
+installed; `network` sends UDP to the discard port of HOST; `awake` keeps processors from sleeping by threads of the lowest
+priority, `dma-latency` by holding /dev/cpu_dma_latency at 0. Of `cpu`, `memory` and `awake` a machine has one at a time: a
+second program waits for the first. It prints what makes the load once it starts, and runs until it is killed.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ PROCESSORS = os.cpu_count() or 1
 STRESS_NG = {"cpu": ("--cpu", PROCESSORS), "memory": ("--stream", max(1, PROCESSORS // 2))}
 
 
-def compute() -> None:
+def compute(data_bytes: int = 1 << 20) -> None:
     """Keep one processor busy; hashing lets other threads run meanwhile."""
-    data = bytes(1 << 20)
+    data = bytes(data_bytes)
     while True:
         hashlib.sha256(data)
 
@@ -55,6 +56,21 @@ def send(host: str) -> None:
             time.sleep(max(0.0, next_s - time.monotonic()))
 
 
+def keep_awake(processor: int) -> None:
+    """Run whenever nothing else does; the data leaves most of the caches to others."""
+    with contextlib.suppress(OSError):  # a processor that is not for this process
+        os.sched_setaffinity(0, [processor])
+    compute(1 << 14)
+
+
+def hold_dma_latency() -> None:
+    """Ask the kernel for no latency of waking up, until this program ends; print what it grants."""
+    device = os.open("/dev/cpu_dma_latency", os.O_RDWR)
+    os.write(device, bytes(4))
+    print(f"cpu_dma_latency {int.from_bytes(os.pread(device, 4, 0), sys.byteorder)} us", flush=True)
+    threading.Event().wait()
+
+
 def main() -> None:
     """Make the load."""
     kind, host = sys.argv[1:]
@@ -64,8 +80,16 @@ def main() -> None:
     if kind == "network":
         print("own", flush=True)
         send(host)
+    if kind == "dma-latency":
+        hold_dma_latency()
     lock = os.open(f"{tempfile.gettempdir()}/dds-trace-load-{os.getuid()}.lock", os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW)
     fcntl.flock(lock, fcntl.LOCK_EX)
+    if kind == "awake":
+        print("own", flush=True)
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        for processor in range(PROCESSORS):
+            threading.Thread(target=keep_awake, args=(processor,), daemon=True).start()
+        threading.Event().wait()
     stress_ng = shutil.which("stress-ng")
     print("stress-ng" if stress_ng else "own", flush=True)
     if stress_ng:

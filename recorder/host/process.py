@@ -99,6 +99,15 @@ def set_realtime(priority: int) -> None:
         ) from err
 
 
+def realtime_threads() -> dict[str, Json]:
+    """Return the session's field of how many threads of this process run under SCHED_FIFO, if any does."""
+    count = 0
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(ProcessLookupError):
+            count += os.sched_getscheduler(int(thread.name)) == os.SCHED_FIFO
+    return {"realtime_threads": count} if count else {}
+
+
 def _lock_memory() -> None:
     """Keep every page in memory, so that no page fault delays a stamp."""
     libc = ctypes.CDLL(None, use_errno=True)

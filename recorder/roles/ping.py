@@ -173,9 +173,9 @@ class Ping(Generic[SentT, ReceivedT]):
             self._record(T2, self.run_id, sequence, receive_ns, 0, source_ns, received_ns, payload_bytes, relay_id)
             self._replies.note(sequence, relay_id, receive_ns)
 
-    def _probe(self) -> None:
+    def _probe(self, number: int | None = None) -> None:
         """Send a probe, whose number nobody can guess."""
-        message, nonce = self._messages[0], self._nonce + len(self._nonces)
+        message, nonce = self._messages[0], self._nonce + (len(self._nonces) if number is None else number)
         self._stamps.write(message, PROBE_RUN_ID, nonce)
         self._nonces[nonce] = self._now()
         self._publisher.publish(message)
@@ -291,6 +291,8 @@ class Ping(Generic[SentT, ReceivedT]):
             position = sequence % len(sizes)
             message = self._messages[position]
             scheduled_ns = plan.scheduled_ns(start_ns, sequence)
+            if plan.wake_ns and wait_until(scheduled_ns - plan.wake_ns, stop):
+                self._probe(0)
             self._stamps.write(message, self.run_id, sequence, NO_REPLY if sequence % plan.ping_every else 0)
             if not wait_until(scheduled_ns, stop):
                 return

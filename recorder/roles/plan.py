@@ -35,6 +35,7 @@ class RunPlan:
 
     Attributes:
         rate_hz: infinite for messages that leave as fast as the middleware takes them.
+        wake_ns: time between a probe and the message after it, 0 for no probes.
         ping_every: every n-th message is sent back.
         is_timed: whether time ends the run, and `messages` is only a bound.
     """
@@ -44,6 +45,7 @@ class RunPlan:
     messages: int
     warmup: int = 0
     qos: Qos = field(default_factory=Qos)
+    wake_ns: int = 0
     serialization: Serialization = Serialization.RAW
     ping_every: int = 1
     is_timed: bool = False
@@ -90,6 +92,10 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
     rate_hz = ping.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
     limits.check(limits.RATE_HZ_OR_MAX, rate_hz, f"rate of {ping.data}")
     share = ping.ping_share or (MAX_RATE_PING_SHARE if math.isinf(rate_hz) else 1.0)
+    if ping.wake_ms * rate_hz >= 1000:
+        raise OptionError(
+            f"--wake {ping.wake_ms}: at {rate_hz:g} Hz a message leaves every {1e3 / rate_hz:g} ms; give less"
+        )
     own_domain_id = options.node.domain_id
     source = {"data_source": payload.source} if payload.source else {"seed": seed}
     running = {"bridge_running": True} if ping.bridge_running else {}
@@ -98,6 +104,7 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
         rate_hz=rate_hz,
         messages=count_messages(ping.messages, options.duration_s, rate_hz, ping.warmup),
         warmup=ping.warmup,
+        wake_ns=ping.wake_ms * SECOND_NS // 1000,
         qos=options.node.qos,
         serialization=options.serialization,
         ping_every=round(1 / share),

@@ -45,6 +45,8 @@ class ReadBack:
             congestion_control=options.congestion_control,
             environment=environment,
             settings=middleware.settings,
+            buffer_bytes=options.buffer_bytes,
+            segment_bytes=options.segment_bytes,
         )
         self._node = node
         priority, when_full = options.priority, options.when_full

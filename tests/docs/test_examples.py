@@ -30,7 +30,7 @@ domain = {domain}
 backend = "socket"
 [[matrix]]
 size = "1KB"
-rate = 100
+rate = [100, 200]
 """
 """In the place of a page's plan: what it asks for would take minutes, and middlewares that not every machine has."""
 

@@ -65,6 +65,11 @@ BACKEND = Backend(
     security=tuple(level for level in Security if level is not Security.OFF),
     has_ros=True,
     transports=(Transport.DEFAULT, Transport.UDP, Transport.SHM, Transport.LARGE_DATA),
+    sizes={
+        Transport.DEFAULT: ("buffer", "segment", "fragment"),
+        Transport.UDP: ("buffer", "fragment"),
+        Transport.SHM: ("segment",),
+    },
     environment=MiddlewareEnvironment(
         settings=(*_ROS_VARIABLES, *(name for facts in VENDORS.values() for name in facts.variables)),
         configuration=tuple(

@@ -25,6 +25,7 @@ from dds_trace.base.errors import OptionError
 from ...applied.asked import PROFILE_VARIABLES
 from ...applied.vendors import BUFFER_BYTES, ros_middleware
 from ...choices import Discovery, Transport
+from ..sizes import VENDORS_SIZES, Sizes
 from .installation import NO_TUNING, package_version, set_transport
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ _UDP, _NETWORK_UDP, _SHM, _TCP = "dds_trace_udp", "dds_trace_network_udp", "dds_
 _WHITELIST = "        <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>\n"
 
 _DESCRIPTORS = {
-    _SHM: "        <type>SHM</type>\n",
+    _SHM: "        <type>SHM</type>\n{segment}",
     # As Fast DDS sets up TCP for LARGE_DATA.
     _TCP: (
         "        <type>TCPv4</type>\n"
@@ -61,6 +62,8 @@ _DESCRIPTORS = {
 }
 
 _BUFFERS = "        <receiveBufferSize>{bytes}</receiveBufferSize>\n"
+_FRAGMENTS = "        <maxMessageSize>{bytes}</maxMessageSize>\n"
+_SEGMENT = "        <segment_size>{bytes}</segment_size>\n"
 
 # An empty locator is the well-known unicast port, and keeps Fast DDS from opening its multicast one.
 _UNICAST_DISCOVERY = """\
@@ -127,20 +130,19 @@ def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> 
     if buffer_bytes is not None and transport is not Transport.UDP:
         raise OptionError(NO_TUNING.format(transport.value))
     transports, discovery = _LAYOUTS[transport]
-    return _profile(f"{transport.value} on this machine only", transports, discovery, buffer_bytes)
+    return _profile(f"{transport.value} on this machine only", transports, discovery, Sizes(buffer_bytes))
 
 
 def _profile(
     title: str,
     transports: tuple[str, ...],
     discovery: str,
-    buffer_bytes: int | None,
+    sizes: Sizes,
     participants: Sequence[tuple[str, str]] = (_DEFAULT_PARTICIPANT,),
 ) -> str:
-    buffers = "" if buffer_bytes is None else _BUFFERS.format(bytes=buffer_bytes)
     return _PROFILE.format(
         title=title,
-        descriptors="".join(_descriptor(name, buffers) for name in transports),
+        descriptors="".join(_descriptor(name, sizes) for name in transports),
         participants="".join(
             _PARTICIPANT.format(
                 attributes=attributes,
@@ -159,11 +161,15 @@ def tuned_participants(names: Mapping[str, int], *, is_local: bool) -> str:
     participants = [
         (f'profile_name="{name}"', f"      <domainId>{domain_id}</domainId>\n") for name, domain_id in names.items()
     ]
-    return _profile("tuned udp", transports, discovery, BUFFER_BYTES, participants)
+    return _profile("tuned udp", transports, discovery, Sizes(BUFFER_BYTES), participants)
 
 
-def _descriptor(name: str, buffers: str) -> str:
-    body = _DESCRIPTORS[name].format(buffers=buffers)
+def _descriptor(name: str, sizes: Sizes) -> str:
+    buffer, segment, fragment = (
+        "" if size is None else text.format(bytes=size)
+        for size, text in zip(sizes, (_BUFFERS, _SEGMENT, _FRAGMENTS), strict=True)
+    )
+    body = _DESCRIPTORS[name].format(buffers=buffer + fragment, segment=segment)
     return (
         "      <transport_descriptor>\n"
         f"        <transport_id>{name}</transport_id>\n"
@@ -172,11 +178,24 @@ def _descriptor(name: str, buffers: str) -> str:
     )
 
 
-def requested_profile(transport: Transport, *, tuned: bool, is_local: bool = True) -> str | None:
-    """Return the profile for `--transport` and `--tuned`, None if there is nothing to set or the variable can do it."""
+_SIZED = {Transport.DEFAULT: (_SHM, _UDP), Transport.UDP: (_UDP,), Transport.SHM: (_SHM,)}
+"""Transports with sizes of their own; the default is what rmw_fastrtps sets up."""
+
+
+def requested_profile(
+    transport: Transport, *, tuned: bool, is_local: bool = True, sizes: Sizes = VENDORS_SIZES
+) -> str | None:
+    """Return the profile for these options, None if there is nothing to set or the variable can do it."""
+    if any(sizes):
+        chosen = Transport.UDP if tuned and transport is Transport.DEFAULT else transport
+        names = [name if is_local or name != _UDP else _NETWORK_UDP for name in _SIZED[chosen]]
+        discovery = _UNICAST_DISCOVERY if is_local and _UDP in names else ""
+        if tuned and sizes.buffer is None:
+            sizes = sizes._replace(buffer=BUFFER_BYTES)
+        return _profile(f"{chosen.value} of other sizes", tuple(names), discovery, sizes)
     if not is_local:
         is_udp = transport in (Transport.DEFAULT, Transport.UDP)
-        return _profile("tuned udp", (_NETWORK_UDP,), "", BUFFER_BYTES) if tuned and is_udp else None
+        return _profile("tuned udp", (_NETWORK_UDP,), "", Sizes(BUFFER_BYTES)) if tuned and is_udp else None
     if transport is Transport.DEFAULT and not tuned:
         return None
     # Tuning enlarges the buffers of UDP sockets.
@@ -234,7 +253,9 @@ def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]
     """Give the node of the block its transport and tuning; yield settings for the session."""
     is_local = options.discovery is Discovery.LOCALHOST
     is_fastdds = ros_middleware(rmw).vendor == "fastdds"
-    text = requested_profile(options.transport, tuned=options.tuned, is_local=is_local) if is_fastdds else None
+    text = None
+    if is_fastdds:
+        text = requested_profile(options.transport, tuned=options.tuned, is_local=is_local, sizes=options.sizes)
     if not is_fastdds or (text is None and not is_local):
         set_transport(options, rmw)
     if not is_fastdds:

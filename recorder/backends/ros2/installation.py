@@ -130,6 +130,10 @@ def check_vendor(options: NodeOptions, rmw: str) -> None:
             raise OptionError(
                 f"--transport {options.transport.value} is Fast DDS's, and the middleware here is {rmw}; leave it out"
             )
+        if any(options.sizes):
+            raise OptionError(
+                f"--buffer, --segment and --fragment are for Fast DDS, and the middleware here is {rmw}; leave them out"
+            )
         if options.tuned:
             raise OptionError(
                 f"--tuned: no settings for large messages of {rmw} are known here; leave it out, or set them in its own files"

@@ -50,4 +50,5 @@ BACKEND = Backend(
     has_congestion_control=True,
     transports=tuple(PROTOCOLS),
     security=(Security.ENCRYPT_RTPS,),
+    sizes={Transport.DEFAULT: ("buffer",), Transport.UDP: ("buffer", "fragment")},
 )

@@ -60,12 +60,14 @@ class SocketNode(ThreadedNode):
                 raise OptionError(f"--security {options.security.value}: TLS is for TCP; leave --transport udp out")
             if options.congestion_control is not None:
                 raise OptionError(f"--congestion-control {options.congestion_control}: UDP has none; leave it out")
-            buffer_bytes = BUFFER_BYTES if options.tuned else None
-            links = UdpLinks(self._own, listen, resolved, self._receivers, self.strangers, buffer_bytes)
+            buffer_bytes = options.buffer_bytes or (BUFFER_BYTES if options.tuned else None)
+            links = UdpLinks(
+                self._own, listen, resolved, self._receivers, self.strangers, buffer_bytes, options.fragment_bytes
+            )
             settings["receive_buffer_bytes"] = str(links.receive_buffer_bytes)
             self._links = links
         else:
-            prepare = partial(set_congestion_control, name=options.congestion_control)
+            prepare = partial(prepare_connection, name=options.congestion_control, buffer_bytes=options.buffer_bytes)
             with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
                 settings["congestion_control"] = prepare(trial)
             secure = None
@@ -163,8 +165,11 @@ def _resolve(address: tuple[str, int]) -> tuple[str, int]:
         raise OptionError(f"--peer {host}: no IPv4 address is known for it ({err})") from err
 
 
-def set_congestion_control(connection: socket.socket, name: str | None) -> str:
-    """Set the congestion control of a TCP socket, if given; return what the kernel reports."""
+def prepare_connection(connection: socket.socket, name: str | None, buffer_bytes: int | None) -> str:
+    """Set congestion control and buffers of a TCP socket, if given; return the congestion control that the kernel reports."""
+    if buffer_bytes is not None:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, buffer_bytes)
     if name is not None:
         try:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_CONGESTION, name.encode())

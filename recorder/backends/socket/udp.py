@@ -74,7 +74,10 @@ class UdpLinks:
         receivers: Receivers,
         strangers: Strangers,
         buffer_bytes: int | None = None,
+        fragment_bytes: int | None = None,
     ) -> None:
+        self._fragment_bytes = fragment_bytes or FRAGMENT_BYTES
+        self._most_fragments = -(-MAX_MESSAGE_BYTES // self._fragment_bytes)
         self._strangers = strangers
         self._is_listening = listen is not None
         self._secret = secrets.token_bytes(16)
@@ -123,11 +126,12 @@ class UdpLinks:
     def _send_to(self, addresses: Sequence[Address], name: bytes, message: RawMessage) -> None:
         with self._numbering:
             self._number = number = (self._number + 1) % (1 << 32)
-        count = max(-(-len(message) // FRAGMENT_BYTES), 1)
+        most_bytes = self._fragment_bytes
+        count = max(-(-len(message) // most_bytes), 1)
         with memoryview(message) as view:
             for index in range(count):
                 header = _HEADER.pack(number, index, count, len(name)) + name
-                part = view[index * FRAGMENT_BYTES : (index + 1) * FRAGMENT_BYTES]
+                part = view[index * most_bytes : (index + 1) * most_bytes]
                 for address in addresses:
                     with suppress(OSError):  # unreachable now: lost
                         self._socket.sendmsg([header, part], (), 0, address)
@@ -165,7 +169,7 @@ class UdpLinks:
         number, index, count, name_bytes = _HEADER.unpack_from(datagram)
         start = _HEADER.size + name_bytes
         part = datagram[start:]
-        if len(datagram) < start or index >= count or count > MAX_FRAGMENTS or len(part) > FRAGMENT_BYTES:
+        if len(datagram) < start or index >= count or count > self._most_fragments or len(part) > FRAGMENT_BYTES:
             raise ValueError(MALFORMED)
         peer = self._peers.get(address)
         if not name_bytes:

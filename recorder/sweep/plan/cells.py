@@ -105,6 +105,13 @@ AXES: Mapping[str, PlanAxis] = {
         for_relay=True,
         default="",
     ),
+    "queue": PlanAxis(
+        "longest wait of a frame for the full line of a `[link]` with a rate, 0 for the link's `queue_ms`",
+        limits.WAKE_MS,
+        unit="ms",
+        kind=int,
+        default=0,
+    ),
     "outage": PlanAxis(
         "length of an outage in the middle of the run, 0 for none; the run is then as long as `outage_after_seconds`, the outage and "
         "`outage_limit_seconds` ([coming back](../how-to/outages.md))",
@@ -185,9 +192,12 @@ class Cell:
     history: str = "keep_last"
     depth: int = 10
     tuned: bool = False
+    transport: str = "default"
+    fragment: int | None = None
     load: str = "none"
     security: str = "off"
     environment: str = ""
+    queue: int = 0
     outage: float = 0.0
     outage_by: str = OutageBy.LINK.value
     relays: int = 1

@@ -79,6 +79,7 @@ def ping_arguments(
         *(("--label", f"{AGAINST_LABEL}={partner}") if partner else ()),
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
         *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
+        *(("--setting", f"queue={cell.queue}ms") if cell.queue else ()),
         *_outage_arguments(plan, cell),
         *(("--flow", cell.flow) if cell.flow and cell.pings == 1 else ()),
         *(("--setting", f"flow={cell.flow}") if cell.flow else ()),

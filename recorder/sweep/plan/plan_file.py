@@ -290,6 +290,10 @@ def _check(plan: Plan, where: str) -> None:
             "the axis outage needs the two sides in namespaces; give [network] namespaces = true, a [link], or outage_by = 'relay'",
         ),
         (
+            any(cell.queue for cell in plan.cells) and not (plan.link and plan.link.rate_mbit_s),
+            "the axis queue needs a [link] with a rate; add one or remove the axis",
+        ),
+        (
             any(cell.outage for cell in plan.cells) and (plan.has_two_devices or bool(plan.flows)),
             "the axis outage needs both devices on this machine, and no [[flows]]; remove them or the axis",
         ),
@@ -351,7 +355,7 @@ def _axis_value(table: TomlTable, name: str, value: object) -> AxisValue:
     if value == "" and default is None:
         return None
     try:
-        if name == "size" and isinstance(value, str):
+        if isinstance(value, str) and axis.unit == "bytes":
             value = parse_size(value)
         elif name == "rate" and value == "max":
             return math.inf

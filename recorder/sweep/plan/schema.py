@@ -198,7 +198,8 @@ def _key(table: str, name: str, key: Key) -> Schema:
 def _value(table: str, name: str, key: Key) -> Schema:
     if table == "axes":
         choices = axis_choices(name)
-        value: Schema = {"enum": choices} if choices else _SPECIAL_AXES.get(name, _of_limit)(key)
+        of_size = _size if key.unit == "bytes" else _of_limit
+        value: Schema = {"enum": choices} if choices else _SPECIAL_AXES.get(name, of_size)(key)
         # An empty text means None.
         return {"anyOf": [value, {"const": ""}]} if key.default is None else value
     return _of_limit(key)
@@ -225,7 +226,7 @@ def _rate(key: Key) -> Schema:
     return {"anyOf": [_of_limit(key), {"const": "max"}]}
 
 
-_SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"size": _size, "rate": _rate, "data": _data}
+_SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"rate": _rate, "data": _data}
 """Axes whose values are not described by type and limit."""
 
 

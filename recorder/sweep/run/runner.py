@@ -259,6 +259,8 @@ class Runner:
     def _attempt(
         self, drafts: Mapping[Cell, Path], relay: GroupRelay, outage: Outage | None
     ) -> tuple[list[CellResult], LinkReport | None]:
+        if self._station.pair is not None and self.plan.link is not None:
+            self._station.pair.set_queue(next(iter(drafts)).queue)
         self._report_link()  # traffic counts for this attempt from here on
         drive_link = self._station.drive_link
         if drive_link is not None:

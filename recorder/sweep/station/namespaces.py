@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,7 +61,7 @@ class NamespacePair:
     """
 
     def __init__(self, link: Link | None, hosts: int = 1) -> None:
-        self.link = link
+        self.link = self._shaped = link
         number = self._number = next(_counter)
         self.ping, self.relay = (
             Side(f"ddstrace-{os.getpid()}-{number}-{role}", f"10.213.0.{host}") for host, role in enumerate(_ROLES, 1)
@@ -101,7 +101,7 @@ class NamespacePair:
         """Return the work of the link since the preceding call."""
         return {
             "monotonic_ns": time.monotonic_ns(),
-            "link": self.link.to_dict() if self.link else None,
+            "link": self._shaped.to_dict() if self._shaped else None,
             "applied_by": self.applied_by,
             "commands": self.commands,
             "ping": self._traffic_since(self.ping),
@@ -114,6 +114,16 @@ class NamespacePair:
         """Start the link's file now, or go back to its first row."""
         self._drive_started_ns = time.monotonic_ns() if starts else None
         self._say(f"start {self._drive_started_ns}" if starts else "rest")
+
+    def set_queue(self, queue_ms: float) -> None:
+        """Let frames wait for the full line for another time, 0 for the link's own."""
+        assert self.link is not None
+        self._shaped = replace(self.link, queue_ms=queue_ms or self.link.queue_ms)
+        disciplines = queue_disciplines(self._shaped, kernel_does_all=self._forwarder is None)
+        if disciplines != self._disciplines:
+            self._disciplines = disciplines
+            for side in (self.ping, *self.relays):
+                self._renew_disciplines(side)
 
     def cut(self, by: OutageBy) -> None:
         """Cut the link: the ping's interface goes down, or everything that either side sends is lost."""
@@ -151,9 +161,12 @@ class NamespacePair:
     def _restore_disciplines(self) -> None:
         for side in (self.ping, self.relay):
             if "qdisc pfifo ff:" in tc("-n", side.namespace, "qdisc", "show", "dev", INTERFACE):
-                tc("-n", side.namespace, "qdisc", "del", "dev", INTERFACE, "root")
-                for discipline in self._disciplines:
-                    tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
+                self._renew_disciplines(side)
+
+    def _renew_disciplines(self, side: Side) -> None:
+        tc("-n", side.namespace, "qdisc", "del", "dev", INTERFACE, "root")
+        for discipline in self._disciplines:
+            tc("-n", side.namespace, "qdisc", "add", "dev", INTERFACE, *discipline)
 
     def _traffic_since(self, side: Side) -> EndCounters:
         now = count_traffic(side.namespace)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import socket
 import time
+from pathlib import Path
 
 import psutil
 import pytest
 from waiting import wait_until
 
+from dds_trace.base.errors import OptionError
 from dds_trace.recorder.host import load as load_module
 from dds_trace.recorder.host.load import loaded
 
@@ -79,3 +81,26 @@ def test_a_load_keeps_neither_priority_nor_processors_of_the_recorder():
             assert os.sched_getaffinity(pid) >= before
     finally:
         os.sched_setaffinity(0, before)
+
+
+def test_processors_are_kept_awake_at_the_lowest_priority():
+    before = children()
+    with loaded("awake") as fields:
+        wait_until(lambda: fields()["load"]["cpu_s"] > 0.02)
+        assert fields()["load"]["program"] == "own"
+        (child,) = children() - before
+        tasks = Path(f"/proc/{child}/task")
+        wait_until(lambda: len(list(tasks.iterdir())) > os.cpu_count())
+        policies = {os.sched_getscheduler(int(thread.name)) for thread in tasks.iterdir()}
+        assert policies == {os.SCHED_IDLE}
+    assert children() == before
+
+
+def test_the_latency_of_waking_up_is_read_back_or_refused():
+    if not os.access("/dev/cpu_dma_latency", os.R_OK | os.W_OK):
+        with pytest.raises(OptionError), loaded("dma-latency"):
+            pass
+        return
+    with loaded("dma-latency") as fields:
+        wait_until(lambda: program_of(fields))
+        assert program_of(fields) == "cpu_dma_latency 0 us"

@@ -361,3 +361,11 @@ def test_echoes_without_end_do_not_keep_a_run_from_starting():
     link.clock.at(START_NS + 100 * MS, echo_again)
     assert link.ping.wait_for_echo(2, NEVER)
     assert link.clock.now_ns - START_NS < 2000 * MS + LONGEST_SETTLE_NS + 100 * MS
+
+
+def test_a_probe_wakes_the_way_before_each_message():
+    link = Link(plan(3, wake_ns=5 * MS))
+    link.run()
+    stamps = [RAW_HEADER_STAMP.read(message) for message in link.sent]
+    assert [stamp.run_id == link.ping.run_id for stamp in stamps] == [False, True] * 3
+    assert len({stamp.sequence for stamp in stamps[::2]}) == 1

@@ -1,0 +1,112 @@
+"""`dds-sweep --explain-rates` and `--explain-size`: record what is varied, and print why the latency rises."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING
+
+from dds_trace.base.streams import plain_console
+from dds_trace.base.units import format_duration, format_size
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from dds_trace.analyzer.verdicts.explain import Answer, Effect
+    from dds_trace.recorder.sweep.explain import ExplainedSetup, Explanation
+    from dds_trace.recorder.sweep.plan.plan import Plan
+
+_WORDS = {
+    "awake": "processors kept awake",
+    "dma_latency": "/dev/cpu_dma_latency at 0",
+    "realtime": "SCHED_FIFO",
+    "wake": "a probe just before each message",
+}
+
+
+def made_explanation(plan: Plan, size: str | None) -> Explanation:
+    """Return the sweep that explains a size, by default the rates of a plan."""
+    from dds_trace.recorder.sweep.explain import explain_rates, explain_size
+
+    return explain_rates(plan) if size is None else explain_size(plan, size)
+
+
+def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> int:
+    """Record what is missing of an explanation, and print it; return the exit code."""
+    from dds_trace.recorder.sweep.run.progress import make_progress
+    from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, run_sweep
+
+    from .against import say_missing
+
+    done = run_sweep(explanation.plan, out, make_progress(plain_console(stderr=True)))
+    answers, left_out = answer(explanation, done.folder) if len(done.missing) < done.cells else ({}, {})
+    left_out = {**explanation.left_out, **left_out}
+    if as_json:
+        explained = [{"setup": name, **(asdict(one) if one else {})} for name, one in answers.items()]
+        result = {"folder": str(done.folder), "cells": done.cells, "missing": done.missing}
+        print(json.dumps({**result, "explained": explained, "left_out": left_out}))
+    else:
+        print(f"Wrote {done.folder}")
+        for setup in explanation.setups:
+            print("\n".join(_lines(explanation, setup, answers.get(setup.name))))
+        print("".join(f"not varied: {_WORDS.get(name, name)}: {reason}\n" for name, reason in left_out.items()), end="")
+    say_missing(done.missing)
+    return INCOMPLETE_EXIT_CODE if done.missing else 0
+
+
+def answer(explanation: Explanation, folder: Path) -> tuple[dict[str, Answer | None], dict[str, str]]:
+    """Return setup -> answer from the recordings in a folder, and what they read back as not applied."""
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.explain import (
+        AS_IS,
+        CLIENT,
+        NATIVE,
+        client_median,
+        explain,
+        medians_by_cell,
+        refusals,
+    )
+
+    analysis = analyze(folder, details=False)
+    medians, refused = medians_by_cell(analysis), refusals(analysis)
+    varied = {key for setup in explanation.setups for key in setup.pairs}
+    answers = {}
+    for setup in explanation.setups:
+        pairs = {key: (one.name, other.name) for key, (one, other) in setup.pairs.items() if key not in refused}
+        cells = setup.pairs[AS_IS]
+        if explanation.is_of_rates and NATIVE not in pairs and cells[0].backend == "ros2":
+            pairs[CLIENT] = f"{cells[0].name} {CLIENT}", f"{cells[1].name} {CLIENT}"
+            for cell, name in zip(cells, pairs[CLIENT], strict=True):
+                medians[name] = {}
+                for number in medians.get(cell.name, {}):
+                    traces = folder.glob(f"{replace(cell, repeat=number).name}.*.mcap")
+                    wait_ns = client_median(analyze(list(traces)).details.breakdown)
+                    medians[name] |= {} if wait_ns is None else {number: wait_ns}
+        answers[setup.name] = explain(pairs, medians, is_ratio=not explanation.is_of_rates)
+    return answers, {key: reason for key, reason in refused.items() if key in varied}
+
+
+def _lines(explanation: Explanation, setup: ExplainedSetup, found: Answer | None) -> Iterator[str]:
+    before, after = setup.pairs["as is"]
+    if found is None:
+        yield f"{setup.name}: not measured"
+    elif explanation.is_of_rates:
+        yield f"{setup.name}: from {before.rate:g} Hz to {after.rate:g} Hz the median rises by {_shown(found.rise, format_duration)}"
+        yield from (f"  {one.name}: {_shown(one, format_duration)}, {one.share:.0%}" for one in found.shares)
+        yield from (
+            f"  with {_WORDS[one.name]}: less by {_shown(one, format_duration)}, {one.share:.0%}"
+            for one in found.removed
+        )
+    else:
+        sizes = f"{format_size(after.size or 0)} as at {format_size(before.size or 0)}"
+        yield f"{setup.name}: the median takes {_shown(found.rise, '{:.3g}'.format)} times as long at {sizes}"
+        for one in found.removed:
+            words = set(setup.pairs[one.name][0].changed_axes) - set(before.changed_axes)
+            yield f"  with {' '.join(sorted(words))}: {_shown(one, '{:.3g}'.format)} times less"
+        yield f"  what moves it: {found.cause or ('not known' if found.rise.is_sure else 'no jump is shown here')}"
+
+
+def _shown(effect: Effect, shown: Callable[[float], str]) -> str:
+    ends = "" if effect.low is None or effect.high is None else f" ({shown(effect.low)} to {shown(effect.high)})"
+    return f"{shown(effect.value)}{ends}"

@@ -1,0 +1,41 @@
+"""Sizes in a middleware that a recording can choose: buffer, segment and fragment."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from dds_trace.base.units import parse_size
+
+from ..option import Axis, Panel, option
+
+if TYPE_CHECKING:
+    from dds_trace.base.limits import Whole
+
+
+class Sizes(NamedTuple):
+    """Requested sizes in a middleware, bytes; None for its own."""
+
+    buffer: int | None = None
+    segment: int | None = None
+    fragment: int | None = None
+
+
+VENDORS_SIZES = Sizes()
+"""Nothing requested."""
+
+
+def size_option(name: str, text: str, limit: Whole) -> int | None:
+    """Return a field of `NodeOptions` for a size, an axis of plans."""
+    flag = f"--{name}"
+    parse = partial(parse_size, what=flag)
+    help_text = f"{text} ({', '.join(_WITH_SIZES[name])}). Default: the vendor's"
+    axis = Axis(kind=int, unit="bytes", meaning=f'{text[0].lower()}{text[1:]}, as a number or a text such as `"4MB"`')
+    return option(None, f"{flag} SIZE", Panel.MIDDLEWARE, help_text, limit=limit, parse=parse, axis=axis)
+
+
+_WITH_SIZES = {
+    "buffer": ("Fast DDS", "Cyclone DDS", "zenoh over TCP", "socket"),
+    "segment": ("Fast DDS", "zenoh"),
+    "fragment": ("UDP of Fast DDS, Cyclone DDS and socket", "zenoh"),
+}

@@ -36,6 +36,7 @@ MAX_RATE_PING_SHARE = 0.01
 DEFAULT_WARMUP = 10
 DEFAULT_WAIT_S = 20.0
 BEACON_RATE_HZ = 2.0
+WAKE_HELP = "Send a probe this long before each message, to wake processors and fill caches. Default: none"
 BEACON_RATES_HZ = (1.0, 5.0)
 """Slowest and fastest messages of a beacon."""
 
@@ -125,12 +126,7 @@ class PingOptions:
         limit=limits.UNIX_S,
     )
     wake_ms: int = option(
-        0,
-        "--wake MS",
-        Panel.SCHEDULE,
-        "Send a probe this long before each message, which wakes processors and fills caches. Default: none",
-        limit=limits.WAKE_MS,
-        axis=Axis(for_relay=False, unit="ms"),
+        0, "--wake MS", Panel.SCHEDULE, WAKE_HELP, limit=limits.WAKE_MS, axis=Axis(for_relay=False, unit="ms")
     )
     relays: int = detail(1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS)
     bridge: str = detail(
@@ -331,8 +327,7 @@ class RecordOptions:
         Load.NONE,
         "--load KIND",
         Panel.PROCESS,
-        "Load this machine while recording, once for all its recordings; network is 100 Mbit/s of UDP that the ping sends; awake and "
-        "dma-latency only keep its processors from sleeping:",
+        "Load this machine while recording, once for all its recordings; network is 100 Mbit/s of UDP that the ping sends:",
         axis=Axis(
             meaning="load of the machine of each side while it records: every processor, copies in memory, 100 Mbit/s of UDP "
             "from the ping to the relay's device, or what only keeps processors from sleeping ([load](../how-to/sweep.md#under-load))"

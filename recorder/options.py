@@ -102,11 +102,7 @@ class PingOptions:
         limit=limits.MESSAGES,
     )
     warmup: int = detail(
-        DEFAULT_WARMUP,
-        "--warmup N",
-        Panel.SCHEDULE,
-        "Messages sent before them, which do not count.",
-        limit=limits.WARMUP,
+        DEFAULT_WARMUP, "--warmup N", Panel.SCHEDULE, "Messages before them, which do not count.", limit=limits.WARMUP
     )
     wait_s: float = detail(
         DEFAULT_WAIT_S, "--wait SECONDS", Panel.SCHEDULE, "How long to wait for the first echo.", limit=limits.WAIT_S

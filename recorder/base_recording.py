@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from dds_trace.tracefile.format.events import HOST_TOPIC
 
-from .backends import open_node
+from .backends import load_backend, open_node
 from .choices import Security
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
 from .host.process import apply_privileges, realtime_threads
@@ -84,6 +84,7 @@ class BaseRecording:
         self.costs: dict[str, Json] = {}
         self.correction = read_adjtimex()
         self.clock_step_ns = measured_step_ns()
+        os.environ |= load_backend(options.backend).own_variables(options.node)
         self.environment = dict(os.environ)  # before a node adds what it needs
         self._noted_disk = False
         self._node: Node | None = None

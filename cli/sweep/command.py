@@ -103,6 +103,13 @@ def main_command(
             "fragment, history and a link's queue one at a time.",
         ),
     ] = None,
+    advises: Annotated[
+        bool,
+        option(
+            "--advise",
+            "Look for settings of each middleware that serve the plan's link and load better than its defaults; print the file and the proof.",
+        ),
+    ] = False,
     as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,
     version: Version = False,  # noqa: ARG001 - its callback does it
 ) -> None:
@@ -119,6 +126,7 @@ def main_command(
     from dds_trace.recorder.sweep.plan.flows import is_crowded
     from dds_trace.recorder.sweep.plan.plan_file import read_plan
 
+    from .advise import advise
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
     from .explain import made_explanation, run_explanation
@@ -133,6 +141,7 @@ def main_command(
             "--print": printed,
             "--explain-rates": explain_rates,
             "--explain-size": explain_size,
+            "--advise": advises,
         },
         {"--max-passes": max_passes, "--until": until},
     )
@@ -147,7 +156,7 @@ def main_command(
         raise OptionError(
             "[[flows]], relays, hosts, pings and topics are swept as they are; remove --max-rate or --against"
         )
-    gates = read_thresholds(requested, target, is_judged=not (max_rate or against))
+    gates = read_thresholds(requested, target, is_judged=not (max_rate or against or advises))
     if dry_run or rehearse:
         code = dry_run_of(requested, out, other, target, max_rate=max_rate, as_json=as_json, rehearses=rehearse)
         raise typer.Exit(code)
@@ -155,7 +164,9 @@ def main_command(
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
             signal.signal(number, signal.default_int_handler)
     try:
-        if max_rate:
+        if advises:
+            code = advise(requested, out, as_json=as_json)
+        elif max_rate:
             code = _search(requested, out, as_json)
         elif explained is not None:
             code = run_explanation(explained, out, as_json=as_json)

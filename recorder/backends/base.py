@@ -12,10 +12,11 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..domains import check_domain_id, first_port
-from ..host.environment import MiddlewareEnvironment
+from ..host.environment import MiddlewareEnvironment, watched_configuration
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from .node import Node, NodeOptions
 
@@ -60,6 +61,7 @@ class Backend:
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         can_multicast: whether it sends messages to groups unless requested otherwise.
         environment: variables and files that configure it.
+        variables_of: returns the variables that give a ROS middleware (None: the environment's) or the backend a file of settings.
         check_settings: raises an `OptionError` for further options that have no effect.
         missing_rmw: returns how to install a ROS middleware, None for an installed one.
     """
@@ -83,6 +85,7 @@ class Backend:
     can_drop: bool = False
     can_multicast: bool = False
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
+    variables_of: Callable[[str | None, Path], Mapping[str, str]] | None = None
     check_settings: Callable[[NodeOptions], None] | None = None
     missing_rmw: Callable[[str], str | None] | None = None
 
@@ -95,7 +98,8 @@ class Backend:
         """
         self.check(options)
         try:
-            return self.make_node(options)
+            with watched_configuration(self.label, self.environment):
+                return self.make_node(options)
         except ImportError as err:
             raise BackendUnavailableError(f"{self.label} cannot be loaded ({err}); {self.install}") from err
 
@@ -126,6 +130,7 @@ class Backend:
         if options.security is not Security.OFF and options.security not in self.security:
             levels = ", ".join(level.value for level in (Security.OFF, *self.security))
             raise OptionError(f"--security {options.security.value}: the backend {self.name} only has {levels}")
+        self.own_variables(options)
         if options.peers and self.meeting is Meeting.DISCOVERY:
             raise OptionError(f"--peer {options.peers[0]}: the backend {self.name} discovers its peers; remove --peer")
         if self.check_settings is not None:
@@ -151,6 +156,20 @@ class Backend:
                     else ""
                 )
                 raise OptionError(f"--{name} {size}: the backend {self.name}{over} has no such size; leave it out")
+
+    def own_variables(self, options: NodeOptions) -> Mapping[str, str]:
+        """Return the variables that give the middleware the file of `--configuration`; refuse one that cannot be read."""
+        path = options.configuration
+        if path is None:
+            return {}
+        try:
+            path.read_bytes()
+        except OSError as err:
+            raise OptionError(f"--configuration {path}: {err.strerror}; give an existing file") from err
+        variables = {} if self.variables_of is None else self.variables_of(options.rmw, path.absolute())
+        if not variables:
+            raise OptionError(f"--configuration: no file of {options.rmw or self.label} is known here; leave it out")
+        return variables
 
     def port_of(self, domain_id: int) -> int:
         """Return the relay's port in a domain."""

@@ -72,9 +72,9 @@ class CycloneNode(ThreadedNode):
         _check_version()
         own = cyclone_settings(options.discovery, tuned=options.tuned, multicast=options.multicast, sizes=options.sizes)
         settings = ",".join(filter(None, (cyclone_loopback(options.discovery), own)))
+        parts = (settings, security_settings(options))
         try:
-            configured = ",".join(filter(None, (settings, security_settings(options))))
-            self._domain = _configured_domain(options.domain_id, configured)
+            self._domain = _configured_domain(options.domain_id, ",".join(filter(None, parts)))
             named = CycloneQos(Policy.EntityName(name_of_participant(options)))
             self._participant = DomainParticipant(options.domain_id, qos=named)
         except DDSException as err:
@@ -384,7 +384,6 @@ def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
 
     ddspy_take = _c_layer().ddspy_take
     everything = SampleState.Any | ViewState.Any | InstanceState.Any
-
     selected = () if _is_old() else (everything,)
 
     def take(reader: int) -> list[tuple[bytes, Any]]:
@@ -447,4 +446,5 @@ BACKEND = Backend(
     can_multicast=True,
     sizes={Transport.DEFAULT: ("buffer", "fragment")},
     environment=MiddlewareEnvironment(configuration=(ConfigurationVariable("CYCLONEDDS_URI", ","),)),
+    variables_of=lambda _, path: {"CYCLONEDDS_URI": path.as_uri()},
 )

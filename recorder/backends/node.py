@@ -6,10 +6,10 @@ import threading
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from dds_trace.base import limits
-from dds_trace.base.errors import OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
@@ -86,6 +86,16 @@ class NodeOptions:
         Panel.MIDDLEWARE,
         "Fast DDS: default, udp, shm or large-data; zenoh: default, shm or tcp; socket: default (TCP) or udp.",
         axis=Axis(meaning="transports that Fast DDS, zenoh or `socket` may use ([middlewares](middlewares.md))"),
+    )
+    configuration: Path | None = detail(
+        None,
+        "--configuration FILE",
+        Panel.MIDDLEWARE,
+        "The middleware's own settings: XML of Fast DDS or Cyclone DDS, JSON5 of zenoh. Default: what its own variable names",
+        parse=Path,
+        axis=Axis(
+            meaning="file with the middleware's own settings: XML of Fast DDS or Cyclone DDS, JSON5 of zenoh; results are named after it"
+        ),
     )
     executor: ExecutorKind = option(
         ExecutorKind.AUTO,
@@ -437,12 +447,3 @@ class ObjectNode(Protocol):
 
     def message_to_cdr(self, message: RosMessage) -> bytes:
         """Serialize a message object."""
-
-
-def message_objects_of(node: Node) -> ObjectNode:
-    """Return `node` as one with message objects; raise an `OptionError` if it has none."""
-    if not isinstance(node, ObjectNode):
-        raise OptionError(
-            f"--serialization typed: the backend {node.middleware.backend} only carries serialized messages"
-        )
-    return node

@@ -9,6 +9,8 @@ Only this file imports zenoh.
 from __future__ import annotations
 
 import json
+import os
+import re
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
@@ -60,7 +62,7 @@ class ZenohNode(Node):
         zenoh.init_log_from_env_or("error")
         configuration = zenoh_configuration(options)
         try:
-            self._session: Any = zenoh.open(zenoh.Config.from_json5(json.dumps(configuration)))
+            self._session: Any = zenoh.open(_added_to_own(configuration))
         except zenoh.ZError as err:
             raise OptionError(
                 f"zenoh cannot open {configuration['listen']['endpoints']} ({err}); the backend zenoh has one relay "
@@ -305,6 +307,28 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
     }
 
 
+def _added_to_own(configuration: Mapping[str, Any]) -> Any:
+    """Add to the file that ZENOH_CONFIG names; an `OptionError` names what zenoh does not know in it."""
+    import zenoh
+
+    path = os.environ.get("ZENOH_CONFIG")
+    try:
+        own = zenoh.Config.from_file(path) if path else zenoh.Config()
+    except zenoh.ZError as err:
+        words = re.search(r'msg: "(.+)", location.* line: (\d+)', str(err))
+        reason = f"{words[1]} (line {words[2]})" if words else str(err).partition(" at /")[0]
+        raise OptionError(f"zenoh does not accept {path}: {reason}; correct it there") from err
+    for name, value in configuration.items():
+        own.insert_json5(name, json.dumps(_joined(json.loads(own.get_json(name)), value)))
+    return own
+
+
+def _joined(old: Any, new: Any) -> Any:
+    if not isinstance(new, dict) or not isinstance(old, dict):
+        return new
+    return {**old, **{name: _joined(old.get(name), value) for name, value in new.items()}}
+
+
 def _priorities() -> list[Any]:
     """Return zenoh's priorities, the first 1 and the last 7."""
     import zenoh
@@ -342,6 +366,7 @@ BACKEND = Backend(
         Transport.TCP: ("buffer", "fragment"),
     },
     can_drop=True,
+    variables_of=lambda _, path: {"ZENOH_CONFIG": str(path)},
     environment=MiddlewareEnvironment(
         configuration=(
             ConfigurationVariable("ZENOH_CONFIG"),

@@ -3,9 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import re
+import tempfile
+import time
 from collections.abc import Iterable, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dds_trace.base.errors import BackendUnavailableError, OptionError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+LOG_S = 0.1
+"""Fast DDS writes its log on a thread of its own."""
+
+_OUTPUTS = (1, 2)
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
+_REFUSAL = re.compile(
+    r"\bconfig: (?P<cyclonedds>.*(?:unknown|invalid|no unit).*)"
+    r"|XMLPARSER Error\] (?P<fastdds>.+?) -> Function"  # it then goes on without the file
+)
 
 _INLINE_STARTS = ("<", "{", "str://")
 """A value that starts so is a configuration itself, not the name of a file."""
@@ -32,6 +53,10 @@ class MiddlewareEnvironment:
     settings: tuple[str, ...] = ()
     configuration: tuple[ConfigurationVariable, ...] = ()
     files: tuple[str, ...] = ()
+
+    def sources(self) -> list[str]:
+        """Return the variables and files of the working folder that configure the middleware now."""
+        return list(self.hash_configuration(os.environ, Path.cwd()))
 
     def read_settings(self, variables: Mapping[str, str]) -> dict[str, str]:
         """Return the `settings` that are set."""
@@ -75,3 +100,41 @@ def _hashed(entry: str) -> dict[str, str | None]:
         if entry.startswith(_INLINE_STARTS) or "=" in entry:
             return {"name": "inline", "sha256": hashlib.sha256(entry.encode()).hexdigest()}
         return {"name": path.name, "sha256": None}
+
+
+@contextmanager
+def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Iterator[None]:
+    """Open a node in the block; raise an `OptionError` with what the middleware prints of a configuration that it refuses.
+
+    Without a configuration of the user's nothing is redirected.
+    """
+    if not (sources := environment.sources()):
+        yield
+        return
+    with tempfile.TemporaryFile() as printed:
+        kept = [os.dup(output) for output in _OUTPUTS]
+        for output in _OUTPUTS:
+            os.dup2(printed.fileno(), output)
+        failure: BackendUnavailableError | None = None
+        try:
+            yield
+            time.sleep(LOG_S)
+        except BackendUnavailableError as err:
+            failure = err
+        finally:
+            for output, copy in zip(_OUTPUTS, kept, strict=True):
+                os.dup2(copy, output)
+                os.close(copy)
+            printed.seek(0)
+            text = printed.read()
+        if (words := refusal(text.decode(errors="replace"))) is not None:
+            raise OptionError(f"{label} does not accept {', '.join(sources)}: {words}; correct it there") from failure
+        os.write(2, text)
+        if failure is not None:
+            raise failure
+
+
+def refusal(printed: str) -> str | None:
+    """Return the first line in which Cyclone DDS or Fast DDS refuses a part of its configuration, None without one."""
+    match = _REFUSAL.search(_COLOUR.sub("", printed))
+    return match and (match["cyclonedds"] or match["fastdds"]).strip()

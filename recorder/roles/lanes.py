@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from ..backends.node import message_objects_of
+from dds_trace.base.errors import OptionError
+
+from ..backends.node import ObjectNode
 from ..payloads.stamp import SentT
 
 if TYPE_CHECKING:
@@ -48,3 +50,12 @@ def object_lane(node: Node) -> Lane[RosMessage, RosMessage]:
         lambda topic, name, qos: objects.create_object_publisher(topic, name, qos=qos),
         lambda topic, name, receive, qos: objects.create_object_subscription(topic, name, receive, qos=qos),
     )
+
+
+def message_objects_of(node: Node) -> ObjectNode:
+    """Return `node` as one with message objects; raise an `OptionError` if it has none."""
+    if not isinstance(node, ObjectNode):
+        raise OptionError(
+            f"--serialization typed: the backend {node.middleware.backend} only carries serialized messages"
+        )
+    return node

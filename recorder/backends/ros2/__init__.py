@@ -9,18 +9,21 @@ import os
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from ...applied.vendors import VENDORS
+from ...applied.asked import PROFILE_VARIABLES
+from ...applied.vendors import VENDORS, ros_middleware
 from ...choices import Security, Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import DDS_MEETING, Backend, Meeting
 from .fastdds_profile import applied_transport
 from .installation import (
     INSTALL,
+    WHEELS_RMW,
     check_installed,
     check_settings,
     check_vendor,
     find_rmws,
     missing_rmw,
+    package_version,
     set_discovery_range,
     set_security,
 )
@@ -28,6 +31,8 @@ from .node import Ros2Node, running_rmw
 from .router import open_router
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from ..node import Node, NodeOptions
 
 
@@ -51,6 +56,22 @@ def _make_node(options: NodeOptions) -> Node:
         return node
 
 
+def vendor_of(rmw: str | None) -> str:
+    """Return the vendor of a ROS middleware, by default the environment's."""
+    return ros_middleware(rmw or os.environ.get("RMW_IMPLEMENTATION") or WHEELS_RMW).vendor
+
+
+def _variables_of(rmw: str | None, path: Path) -> dict[str, str]:
+    vendor = vendor_of(rmw)
+    own = {"cyclonedds": {"CYCLONEDDS_URI": path.as_uri()}, "zenoh": {"ZENOH_SESSION_CONFIG_URI": str(path)}}
+    if vendor != "fastdds":
+        return own.get(vendor, {})
+    name = PROFILE_VARIABLES[package_version("fastdds") is not None]  # Fast DDS 3 has the second
+    # By default the RMW publishes in a way that no flow controller takes.
+    is_paced = b"flow_controller_name" in path.read_bytes()
+    return {name: str(path), **({"RMW_FASTRTPS_PUBLICATION_MODE": "ASYNCHRONOUS"} if is_paced else {})}
+
+
 BACKEND = Backend(
     name="ros2",
     label="ROS 2",
@@ -72,11 +93,13 @@ BACKEND = Backend(
     },
     environment=MiddlewareEnvironment(
         settings=(*_ROS_VARIABLES, *(name for facts in VENDORS.values() for name in facts.variables)),
-        configuration=tuple(
-            ConfigurationVariable(name) for facts in VENDORS.values() for name in facts.profile_variables
+        configuration=(
+            *(ConfigurationVariable(name) for name in PROFILE_VARIABLES),
+            ConfigurationVariable("CYCLONEDDS_URI", ","),
         ),
         files=tuple(name for facts in VENDORS.values() for name in facts.files),
     ),
+    variables_of=_variables_of,
     check_settings=check_settings,
     missing_rmw=missing_rmw,
 )

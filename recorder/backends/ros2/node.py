@@ -58,9 +58,9 @@ class Ros2Node(ThreadedNode):
                 options.name, context=self._context, enable_rosout=False, start_parameter_services=False
             )
         except Exception as err:
-            if options.keys is None:
-                raise
             rclpy.shutdown(context=self._context)
+            if options.keys is None:
+                raise BackendUnavailableError(f"ROS 2 cannot open a node: {str(err).splitlines()[0]}") from err
             raise BackendUnavailableError(
                 f"--security {options.security.value}: {running_rmw()} has no security here, as no ROS 2 from pip has "
                 f"({str(err).splitlines()[0]}); use a ROS 2 from apt, or --backend cyclonedds, zenoh or socket"

@@ -6,6 +6,7 @@ import math
 import re
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dds_trace.base import limits
@@ -194,6 +195,7 @@ class Cell:
     tuned: bool = False
     transport: str = "default"
     fragment: int | None = None
+    configuration: str | None = None
     load: str = "none"
     security: str = "off"
     environment: str = ""
@@ -308,6 +310,8 @@ def _other_name(name: str, value: object) -> str:
         return name if value else f"no-{name}"
     if name == "environment":
         return environment_name(str(value))
+    if name == "configuration":
+        return Path(str(value)).stem
     if isinstance(value, float):
         return f"{name}-{value:g}{AXES[name].unit}"
     return f"{name}-{value}" if isinstance(value, int) or name == "outage_by" else str(value)

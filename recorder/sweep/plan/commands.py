@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...choices import Load
@@ -78,6 +79,7 @@ def ping_arguments(
         *("--label", f"{PASS_LABEL}={cell.repeat}"),
         *(("--label", f"{AGAINST_LABEL}={partner}") if partner else ()),
         *(("--setting", f"environment={environment_name(cell.environment)}") if cell.environment else ()),
+        *(("--setting", f"configuration={Path(cell.configuration).stem}") if cell.configuration else ()),
         *(("--label", f"link={plan.link}", "--setting", f"link={plan.link.setting}") if plan.link else ()),
         *(("--setting", f"queue={cell.queue}ms") if cell.queue else ()),
         *_outage_arguments(plan, cell),

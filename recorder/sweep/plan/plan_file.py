@@ -282,6 +282,10 @@ def _check(plan: Plan, where: str) -> None:
             "the axis environment needs both devices on this machine; remove it or the other device",
         ),
         (
+            plan.has_two_devices and any(cell.configuration for cell in plan.cells),
+            "the axis configuration needs both devices on this machine; set the middleware's own variable on each, or use dds-record --configuration",
+        ),
+        (
             plan.has_two_devices and any(cell.security != Security.OFF.value for cell in plan.cells),
             "the axis security needs both devices on this machine, as no key is sent; use dds-record --security and --keys",
         ),

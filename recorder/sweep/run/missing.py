@@ -12,33 +12,36 @@ if TYPE_CHECKING:
     from ..plan.plan import Plan
     from ..station.devices import RelayDevice
 
-Middlewares: TypeAlias = "tuple[str, str, str | None, str, str | None]"
-"""Environment, backend and RMW of the ping, backend and RMW of the relay."""
+Middlewares: TypeAlias = "tuple[str, str, str | None, str, str | None, str | None]"
+"""Environment, backend and RMW of the ping, backend and RMW of the relay, and the middleware's own configuration."""
 
 
 def middlewares_of(cell: Cell) -> Middlewares:
     """Return what a cell needs."""
-    return cell.environment, cell.backend, cell.rmw, cell.relay.backend, cell.relay.rmw
+    return cell.environment, cell.backend, cell.rmw, cell.relay.backend, cell.relay.rmw, cell.configuration
 
 
 def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, str]:
     """Return what of a plan's middlewares is missing here or on the relay's device, with the reason."""
-    reasons: dict[tuple[str, str | None, bool], str | None] = {}
+    reasons: dict[tuple[str, str | None, str | None, bool], str | None] = {}
 
-    def reason_of(backend: str, rmw: str | None, *, is_remote: bool) -> str | None:
-        key = backend, rmw, is_remote
+    def reason_of(backend: str, rmw: str | None, own: str | None, *, is_remote: bool) -> str | None:
+        key = backend, rmw, own, is_remote
         if key not in reasons:
-            there = relay_arguments(plan, Cell(backend=backend, rmw=rmw)) if is_remote else []
-            reasons[key] = device.rehearse(there) if is_remote else _missing_here(backend, rmw)
+            reasons[key] = None if is_remote else _missing_here(backend, rmw)
+            # Only the middleware itself knows which keys it knows.
+            if is_remote or (not reasons[key] and (own is not None or load_backend(backend).environment.sources())):
+                arguments = relay_arguments(plan, Cell(backend=backend, rmw=rmw, configuration=own))
+                reasons[key] = device.rehearse(arguments)
         return reasons[key]
 
     missing = {}
     for needed in dict.fromkeys(map(middlewares_of, plan.cells)):
-        environment, backend, rmw, relay_backend, relay_rmw = needed
+        environment, backend, rmw, relay_backend, relay_rmw, own = needed
         if environment:
             continue
-        relay = reason_of(relay_backend, relay_rmw, is_remote=plan.has_two_devices)
-        if reason := reason_of(backend, rmw, is_remote=False) or relay:
+        relay = reason_of(relay_backend, relay_rmw, own, is_remote=plan.has_two_devices)
+        if reason := reason_of(backend, rmw, own, is_remote=False) or relay:
             missing[needed] = reason
     return missing
 

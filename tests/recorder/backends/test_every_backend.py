@@ -13,9 +13,10 @@ from waiting import wait_until
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import load_backend
-from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
+from dds_trace.recorder.backends.node import NodeOptions
 from dds_trace.recorder.choices import Discovery, ExecutorKind
 from dds_trace.recorder.payloads.imu import IMU
+from dds_trace.recorder.roles.lanes import message_objects_of
 
 PACKAGES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh", "socket": "socket"}
 

@@ -8,7 +8,8 @@ import pytest
 from toy_backend import ToyNode
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.backends.node import NodeOptions, message_objects_of
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.roles.lanes import message_objects_of
 
 
 class WakingNode(ToyNode):

@@ -1,0 +1,206 @@
+"""`dds-sweep --advise`: a configuration of each vendor for a plan's link and load, with the proof that it pays."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+from collections import defaultdict
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from dds_trace.base.errors import OptionError
+from dds_trace.base.streams import plain_console
+from dds_trace.base.units import format_duration
+
+from .against import say_missing
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    import polars as pl
+
+    from dds_trace.analyzer.verdicts.compare import Comparison
+    from dds_trace.recorder.sweep.plan.cells import Cell
+    from dds_trace.recorder.sweep.plan.plan import Plan
+
+Advice: TypeAlias = "dict[str, Any]"
+"""An entry of the JSON output: `vendor`, `kept`, `reason`, and where there are some `first_look` (bundle -> response against the
+default's), `folders`, `proof` and `received` (rows of the comparison, ns), `configuration` and the `variables` that load it."""
+
+LOOKS, PROOFS = 2, 5
+"""Repeats in the first look, and fewest ones of the proof."""
+
+WORTH = 0.97
+"""Response in a first look, against the default's, that is worth a proof."""
+
+LOST_NS = 10_000_000_000
+"""Response of a lost message in a first look."""
+
+COMPARED: dict[str, Any] = {"metrics": ("response",), "statistics": ("p50", "p90", "p99"), "paired": True}
+"""The response counts a message that waits for its turn to be sent, too."""
+
+_MESSAGE = ("data_type", "payload_bytes", "rate_hz")
+_PROOF = (*_MESSAGE, "statistic", "base_ns", "new_ns", "ratio", "ratio_low", "ratio_high", "verdict")
+_RECEIVED = (*_MESSAGE, "base_received_ratio", "new_received_ratio", "verdict")
+_INCOMPLETE = "not everything was recorded"
+
+
+def check_advisable(plan: Plan) -> None:
+    """Refuse a plan whose results no file of one vendor decides."""
+    faults = {
+        "another device": plan.has_two_devices,
+        "[[flows]]": bool(plan.flows),
+        "a bridge": any(cell.crosses_domains for cell in plan.cells),
+        "two middlewares in one result": any(cell.relay_backend or cell.relay_rmw for cell in plan.cells),
+        "the axes configuration and tuned": any(cell.configuration or cell.tuned for cell in plan.cells),
+    }
+    for name, is_there in faults.items():
+        if is_there:
+            raise OptionError(f"--advise is not for {name}; remove that from the plan")
+
+
+def advise(plan: Plan, out: Path, *, as_json: bool) -> int:
+    """Advise each vendor of a plan, print it, and return the exit code."""
+    from dds_trace.recorder.backends.ros2 import vendor_of
+    from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
+
+    check_advisable(plan)
+    cells: dict[str, list[Cell]] = defaultdict(list)
+    for cell in plan.cells:
+        cells[vendor_of(cell.rmw) if cell.backend == "ros2" else cell.backend].append(cell)
+    advices = [
+        {
+            "vendor": vendor,
+            "kept": False,
+            **_advise(replace(plan, cells=tuple(own)), vendor, out / f"{plan.name}-advice" / vendor),
+        }
+        for vendor, own in cells.items()
+    ]
+    print(json.dumps(advices) if as_json else "\n".join(line for advice in advices for line in _shown(advice)))
+    return INCOMPLETE_EXIT_CODE if any(advice["reason"].startswith(_INCOMPLETE) for advice in advices) else 0
+
+
+def _advise(plan: Plan, vendor: str, folder: Path) -> Advice:
+    from dds_trace.recorder.sweep.advice import write_bundles
+    from dds_trace.recorder.sweep.plan.plan import Order
+
+    if vendor == "fastdds" and plan.discovery == "localhost":
+        return {
+            "reason": "ROS 2's LOCALHOST range adds its own transports; give a [link] or [run] discovery = 'subnet'"
+        }
+    paths = write_bundles(vendor, plan, folder / "configurations")
+    if not paths:
+        return {"reason": "no settings of it are known here"}
+    run = replace(plan.run, order=Order.ALTERNATING)
+    looks = _look(replace(plan, run=replace(run, repeats=LOOKS, attempts=1)), paths, folder)
+    best = min(paths, key=lambda path: looks.get(path.stem, math.inf))
+    if looks.get(best.stem, math.inf) > WORTH:
+        reason = "no bundle of settings looked better" if looks else f"{_INCOMPLETE} in the first look"
+        return {"reason": reason, "first_look": looks}
+    proof = _prove(replace(plan, run=replace(run, repeats=max(PROOFS, run.repeats))), vendor, best, folder / best.stem)
+    return {"first_look": looks, **proof}
+
+
+def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
+    """Record the default and every configuration; return the response of each against the default's, empty without a default's."""
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.recorder.sweep.run.progress import make_progress
+    from dds_trace.recorder.sweep.sweep import run_sweep
+
+    tries = {
+        replace(cell, configuration=str(path) if path else None): (path.stem if path else "", number)
+        for path in (None, *paths)
+        for number, cell in enumerate(plan.cells)
+    }
+    look = replace(plan, name="look", cells=tuple(tries))
+    done = run_sweep(look, folder, make_progress(plain_console(stderr=True)))
+    say_missing(done.missing)
+    repeats = {
+        replace(cell, repeat=number).name: tried for cell, tried in tries.items() for number in range(1, LOOKS + 1)
+    }
+    failed = {repeats[name][0] for name in done.missing}
+    analysis = analyze(done.folder, details=False)
+    tried = {run.run_id: repeats[run.labels["cell"]] for run in analysis.runs}
+    means = {name: mean for name, mean in first_look(analysis.load_messages(), tried).items() if name not in failed}
+    return {name: mean / means[""] for name, mean in means.items() if name} if "" in means else {}
+
+
+def first_look(messages: pl.DataFrame, tried: Mapping[int, tuple[str, int]]) -> dict[str, float]:
+    """Return configuration -> geometric mean of p50 and p99 of the response over its results, ns.
+
+    `tried` is id of a run -> configuration and number of its result.
+    """
+    import polars as pl
+
+    schema: Any = {"run_id": messages.schema["run_id"], "configuration": pl.String, "result": pl.Int64}
+    names = pl.DataFrame([(run_id, *names) for run_id, names in tried.items()], schema, orient="row")
+    response = pl.col("response_ns").fill_null(LOST_NS)
+    level = (response.quantile(0.5).log() + response.quantile(0.99).log()) / 2
+    results = messages.join(names, on="run_id").group_by("configuration", "result").agg(level.alias("level"))
+    return dict(results.group_by("configuration").agg(pl.col("level").mean().exp()).rows())
+
+
+def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
+    """Record the default and one configuration in turn, and judge whether it pays."""
+    from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
+    from dds_trace.recorder.sweep.advice import variables_of
+    from dds_trace.recorder.sweep.against import run_against
+    from dds_trace.recorder.sweep.run.progress import make_progress
+
+    new = replace(plan, name="after", cells=tuple(replace(cell, configuration=str(path)) for cell in plan.cells))
+    done = run_against(replace(plan, name="before"), new, folder, make_progress(plain_console(stderr=True)))
+    if missing := {**done.base.missing, **done.new.missing}:
+        return {"reason": f"{_INCOMPLETE} of {path.stem}: {next(iter(missing.values()))}"}
+    sides = (done.base.folder, done.new.folder)
+    comparison = compare(analyze(sides[0], details=False), analyze(sides[1], details=False), CompareOptions(**COMPARED))
+    is_kept = pays(comparison)
+    return {
+        "kept": is_kept,
+        "reason": f"{path.stem} {'pays' if is_kept else 'looked best, and does not pay'}",
+        "folders": list(map(str, sides)),
+        "proof": comparison.rows.select(_PROOF).rows(named=True),
+        "received": comparison.delivery.select(_RECEIVED).rows(named=True),
+        **({"configuration": str(path.absolute()), "variables": variables_of(vendor, path)} if is_kept else {}),
+    }
+
+
+def pays(comparison: Comparison) -> bool:
+    """Return whether a result is better by its verdict and none is worse by its own interval, in time or messages received."""
+    if comparison.barred or len(comparison.only_base) or comparison.delivery["is_dead"].any():
+        return False
+    verdicts = {*comparison.rows["verdict"], *comparison.delivery["verdict"]}
+    slower = comparison.rows["ratio_low"].fill_null(-math.inf) > 1
+    fewer = comparison.delivery["difference_high"].fill_null(math.inf) < 0
+    return "better" in verdicts and "worse" not in verdicts and not (slower.any() or fewer.any())
+
+
+def _shown(advice: Advice) -> list[str]:
+    looks = sorted(advice.get("first_look", {}).items(), key=lambda look: look[1])
+    lines = [f"{advice['vendor']}: {'use it' if advice['kept'] else 'the default is kept'}: {advice['reason']}"]
+    lines += [f"  export {name}={shlex.quote(value)}" for name, value in advice.get("variables", {}).items()]
+    if looks:
+        lines.append(
+            f"  first look, times the default's response: {', '.join(f'{name} {ratio:.2f}' for name, ratio in looks)}"
+        )
+    for row in advice.get("proof", ()):
+        before, after = (format_duration(row[name]) for name in ("base_ns", "new_ns"))
+        ratio, low, high = (
+            "?" if row[name] is None else f"{row[name]:.2f}" for name in ("ratio", "ratio_low", "ratio_high")
+        )
+        lines.append(
+            f"  {_result(row)}: response {row['statistic']} {before} -> {after}, {ratio} times ({low} to {high}): {row['verdict']}"
+        )
+    for row in advice.get("received", ()):
+        lines.append(
+            f"  {_result(row)}: received {row['base_received_ratio']:.2%} -> {row['new_received_ratio']:.2%}: {row['verdict']}"
+        )
+    if "folders" in advice:
+        lines.append(f"  proof: dds-analyze compare {shlex.join(advice['folders'])} --paired")
+    return lines
+
+
+def _result(row: Advice) -> str:
+    return f"{row['data_type']} {row['payload_bytes']:,} bytes at {row['rate_hz']:g} Hz"

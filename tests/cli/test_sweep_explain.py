@@ -1,0 +1,131 @@
+"""`dds-sweep --explain-rates` and `--explain-size`: the answer of made traces with known shares, and what is refused."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from processes import run as run_program
+from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
+
+from dds_trace.cli.sweep.explain import answer, made_explanation
+from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+
+US = 1_000
+LATENCY_US = {
+    "as is": (300, 500),
+    "machine": (60, 180),
+    "realtime": (300, 500),
+    "awake": (290, 380),
+    "dma_latency": (300, 450),
+}
+EXTRA = {
+    "awake": {"load": {"kind": "awake", "program": "own", "cpu_s": 1.0, "elapsed_s": 2.0}},
+    "realtime": {"realtime_priority": 50, "realtime_threads": 4},
+    "dma_latency": {"load": {"kind": "dma-latency", "program": "cpu_dma_latency 0 us"}},
+}
+
+
+def write_cell(folder, number, cell, repeat, latency_us, extra, lost=0):
+    """Ping and relay of one run of ten messages, each with this latency."""
+    messages = [
+        Message(
+            s,
+            t0=s * 1_000_000_000,
+            t1=s * 1_000_000_000,
+            t3=s * 1_000_000_000 + latency_us * US,
+            t4=s * 1_000_000_000 + latency_us * US + 50,
+            t2=None if s < lost else s * 1_000_000_000 + 2 * latency_us * US + 50,
+        )
+        for s in range(10)
+    ]
+    described = run(
+        run_id=number,
+        rate_hz=cell.rate,
+        labels={"cell": cell.name, "pass": str(repeat)},
+        extra={"session_id": f"{number:016x}", "settings": {"cell": cell.name}},
+    )
+    fields = {"run_id": number, "relay_id": 0xBEEF}
+    ping = ping_session(session_id=number, extra=extra)
+    write_trace(folder / f"{number}.ping.mcap", ping, [described], ping_events(messages, **fields))
+    relay = relay_session(session_id=1000 + number, relay_id=0xBEEF)
+    write_trace(folder / f"{number}.relay.mcap", relay, (), relay_events(messages, **fields))
+
+
+def write_campaign(folder, explanation, latencies_us, extra=EXTRA):
+    """Three repeats of every pair of cells; each repeat is 5 us slower than the one before."""
+    numbers = itertools.count(1)
+    (setup,) = explanation.setups
+    cells = {}
+    for key, pair in setup.pairs.items():
+        for cell, latency_us in zip(pair, latencies_us.get(key, (0, 0)), strict=True):
+            if latency_us:
+                cells.setdefault(cell, (latency_us, extra.get(key, {})))
+    for (cell, (latency_us, more)), repeat in itertools.product(cells.items(), (1, 2, 3)):
+        write_cell(folder, next(numbers), cell, repeat, latency_us + 5 * repeat, more)
+    return setup.name
+
+
+def rates():
+    return made_explanation(parse_plan('[axes]\nbackend = "cyclonedds"\nrate = [10, 500]', "p", "p.toml"), None)
+
+
+def test_shares_of_made_traces_are_the_ones_they_were_made_with(tmp_path):
+    explanation = rates()
+    name = write_campaign(tmp_path, explanation, LATENCY_US)
+    answers, left_out = answer(explanation, tmp_path)
+    found = answers[name]
+    assert found.rise.value == pytest.approx(200 * US)
+    assert {one.name: round(one.value / US) for one in found.shares} == {
+        "machine": 120,
+        "middleware and client library": 80,
+    }
+    removed = {one.name: round(one.value / US) for one in found.removed}
+    if "dma_latency" in explanation.left_out:
+        removed.setdefault("dma_latency", 50)
+    assert removed == {"awake": 110, "dma_latency": 50, "realtime": 0}
+    assert left_out == {}
+
+
+def test_a_condition_that_its_process_did_not_have_counts_for_nothing(tmp_path):
+    explanation = rates()
+    without = {
+        "awake": {"load": {"kind": "awake", "program": "", "cpu_s": 0.0, "elapsed_s": 2.0}},
+        "realtime": {"realtime_priority": 50},
+        "dma_latency": {"load": {"kind": "dma-latency", "program": ""}},
+    }
+    name = write_campaign(tmp_path, explanation, LATENCY_US, without)
+    answers, left_out = answer(explanation, tmp_path)
+    assert answers[name].removed == ()
+    assert left_out.keys() >= {"awake", "realtime"}
+
+
+def test_a_size_whose_messages_are_lost_has_a_jump_and_the_factor_that_brings_them_back_moves_it(tmp_path):
+    plan = parse_plan('[axes]\nbackend = "cyclonedds"\n', "p", "p.toml")
+    explanation = made_explanation(plan, "100KB..300KB")
+    (setup,) = explanation.setups
+    numbers = itertools.count(1)
+    for key, (small, large) in setup.pairs.items():
+        for repeat in (1, 2, 3):
+            write_cell(tmp_path, next(numbers), small, repeat, 100 + repeat, {})
+            write_cell(tmp_path, next(numbers), large, repeat, 100 + repeat, {}, lost=0 if key == "buffer" else 8)
+    found = answer(explanation, tmp_path)[0][setup.name]
+    assert found.rise.value == pytest.approx(2e9 / (102 * US), rel=0.1)
+    assert found.cause == "buffer"
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (("--explain-rates",), "two rates"),
+        (("--explain-size", "big"), "--explain-size"),
+        (("--explain-size", "9KB", "--max-rate"), "cannot be combined"),
+    ],
+)
+def test_what_cannot_be_explained_is_one_line(tmp_path, options, word):
+    plan = tmp_path / "p.toml"
+    plan.write_text('[axes]\nbackend = "socket"\n')
+    ended = run_program("dds-sweep", plan, "--out", tmp_path, *options)
+    assert ended.status == 2
+    assert word in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1

@@ -56,10 +56,10 @@ JUMPS = (
     Jump("fastdds-segment-128KiB", "segment", "100KB..1MB", 'backend = "ros2"\nsegment = "128KiB"\nrate = 30'),
     Jump("fastdds-buffer", "buffer", "100KB..400KB", 'backend = "ros2"\ntransport = "udp"\nbuffer = 100000\nrate = 20'),
     Jump(
-        "socket-buffer",
-        "buffer",
-        "40KB..250KB",
-        'backend = "socket"\ntransport = "udp"\nreliability = "best_effort"\nbuffer = 120000\nrate = 50',
+        "socket-fragment",
+        "fragment",
+        "40KB..500KB",
+        'backend = "socket"\ntransport = "udp"\nreliability = "best_effort"\nbuffer = "4MB"\nfragment = 1400\nrate = 50',
     ),
     Jump(
         "fastdds-fragment",

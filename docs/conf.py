@@ -49,6 +49,7 @@ DIARIES = (
     "results/flows",
     "results/fan-out",
     "results/outages",
+    "results/explain",
 )
 """Pages on experiments of our own: linked and found by search, not in the navigation."""
 

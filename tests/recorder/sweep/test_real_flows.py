@@ -99,3 +99,41 @@ def test_a_link_that_is_cut_comes_back(tmp_path, domain_id, by):
     assert row["outage_ns"] >= 400_000_000
     # TCP sends again what was lost, but not from another address: there the ping connects again.
     assert (row["lost_within"] > 0) == (by == "address")
+
+
+STALL = """
+import time
+from dds_trace.recorder.payloads.stamp import RawStampPlace
+reply = RawStampPlace.reply
+
+def stalled(self, message, relay_id_text):
+    time.sleep(0.1 if len(message) > 100_000 else 0)
+    return reply(self, message, relay_id_text)
+
+RawStampPlace.reply = stalled
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("backend", ["socket", "cyclonedds"])
+def test_a_stall_of_the_large_flow_is_found_in_the_small_one(tmp_path, domain_id, monkeypatch, backend):
+    """A real relay that stands still for 100 ms at each image; the queues hold the odometry of a second."""
+    if backend != "socket":
+        pytest.importorskip(backend)
+    text = FLOWS.replace("seconds = 1\n", "seconds = 6\nrepeats = 3\n").replace("rate = 20", "rate = 2")
+    text = text.replace('"socket"', f'"{backend}"\ndepth = 100').format(domain=domain_id)
+    added_ns = []
+    for name in ("sound", "stalled"):
+        folder = tmp_path / name
+        folder.mkdir()
+        if name == "stalled":
+            (folder / "sitecustomize.py").write_text(STALL)
+            monkeypatch.setenv("PYTHONPATH", str(folder))
+        sweep(folder, text)
+        interference = analyze(folder / "runs/p").details.interference
+        (row,) = interference.filter(flow="odom", metric="latency", statistic="p99").to_dicts()
+        added_ns.append(row["difference_ns"])
+    # A latency is half of the round trip less the relay: between 50 and 100 ms where the way out waited, the way back, or both.
+    assert 40e6 < added_ns[1] < 200e6
+    assert added_ns[0] < added_ns[1] / 2

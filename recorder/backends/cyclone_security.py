@@ -1,27 +1,20 @@
-"""DDS Security of Cyclone DDS: its configuration, what its process loaded, and who is there without it."""
+"""DDS Security of Cyclone DDS: its configuration, and what its process loaded."""
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
-from ..choices import Security
 from ..security.dds_documents import LAST_SECURED_DOMAIN
 from ..security.keys import enclave
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from .node import NodeOptions
 
 _LIBRARY = re.compile(r"libdds_security_\w+\.so")
-_SECURED_NAME = re.compile(rf"dds_trace_\w+_({'|'.join(level.value.replace('-', '_') for level in Security)})")
 
 _CONFIGURATION = """<CycloneDDS><Domain><Security>
 <Authentication>
@@ -40,17 +33,6 @@ _CONFIGURATION = """<CycloneDDS><Domain><Security>
 <Permissions>file:{0}/permissions.p7s</Permissions>
 </AccessControl>
 </Security></Domain></CycloneDDS>"""
-
-LOOK_PATIENCE_S = 15.0
-_LOOK = """
-import json, sys, time
-from dds_trace.recorder.backends.cyclonedds import CycloneNode
-from dds_trace.recorder.backends.node import NodeOptions
-from dds_trace.recorder.choices import Discovery
-with CycloneNode(NodeOptions(int(sys.argv[1]), "dds_trace_look", Discovery(sys.argv[2]))) as node:
-    time.sleep(2)
-    print(json.dumps(node.participant_names()))
-"""
 
 
 def security_settings(options: NodeOptions) -> str:
@@ -82,30 +64,6 @@ def _plugin_folder() -> Path | None:
     return next((one for one in folders if (one / "libdds_security_auth.so").exists()), None)
 
 
-def name_of_participant(options: NodeOptions) -> str:
-    """Return the node's name; a secured one ends with its level, as only the names of participants are open to all."""
-    secured = options.security is not Security.OFF
-    return f"{options.name}_{options.security.value.replace('-', '_')}" if secured else options.name
-
-
 def loaded_plugins() -> str:
     """Return the security plugins that this process has loaded."""
     return ", ".join(sorted(set(_LIBRARY.findall(Path("/proc/self/maps").read_text()))))
-
-
-def unlike_participant(options: NodeOptions, names: Iterable[str]) -> str:
-    """Return in words that there is a relay with security, or of a secured node one without."""
-    secured = options.security is not Security.OFF
-    if secured:  # it sees nobody without a certificate, but a process without security does
-        command = [sys.executable, "-c", _LOOK, str(options.domain_id), options.discovery.value]
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=LOOK_PATIENCE_S, check=True)
-            names = json.loads(done.stdout)
-        except (OSError, subprocess.SubprocessError, ValueError):
-            return ""
-    for name in sorted(names):
-        match = _SECURED_NAME.fullmatch(name)
-        if name.startswith("dds_trace_relay_") and bool(match) is not secured:
-            level = f"with --security {match[1].replace('_', '-')}" if match else "without --security"
-            return f"{name} {level}, and this ping is {'with' if secured else 'without'}"
-    return ""

@@ -24,7 +24,7 @@ from ..choices import Security, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
 from .cyclone_policies import cyclone_qos, priority_of, qos_of
-from .cyclone_security import loaded_plugins, name_of_participant, security_settings, unlike_participant
+from .cyclone_security import loaded_plugins, security_settings
 from .cyclone_settings import cyclone_loopback, cyclone_settings
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
 from .node import (
@@ -37,6 +37,7 @@ from .node import (
     ThreadedNode,
     TopicView,
 )
+from .other_side import name_of_participant
 from .qos import incompatible_pairs
 
 if TYPE_CHECKING:
@@ -227,15 +228,8 @@ class CycloneNode(ThreadedNode):
     def read_security(self) -> str:
         return loaded_plugins() if self.options.keys is not None else ""
 
-    def explain_security(self) -> str:
-        return unlike_participant(self.options, self.participant_names())
-
     def participant_names(self) -> list[str]:
-        """Return the names of the participants seen so far."""
         return sorted(self._builtin.participants().values())
-
-    def count_participants(self) -> int | None:
-        return len(self._builtin.participants())
 
     def _leave(self) -> None:
         for writer in self._writers:

@@ -14,6 +14,7 @@ from dds_trace.tracefile.format.descriptions import Qos
 
 from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
+from .other_side import unlike_participant
 from .sizes import Sizes, size_option
 from .strangers import Strangers
 
@@ -360,11 +361,15 @@ class Node(ABC):
 
     def explain_security(self) -> str:
         """Return in words that the other side is secured and this one is not, or the other way round; slow."""
-        return ""
+        return unlike_participant(self)
 
-    @abstractmethod
+    def participant_names(self) -> list[str]:
+        """Return the names of the participants (ROS: nodes) seen so far, the own one included."""
+        return []
+
     def count_participants(self) -> int | None:
         """Count the participants (ROS: nodes) of the domain; None if the backend cannot."""
+        return len(self.participant_names()) or None
 
     def close(self) -> None:
         """Stop receiving, send what is queued, leave the domain; a second call does nothing."""

@@ -50,7 +50,7 @@ def _configuration(options: BridgeOptions) -> str:
 BRIDGE = Bridge(
     name=PROGRAM,
     install="build it with colcon or take the docker image (https://eprosima-dds-router.readthedocs.io), and put it on the PATH",
-    tried="3.2.0 on Fast DDS 3.2.2, November 2026; --tuned never",
+    tried="3.2.0 on Fast DDS 3.2.2, with --tuned, November 2026",
     suffix=".yaml",
     configuration=_configuration,
     find=lambda: program_on_path(PROGRAM),

@@ -207,8 +207,8 @@ class Ros2Node(ThreadedNode):
             tuple(_other_definitions(topic, [*publishing, *subscribed], self.options.name)),
         )
 
-    def count_participants(self) -> int | None:
-        return len(self._node.get_node_names_and_namespaces())
+    def participant_names(self) -> list[str]:
+        return [name for name, _ in self._node.get_node_names_and_namespaces()]
 
     def _wake(self) -> None:
         if self._thread is not None:

@@ -1,0 +1,65 @@
+"""A relay of a DDS domain that has security where the ping has none, or the other way round."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+from ..choices import Security
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from .node import Node, NodeOptions
+
+_SECURED_NAME = re.compile(rf"dds_trace_\w+_({'|'.join(level.value.replace('-', '_') for level in Security)})")
+
+LOOK_PATIENCE_S = 15.0
+_LOOK = """
+import json, sys, time
+from dds_trace.recorder.backends import open_node
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Discovery
+with open_node(sys.argv[1], NodeOptions(int(sys.argv[2]), "dds_trace_look", Discovery(sys.argv[3]))) as node:
+    time.sleep(2)
+    print(json.dumps(node.participant_names()))
+"""
+
+
+def name_of_participant(options: NodeOptions) -> str:
+    """Return the node's name; a secured one ends with its level, as only the names of participants are open to all."""
+    secured = options.security is not Security.OFF
+    return f"{options.name}_{options.security.value.replace('-', '_')}" if secured else options.name
+
+
+def unlike_participant(node: Node) -> str:
+    """Return in words that there is a relay with security, or of a secured node one without."""
+    secured = node.options.security is not Security.OFF
+    names = _names_without_security(node) if secured else node.participant_names()
+    for name in sorted(names):
+        match = _SECURED_NAME.fullmatch(name)
+        if name.startswith("dds_trace_relay_") and bool(match) is not secured:
+            level = f"with --security {match[1].replace('_', '-')}" if match else "without --security"
+            return f"{name} {level}, and this ping is {'with' if secured else 'without'}"
+    return ""
+
+
+def _names_without_security(node: Node) -> Iterable[str]:
+    """Return whom a process without security sees; the node sees nobody without a certificate."""
+    place = (node.middleware.backend, str(node.options.domain_id), node.options.discovery.value)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("ROS_SECURITY_")}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _LOOK, *place],
+            env=environment,
+            capture_output=True,
+            timeout=LOOK_PATIENCE_S,
+            check=True,
+        )
+        return map(str, json.loads(done.stdout))
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return ()

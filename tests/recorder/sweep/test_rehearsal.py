@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import pytest
+from processes import running
 
 from dds_trace.base.errors import OptionError, OutputError, TraceFormatError
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
@@ -161,3 +163,25 @@ def test_a_folder_that_cannot_be_made_is_refused(stage):
     (stage.folder / "runs").write_text("a file")
     with pytest.raises(OutputError, match=r"runs: not a folder that can be written; give another --out"):
         stage.rehearse()
+
+
+@pytest.mark.middleware
+def test_an_unsupported_package_in_another_environment_is_one_line(tmp_path, sentences):
+    """The environment is a stand-in: this one, with the metadata of a version that does not exist ahead of the real one."""
+    pytest.importorskip("cyclonedds")
+    ours = Path(sys.executable).with_name("dds-record")
+    program = tmp_path / "other" / "bin" / "dds-record"
+    metadata = tmp_path / "cyclonedds-12.0.0.dist-info" / "METADATA"
+    for path, text in (
+        (program, f'#!/bin/sh\nPYTHONPATH={tmp_path} exec {Path(sys.executable).with_name("dds-record")} "$@"\n'),
+        (metadata, "Metadata-Version: 2.1\nName: cyclonedds\nVersion: 12.0.0\n"),
+        (tmp_path / "plan.toml", f'[axes]\nbackend = "cyclonedds"\nenvironment = "{tmp_path / "other"}"\nrate = 10\n'),
+    ):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    program.chmod(0o755)
+    with running("dds-sweep", tmp_path / "plan.toml", "--out", tmp_path / "runs", "--rehearse") as command:
+        done = command.finish()
+    assert done.status != 0
+    assert "Traceback" not in done.stdout + done.stderr
+    sentences((done.stdout + done.stderr).splitlines()[-1])

@@ -51,7 +51,7 @@ class Details:
         clock_knots: offsets to which the clocks are fitted (`one_way.KNOT_SCHEMA`).
         host_samples: load of the devices over time (`host_samples.HOST_SAMPLE_SCHEMA`).
         bridge_costs: different domains against the same domain (`bridge_cost.bridge_cost`).
-        interference: flows with others against each by itself (`interference.INTERFERENCE_SCHEMA`).
+        interference: flows with others, and results under a load, against each without (`interference.INTERFERENCE_SCHEMA`).
         head_of_line: whether messages of a flow wait for another's (`interference.HEAD_OF_LINE_SCHEMA`).
         recoveries: runs with an outage that the sweep made (`recovery.RECOVERY_SCHEMA`).
         fan_out: one message to several relays, and several pings (`fan_out.FAN_OUT_SCHEMA`).

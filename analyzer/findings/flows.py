@@ -1,4 +1,4 @@
-"""Checks of flows that ran together, and of messages to several relays."""
+"""Checks of flows that ran together, of messages to several relays, and of results under a load."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import polars as pl
 
+from dds_trace.base.printable import printable
 from dds_trace.base.units import SECOND_NS, counted, format_duration
 
 from ..model.finding import Severity, Subject
@@ -26,9 +27,24 @@ SLOW_MATCH_NS = 2 * SECOND_NS
 )
 def disturbed_flows(evidence: Evidence) -> Iterator[Observation]:
     """A flow is slower, or loses more, with others than by itself."""
+    return _worse(evidence, pl.col("flow") != "")
+
+
+@check(
+    "slower_under_load",
+    Severity.INFO,
+    Subject.RESULT,
+    "Processors of its own (--cpu-affinity) or real-time priority (--realtime) may help: measure them as another setup under the same load.",
+)
+def slowed_results(evidence: Evidence) -> Iterator[Observation]:
+    """A result is slower, or loses more, under a load than without."""
+    return _worse(evidence, pl.col("flow") == "")
+
+
+def _worse(evidence: Evidence, which: pl.Expr) -> Iterator[Observation]:
     worse = pl.col("verdict") == Verdict.WORSE.value
     loses = pl.col("received_verdict") == Verdict.WORSE.value
-    rows = evidence.details.interference.filter(worse | loses)
+    rows = evidence.details.interference.filter(which, worse | loses)
     for _, changes in rows.group_by("group", maintain_order=True):
         parts = [
             f"{row['statistic']} of the latency {row['ratio']:.3g} times ({row['ratio_low']:.3g} to {row['ratio_high']:.3g}) the usual one"
@@ -39,7 +55,10 @@ def disturbed_flows(evidence: Evidence) -> Iterator[Observation]:
             parts.append(f"{percent(-row['received_difference'], 1)} more of its messages lost")
         ratios = [ratio for ratio in changes["ratio"].to_list() if ratio]
         effect = max([1 - 1 / max(ratios, default=1.0), -(row["received_difference"] or 0.0)])
-        yield evidence.result(row["group"], f"With {row['with_flows']}, {row['flow']} has {', '.join(parts)}.", effect)
+        words = (
+            f"With {printable(row['with_flows'])}, {printable(row['flow']) or 'this result'} has {', '.join(parts)}."
+        )
+        yield evidence.result(row["group"], words, effect)
 
 
 @check(

@@ -12,11 +12,12 @@ from urllib.parse import unquote
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
+LOAD = "load"
 FLOW, WITH, FLOWS = "flow", "with", "flows"
 """A run's flow, the flows of its plan that ran with it (joined by +), and the number of runs of its machine."""
 
 CONDITIONS = frozenset(
-    {"link", "relays", "hosts", "pings", "topics", "data", "load", "outage", "outage_by", "queue", FLOW, WITH, FLOWS}
+    {"link", "relays", "hosts", "pings", "topics", "data", LOAD, "outage", "outage_by", "queue", FLOW, WITH, FLOWS}
 )
 """Keys that nobody chooses: groups that differ in these are no alternatives."""
 

@@ -1,4 +1,4 @@
-"""Flows that disturb each other: each with others against itself without them, and whether its messages wait for theirs.
+"""What disturbs messages: other flows, for which they may have to wait, or a load; each against itself without them.
 
 `dds-sweep` records the flows of a plan one by one and together in the same repeats; their setting names the flow and those that ran with it.
 """
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..model.metrics import frame_schema
 from ..model.parameters import MATCH_COLUMNS
-from ..model.setting import FLOW, FLOWS, WITH, parse_setting, write_setting
+from ..model.setting import FLOW, FLOWS, LOAD, WITH, parse_setting, write_setting
 from ..run_statistics.received import received_interval
 from .cases import GroupRows, is_too_large, partition_groups
 from .compare import CompareOptions, compare_groups, with_adjusted_verdicts
@@ -87,6 +87,17 @@ def _with_flows(groups: pl.DataFrame) -> pl.DataFrame:
     ).filter(pl.col("flow") != "", "is_planned")
 
 
+def _with_loads(groups: pl.DataFrame) -> pl.DataFrame:
+    """Return the columns of `_with_flows`, with a load in place of the other flows."""
+    settings = groups["setting"].to_list()
+    loads = (parse_setting(setting).get(LOAD) for setting in settings)
+    return groups.with_columns(
+        pl.lit("").alias("flow"),
+        pl.Series("with_flows", [f"{LOAD}={load}" if load else "" for load in loads], pl.String),
+        pl.Series("others", [_without(setting, LOAD) for setting in settings], pl.String),
+    )
+
+
 def _ran_as_planned(setting: str) -> bool:
     """Return whether as many runs went on at the same time as the flows that the setting names."""
     _, others = flows_of(setting)
@@ -94,15 +105,17 @@ def _ran_as_planned(setting: str) -> bool:
 
 
 def find_interference(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
-    """Compare the latency of each flow with others and by itself, p50 and p99, repeat by repeat.
+    """Compare the latency of each flow with others and by itself, and of all with and without a load, p50 and p99, repeat by repeat.
 
     Returns:
-        `INTERFERENCE_SCHEMA`: the group and the one of the flow by itself, the columns of `ChangeRow` (times in ns; base by itself,
-        new with others), and the change of the received ratio with its interval. Verdicts are adjusted over all rows.
+        `INTERFERENCE_SCHEMA`: the group and the one without, the columns of `ChangeRow` (times in ns; base without, new with), and the
+        change of the received ratio with its interval. Verdicts are adjusted over all rows. Of a load `flow` is empty and `with_flows`
+        is `load=KIND`.
     """
     changes = [
         row
-        for case in partition_groups(_with_flows(rows.groups), (*_MATCH, "others", "flow"))
+        for groups in (_with_flows(rows.groups), _with_loads(rows.groups))
+        for case in partition_groups(groups, (*_MATCH, "others", "flow"))
         for row in _changes(rows, case, passes)
     ]
     return with_adjusted_verdicts(pl.DataFrame(changes, INTERFERENCE_SCHEMA), _OPTIONS.confidence)
@@ -110,7 +123,7 @@ def find_interference(rows: GroupRows, passes: Mapping[int, int] | None = None) 
 
 def _changes(rows: GroupRows, case: pl.DataFrame, passes: Mapping[int, int] | None) -> Iterator[dict[str, object]]:
     alone = case.filter(pl.col("with_flows") == "")
-    if len(alone) != 1 or is_too_large(case):
+    if len(alone) != 1 or len(case) == 1 or is_too_large(case):
         return
     base = match_groups(rows.frame(alone), _MATCH)
     for together in case.filter(pl.col("with_flows") != "").partition_by("group", maintain_order=True):

@@ -1,4 +1,4 @@
-"""How many times as long a flow's messages take with other flows as without."""
+"""How many times as long messages take with other flows, or under a load, as without."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, 
 
 @dataclass(frozen=True, slots=True)
 class Interference(Faceted):
-    """Groups of flows with others -> p50 and p99 of the latency against the flow by itself."""
+    """Groups with other flows or a load -> p50 and p99 of the latency against the same without."""
 
     cells: Mapping[int, BridgedCell]
 
@@ -43,13 +43,13 @@ def interference_info(book: Book) -> Interference:
 
 def interference_figure(info: Interference) -> Figure | LeftOut:
     """Draw marks with intervals over messages."""
-    name, title = "interference", "What other flows cost"
+    name, title = "interference", "What other flows and loads cost"
     how_to_read = (
-        "Each mark is how many times as long a message of a flow takes with the flows that its setting names as without, with its "
+        "Each mark is how many times as long a message takes with the other flows or the load that its setting names as without, with its "
         "95 % interval and the difference; an interval that reaches the line shows no difference that these samples can prove."
     )
     if not info.panels:
-        return LeftOut(name, title, "no flow was recorded both by itself and with others.")
+        return LeftOut(name, title, "nothing was recorded both with and without other flows, or a load.")
     cells = {str(group): cell for group, cell in info.cells.items()}
     return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
 

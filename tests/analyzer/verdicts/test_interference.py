@@ -123,3 +123,19 @@ def test_caught_is_who_leaves_while_the_message_ahead_stays_for_twice_the_usual_
 def test_a_setting_names_its_flow_and_those_beside_it():
     assert flows_of("flow=imu,flows=3,transport=udp,with=camera+odom") == ("imu", ("camera", "odom"))
     assert flows_of("transport=udp") == ("", ())
+
+
+def test_a_load_is_compared_with_the_same_without_it():
+    parts, passes = [], {}
+    for number in RUNS:
+        for load, rtt_ns in (("none", MS), ("cpu", 3 * MS), ("memory", MS)):
+            rtt_ns += number * MS // 100
+            rows, run_id = run_of("imu", load, number, period_ns=10 * MS, rtt_of=lambda _, rtt=rtt_ns: rtt, message=IMU)
+            setting = "tuned=true" if load == "none" else f"load={load},tuned=true"
+            parts.append(rows.with_columns(pl.lit(setting).alias("setting")))
+            passes[run_id] = number
+    found = find_interference(rows_by_group(pl.concat(parts)), passes).filter(statistic="p50").sort("with_flows")
+    assert found["with_flows"].to_list() == ["load=cpu", "load=memory"]
+    assert set(found["flow"]) == {""}
+    assert found["verdict"].to_list() == ["worse", "same"]
+    assert found["ratio"].to_list() == pytest.approx([3, 1], rel=0.05)

@@ -128,8 +128,8 @@ def test_a_setting_names_its_flow_and_those_beside_it():
 def test_a_load_is_compared_with_the_same_without_it():
     parts, passes = [], {}
     for number in RUNS:
-        for load, rtt_ns in (("none", MS), ("cpu", 3 * MS), ("memory", MS)):
-            rtt_ns += number * MS // 100
+        for load, usual_ns in (("none", MS), ("cpu", 3 * MS), ("memory", MS)):
+            rtt_ns = usual_ns + number * MS // 100
             rows, run_id = run_of("imu", load, number, period_ns=10 * MS, rtt_of=lambda _, rtt=rtt_ns: rtt, message=IMU)
             setting = "tuned=true" if load == "none" else f"load={load},tuned=true"
             parts.append(rows.with_columns(pl.lit(setting).alias("setting")))

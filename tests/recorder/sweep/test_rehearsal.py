@@ -169,7 +169,6 @@ def test_a_folder_that_cannot_be_made_is_refused(stage):
 def test_an_unsupported_package_in_another_environment_is_one_line(tmp_path, sentences):
     """The environment is a stand-in: this one, with the metadata of a version that does not exist ahead of the real one."""
     pytest.importorskip("cyclonedds")
-    ours = Path(sys.executable).with_name("dds-record")
     program = tmp_path / "other" / "bin" / "dds-record"
     metadata = tmp_path / "cyclonedds-12.0.0.dist-info" / "METADATA"
     for path, text in (

@@ -60,11 +60,12 @@ class _Load:
 
 
 def _loads(evidence: Evidence) -> Iterator[tuple[Session, _Load]]:
-    """Yield the session that made a load; a second one of the same machine waits, and names no program."""
+    """Yield the session that made a load; a second one of the same machine waits for its end."""
     for session in evidence.campaign.sessions.values():
         load = object_of(session.extra.get("load"))
         cpu_s, elapsed_s = number_of(load.get("cpu_s")), number_of(load.get("elapsed_s"))
-        if cpu_s is not None and elapsed_s and load.get("program"):
+        waited_s = number_of(load.get("waited_s")) or 0.0
+        if cpu_s is not None and elapsed_s and load.get("program") and waited_s < elapsed_s / 2:
             yield session, _Load(printable(str(load.get("kind"))), str(load["program"]), cpu_s / elapsed_s)
 
 

@@ -54,10 +54,11 @@ def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObje
         def describe() -> JsonObject:
             nonlocal said
             said += process.stdout.read() or b""  # type: ignore[union-attr]
-            program = said.decode().strip()
-            cpu_s = _cpu_seconds(process.pid) if program else 0.0
-            described: JsonObject = {"kind": kind, "program": program, "elapsed_s": time.monotonic() - began_s}
-            return {"load": {**described, "cpu_s": cpu_s, "is_running": process.poll() is None}}
+            program, _, started_s = said.decode().strip().partition(" ")
+            now_s, cpu_s = time.monotonic(), _cpu_seconds(process.pid) if program else 0.0
+            described: JsonObject = {"kind": kind, "program": program, "elapsed_s": now_s - began_s}
+            waited_s = float(started_s or now_s) - began_s
+            return {"load": {**described, "waited_s": waited_s, "cpu_s": cpu_s, "is_running": process.poll() is None}}
 
         try:
             yield describe

@@ -3,7 +3,8 @@
 `cpu` keeps every processor busy, `memory` copies 64 MiB again and again on half of them, by stress-ng where it is
 installed; `network` sends UDP to the discard port of HOST; `awake` keeps processors from sleeping by threads of the lowest
 priority, `dma-latency` by holding /dev/cpu_dma_latency at 0. Of `cpu`, `memory` and `awake` a machine has one at a time: a
-second program waits for the first. It prints what makes the load once it starts, and runs until it is killed.
+second program waits for the first. It prints what makes the load and the time (CLOCK_MONOTONIC)
+once it starts, and runs until it is killed.
 """
 
 from __future__ import annotations
@@ -78,20 +79,20 @@ def main() -> None:
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.sched_setaffinity(0, range(PROCESSORS))
     if kind == "network":
-        print("own", flush=True)
+        print("own", time.monotonic(), flush=True)
         send(host)
     if kind == "dma-latency":
         hold_dma_latency()
     lock = os.open(f"{tempfile.gettempdir()}/dds-trace-load-{os.getuid()}.lock", os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW)
     fcntl.flock(lock, fcntl.LOCK_EX)
     if kind == "awake":
-        print("own", flush=True)
+        print("own", time.monotonic(), flush=True)
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         for processor in range(PROCESSORS):
             threading.Thread(target=keep_awake, args=(processor,), daemon=True).start()
         threading.Event().wait()
     stress_ng = shutil.which("stress-ng")
-    print("stress-ng" if stress_ng else "own", flush=True)
+    print("stress-ng" if stress_ng else "own", time.monotonic(), flush=True)
     if stress_ng:
         os.set_inheritable(lock, True)
         option, workers = STRESS_NG[kind]

@@ -40,7 +40,11 @@ def test_a_load_is_reported_with_what_it_used(tmp_path, sentences, kind, cpu_s, 
     sentences(found[code].what)
 
 
-@pytest.mark.parametrize("load", [{}, {"program": "", "cpu_s": 0, "elapsed_s": 5}, {"cpu_s": "x"}, []])
+LATE = {"kind": "cpu", "program": "stress-ng", "cpu_s": 0.2, "elapsed_s": 70.0, "waited_s": 69.0}
+"""A load that began when that of the other side had ended."""
+
+
+@pytest.mark.parametrize("load", [{}, {"program": "", "cpu_s": 0, "elapsed_s": 5}, {"cpu_s": "x"}, [], LATE])
 def test_a_recording_that_made_no_load_has_no_finding(tmp_path, load):
     assert not {"loaded", "load_missing"} & recorded(tmp_path, load=load).keys()
 

@@ -70,6 +70,7 @@ CHECKS: tuple[Check, ...] = (
     shapes.rising_latency,
     shapes.two_modes,
     flows.disturbed_flows,
+    flows.slowed_results,
     flows.waiting_flows,
     flows.slow_discovery,
     flows.sharing_recorders,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import polars as pl
 import pytest
 from roundtrip_frames import MS, S, roundtrips, rows_by_group
 
+from dds_trace.analyzer.findings.flows import disturbed_flows, slowed_results
 from dds_trace.analyzer.verdicts.interference import (
     Overtaking,
     Sent,
@@ -125,7 +128,7 @@ def test_a_setting_names_its_flow_and_those_beside_it():
     assert flows_of("transport=udp") == ("", ())
 
 
-def test_a_load_is_compared_with_the_same_without_it():
+def test_a_load_is_compared_with_the_same_without_it(sentences):
     parts, passes = [], {}
     for number in RUNS:
         for load, usual_ns in (("none", MS), ("cpu", 3 * MS), ("memory", MS)):
@@ -139,3 +142,11 @@ def test_a_load_is_compared_with_the_same_without_it():
     assert set(found["flow"]) == {""}
     assert found["verdict"].to_list() == ["worse", "same"]
     assert found["ratio"].to_list() == pytest.approx([3, 1], rel=0.05)
+    evidence = SimpleNamespace(
+        details=SimpleNamespace(interference=found),
+        result=lambda group, words, effect: (group, words, round(effect, 1)),
+    )
+    assert list(disturbed_flows.observe(evidence)) == []
+    ((group, words, effect),) = slowed_results.observe(evidence)
+    assert (group, effect) == (found["group"][0], 0.7)
+    sentences(words)

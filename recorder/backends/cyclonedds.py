@@ -76,7 +76,7 @@ class CycloneNode(ThreadedNode):
         parts = (settings, security_settings(options))
         try:
             self._domain = _configured_domain(options.domain_id, ",".join(filter(None, parts)))
-            named = CycloneQos(Policy.EntityName(name_of_participant(options)))
+            named = CycloneQos(Policy.EntityName(name_of_participant(options.name, options.security)))
             self._participant = DomainParticipant(options.domain_id, qos=named)
         except DDSException as err:
             raise BackendUnavailableError(

@@ -361,7 +361,10 @@ class Node(ABC):
 
     def explain_security(self) -> str:
         """Return in words that the other side is secured and this one is not, or the other way round; slow."""
-        return unlike_participant(self)
+        options, backend = self.options, self.middleware.backend
+        return unlike_participant(
+            self.participant_names(), options.security, backend, options.domain_id, options.discovery
+        )
 
     def participant_names(self) -> list[str]:
         """Return the names of the participants (ROS: nodes) seen so far, the own one included."""

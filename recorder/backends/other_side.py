@@ -14,7 +14,7 @@ from ..choices import Security
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from .node import Node, NodeOptions
+    from ..choices import Discovery
 
 _SECURED_NAME = re.compile(rf"dds_trace_\w+_({'|'.join(level.value.replace('-', '_') for level in Security)})")
 
@@ -30,17 +30,17 @@ with open_node(sys.argv[1], NodeOptions(int(sys.argv[2]), "dds_trace_look", Disc
 """
 
 
-def name_of_participant(options: NodeOptions) -> str:
-    """Return the node's name; a secured one ends with its level, as only the names of participants are open to all."""
-    secured = options.security is not Security.OFF
-    return f"{options.name}_{options.security.value.replace('-', '_')}" if secured else options.name
+def name_of_participant(name: str, security: Security) -> str:
+    """Return a node's name; a secured one ends with its level, as only the names of participants are open to all."""
+    return name if security is Security.OFF else f"{name}_{security.value.replace('-', '_')}"
 
 
-def unlike_participant(node: Node) -> str:
-    """Return in words that there is a relay with security, or of a secured node one without."""
-    secured = node.options.security is not Security.OFF
-    names = _names_without_security(node) if secured else node.participant_names()
-    for name in sorted(names):
+def unlike_participant(
+    names: Iterable[str], security: Security, backend: str, domain_id: int, discovery: Discovery
+) -> str:
+    """Return in words that there is a relay with security, or next to a secured node one without; the node sees `names`."""
+    secured = security is not Security.OFF
+    for name in sorted(_names_without_security(backend, str(domain_id), discovery.value) if secured else names):
         match = _SECURED_NAME.fullmatch(name)
         if name.startswith("dds_trace_relay_") and bool(match) is not secured:
             level = f"with --security {match[1].replace('_', '-')}" if match else "without --security"
@@ -48,18 +48,12 @@ def unlike_participant(node: Node) -> str:
     return ""
 
 
-def _names_without_security(node: Node) -> Iterable[str]:
-    """Return whom a process without security sees; the node sees nobody without a certificate."""
-    place = (node.middleware.backend, str(node.options.domain_id), node.options.discovery.value)
+def _names_without_security(*place: str) -> Iterable[str]:
+    """Return whom a process without security sees; a secured node sees nobody without a certificate."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("ROS_SECURITY_")}
+    command = [sys.executable, "-c", _LOOK, *place]
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _LOOK, *place],
-            env=environment,
-            capture_output=True,
-            timeout=LOOK_PATIENCE_S,
-            check=True,
-        )
+        done = subprocess.run(command, env=environment, capture_output=True, timeout=LOOK_PATIENCE_S, check=True)
         return map(str, json.loads(done.stdout))
     except (OSError, subprocess.SubprocessError, ValueError):
         return ()

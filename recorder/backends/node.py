@@ -214,10 +214,7 @@ class TopicView:
 
 
 class Receive(Protocol[MessageT_contra]):
-    """A callback of a subscription, on the node's thread; it stamps T2 or T3 in its first instruction.
-
-    The middleware's two time stamps (ns since 1970) are 0 where it does not report them.
-    """
+    """A callback on the node's thread, which stamps T2 or T3 first; the middleware's stamps (ns since 1970) may be 0."""
 
     def __call__(self, message: MessageT_contra, source_ns: int = 0, received_ns: int = 0, /) -> None:
         """Take one message."""
@@ -236,8 +233,7 @@ class Publisher(Protocol[MessageT_contra]):
 class Subscription(Protocol):
     """The receiving end of a topic."""
 
-    def close(self) -> None:
-        """Take the subscription off its topic, at the end of the thread's current round."""
+    def close(self) -> None: ...  # at the end of the thread's current round
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,10 +357,8 @@ class Node(ABC):
 
     def explain_security(self) -> str:
         """Return in words that the other side is secured and this one is not, or the other way round; slow."""
-        options, backend = self.options, self.middleware.backend
-        return unlike_participant(
-            self.participant_names(), options.security, backend, options.domain_id, options.discovery
-        )
+        place = self.middleware.backend, str(self.options.domain_id), self.options.discovery.value
+        return unlike_participant(self.participant_names(), self.options.security, place)
 
     def participant_names(self) -> list[str]:
         """Return the names of the participants (ROS: nodes) seen so far, the own one included."""

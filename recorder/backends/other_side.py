@@ -14,8 +14,6 @@ from ..choices import Security
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ..choices import Discovery
-
 _SECURED_NAME = re.compile(rf"dds_trace_\w+_({'|'.join(level.value.replace('-', '_') for level in Security)})")
 
 LOOK_PATIENCE_S = 15.0
@@ -35,12 +33,13 @@ def name_of_participant(name: str, security: Security) -> str:
     return name if security is Security.OFF else f"{name}_{security.value.replace('-', '_')}"
 
 
-def unlike_participant(
-    names: Iterable[str], security: Security, backend: str, domain_id: int, discovery: Discovery
-) -> str:
-    """Return in words that there is a relay with security, or next to a secured node one without; the node sees `names`."""
+def unlike_participant(names: Iterable[str], security: Security, place: Iterable[str]) -> str:
+    """Return in words that there is a relay with security, or next to a secured node one without; the node sees `names`.
+
+    `place` is the node's backend, domain and discovery range.
+    """
     secured = security is not Security.OFF
-    for name in sorted(_names_without_security(backend, str(domain_id), discovery.value) if secured else names):
+    for name in sorted(_names_without_security(*place) if secured else names):
         match = _SECURED_NAME.fullmatch(name)
         if name.startswith("dds_trace_relay_") and bool(match) is not secured:
             level = f"with --security {match[1].replace('_', '-')}" if match else "without --security"

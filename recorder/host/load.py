@@ -54,7 +54,7 @@ def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObje
         def describe() -> JsonObject:
             nonlocal said
             said += process.stdout.read() or b""  # type: ignore[union-attr]
-            program, _, started_s = said.decode().strip().partition(" ")
+            program, _, started_s = said.decode().strip().rpartition(" ")
             now_s, cpu_s = time.monotonic(), _cpu_seconds(process.pid) if program else 0.0
             described: JsonObject = {"kind": kind, "program": program, "elapsed_s": now_s - began_s}
             waited_s = float(started_s or now_s) - began_s

@@ -68,7 +68,7 @@ def hold_dma_latency() -> None:
     """Ask the kernel for no latency of waking up, until this program ends; print what it grants."""
     device = os.open("/dev/cpu_dma_latency", os.O_RDWR)
     os.write(device, bytes(4))
-    print(f"cpu_dma_latency {int.from_bytes(os.pread(device, 4, 0), sys.byteorder)} us", flush=True)
+    print(f"cpu_dma_latency {int.from_bytes(os.pread(device, 4, 0), sys.byteorder)} us", time.monotonic(), flush=True)
     threading.Event().wait()
 
 

@@ -51,7 +51,7 @@ def test_of_two_loads_of_a_machine_one_waits():
             assert program_of(second) == ""
             assert second()["load"]["cpu_s"] == 0
             assert second()["load"]["waited_s"] >= 0.2
-            assert first()["load"]["waited_s"] < first()["load"]["elapsed_s"] / 2
+            assert first()["load"]["waited_s"] < first()["load"]["elapsed_s"]
 
 
 def test_a_network_load_sends_to_the_other_side():

@@ -226,8 +226,7 @@ class Publisher(Protocol[MessageT_contra]):
     def publish(self, message: MessageT_contra, /) -> None:
         """Hand over a message, from one thread at a time; the buffer may change afterwards."""
 
-    def close(self) -> None:
-        """Take the publisher off its topic."""
+    def close(self) -> None: ...  # takes the publisher off its topic
 
 
 class Subscription(Protocol):

@@ -66,6 +66,14 @@ class WhenFull(Enum):
     DROP = "drop"
 
 
+class Call(Enum):
+    """Whether a message and its reply are a topic each, or request and response of one call."""
+
+    NONE = "none"
+    SERVICE = "service"
+    ACTION = "action"
+
+
 class Role(Enum):
     """What a recorder does: one end of a measurement, both, or listening to other programs."""
 

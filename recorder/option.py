@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import Enum
 from types import NoneType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -12,9 +13,10 @@ from dds_trace.base.limits import Real, Whole
 from .choices import Role
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from dds_trace.base.limits import Limit
+    from dds_trace.tracefile.format.json_fields import Json
 
 
 _T = TypeVar("_T")
@@ -27,6 +29,7 @@ class Panel(str, Enum):
     MESSAGE = "Message (ping)"
     SCHEDULE = "Schedule (ping)"
     MIDDLEWARE = "Middleware"
+    CALL = "Call (ping and relay)"
     QOS = "Quality of service (equal on both sides)"
     BRIDGE = "Bridge (ping)"
     RELAY = "Relay"
@@ -96,6 +99,7 @@ class Option:
 
 _ROLES = {
     **dict.fromkeys((Panel.MESSAGE, Panel.SCHEDULE, Panel.BRIDGE), (Role.PING,)),
+    Panel.CALL: (Role.PING, Role.RELAY),
     Panel.RELAY: (Role.RELAY,),
     Panel.FILES: (Role.RELAY, Role.TAP, Role.BEACON),
     Panel.TAP: (Role.TAP,),
@@ -156,3 +160,28 @@ def detail(default: _T, name: str, panel: Panel, help: str, **row: Any) -> _T:  
 def options_of(record: Any) -> dict[str, Option]:
     """Return field -> row of a record of options."""
     return {column.name: column.metadata["option"] for column in fields(record) if "option" in column.metadata}
+
+
+def changed_settings(record: object) -> Iterator[tuple[str, Json]]:
+    """Yield each setting that is not its default."""
+    assert is_dataclass(record)
+    for column in fields(record):
+        value = getattr(record, column.name)
+        row = column.metadata.get("option")
+        if not (column.metadata.get("in_key", True) if row is None else row.in_key):
+            continue
+        default = column.default if column.default_factory is MISSING else column.default_factory()
+        if is_dataclass(value):
+            yield from changed_settings(value)
+        elif isinstance(value, Mapping):
+            yield from value.items()
+        elif value != default:
+            yield column.name, _json_of(value)
+
+
+def _json_of(value: object) -> Json:
+    if isinstance(value, Enum):
+        return str(value.value)
+    if isinstance(value, tuple):
+        return [_json_of(item) for item in value]
+    return value if isinstance(value, bool | int | float) else str(value)

@@ -11,6 +11,8 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.limits import shown
 from dds_trace.base.units import parse_rate, parse_size, split_quantity
 
+from .choices import Call
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -113,3 +115,32 @@ class KeepFree:
         """Return the bytes to keep free on a disk of this size."""
         share_bytes = int(self.share * disk_bytes)
         return share_bytes if self.most_bytes is None else min(share_bytes, self.most_bytes)
+
+
+ACTION_GOAL_BYTES = 4
+
+
+def check_call(
+    call: Call,
+    clients: int,
+    response_bytes: int | None,
+    bridge: str,
+    flows: tuple[str, ...],
+    size_bytes: int | None,
+    *,
+    is_one_way: bool = False,
+) -> None:
+    """Refuse options that a call, or its absence, does not allow."""
+    if call is Call.NONE:
+        if clients > 1 or response_bytes is not None:
+            raise OptionError("--clients and --response-size need --call service or action")
+    elif bridge != "none":
+        raise OptionError(f"--call {call.value} with --bridge {bridge}: bridges are started for topics; use one domain")
+    elif flows:
+        raise OptionError(f"--call {call.value} with --flow {flows[0]}: a flow is a topic; remove one of them")
+    elif is_one_way:
+        raise OptionError(f"--call {call.value} with --rate max or --ping-share: each call has a response; remove them")
+    elif call is Call.ACTION and size_bytes not in (None, ACTION_GOAL_BYTES):
+        raise OptionError(
+            f"--size {size_bytes}: the goal of an action is one number of {ACTION_GOAL_BYTES} bytes; give --response-size"
+        )

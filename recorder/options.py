@@ -6,8 +6,7 @@ A new option is such a field, here or in `NodeOptions`, and the line that uses i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from enum import Enum
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING
 
 from dds_trace.base import limits
@@ -16,13 +15,11 @@ from dds_trace.base.units import parse_size
 from dds_trace.tracefile.format.descriptions import Qos
 
 from .choices import Discovery, Load, Role, Serialization
-from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, detail, option
-from .option_values import KeepFree, Rotation, parse_pairs, parse_rate_or_max, parse_rates, parse_topics
+from .option import OUTSIDE_OF_KEY, Axis, Option, Panel, changed_settings, detail, option
+from .option_values import KeepFree, Rotation, check_call, parse_pairs, parse_rate_or_max, parse_rates, parse_topics
 from .payloads import check_data
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from dds_trace.tracefile.format.json_fields import Json
     from dds_trace.tracefile.writing.destination import TraceDestination
 
@@ -38,7 +35,6 @@ DEFAULT_WAIT_S = 20.0
 BEACON_RATE_HZ = 2.0
 WAKE_HELP = "Send a probe this long before each message, to wake processors and fill caches. Default: none"
 BEACON_RATES_HZ = (1.0, 5.0)
-"""Slowest and fastest messages of a beacon."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +119,23 @@ class PingOptions:
     )
     wake_ms: int = option(
         0, "--wake MS", Panel.SCHEDULE, WAKE_HELP, limit=limits.WAKE_MS, axis=Axis(for_relay=False, unit="ms")
+    )
+    clients: int = option(
+        1,
+        "--clients N",
+        Panel.CALL,
+        "Clients that call at one time; --rate counts the calls of all.",
+        limit=limits.CLIENTS,
+        roles=(Role.PING,),
+        axis=Axis(for_relay=False),
+    )
+    call_timeout_s: float = detail(
+        10.0,
+        "--call-timeout SECONDS",
+        Panel.CALL,
+        "Count calls that take longer; they go on.",
+        limit=limits.LENGTH_S,
+        roles=(Role.PING,),
     )
     relays: int = detail(1, "--relays N", Panel.SCHEDULE, "How many relays to wait for.", limit=limits.RELAYS)
     bridge: str = detail(
@@ -221,7 +234,6 @@ class TapOptions:
     diagnostics: bool = detail(
         False, "--diagnostics", Panel.TAP, "Publish the state of each topic on /diagnostics once a second."
     )
-
     payload: bool = detail(
         False, "--payload", Panel.TAP, "Keep the messages themselves too, as a bag has them; without it, never."
     )
@@ -242,7 +254,6 @@ class RecordOptions:
     Attributes:
         node: the role sets its `name` and `listens`.
         tap_qos: of a tap's subscriptions.
-        beacon_rate_hz: messages a second of a beacon.
     """
 
     destination: TraceDestination = field(metadata=OUTSIDE_OF_KEY)
@@ -388,6 +399,17 @@ class RecordOptions:
                 raise OptionError(f"--flow {' --flow '.join(self.flows)}: a ping is one flow; start a ping for each")
         if self.tap is not None:
             self.tap.check()
+        ping, node = self.ping or PingOptions(), self.node
+        is_one_way = ping.rate_hz == float("inf") or ping.ping_share is not None
+        check_call(
+            node.call,
+            ping.clients,
+            node.response_bytes,
+            ping.bridge,
+            self.flows,
+            ping.size_bytes,
+            is_one_way=is_one_way,
+        )
         slowest_hz, fastest_hz = BEACON_RATES_HZ
         if self.beacon_rate_hz is not None and not slowest_hz <= self.beacon_rate_hz <= fastest_hz:
             raise OptionError(
@@ -422,28 +444,3 @@ def run_settings(options: PingOptions) -> dict[str, Json]:
     if options.bridge_listen is not None:
         settings["bridge_listen"] = True  # not the address, which is private
     return settings
-
-
-def changed_settings(record: object) -> Iterator[tuple[str, Json]]:
-    """Yield each setting that is not its default."""
-    assert is_dataclass(record)
-    for column in fields(record):
-        value = getattr(record, column.name)
-        row = column.metadata.get("option")
-        if not (column.metadata.get("in_key", True) if row is None else row.in_key):
-            continue
-        default = column.default if column.default_factory is MISSING else column.default_factory()
-        if is_dataclass(value):
-            yield from changed_settings(value)
-        elif isinstance(value, Mapping):
-            yield from value.items()
-        elif value != default:
-            yield column.name, _json_of(value)
-
-
-def _json_of(value: object) -> Json:
-    if isinstance(value, Enum):
-        return str(value.value)
-    if isinstance(value, tuple):
-        return [_json_of(item) for item in value]
-    return value if isinstance(value, bool | int | float) else str(value)

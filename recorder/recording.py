@@ -21,11 +21,12 @@ from .backends.qos import warn_of_depth
 from .base_recording import LOOK_S, BaseRecording, Recorded, raise_error_of, sampled
 from .beacon.recording import BeaconRecording
 from .bridges.requested import open_requested_bridge
-from .choices import Load
+from .choices import Call, Load
 from .domains import check_domain
 from .errors import BridgeError, NoEchoError, NotAppliedError, RelayLostError
 from .host.load import loaded
 from .host.process import tuned_gc
+from .option_values import ACTION_GOAL_BYTES
 from .payloads import open_payload, served_data_types
 from .roles.echo import explain_silence, find_loss, look_for_relays
 from .roles.ping import open_ping
@@ -194,7 +195,7 @@ class _Recording(BaseRecording):
     def _open_payload(self, ping_options: PingOptions, seed: int) -> AbstractContextManager[Payload]:
         return open_payload(
             ping_options.data,
-            ping_options.size_bytes,
+            ACTION_GOAL_BYTES if self.options.node.call is Call.ACTION else ping_options.size_bytes,
             seed,
             open_node=partial(self.open_node, "source"),
             wait_s=ping_options.wait_s,

@@ -8,6 +8,7 @@ from dataclasses import replace
 from ..model.finding import Finding, Severity
 from . import (
     applied,
+    calls,
     clocks,
     flows,
     groups,
@@ -69,6 +70,7 @@ CHECKS: tuple[Check, ...] = (
     shapes.short_warm_up,
     shapes.rising_latency,
     shapes.two_modes,
+    calls.calls_timed_out,
     flows.disturbed_flows,
     flows.slowed_results,
     flows.waiting_flows,
@@ -105,6 +107,7 @@ CHECKS: tuple[Check, ...] = (
     wire.discovery_traffic,
     shapes.falls_with_size,
     shapes.jumps_with_size,
+    calls.calls,
     surroundings.loads,
     surroundings.replayed_links,
     groups.few_samples,

@@ -16,9 +16,8 @@ LOAD = "load"
 FLOW, WITH, FLOWS = "flow", "with", "flows"
 """A run's flow, the flows of its plan that ran with it (joined by +), and the number of runs of its machine."""
 
-CONDITIONS = frozenset(
-    {"link", "relays", "hosts", "pings", "topics", "data", LOAD, "outage", "outage_by", "queue", FLOW, WITH, FLOWS}
-)
+_CONDITIONS = "link relays hosts pings topics data outage outage_by queue clients response_bytes"
+CONDITIONS = frozenset((*_CONDITIONS.split(), LOAD, FLOW, WITH, FLOWS))
 """Keys that nobody chooses: groups that differ in these are no alternatives."""
 
 _OLD: Mapping[str, Callable[[str], str | None]] = {

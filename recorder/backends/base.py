@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from dds_trace.base import limits
 from dds_trace.base.errors import BackendUnavailableError, OptionError
 
-from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
+from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..domains import check_domain_id, first_port
 from ..host.environment import MiddlewareEnvironment, watched_configuration
 
@@ -60,6 +60,7 @@ class Backend:
         sizes: transport -> names of `Sizes` that can be chosen with it.
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         can_multicast: whether it sends messages to groups unless requested otherwise.
+        calls: kinds of calls.
         environment: variables and files that configure it.
         variables_of: returns the variables that give a ROS middleware (None: the environment's) or the backend a file of settings.
         check_settings: raises an `OptionError` for further options that have no effect.
@@ -84,6 +85,7 @@ class Backend:
     sizes: Mapping[Transport, tuple[str, ...]] = field(default_factory=dict)
     can_drop: bool = False
     can_multicast: bool = False
+    calls: tuple[Call, ...] = ()
     environment: MiddlewareEnvironment = field(default_factory=MiddlewareEnvironment)
     variables_of: Callable[[str | None, Path], Mapping[str, str]] | None = None
     check_settings: Callable[[NodeOptions], None] | None = None
@@ -124,6 +126,7 @@ class Backend:
             )
         self._check_sending(options)
         self._check_sizes(options)
+        self._check_call(options)
         if options.transport not in self.transports:
             names = ", ".join(transport.value for transport in self.transports)
             raise OptionError(f"--transport {options.transport.value}: the backend {self.name} only has {names}")
@@ -170,6 +173,16 @@ class Backend:
         if not variables:
             raise OptionError(f"--configuration: no file of {options.rmw or self.label} is known here; leave it out")
         return variables
+
+    def _check_call(self, options: NodeOptions) -> None:
+        if options.call is Call.NONE:
+            return
+        call = f"--call {options.call.value}"
+        if options.call not in self.calls:
+            known = ", ".join(kind.value for kind in self.calls) or "none; use ros2 or zenoh"
+            raise OptionError(f"{call}: the calls of the backend {self.name}: {known}")
+        if options.priority is not None or options.when_full is not WhenFull.DEFAULT:
+            raise OptionError(f"{call}: --priority and --when-full are of publishers; remove them")
 
     def port_of(self, domain_id: int) -> int:
         """Return the relay's port in a domain."""

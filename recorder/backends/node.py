@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar, runtime_che
 from dds_trace.base import limits
 from dds_trace.tracefile.format.descriptions import Qos
 
-from ..choices import Discovery, ExecutorKind, Security, Transport, WhenFull
+from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..option import OUTSIDE_OF_KEY, Axis, Panel, detail, option
 from .other_side import unlike_participant
-from .sizes import Sizes, size_option
+from .sizes import Sizes, call_option, response_size_option, size_option
 from .strangers import Strangers
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 ROUND_S = 0.1
-"""Longest round of a node's thread, and longest wait of `close`."""
 LAST_ACKNOWLEDGEMENT_S = 0.5
 """Longest wait of a closing publisher: a participant that leaves at once takes its last messages with it."""
 
@@ -161,6 +160,8 @@ class NodeOptions:
     buffer_bytes: int | None = size_option("buffer", "Receive buffer of each socket", limits.BUFFER_BYTES)
     segment_bytes: int | None = size_option("segment", "Shared memory for messages", limits.SEGMENT_BYTES)
     fragment_bytes: int | None = size_option("fragment", "Largest part of a message in a packet", limits.FRAGMENT_BYTES)
+    call: Call = call_option()  # noqa: RUF009 - a field, as the others
+    response_bytes: int | None = response_size_option(limits.RESPONSE_BYTES)
     listens: bool = field(default=False, metadata=OUTSIDE_OF_KEY)
 
     @property

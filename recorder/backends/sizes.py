@@ -1,4 +1,4 @@
-"""Sizes in a middleware that a recording can choose: buffer, segment and fragment."""
+"""Sizes that a recording can choose (buffer, segment, fragment, response), and the kind of call."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from dds_trace.base.units import parse_size
 
+from ..choices import Call
 from ..option import Axis, Panel, option
 
 if TYPE_CHECKING:
@@ -32,6 +33,20 @@ def size_option(name: str, text: str, limit: Whole) -> int | None:
     help_text = f"{text} ({', '.join(_WITH_SIZES[name])}). Default: the vendor's"
     axis = Axis(kind=int, unit="bytes", meaning=f'{text[0].lower()}{text[1:]}, as a number or a text such as `"4MB"`')
     return option(None, f"{flag} SIZE", Panel.MIDDLEWARE, help_text, limit=limit, parse=parse, axis=axis)
+
+
+def call_option() -> Call:
+    """Return the field of `NodeOptions` for the kind of call."""
+    help_text = "What carries a message and its reply instead of two topics:"
+    return option(Call.NONE, "--call KIND", Panel.CALL, help_text, axis=Axis())
+
+
+def response_size_option(limit: Whole) -> int | None:
+    """Return the field of `NodeOptions` for the response to a call."""
+    flag = "--response-size"
+    help_text = "Size of the response to a call, for both sides. Default: as the request; of an action 33KB"
+    axis, parse = Axis(kind=int, unit="bytes"), partial(parse_size, what=flag)
+    return option(None, f"{flag} SIZE", Panel.CALL, help_text, limit=limit, parse=parse, axis=axis)
 
 
 _WITH_SIZES = {

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS
 
-from ..choices import Discovery, Durability, Reliability, Security, Transport, WhenFull
+from ..choices import Call, Discovery, Durability, Reliability, Security, Transport, WhenFull
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..security.tls import unlike_tls, zenoh_tls
 from .base import Backend, Meeting, has_package
@@ -36,11 +36,13 @@ if TYPE_CHECKING:
     from .node import NodeOptions, Publisher, RawMessage, Receive, Subscription, TapReceive, TopicPatterns
 
 MULTICAST = "multicast"
-"""Value of `--peer`: look for others by multicast."""
 KEY_PREFIX = "dds_trace"
 """Start of every key: topic `NAME` of domain 10 has `dds_trace/10/data/NAME`."""
 LOOK_S = 2.0
 """Longest wait for the endpoints of others."""
+WAY_BACK = "_relay"
+LONGEST_CALL_S = 60
+LEAST_RESPONSE_BYTES = 64
 PUBLISHER, SUBSCRIPTION = "publisher", "subscription"
 _SHARED_MEMORY: dict[Transport, dict[str, Any]] = {
     Transport.DEFAULT: {},
@@ -213,6 +215,66 @@ class ZenohNode(Node):
         self._session.close()
 
 
+class ZenohCallNode(ZenohNode):
+    """A session whose publishers call queryables, as its subscriptions are; the way back of a topic is their replies."""
+
+    def __init__(self, options: NodeOptions) -> None:
+        super().__init__(options)
+        self._takers: dict[str, Receive[RawMessage]] = {}  # way back -> takes replies
+        self._replies: dict[str, RawMessage] = {}  # way back -> reply, within the callback of a queryable
+
+    def _key(self, *parts: str) -> str:
+        return super()._key("call", *parts)
+
+    def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
+        import zenoh
+
+        _check_qos(qos or self.options.qos)
+        token = self._announce(PUBLISHER, topic, type_name)
+        if topic.endswith(WAY_BACK):
+            return _ZenohPublisher(None, partial(self._replies.__setitem__, topic), token)
+        is_reliable = (qos or self.options.qos).reliability == Reliability.RELIABLE
+        querier = self._session.declare_querier(
+            self._key("data", topic),
+            congestion_control=zenoh.CongestionControl.BLOCK if is_reliable else zenoh.CongestionControl.DROP,
+            express=True,
+            timeout=LONGEST_CALL_S,
+        )
+        take = self._guarded(self._takers[topic + WAY_BACK])
+
+        def on_reply(reply: Any) -> None:
+            if reply.ok is not None:
+                take(reply.ok)
+
+        return _ZenohCaller(querier, lambda message: querier.get(on_reply, payload=message), token)
+
+    def create_subscription(
+        self, topic: str, type_name: str, receive: Receive[RawMessage], *, qos: Qos | None = None
+    ) -> Subscription:
+        _check_qos(qos or self.options.qos)
+        token = self._announce(SUBSCRIPTION, topic, type_name)
+        if topic.endswith(WAY_BACK):
+            self._takers[topic] = receive
+            return NodeSubscription(token.undeclare)
+        take, key, size = self._guarded(receive), self._key("data", topic), self.options.response_bytes
+
+        def on_query(query: Any) -> None:
+            if query.payload is not None:
+                take(query)
+            reply = self._replies.pop(topic + WAY_BACK, None)
+            if reply is not None:
+                query.reply(
+                    key, reply if size is None else bytes(reply[:LEAST_RESPONSE_BYTES]).ljust(size, b"."), express=True
+                )
+            query.drop()
+
+        subscription = _ZenohSubscription(partial(self._session.declare_queryable, key, on_query), token)
+        self._subscriptions.append(subscription)
+        if self._started:
+            subscription.open()
+        return subscription
+
+
 def _own_publication(key: str) -> Publication | None:
     parts = key.split("/")
     if parts[0] != KEY_PREFIX:
@@ -241,7 +303,16 @@ class _ZenohPublisher:
 
     def close(self) -> None:
         self.token.undeclare()
-        self.publisher.undeclare()
+        if self.publisher is not None:
+            self.publisher.undeclare()
+
+
+class _ZenohCaller(_ZenohPublisher):
+    def is_matched(self) -> bool:
+        return bool(self.publisher.matching_status.matching)
+
+    def describe(self) -> dict[str, int]:
+        return {}
 
 
 class _ZenohSubscription:
@@ -348,7 +419,7 @@ def _check_qos(qos: Qos) -> None:
 BACKEND = Backend(
     name="zenoh",
     label="Zenoh",
-    make_node=ZenohNode,
+    make_node=lambda options: (ZenohNode if options.call is Call.NONE else ZenohCallNode)(options),
     find_installed=lambda: [None] if has_package("zenoh") else [],
     install="pip install 'dds-trace[zenoh]' (in a clone '.[zenoh]')",
     meeting=Meeting.PEERS,
@@ -366,6 +437,7 @@ BACKEND = Backend(
         Transport.TCP: ("buffer", "fragment"),
     },
     can_drop=True,
+    calls=(Call.SERVICE,),
     variables_of=lambda _, path: {"ZENOH_CONFIG": str(path)},
     environment=MiddlewareEnvironment(
         configuration=(

@@ -7,6 +7,7 @@ from binascii import unhexlify
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 if TYPE_CHECKING:
+    from ..backends.call_node import CallMessage
     from ..backends.node import RawMessage, RosMessage
 
 STAMP_BYTES = 46
@@ -202,8 +203,29 @@ class StringStampPlace:
         message.data = stamp_text(0, 0).decode() + message.data
 
 
+class CallStampPlace:
+    """The stamp of a `CallMessage`."""
+
+    def write(self, message: CallMessage, run_id: int, sequence: int, relay_id: int = 0) -> None:
+        message.stamp = stamp_text(run_id, sequence, relay_id).decode()
+
+    def write_second(self, message: CallMessage, wall_ns: int) -> int:  # noqa: ARG002 - the role's signature
+        return wall_ns
+
+    def write_nanoseconds(self, message: CallMessage, nanoseconds: int) -> None:
+        """Write nothing: a call has no time."""
+
+    def read(self, message: CallMessage) -> Stamp | None:
+        return parse_stamp(message.stamp)
+
+    def reply(self, message: CallMessage, relay_id_text: bytes) -> CallMessage | None:
+        message.stamp = message.stamp[: _RELAY.start] + relay_id_text.decode()
+        return message
+
+
 # Encapsulation (4 bytes), then of a header: stamp (8), length of frame_id (4), text; of a String: length (4), text.
 RAW_HEADER_STAMP = RawStampPlace(text_offset=16, time_offset=4)
 RAW_STRING_STAMP = RawStampPlace(text_offset=8, time_offset=None)
 HEADER_STAMP = HeaderStampPlace()
 STRING_STAMP = StringStampPlace()
+CALL_STAMP = CallStampPlace()

@@ -13,7 +13,7 @@ from ..applied.differences import Setting
 from ..applied.memory import SHM, ports_of_others
 from ..backends import load_backend, load_backends
 from ..backends.qos import requested_durations
-from ..choices import Security, Transport
+from ..choices import Call, Security, Transport
 from ..domains import domain_port_range
 from ..errors import RelayLostError
 from ..payloads import data_types
@@ -162,6 +162,7 @@ def _meeting_options(options: NodeOptions) -> str:
     usual, durations = Qos(), requested_durations(options.qos)
     given = {
         "rmw": options.rmw or "",
+        "call": "" if options.call is Call.NONE else options.call.value,
         "transport": "" if options.transport is Transport.DEFAULT else options.transport.value,
         **{
             policy: value

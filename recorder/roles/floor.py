@@ -13,6 +13,7 @@ from dds_trace.base.errors import TraceError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..backends import load_backend
+from ..choices import Call
 from ..errors import NoEchoError
 from ..host.recorder_cost import measure_recorder_cost
 from ..payloads.string import STRING
@@ -85,7 +86,7 @@ def measure_floor(
     gap_s = COLDEST_GAP_S if rate_hz is None else min(1 / rate_hz, COLDEST_GAP_S)
     times_ns: list[int] = []
     topic = f"{FLOOR_TOPIC}_{secrets.randbits(64):016x}"  # not another device's
-    isolated = replace(options, name=topic, qos=Qos(), listens=False, peers=())
+    isolated = replace(options, name=topic, qos=Qos(), call=Call.NONE, listens=False, peers=())
     receiver, sender = load_backend(backend).open_pair(isolated)
     with receiver, sender:
         receiver.create_subscription(topic, STRING.type_name, receive)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from dds_trace.base.errors import OptionError
 
+from ..backends.call_node import Caller, CallMessage, CallNode
 from ..backends.node import ObjectNode
-from ..payloads.stamp import SentT
+from ..choices import Serialization
+from ..payloads.base import Form
+from ..payloads.stamp import CALL_STAMP, SentT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from dds_trace.tracefile.format.descriptions import Qos
 
     from ..backends.node import Node, Publisher, RawMessage, Receive, RosMessage, Subscription
-    from ..payloads.base import DataType, Form, Message
+    from ..payloads.base import DataType, Message
 
 ReceivedT = TypeVar("ReceivedT")
 
@@ -29,6 +33,13 @@ class Lane(Generic[SentT, ReceivedT]):
     message_of: Callable[[DataType, Message], SentT]
     create_publisher: Callable[[str, str, Qos], Publisher[SentT]]
     create_subscription: Callable[[str, str, Receive[ReceivedT], Qos], Subscription]
+
+
+def open_lane(node: Node, serialization: Serialization) -> Lane[Any, Any]:
+    """Return the lane of a node; raise an OptionError if the backend does not have it."""
+    if isinstance(node, CallNode):
+        return call_lane(node)
+    return object_lane(node) if serialization is Serialization.TYPED else raw_lane(node)
 
 
 def raw_lane(node: Node) -> Lane[bytearray, RawMessage]:
@@ -59,3 +70,36 @@ def message_objects_of(node: Node) -> ObjectNode:
             f"--serialization typed: the backend {node.middleware.backend} only carries serialized messages"
         )
     return node
+
+
+def call_lane(calls: CallNode) -> Lane[CallMessage, CallMessage]:
+    """Return the lane of typed calls, each with one message of any data type."""
+    form = Form(CALL_STAMP, lambda call: call.payload_bytes)
+    return Lane(
+        lambda _data_type: form,
+        lambda _data_type, message: CallMessage("", message.data, message.payload_bytes),
+        lambda topic, _name, qos: calls.create_caller(topic, qos),
+        lambda topic, _name, receive, qos: calls.create_server(topic, receive, qos),
+    )
+
+
+class Clients(Generic[SentT]):
+    """The publishers of a ping: one, or clients of a call that take turns."""
+
+    def __init__(self, publishers: Sequence[Publisher[SentT]]) -> None:
+        self._turns = cycle(publishers)
+        self.publish = publishers[0].publish if len(publishers) == 1 else self._publish_in_turn
+        self.callers = [publisher for publisher in publishers if isinstance(publisher, Caller)]
+        self._publishers = publishers
+
+    def _publish_in_turn(self, message: SentT, /) -> None:
+        next(self._turns).publish(message)
+
+    def are_matched(self) -> bool:
+        """Return whether each caller has a server."""
+        return all(caller.is_matched() for caller in self.callers)
+
+    def close(self) -> None:
+        """Close all."""
+        for publisher in self._publishers:
+            publisher.close()

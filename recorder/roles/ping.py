@@ -6,16 +6,16 @@ import secrets
 import threading
 from collections import deque
 from dataclasses import replace
-from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
+from statistics import median
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 
 from dds_trace.base.units import SECOND_NS
 
 from ..applied.carried import Traffic
-from ..choices import Serialization
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.process import tuned_gc
 from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT
-from .lanes import object_lane, raw_lane
+from .lanes import Clients, open_lane
 from .progress import PingProgress, Replies, Silence
 from .relay import UNSTAMPED
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from dds_trace.tracefile.format.descriptions import Run
-    from dds_trace.tracefile.format.json_fields import Json
+    from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.sink import TraceSink
 
-    from ..backends.node import Node, RawMessage, RosMessage
+    from ..backends.node import Node
     from ..backends.strangers import Strangers
     from ..host.clock import Clock
     from ..payloads.base import Feed
@@ -80,14 +80,12 @@ class Record(Protocol):
         """Keep one event."""
 
 
-AnyPing: TypeAlias = "Ping[bytearray, RawMessage] | Ping[RosMessage, RosMessage]"
+AnyPing: TypeAlias = "Ping[Any, Any]"
 
 
 def open_ping(node: Node, plan: RunPlan, clock: Clock | None = None) -> AnyPing:
     """Open the ping of a plan on a node that is not started yet."""
-    if plan.serialization is Serialization.TYPED:
-        return Ping(object_lane(node), plan, node.strangers, clock)
-    return Ping(raw_lane(node), plan, node.strangers, clock)
+    return Ping(open_lane(node, plan.serialization), plan, node.strangers, clock)
 
 
 class Ping(Generic[SentT, ReceivedT]):
@@ -113,6 +111,7 @@ class Ping(Generic[SentT, ReceivedT]):
         self._probed_ns = 0  # of the latest probe within the run
         self._strangers = strangers
         self._echoed_ns = 0
+        self._first_echo_ns = 0  # from the first probe on
         self._longest_echo_ns = 0
         self._record: Record = _discard
         self._replies = Replies(plan.total)
@@ -122,7 +121,9 @@ class Ping(Generic[SentT, ReceivedT]):
         self._subscription = lane.create_subscription(
             data_type.relay_topic, data_type.type_name, self._receive, plan.qos
         )
-        self._publisher = lane.create_publisher(data_type.topic, data_type.type_name, plan.qos)
+        self._publisher = Clients(
+            [lane.create_publisher(data_type.topic, data_type.type_name, plan.qos) for _ in range(plan.clients)]
+        )
 
     def close(self) -> None:
         """Take the endpoints off their topics."""
@@ -141,6 +142,7 @@ class Ping(Generic[SentT, ReceivedT]):
         run_id, sequence, relay_id = stamp
         if run_id != self.run_id:
             if run_id == PROBE_RUN_ID and sequence in self._nonces:
+                self._first_echo_ns = self._first_echo_ns or receive_ns - self._nonces[self._nonce]
                 self._echoed_ns = receive_ns
                 self._longest_echo_ns = max(self._longest_echo_ns, receive_ns - self._nonces[sequence])
                 self.meet(relay_id, sequence - self._nonce)
@@ -198,7 +200,7 @@ class Ping(Generic[SentT, ReceivedT]):
                     return True
             elif now_ns - began_ns > timeout_s * SECOND_NS:
                 return False
-            elif now_ns >= next_ns:
+            elif now_ns >= next_ns and self._publisher.are_matched():
                 self._probe()
                 is_quick = relays > 1 and sent < QUICK_PROBES
                 next_ns = now_ns + (QUICK_NS if is_quick else PROBE_PERIODS_NS[min(sent, len(PROBE_PERIODS_NS) - 1)])
@@ -255,9 +257,18 @@ class Ping(Generic[SentT, ReceivedT]):
         discovery: Json = {"matched_ns": [at_ns for at_ns, _ in matched], "missed": [missed for _, missed in matched]}
         if self.plan.is_timed:
             description = replace(description, planned_messages=max(self._published - self.plan.warmup, 0))
-        finished = description.finished(self._published, ended_ns=ended_ns, discovery=discovery, **skipped)
+        calls = {"call": self._describe_calls()} if self._publisher.callers else {}
+        finished = description.finished(self._published, ended_ns=ended_ns, discovery=discovery, **skipped, **calls)
         sink.write_run(finished)
         return finished
+
+    def _describe_calls(self) -> JsonObject:
+        described = [caller.describe() for caller in self._publisher.callers]
+        names = dict.fromkeys(name for times in described for name in times)
+        times_ns = {name: round(median(times[name] for times in described if name in times)) for name in names}
+        timeout_s, measured = self.plan.call_timeout_s, slice(self.plan.warmup, self._published)
+        timed_out = self._replies.without_reply_within(timeout_s * SECOND_NS, measured)
+        return {"timeout_s": timeout_s, "timed_out": timed_out, "first_ns": self._first_echo_ns, **times_ns}
 
     def _send(self, sink: TraceSink, stop: threading.Event) -> None:
         run_id, stamp = self.run_id, sink.stamp

@@ -11,7 +11,8 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.descriptions import Qos, Run
 
-from ..choices import Serialization
+from ..backends import load_backend
+from ..choices import Call, Serialization
 from ..options import DEFAULT_MESSAGES, DEFAULT_RATE_HZ, MAX_RATE_PING_SHARE, run_settings
 
 if TYPE_CHECKING:
@@ -51,6 +52,8 @@ class RunPlan:
     is_timed: bool = False
     bridge: str = "none"
     relay_domain_id: int | None = None
+    clients: int = 1
+    call_timeout_s: float = 0.0
     labels: Mapping[str, str] = field(default_factory=dict)
     extra: JsonObject = field(default_factory=dict)
 
@@ -61,7 +64,8 @@ class RunPlan:
 
     def scheduled_ns(self, start_ns: int, sequence: int) -> int:
         """Return T0 of a message, which is fixed before the run; 0 without a rate."""
-        return 0 if math.isinf(self.rate_hz) else start_ns + round(sequence * SECOND_NS / self.rate_hz)
+        slot = sequence - sequence % self.clients
+        return 0 if math.isinf(self.rate_hz) else start_ns + round(slot * SECOND_NS / self.rate_hz)
 
     def pinged(self, messages: int) -> int:
         """Return how many of the first messages are sent back."""
@@ -99,6 +103,7 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
     own_domain_id = options.node.domain_id
     source = {"data_source": payload.source} if payload.source else {"seed": seed}
     running = {"bridge_running": True} if ping.bridge_running else {}
+    is_typed = options.node.call is not Call.NONE and load_backend(options.backend).has_ros
     return RunPlan(
         payload=payload,
         rate_hz=rate_hz,
@@ -106,7 +111,9 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
         warmup=ping.warmup,
         wake_ns=ping.wake_ms * SECOND_NS // 1000,
         qos=options.node.qos,
-        serialization=options.serialization,
+        serialization=Serialization.TYPED if is_typed else options.serialization,
+        clients=ping.clients,
+        call_timeout_s=ping.call_timeout_s,
         ping_every=round(1 / share),
         is_timed=math.isinf(rate_hz) and ping.messages is None,
         bridge=ping.bridge,

@@ -170,6 +170,10 @@ class Replies:
         """Return how many of the first messages have a reply."""
         return sum(rtt_ns >= 0 for rtt_ns in self._rtt_ns[:sequence])
 
+    def without_reply_within(self, timeout_ns: float, messages: slice) -> int:
+        """Return how many messages had no reply in time."""
+        return sum(not 0 <= rtt_ns <= timeout_ns for rtt_ns in self._rtt_ns[messages])
+
     def percentiles_ns(self) -> tuple[int | None, int | None]:
         """Return p50 and p99 of the round trips so far, ns."""
         values = np.frombuffer(self._rtt_ns, np.int64)

@@ -9,7 +9,7 @@ from ..applied.carried import Traffic
 from ..choices import Serialization
 from ..host.clock import SystemClock
 from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT
-from .lanes import object_lane, raw_lane
+from .lanes import open_lane
 from .progress import RelayProgress
 
 if TYPE_CHECKING:
@@ -72,10 +72,7 @@ class Relay:
         self._on_relayed = on_relayed or _ignore
         self._forecasts = on_relayed is None
         self._closers: list[Callable[[], None]] = []
-        if serialization is Serialization.TYPED:
-            self._serve(object_lane(node), data_types, qos)
-        else:
-            self._serve(raw_lane(node), data_types, qos)
+        self._serve(open_lane(node, serialization), data_types, qos)
 
     def _serve(self, lane: Lane[SentT, ReceivedT], data_types: Iterable[DataType], qos: Qos) -> None:
         for data_type in data_types:

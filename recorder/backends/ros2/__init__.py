@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 from ...applied.asked import PROFILE_VARIABLES
 from ...applied.vendors import VENDORS, ros_middleware
-from ...choices import Security, Transport
+from ...choices import Call, Security, Transport
 from ...host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..base import DDS_MEETING, Backend, Meeting
+from .calls import Ros2CallNode
 from .fastdds_profile import applied_transport
 from .installation import (
     INSTALL,
@@ -51,7 +52,8 @@ def _make_node(options: NodeOptions) -> Node:
     with applied_transport(options, rmw) as settings, ExitStack() as undo:
         router = open_router(rmw, options.discovery)
         undo.callback(router.close)
-        node = Ros2Node(options, {**settings, **router.settings}, on_closed=router.close)
+        kind = Ros2Node if options.call is Call.NONE else Ros2CallNode
+        node = kind(options, {**settings, **router.settings}, on_closed=router.close)
         undo.pop_all()
         return node
 
@@ -85,6 +87,7 @@ BACKEND = Backend(
     speaks_dds=True,
     security=tuple(level for level in Security if level is not Security.OFF),
     has_ros=True,
+    calls=(Call.SERVICE, Call.ACTION),
     transports=(Transport.DEFAULT, Transport.UDP, Transport.SHM, Transport.LARGE_DATA),
     sizes={
         Transport.DEFAULT: ("buffer", "segment", "fragment"),

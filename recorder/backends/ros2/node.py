@@ -69,8 +69,7 @@ class Ros2Node(ThreadedNode):
         self._executor.add_node(self._node)
         self._middleware = _describe_middleware(options, executor_name, settings or {})
         self._publishers: list[_ObjectPublisher] = []
-        # The EventsExecutor takes one message for each notification, but Fast DDS notifies once when several messages
-        # become readable together (a late fragment): the others would wait for later messages, for ever.
+        # The EventsExecutor takes one message a notification, and Fast DDS notifies once of several (a late fragment).
         self._takes_left = executor_name == "events"
         self._subscriptions: tuple[_Ros2Subscription, ...] = ()
         self._incompatible: dict[str, set[str]] = {}
@@ -85,9 +84,9 @@ class Ros2Node(ThreadedNode):
         self, kind: type[_ObjectPublisher], topic: str, type_name: str, qos: Qos | None
     ) -> _ObjectPublisher:
         publisher = self._node.create_publisher(
-            _message_class(type_name),
+            message_class(type_name),
             topic,
-            _qos_profile(qos or self.options.qos),
+            qos_profile(qos or self.options.qos),
             event_callbacks=_events("PublisherEventCallbacks", self._on_incompatible(topic, "subscription")),
         )
         opened = kind(self._node, publisher)
@@ -109,10 +108,10 @@ class Ros2Node(ThreadedNode):
     ) -> _Ros2Subscription:
         on_message = _with_info(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)
         subscription = self._node.create_subscription(
-            _message_class(type_name),
+            message_class(type_name),
             topic,
             on_message,
-            _qos_profile(qos or self.options.qos),
+            qos_profile(qos or self.options.qos),
             raw=raw,
             event_callbacks=_events("SubscriptionEventCallbacks", self._on_incompatible(topic, "publisher")),
         )
@@ -145,7 +144,7 @@ class Ros2Node(ThreadedNode):
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
         on_message = _with_sequence(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)
         subscription = self._node.create_subscription(
-            _message_class(type_name), topic, on_message, _qos_profile(qos), raw=True
+            message_class(type_name), topic, on_message, qos_profile(qos), raw=True
         )
         opened = _Ros2Subscription(self, subscription, on_message)
         self._subscriptions += (opened,)
@@ -155,7 +154,7 @@ class Ros2Node(ThreadedNode):
         return None
 
     def members(self, type_name: str) -> Mapping[str, str] | None:
-        fields: Mapping[str, str] = _message_class(type_name).get_fields_and_field_types()
+        fields: Mapping[str, str] = message_class(type_name).get_fields_and_field_types()
         return fields
 
     def destroy_subscription(self, subscription: _Ros2Subscription) -> None:
@@ -163,7 +162,7 @@ class Ros2Node(ThreadedNode):
         self._node.destroy_subscription(subscription.subscription)
 
     def message_from_cdr(self, type_name: str, data: RawMessage) -> RosMessage:
-        return _rclpy().serialization.deserialize_message(bytes(data), _message_class(type_name))
+        return _rclpy().serialization.deserialize_message(bytes(data), message_class(type_name))
 
     def message_to_cdr(self, message: RosMessage) -> bytes:
         return bytes(_rclpy().serialization.serialize_message(message))
@@ -374,10 +373,11 @@ def _events(class_name: str, on_incompatible: Callable[[Any], None]) -> Any:
     return getattr(import_module(module), class_name)(incompatible_qos=on_incompatible, use_default_callbacks=False)
 
 
-def _message_class(type_name: str) -> Any:
-    package, _, name = type_name.split("/")
+def message_class(type_name: str) -> Any:
+    """Import a message, service or action, such as `std_msgs/msg/String`."""
+    package, kind, name = type_name.split("/")
     try:
-        return getattr(import_module(f"{package}.msg"), name)
+        return getattr(import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError) as err:
         raise BackendUnavailableError(
             f"the message type {type_name} is not installed; "
@@ -385,7 +385,8 @@ def _message_class(type_name: str) -> Any:
         ) from err
 
 
-def _qos_profile(qos: Qos) -> Any:
+def qos_profile(qos: Qos) -> Any:
+    """Return rclpy's object of a quality of service."""
     kinds = _rclpy().qos
     try:
         return kinds.QoSProfile(

@@ -1,0 +1,49 @@
+"""`CallNode`: a node whose data topics are calls of typed messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+if TYPE_CHECKING:
+    from dds_trace.tracefile.format.descriptions import Qos
+
+    from .node import Publisher, RawMessage, Receive, Subscription
+
+
+@dataclass(slots=True)
+class CallMessage:
+    """A request or response of a typed call.
+
+    Attributes:
+        stamp: its 46 characters.
+        data: serialized message that a request carries; empty in what is received.
+        built: what the client library sends, once it is made of `data`.
+    """
+
+    stamp: str
+    data: RawMessage = b""
+    payload_bytes: int = 0
+    built: Any = None
+
+
+@runtime_checkable
+class CallNode(Protocol):
+    """A node whose topics are calls of typed messages: a publisher calls, a subscription serves, and a relay's publisher responds."""
+
+    def create_caller(self, topic: str, qos: Qos) -> Publisher[CallMessage]:
+        """Create a client, or the responding end of a relay."""
+
+    def create_server(self, topic: str, receive: Receive[CallMessage], qos: Qos) -> Subscription:
+        """Serve requests, or take the responses of the clients."""
+
+
+@runtime_checkable
+class Caller(Protocol):
+    """A publisher that is the client of a call."""
+
+    def is_matched(self) -> bool:
+        """Return whether a server is discovered."""
+
+    def describe(self) -> dict[str, int]:
+        """Return times of its calls in ns, at the end of a run."""

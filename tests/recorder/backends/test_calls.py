@@ -1,0 +1,95 @@
+"""Services and actions over the real middleware of this machine, and the options that they refuse."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+import pytest
+from backend_pairs import ROOMY
+from processes import ping, relay
+
+from dds_trace.analyzer.pipeline import analyze
+from dds_trace.base.errors import OptionError
+from dds_trace.recorder.backends import load_backend
+from dds_trace.recorder.backends.node import NodeOptions
+from dds_trace.recorder.choices import Call, WhenFull
+from dds_trace.recorder.option_values import check_call
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.reading.reader import read_trace
+
+MESSAGES, WARMUP = 12, 2
+PACKAGES = {"ros2": ("rclpy", "test_msgs"), "zenoh": ("zenoh",)}
+
+
+@pytest.mark.middleware
+@pytest.mark.timeout(120)
+@pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # lark's, which rclpy imports
+@pytest.mark.parametrize(
+    ("backend", "call", "more", "size"),
+    [
+        ("ros2", "service", ("--size", "33KB", "--clients", 2), 33_000),
+        ("ros2", "action", ("--response-size", "2KB"), 4),
+        ("zenoh", "service", ("--size", "33KB", "--response-size", "1KB", "--clients", 2), 33_000),
+    ],
+)
+def test_a_call_is_paired_as_a_message(tmp_path, domain_id, backend, call, more, size):
+    if not all(map(find_spec, PACKAGES[backend])):
+        pytest.skip(f"{PACKAGES[backend]} are not all installed")
+    common = ("--backend", backend, "--call", call, "--no-own-cost", *ROOMY)
+    for_both = more[: more.index("--clients")] if "--clients" in more else more
+    served = for_both[for_both.index("--response-size") :] if "--response-size" in for_both else ()
+    with relay(domain_id, tmp_path / "relay.mcap", *common, *served) as command:
+        done = ping(
+            *(domain_id, tmp_path / "ping.mcap", *common, *more, "--rate", 40, "--call-timeout", 60),
+            *("--messages", MESSAGES, "--warmup", WARMUP),
+        )
+        assert done.status == 0, done.stderr
+        command.stop()
+    trace, other = read_trace(tmp_path / "ping.mcap"), read_trace(tmp_path / "relay.mcap")
+    for stage in (Stage.T1, Stage.T3, Stage.T4, Stage.T2):
+        events = (trace if stage in (Stage.T1, Stage.T2) else other).events[stage]
+        assert sorted(events.sequence.tolist()) == list(range(MESSAGES + WARMUP))
+        assert set(events.payload_bytes.tolist()) == {size}
+    (run,) = trace.runs
+    assert run.extra["call"]["first_ns"] > 0
+    assert run.extra["call"]["timed_out"] == 0
+    assert run.serialization == ("typed" if backend == "ros2" else "raw")
+    assert ("typed_ns" in run.extra["call"]) is (backend == "ros2")
+    assert {"accepted_p50_ns", "feedback_p50_ns"} <= run.extra["call"].keys() or call == "service"
+    analysis = analyze(tmp_path)
+    (group,) = analysis.summary.to_dicts()
+    assert group["received"] == MESSAGES
+    assert f"call={call}" in group["setting"]
+    assert "relay." not in group["setting"]
+    assert {"calls"} == {finding.code for finding in analysis.findings} & {"calls", "calls_timed_out", "strangers"}
+
+
+@pytest.mark.parametrize(
+    ("call", "values"),
+    [
+        (Call.NONE, (2, None, "none", (), None)),
+        (Call.NONE, (1, 100, "none", (), None)),
+        (Call.SERVICE, (1, None, "builtin", (), None)),
+        (Call.SERVICE, (1, None, "none", ("camera",), None)),
+        (Call.ACTION, (1, None, "none", (), 33_000)),
+        (Call.SERVICE, (1, None, "none", (), None, True)),
+    ],
+)
+def test_a_call_that_cannot_be_made_is_one_line(sentences, call, values):
+    with pytest.raises(OptionError) as refused:
+        check_call(call, *values[:5], is_one_way=len(values) > 5)
+    sentences(str(refused.value))
+
+
+@pytest.mark.parametrize(
+    ("backend", "options"),
+    [
+        ("cyclonedds", NodeOptions(call=Call.SERVICE)),
+        ("zenoh", NodeOptions(call=Call.ACTION)),
+        ("zenoh", NodeOptions(call=Call.SERVICE, when_full=WhenFull.DROP)),
+    ],
+)
+def test_a_backend_without_these_calls_says_so(sentences, backend, options):
+    with pytest.raises(OptionError) as refused:
+        load_backend(backend).check(options)
+    sentences(str(refused.value))

@@ -31,8 +31,7 @@ LAST_ACKNOWLEDGEMENT_S = 0.5
 RawMessage: TypeAlias = "bytes | bytearray"
 """A whole serialized message: 4 bytes of encapsulation, then CDR. A callback may change a received `bytearray`."""
 
-RosMessage: TypeAlias = Any
-"""An object of a class that ROS 2 generates from a `.msg` file, without types."""
+RosMessage: TypeAlias = Any  # of a class that ROS 2 generates
 
 MessageT_contra = TypeVar("MessageT_contra", contravariant=True)
 

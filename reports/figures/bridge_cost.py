@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from dds_trace.analyzer.model.parameters import BRIDGED_COLUMNS
 from dds_trace.base.units import counted
@@ -59,19 +60,8 @@ def bridge_cost_info(book: Book) -> BridgeCost:
         if group is None:
             continue
         compared.add(group)
-        difference_ns = whole_ns(row["difference_ns"])
-        if row["metric"] == "latency" and difference_ns is not None:
-            costs.setdefault(group, {})[row["statistic"]] = Cost(
-                difference_ns,
-                whole_ns(row["difference_low_ns"]),
-                whole_ns(row["difference_high_ns"]),
-                rounded(row["ratio"]),
-                rounded(row["ratio_low"]),
-                rounded(row["ratio_high"]),
-                row["verdict"],
-                received_words(row),
-                runs_words(row),
-            )
+        if row["metric"] == "latency" and (cost := cost_of(row)) is not None:
+            costs.setdefault(group, {})[row["statistic"]] = cost
     loads, ordered = book.bridge_loads, (group.index for group in book.groups.in_order)
     cells = {group: BridgedCell(costs[group], loads.get(group)) for group in ordered if group in costs}
     facet = Facet("plane", "place")
@@ -79,10 +69,15 @@ def bridge_cost_info(book: Book) -> BridgeCost:
     return BridgeCost(facet, panels, cells, len(compared - costs.keys()))
 
 
-def rounded(ratio: float | None) -> float | None:
-    """Round a ratio for the page; None if it is not finite."""
-    ratio = finite(ratio)
-    return None if ratio is None else round(ratio, 4)
+def cost_of(row: Mapping[str, Any]) -> Cost | None:
+    """Return the cost of a row of changes; None without a difference."""
+    difference_ns = whole_ns(row["difference_ns"])
+    if difference_ns is None:
+        return None
+    low_ns, high_ns = whole_ns(row["difference_low_ns"]), whole_ns(row["difference_high_ns"])
+    ratios = (finite(row[name]) for name in ("ratio", "ratio_low", "ratio_high"))
+    ratio, low, high = (None if value is None else round(value, 4) for value in ratios)
+    return Cost(difference_ns, low_ns, high_ns, ratio, low, high, row["verdict"], received_words(row), runs_words(row))
 
 
 def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:

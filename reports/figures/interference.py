@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ..book.book import Book
-from ..book.numbers import whole_ns
-from ..book.verdicts import received_words, runs_words
-from .bridge_cost import BridgedCell, Cost, rounded
+from .bridge_cost import BridgedCell, Cost, cost_of
 from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
 
 
@@ -23,19 +21,8 @@ def interference_info(book: Book) -> Interference:
     """Collect `details.interference`."""
     costs: dict[int, dict[str, Cost]] = {}
     for row in book.analysis.details.interference.iter_rows(named=True):
-        difference_ns = whole_ns(row["difference_ns"])
-        if difference_ns is not None:
-            costs.setdefault(row["group"], {})[row["statistic"]] = Cost(
-                difference_ns,
-                whole_ns(row["difference_low_ns"]),
-                whole_ns(row["difference_high_ns"]),
-                rounded(row["ratio"]),
-                rounded(row["ratio_low"]),
-                rounded(row["ratio_high"]),
-                row["verdict"],
-                received_words(row),
-                runs_words(row),
-            )
+        if (cost := cost_of(row)) is not None:
+            costs.setdefault(row["group"], {})[row["statistic"]] = cost
     cells = {group: BridgedCell(own, None) for group, own in costs.items()}
     facet = Facet("plane", "place")
     return Interference(facet, facet_panels(book, facet, cells.__contains__), cells)

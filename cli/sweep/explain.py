@@ -93,6 +93,9 @@ def _lines(explanation: Explanation, setup: ExplainedSetup, found: Answer | None
         yield f"{setup.name}: not measured"
     elif explanation.is_of_rates:
         yield f"{setup.name}: from {before.rate:g} Hz to {after.rate:g} Hz the median rises by {_shown(found.rise, format_duration)}"
+        if not found.rise.is_sure:
+            yield "  no rise is shown here: record more repeats, or on a quieter machine"
+            return
         yield from (f"  {one.name}: {_shown(one, format_duration)}, {one.share:.0%}" for one in found.shares)
         yield from (
             f"  with {_WORDS[one.name]}: less by {_shown(one, format_duration)}, {one.share:.0%}"

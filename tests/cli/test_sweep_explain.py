@@ -8,7 +8,7 @@ import pytest
 from processes import run as run_program
 from trace_files import Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
-from dds_trace.cli.sweep.explain import answer, made_explanation
+from dds_trace.cli.sweep.explain import _lines, answer, made_explanation
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 
 US = 1_000
@@ -80,6 +80,9 @@ def test_shares_of_made_traces_are_the_ones_they_were_made_with(tmp_path):
         "machine": 120,
         "middleware and client library": 80,
     }
+    lines = list(_lines(explanation, explanation.setups[0], found))
+    assert lines[0].startswith(name)
+    assert len(lines) == 1 + len(found.shares) + len(found.removed)
     removed = {one.name: round(one.value / US) for one in found.removed}
     if "dma_latency" in explanation.left_out:
         removed.setdefault("dma_latency", 50)
@@ -129,3 +132,10 @@ def test_what_cannot_be_explained_is_one_line(tmp_path, options, word):
     assert ended.status == 2
     assert word in ended.stderr
     assert len(ended.stderr.splitlines()) == 1
+
+
+def test_without_a_rise_there_are_no_shares(tmp_path):
+    explanation = rates()
+    name = write_campaign(tmp_path, explanation, LATENCY_US | {"as is": (300, 290)})
+    found = answer(explanation, tmp_path)[0][name]
+    assert len(list(_lines(explanation, explanation.setups[0], found))) == 2

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SERVICE, ACTION = "rcl_interfaces/srv/SetParameters", "test_msgs/action/Fibonacci"
 REPLY = "_relay"
-"""End of the name of a way back, which is that of a service with it."""
+"""End of the name of a way back; the service has the name without it."""
 INTEGER_ARRAY = 7
 """`PARAMETER_INTEGER_ARRAY` of `rcl_interfaces/msg/ParameterType`."""
 ACTION_RESULT_BYTES = 33_000

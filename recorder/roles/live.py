@@ -15,7 +15,7 @@ KEPT_MESSAGES = 1000
 WINDOW_NS = 5 * SECOND_NS
 """Rates are of the messages of this time, or of the latest `KEPT_MESSAGES`."""
 LEARNING = 50
-"""Messages from which a rate is learnt, if none is given."""
+"""Messages after the first `WINDOW_NS` (a topic may begin with a burst) from which a rate is learnt, if none is given."""
 LATE_SHARE = 0.9
 """A topic is late below this share of its expected rate, or after `LATE_PERIODS` without a message."""
 LATE_PERIODS, STALE_PERIODS = 3, 10
@@ -63,6 +63,7 @@ class LiveTopic:
     def __init__(self, name: str, expected_hz: float | None) -> None:
         self.name = name
         self.expected_hz = expected_hz
+        self._first_ns = 0
         self._arrivals_ns: deque[int] = deque(maxlen=KEPT_MESSAGES)
         self._ages_ns: deque[int] = deque(maxlen=KEPT_MESSAGES)
         self._missing: dict[int, int] = {}
@@ -70,6 +71,7 @@ class LiveTopic:
 
     def count(self, arrival_ns: int, stamp_ns: int, publisher_id: int, missing: int) -> None:
         """Take a message's arrival on the monotonic clock, its stamp on the wall clock (0: none), and its publisher's losses."""
+        self._first_ns = self._first_ns or arrival_ns
         self._arrivals_ns.append(arrival_ns)
         if stamp_ns:
             self._ages_ns.append(arrival_ns + self._wall_offset_ns - stamp_ns)
@@ -80,11 +82,9 @@ class LiveTopic:
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         arrivals_ns, ages_ns = self._arrivals_ns.copy(), sorted(self._ages_ns.copy())
         age_ns = self._ages_ns[-1] if ages_ns else None
-        if self.expected_hz is None and len(arrivals_ns) >= LEARNING:
-            intervals_ns = sorted(
-                later - before for before, later in zip(arrivals_ns, list(arrivals_ns)[1:], strict=False)
-            )
-            self.expected_hz = SECOND_NS / max(intervals_ns[len(intervals_ns) // 2], 1)
+        steady_ns = [arrival_ns for arrival_ns in arrivals_ns if arrival_ns > self._first_ns + WINDOW_NS]
+        if self.expected_hz is None and len(steady_ns) >= LEARNING:
+            self.expected_hz = (len(steady_ns) - 1) * SECOND_NS / max(steady_ns[-1] - steady_ns[0], 1)
         silence_ns = now_ns - arrivals_ns[-1] if arrivals_ns else None
         rate_hz = _rate_hz(arrivals_ns, now_ns)
         return LiveRow(

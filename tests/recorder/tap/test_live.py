@@ -35,13 +35,23 @@ def test_the_rate_is_of_the_last_seconds(rate_hz):
 
 
 def test_a_rate_is_learnt_and_then_kept():
-    topic = fed(10, 10)
-    assert topic.row(10 * SECOND).expected_hz == pytest.approx(10)
+    topic = fed(10, 12, start_ns=1)
+    assert topic.row(12 * SECOND).expected_hz == pytest.approx(10)
     for number in range(100):
-        topic.count(10 * SECOND + number * 200 * MS, 0, 1, 0)
-    row = topic.row(10 * SECOND + 100 * 200 * MS)
+        topic.count(12 * SECOND + number * 200 * MS, 0, 1, 0)
+    row = topic.row(12 * SECOND + 100 * 200 * MS)
     assert row.expected_hz == pytest.approx(10)
     assert (row.health, round(row.rate_hz)) == (Health.LATE, 5)
+
+
+def test_a_burst_at_the_start_is_no_rate():
+    topic = LiveTopic("/camera", None)
+    for number in range(60):
+        topic.count(SECOND + number * MS, 0, 1, 0)
+    for number in range(1000):
+        topic.count(2 * SECOND + number * 10 * MS, 0, 1, 0)
+        row = topic.row(2 * SECOND + number * 10 * MS)
+    assert (row.expected_hz, row.health) == (pytest.approx(100), Health.OK)
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,12 @@ SETTING_OPTIONS = {
     "deadline_ns": "--deadline",
     "lifespan_ns": "--lifespan",
     "rmw": "--rmw",
+    "multicast": "--no-multicast",
+    "buffer_bytes": "--buffer",
+    "segment_bytes": "--segment",
+    "fragment_bytes": "--fragment",
+    "call": "--call",
+    "response_bytes": "--response-size",
 }
 """Setting of one side -> its option; any other is a `--setting` of the ping."""
 
@@ -45,6 +51,8 @@ PING_OPTIONS = {
     "bridge_listen": "--bridge-listen",
     "relays": "--relays",
     "ping_share": "--ping-share",
+    "wake_ms": "--wake",
+    "clients": "--clients",
 }
 
 LISTENS_AT = "0.0.0.0:7447"
@@ -109,7 +117,7 @@ def _side(values: Mapping[str, str], setting: Setting, device: object) -> Iterat
 
 
 def _option(name: str, value: str) -> tuple[str, ...]:
-    return (name,) if value == "true" else (name, value)
+    return (name,) if value in ("true", "false") else (name, value)
 
 
 def _spelled(variables: Mapping[str, str], arguments: list[str]) -> str:

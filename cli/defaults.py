@@ -48,6 +48,7 @@ OWN_ONLY = frozenset(
         "bridge-listen",
         "bridge-peer",
         "cluster",
+        "configuration",
         "file-mode",
         "host",
         "keep",

@@ -50,7 +50,13 @@ def parse_topics(texts: Iterable[str]) -> tuple[str, ...]:
 
 def parse_rate_or_max(text: str) -> float:
     """Return a rate in Hz, infinite for `max`."""
-    return math.inf if text == "max" else parse_rate(text, "--rate")
+    try:
+        rate_hz = math.inf if text == "max" else float(text)
+    except ValueError:
+        return parse_rate(text, "--rate")
+    if text != "max" and not math.isfinite(rate_hz):
+        raise OptionError(f"--rate {shown(text)} is not finite; write a rate in messages a second, or max")
+    return rate_hz
 
 
 def parse_rates(texts: Iterable[str]) -> dict[str, float]:

@@ -27,7 +27,7 @@ WORDS = re.compile(
 NAMES = {"asked", "each", "found", "held", "kept", "known", "place", "places", "told", "wanted"}
 """Parts of the name of a value that do not say what the value is; so does a name that starts with `of_`."""
 
-MOST = {"lines": 67_700, "modules": 420, "prose": 83_000, "words": 0}
+MOST = {"lines": 69_000, "modules": 420, "prose": 86_000, "words": 0}
 """Bars of the product; `prose` is words of docstrings and comments. A capability may raise them, by 1,500 lines at most (topics of a robot, its
 traffic: 3,000)."""
 

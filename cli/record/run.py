@@ -39,7 +39,7 @@ def describe_progress(progress: Progress) -> str:
     if isinstance(progress, BeaconProgress):
         return "; ".join((f"sent {progress.sent}, answered {progress.received}", *progress.clocks))
     if isinstance(progress, RelayProgress):
-        line = f"{counted(progress.relayed, 'message')} in {counted(progress.runs, 'run')}"
+        line = f"{counted(progress.relayed, 'message')} received in {counted(progress.runs, 'run')}"
         return f"{line}, {progress.foreign} without our stamp ignored" if progress.foreign else line
     p50, p99 = (format_duration(time_ns, "ms") for time_ns in (progress.rtt_p50_ns, progress.rtt_p99_ns))
     warmup, warmup_lost = progress.warmup, progress.warmup_lost

@@ -142,7 +142,7 @@ def test_whose_defaults_are_in_force_is_said(home, run):
     [
         ("[record]\nraet = 1\n", "[record]: there is no 'raet'; did you mean 'rate'?"),
         ("[recrod]\nrate = 1\n", "there is no 'recrod'; did you mean 'record'?"),
-        ("[record]\nrate = 'fast'\n", "[record]: rate: 'fast' is not a valid float."),
+        ("[record]\nmessages = 'many'\n", "[record]: messages: 'many' is not a valid int."),
         ("[record]\nreliability = 'most'\n", "[record]: reliability: 'most' is not one of"),
         ("[record]\nrate = [1, 2]\n", "[record]: rate is a list; write one value"),
         ("[record]\nforce = true\n", "[record]: force has no default; give --force each time"),
@@ -165,9 +165,9 @@ def test_what_cannot_be_a_default_is_one_line_with_its_file(home, run, text, sai
 # Free texts with a grammar of their own: none of them names code, an address, a file or what is sent.
 DESCRIBING_TEXTS = {
     "record": "backend congestion-control connectivity cpu-affinity data deadline device fail-if-lost keep-free label lifespan "
-    "rotate setting size topics expect flow load-to keys",
+    "rotate setting size topics expect flow load-to keys response-size segment buffer rate fragment",
     "bridge": "deadline lifespan",
-    "sweep": "until",
+    "sweep": "until explain-size",
     "analyze": "clock deadline fail-if margin recommend report",
     "compare": "fail-if ignore",
     "watch": "",

@@ -35,6 +35,7 @@ rate = [100, 200]
 """In the place of a page's plan: what it asks for would take minutes, and middlewares that not every machine has."""
 
 NOT_RUN = {
+    "--configuration mine.xml": "needs the user's own file: tests/recorder/backends/test_own_configuration.py writes some",
     "dds-sweep new mine.toml": "asks questions: tests/cli/test_sweep_new.py answers them",
     "--against ~/venvs/kilted": "needs another environment with another ROS 2",
     "--cluster tcp://scheduler:8786": "needs a Dask scheduler: tests/analyzer/engines/test_cluster.py starts one",

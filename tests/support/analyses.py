@@ -373,6 +373,8 @@ def _summary_row(one: Measured, rows: list[dict[str, Any]]) -> dict[str, Any]:
         "runs": one.runs,
         "planned": (len(rows) + one.unsent) * one.runs,
         "unsent": one.unsent * one.runs,
+        "sent": len(rows) * one.runs,
+        "reached": len(received) * one.runs,
         "environment": "0123abcd",
         "own_cost_ns": 50_000.0,
         "own_share": 0.05,

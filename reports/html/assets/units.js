@@ -36,7 +36,10 @@ function inUnits(value, units) {
 const formatNs = (value) => inUnits(value, TIME_UNITS);
 const formatBytes = (value) => inUnits(value, BYTE_UNITS);
 const formatBytesPerS = (value) => (value === null || value === undefined ? MISSING : `${formatBytes(value)}/s`);
-const formatHz = (value) => (value === null || value === undefined ? MISSING : `${digits(value)} Hz`);
+function formatHz(value) {
+  if (value === null || value === undefined) return MISSING;
+  return value === 0 ? "max" : `${digits(value)} Hz`;
+}
 
 function formatRatio(value) {
   if (value === null || value === undefined) return MISSING;

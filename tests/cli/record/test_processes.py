@@ -175,7 +175,7 @@ def test_a_duration_ends_a_relay(domain_id, tmp_path):
     with relay(domain_id, tmp_path / "relay.mcap", "--duration", 0.5, "--cpu-affinity", 0) as command:
         done = command.finish()
     assert done.status == 0, done.stderr
-    assert done.stdout.startswith(f"Wrote {tmp_path / 'relay.mcap'}\n0 messages sent back")
+    assert done.stdout.startswith(f"Wrote {tmp_path / 'relay.mcap'}\n0 messages received")
     trace = Read(tmp_path / "relay.mcap")
     assert (trace.sessions[-1]["state"], trace.sessions[-1]["cpu_affinity"]) == ("closed", [0])
     assert trace.host

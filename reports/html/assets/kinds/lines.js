@@ -426,16 +426,22 @@ KINDS.fan_out = function fanOut(plan, width, all) {
     traces: lines.map(({ look, points }) => {
       const shown = points.filter((point) => point[key] !== null);
       const values = shown.map((point) => point[key]);
-      const hover = (point) => groupHover(point.group, `${plan.of}: ${point.count}`, `${label}: ${formatNs(point[key])}`);
+      const hover = (point) =>
+        groupHover(point.group, `${plan.of}: ${point.count}`, `${label}: ${formatNs(point[key])}`);
       const trace = marks(look, shown, { x: (point) => point.count, y: (point) => point[key] * S, hover });
       if (key !== "last_ns") return trace;
       const ends = shown.map((point) => [point.first_ns, point.last_ns]);
       return { ...trace, error_y: errorBars(values, ends, 1 / S, trace.marker.color) };
     }),
     x: () => ({ type: "linear", title: axisTitle(plan.of), zeroline: false, rangemode: "tozero", tickformat: "d" }),
-    y: timeAxis(lines.flatMap(({ points }) => points.flatMap((one) => (key === "last_ns" ? [one.first_ns, one[key]] : one[key])))),
+    y: timeAxis(
+      lines.flatMap(({ points }) => points.flatMap((one) => (key === "last_ns" ? [one.first_ns, one[key]] : one[key]))),
+    ),
   });
-  const panels = [panel("First to last receiver", "last_ns", "Last"), panel("Until all have matched", "matched_ns", "Matched")];
+  const panels = [
+    panel("First to last receiver", "last_ns", "Last"),
+    panel("Until all have matched", "matched_ns", "Matched"),
+  ];
   const times = ["First receiver p50", "Last receiver p50", "Matched p50"];
   return {
     ...gridOf(lines.length ? panels : [], width, { yTitle: timeTitle("Time, p50"), height: 190, below: 46, all }),

@@ -54,7 +54,7 @@ def test_a_relay_that_crashed_writes_its_error(monkeypatch, tmp_path, error, thr
             raise error
         return relayed(relay)
 
-    monkeypatch.setattr(Relay, *(("progress", fail) if thread == "main" else ("_note_run", fail)))
+    monkeypatch.setattr(Relay, *(("progress", fail) if thread == "main" else ("_note", fail)))
     ping = PingOptions("imu", rate_hz=200.0, messages=MESSAGES, warmup=0, wait_s=60.0)
     options = {"node": node, "backend": "toy", "own_cost": False}
     with ThreadPoolExecutor(1) as pool:

@@ -280,7 +280,7 @@ class _TcpPeer:
     def __init__(
         self, connection: socket.socket | TlsSocket, has_memory: Callable[[_TcpPeer, int], bool], *, is_chosen: bool
     ) -> None:
-        self.since_s, self.own_host = time.monotonic(), connection.getsockname()[0]
+        self.since_s, self.own_host = time.monotonic(), connection.getsockname()[0] if is_chosen else ""
         self.has_greeted = self.is_slow = self._has_sent = False
         self.frame_bytes = 0  # of the frame that it sends
         self._has_memory = has_memory

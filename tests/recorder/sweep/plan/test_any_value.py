@@ -40,7 +40,7 @@ BEYOND_A_SCHEMA = (
     r"Exceeds the limit|nested deeper",  # no TOML
     r"size '|(size|buffer|segment|fragment) is (\d|a number)|--data ",  # what a text means: more than the largest size, no topic's name
     r"has nothing to record|is there twice|has a name of|are more than the|takes more than a year|has more than|would be repeat",
-    r"are both|does not know where|needs? both devices|must be below max_rate|an outage has|file has rate|needs the two sides|needs a \[link\]|\[\[flows\]\]",  # rules of several keys
+    r"are both|does not know where|needs? both devices|must be below max_rate|an outage has|ping_share needs|file has rate|needs the two sides|needs a \[link\]|\[\[flows\]\]",  # rules of several keys
 )
 """Refusals of the parser that the schema does not make, each for the reason beside it."""
 

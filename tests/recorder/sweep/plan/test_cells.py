@@ -39,6 +39,7 @@ CHANGES = {name: {bool: True, int: 3, float: 3.0}.get(axis.kind, "other") for na
     "environment": "/opt/kilted",
     "congestion_control": "reno",
     "load": "cpu",
+    "call": "service",
     "security": "sign",
     "outage": 3.0,
     "outage_by": "loss",

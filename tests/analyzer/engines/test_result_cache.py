@@ -312,7 +312,7 @@ def test_rows_that_are_removed_while_they_are_needed_are_one_line(runs, cached, 
 
     def read_and_remove(*arguments):
         rows = read_rows(*arguments)
-        for path in cached("rows"):
+        for path in cached("rows") if rows else ():  # a batch that is not cached may come first
             path.unlink(missing_ok=True)  # several threads read
         return rows
 

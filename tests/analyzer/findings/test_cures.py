@@ -76,7 +76,7 @@ NO_CURE = {
     ),
     *("undescribed_runs", "undescribed_sessions", "undescribed_relays", "missing_files", "doubtful_sessions"),
     *("unclosed_sessions", "restarted_relays", "groups_in_parts", "cases_not_compared"),
-    *("loads", "missing_loads", "replayed_links"),
+    *("loads", "missing_loads", "replayed_links", "calls"),
 }
 
 

@@ -119,8 +119,10 @@ def main() -> None:
     chosen = [by_name[name] for name in options.names or by_name]
     right = 0
     with tempfile.TemporaryDirectory() as temporary:
+        folder = options.out or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
         for jump in chosen:
-            answer = named_cause(jump, options.out or Path(temporary), options.repeats)
+            answer = named_cause(jump, folder, options.repeats)
             right += answer["cause"] == jump.cause
             rise, removed = answer.get("rise") or {}, answer.get("removed") or []
             effects = ", ".join(

@@ -16,12 +16,9 @@ from dds_trace.base.units import format_duration
 from .against import say_missing
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
-    import polars as pl
-
-    from dds_trace.analyzer.verdicts.compare import Comparison
     from dds_trace.recorder.sweep.plan.cells import Cell
     from dds_trace.recorder.sweep.plan.plan import Plan
 
@@ -34,9 +31,6 @@ LOOKS, PROOFS = 2, 5
 
 WORTH = 0.97
 """Response in a first look, against the default's, that is worth a proof."""
-
-LOST_NS = 10_000_000_000
-"""Response of a lost message in a first look."""
 
 COMPARED: dict[str, Any] = {"metrics": ("response",), "statistics": ("p50", "p90", "p99"), "paired": True}
 """The response counts a message that waits for its turn to be sent, too."""
@@ -106,6 +100,7 @@ def _advise(plan: Plan, vendor: str, folder: Path) -> Advice:
 def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
     """Record the default and every configuration; return the response of each against the default's, empty without a default's."""
     from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.advice import first_look
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import run_sweep
 
@@ -127,24 +122,10 @@ def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
     return {name: mean / means[""] for name, mean in means.items() if name} if "" in means else {}
 
 
-def first_look(messages: pl.DataFrame, tried: Mapping[int, tuple[str, int]]) -> dict[str, float]:
-    """Return configuration -> geometric mean of p50 and p99 of the response over its results, ns.
-
-    `tried` is id of a run -> configuration and number of its result.
-    """
-    import polars as pl
-
-    schema: Any = {"run_id": messages.schema["run_id"], "configuration": pl.String, "result": pl.Int64}
-    names = pl.DataFrame([(run_id, *names) for run_id, names in tried.items()], schema, orient="row")
-    response = pl.col("response_ns").fill_null(LOST_NS)
-    level = (response.quantile(0.5).log() + response.quantile(0.99).log()) / 2
-    results = messages.join(names, on="run_id").group_by("configuration", "result").agg(level.alias("level"))
-    return dict(results.group_by("configuration").agg(pl.col("level").mean().exp()).rows())
-
-
 def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
     """Record the default and one configuration in turn, and judge whether it pays."""
     from dds_trace.analyzer.pipeline import analyze
+    from dds_trace.analyzer.verdicts.advice import pays
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
     from dds_trace.recorder.sweep.advice import variables_of
     from dds_trace.recorder.sweep.against import run_against
@@ -165,16 +146,6 @@ def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
         "received": comparison.delivery.select(_RECEIVED).rows(named=True),
         **({"configuration": str(path.absolute()), "variables": variables_of(vendor, path)} if is_kept else {}),
     }
-
-
-def pays(comparison: Comparison) -> bool:
-    """Return whether a result is better by its verdict and none is worse by its own interval, in time or messages received."""
-    if comparison.barred or len(comparison.only_base) or comparison.delivery["is_dead"].any():
-        return False
-    verdicts = {*comparison.rows["verdict"], *comparison.delivery["verdict"]}
-    slower = comparison.rows["ratio_low"].fill_null(-math.inf) > 1
-    fewer = comparison.delivery["difference_high"].fill_null(math.inf) < 0
-    return "better" in verdicts and "worse" not in verdicts and not (slower.any() or fewer.any())
 
 
 def _shown(advice: Advice) -> list[str]:

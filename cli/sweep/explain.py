@@ -88,7 +88,9 @@ def answer(explanation: Explanation, folder: Path) -> tuple[dict[str, Answer | N
 
 
 def _lines(explanation: Explanation, setup: ExplainedSetup, found: Answer | None) -> Iterator[str]:
-    before, after = setup.pairs["as is"]
+    from dds_trace.recorder.sweep.explain import AS_IS
+
+    before, after = setup.pairs[AS_IS]
     if found is None:
         yield f"{setup.name}: not measured"
     elif explanation.is_of_rates:

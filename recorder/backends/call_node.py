@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from .node import Publisher, RawMessage, Receive, Subscription
 
 
+RELAY_SUFFIX = "_relay"
+"""End of the name of a topic's way back."""
+
+
 @dataclass(slots=True)
 class CallMessage:
     """A request or response of a typed call.

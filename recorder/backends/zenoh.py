@@ -23,6 +23,7 @@ from ..choices import Call, Discovery, Durability, Reliability, Security, Transp
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from ..security.tls import unlike_tls, zenoh_tls
 from .base import Backend, Meeting, has_package
+from .call_node import RELAY_SUFFIX
 from .dds_types import DDS_TYPES
 from .node import Endpoint, Middleware, Node, NodeSubscription, Publication, TopicView
 from .qos import refuse_durations
@@ -40,7 +41,6 @@ KEY_PREFIX = "dds_trace"
 """Start of every key: topic `NAME` of domain 10 has `dds_trace/10/data/NAME`."""
 LOOK_S = 2.0
 """Longest wait for the endpoints of others."""
-WAY_BACK = "_relay"
 LONGEST_CALL_S = 60
 LEAST_RESPONSE_BYTES = 64
 PUBLISHER, SUBSCRIPTION = "publisher", "subscription"
@@ -231,7 +231,7 @@ class ZenohCallNode(ZenohNode):
 
         _check_qos(qos or self.options.qos)
         token = self._announce(PUBLISHER, topic, type_name)
-        if topic.endswith(WAY_BACK):
+        if topic.endswith(RELAY_SUFFIX):
             return _ZenohPublisher(None, partial(self._replies.__setitem__, topic), token)
         is_reliable = (qos or self.options.qos).reliability == Reliability.RELIABLE
         querier = self._session.declare_querier(
@@ -240,7 +240,7 @@ class ZenohCallNode(ZenohNode):
             express=True,
             timeout=LONGEST_CALL_S,
         )
-        take = self._guarded(self._takers[topic + WAY_BACK])
+        take = self._guarded(self._takers[topic + RELAY_SUFFIX])
 
         def on_reply(reply: Any) -> None:
             if reply.ok is not None:
@@ -253,7 +253,7 @@ class ZenohCallNode(ZenohNode):
     ) -> Subscription:
         _check_qos(qos or self.options.qos)
         token = self._announce(SUBSCRIPTION, topic, type_name)
-        if topic.endswith(WAY_BACK):
+        if topic.endswith(RELAY_SUFFIX):
             self._takers[topic] = receive
             return NodeSubscription(token.undeclare)
         take, key, size = self._guarded(receive), self._key("data", topic), self.options.response_bytes
@@ -261,7 +261,7 @@ class ZenohCallNode(ZenohNode):
         def on_query(query: Any) -> None:
             if query.payload is not None:
                 take(query)
-            reply = self._replies.pop(topic + WAY_BACK, None)
+            reply = self._replies.pop(topic + RELAY_SUFFIX, None)
             if reply is not None:
                 query.reply(
                     key, reply if size is None else bytes(reply[:LEAST_RESPONSE_BYTES]).ljust(size, b"."), express=True

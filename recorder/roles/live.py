@@ -82,9 +82,10 @@ class LiveTopic:
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         arrivals_ns, ages_ns = self._arrivals_ns.copy(), sorted(self._ages_ns.copy())
         age_ns = self._ages_ns[-1] if ages_ns else None
-        steady_ns = [arrival_ns for arrival_ns in arrivals_ns if arrival_ns > self._first_ns + WINDOW_NS]
-        if self.expected_hz is None and len(steady_ns) >= LEARNING:
-            self.expected_hz = (len(steady_ns) - 1) * SECOND_NS / max(steady_ns[-1] - steady_ns[0], 1)
+        if self.expected_hz is None:
+            steady_ns = [arrival_ns for arrival_ns in arrivals_ns if arrival_ns > self._first_ns + WINDOW_NS]
+            if len(steady_ns) >= LEARNING:
+                self.expected_hz = (len(steady_ns) - 1) * SECOND_NS / max(steady_ns[-1] - steady_ns[0], 1)
         silence_ns = now_ns - arrivals_ns[-1] if arrivals_ns else None
         rate_hz = _rate_hz(arrivals_ns, now_ns)
         return LiveRow(

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from ..applied.counters import read_limits
 from ..applied.vendors import BUFFER_BYTES
 from ..backends import load_backend
 from ..backends.ros2.installation import package_version
@@ -26,7 +27,6 @@ LARGEST_BYTES = 1 << 16
 """Largest datagram, which one period of a flow controller has to let through."""
 PACED_SHARE, PERIOD_MS = 0.8, 10
 """Share of the link's rate at which Fast DDS may send, and its shortest period."""
-_RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 
 
 def bundles(vendor: str, plan: Plan) -> dict[str, str]:
@@ -77,7 +77,7 @@ def _leaves(settings: Settings, start: str = "") -> Iterator[tuple[str, object]]
 
 
 def _receive_bytes() -> int:
-    return min(BUFFER_BYTES, int(_RMEM_MAX.read_text()))
+    return min(BUFFER_BYTES, read_limits().get("net.core.rmem_max", BUFFER_BYTES))
 
 
 def _fastdds(largest_bytes: int, rate_byte_s: float) -> dict[str, str]:

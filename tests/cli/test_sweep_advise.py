@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import polars as pl
 import pytest
 
+from dds_trace.analyzer.verdicts.advice import LOST_NS, first_look, pays
 from dds_trace.cli.sweep import advise as module
-from dds_trace.cli.sweep.advise import LOST_NS, advise, first_look, pays
+from dds_trace.cli.sweep.advise import advise
 from dds_trace.cli.sweep.command import main
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 

@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ...choices import Call
-from ..call_node import CallMessage
+from ..call_node import RELAY_SUFFIX, CallMessage
 from ..node import Endpoint, NodeSubscription, TopicView
 from .node import Ros2Node, message_class, qos_profile
 
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from ..node import Publisher, Receive, RosMessage, Subscription
 
 SERVICE, ACTION = "rcl_interfaces/srv/SetParameters", "test_msgs/action/Fibonacci"
-REPLY = "_relay"
-"""End of the name of a way back; the service has the name without it."""
 INTEGER_ARRAY = 7
 """`PARAMETER_INTEGER_ARRAY` of `rcl_interfaces/msg/ParameterType`."""
 ACTION_RESULT_BYTES = 33_000
@@ -47,14 +45,14 @@ class Ros2CallNode(Ros2Node):
     _take_response: Receive[CallMessage]
 
     def create_caller(self, topic: str, qos: Qos) -> Publisher[CallMessage]:
-        if topic.endswith(REPLY):
+        if topic.endswith(RELAY_SUFFIX):
             self._response = _Response()
             return self._response
         kind = _ActionClient if self.options.call is Call.ACTION else _ServiceClient
         return kind(self._node, topic, qos, self._take_response)
 
     def create_server(self, topic: str, receive: Receive[CallMessage], qos: Qos) -> Subscription:
-        if topic.endswith(REPLY):
+        if topic.endswith(RELAY_SUFFIX):
             self._take_response = receive
             return NodeSubscription(lambda: None)
         response = self._response
@@ -68,7 +66,7 @@ class Ros2CallNode(Ros2Node):
         return NodeSubscription(serve(self._node, topic, qos_profile(qos), respond, self.options.response_bytes))
 
     def look_at(self, topic: str) -> TopicView:
-        name = topic.removesuffix(REPLY) + ("/_action/send_goal" if self.options.call is Call.ACTION else "")
+        name = topic.removesuffix(RELAY_SUFFIX) + ("/_action/send_goal" if self.options.call is Call.ACTION else "")
         servers = self._node.count_services(name) * (Endpoint("server", ""),)
         return TopicView(topic, servers, servers)
 

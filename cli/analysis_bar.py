@@ -40,11 +40,9 @@ class AnalysisBar:
             self._progress.stop()
 
     def reading(self, done: int, total: int, path: Path) -> None:
-        """Show the trace that is read."""
         self._draw("reading", done / total, f"reading {path.name[:30]}")
 
     def step(self, name: str, share: float) -> None:
-        """Show a later step."""
         self._draw(name, share, name)
 
     def _draw(self, name: str, share: float, words: str) -> None:

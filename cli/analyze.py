@@ -79,7 +79,6 @@ class ExportKind(str, Enum):
 
 
 def _check_kinds(kinds: list[str] | None) -> list[str] | None:
-    """Refuse an unknown kind of report."""
     for kind in kinds or ():
         if kind not in REPORT_MODULES:
             raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, REPORT_MODULES))}.")
@@ -104,7 +103,6 @@ def _overridden(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _refuse_with_topics(values: Mapping[str, Any]) -> None:
-    """Refuse options that change nothing."""
     given = [name for name in _NOT_OF_TOPICS if values[name]]
     if given:
         spelled = {"shows_all": "all"}
@@ -305,7 +303,6 @@ def main_command(
 
 
 def _parse_limits(texts: list[str]) -> list[Gate]:
-    """Read limits of topics that taps heard."""
     from dds_trace.analyzer.model.metrics import METRICS
     from dds_trace.analyzer.verdicts.gate import Against, parse_gates
 
@@ -411,7 +408,6 @@ COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.ap
 def main(
     arguments: Sequence[str] | None = None, *, name: str = "dds-analyze", adapt: Callable[[Any], object] | None = None
 ) -> None:
-    """Run `dds-analyze` with these arguments, by default the process's."""
     tune_gc()
     avoid_slow_sorts()
     run_program(name, app, COMMANDS, arguments, adapt=adapt)

@@ -178,7 +178,6 @@ def _describe(bridge: RunningBridge) -> str:
 def main(
     arguments: Sequence[str] | None = None, *, name: str = "dds-bridge", adapt: Callable[[Any], object] | None = None
 ) -> None:
-    """Run `dds-bridge` with these arguments, by default the process's."""
     run_program(name, app, {}, arguments, adapt=adapt)
 
 

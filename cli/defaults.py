@@ -148,7 +148,6 @@ def _is_own_only(key: str, value: object) -> bool:
 
 
 def _folders() -> Iterator[Path]:
-    """Yield the working directory and those above it, up to the repository or home."""
     here = Path.cwd()
     home = Path(_home())
     above = []
@@ -161,7 +160,6 @@ def _folders() -> Iterator[Path]:
 
 
 def _check_owner(path: Path, owner: int) -> None:
-    """Refuse another user's file in a shared folder such as `/tmp`."""
     trusted = {os.geteuid(), 0, path.parent.stat().st_uid}
     if owner not in trusted:
         raise OptionError(f"{path} belongs to another user; remove it, or work without: {VARIABLE}= in the environment")
@@ -178,7 +176,6 @@ class DefaultedCommand(TyperCommand):
         table: its table; empty for none.
         overridden: returns, for the values of a call, parameter -> why its configured default does not count.
         defaults: parameter -> its default, where the parser does not know it.
-        in_file: parameter -> its configured default.
     """
 
     table = ""
@@ -187,12 +184,10 @@ class DefaultedCommand(TyperCommand):
     in_file: Mapping[str, Default] = {}
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return arguments and options, with `--print-config`."""
         params = super().get_params(ctx)
         return [*params[:-1], _print_config_option(), params[-1]] if self._prints_config else params
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        """Return the context of a call, with the defaults of `dds-trace.toml`."""
         files = find_files() if self.table and not {"-h", "--help", "--version"} & set(args) else []
         if files:
             options = {_key(option): option for option in self._options()}
@@ -202,7 +197,6 @@ class DefaultedCommand(TyperCommand):
         return super().make_context(info_name, args, parent, **extra)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Print which defaults are in force, or with `--print-config` all values."""
         prints_config = "--print-config" in args and self._prints_config
         # Nothing will be done, so nothing may be missing.
         ctx.resilient_parsing = ctx.resilient_parsing or prints_config
@@ -234,7 +228,6 @@ class DefaultedCommand(TyperCommand):
         return bool(self.table) and not any("--print-config" in option.opts for option in self.params)
 
     def _options(self) -> list[Any]:
-        """Return the options that change what the command does, without version and completion."""
         options = [parameter for parameter in self.params if parameter.param_type_name == "option"]
         return [option for option in options if option.expose_value and not option.is_eager]
 

@@ -39,7 +39,6 @@ def run_program(
     adapt: Adapt | None = None,
     needs_stdout: bool = True,
 ) -> None:
-    """Run the command that the first word names, or the one without a name."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     completed = take_completed_command(name, app, commands)
 
@@ -155,7 +154,6 @@ def _print_error(text: str) -> None:
 
 
 def _extra_with(module: str) -> str | None:
-    """Return the extra that brings a module, None if none does."""
     from importlib.metadata import requires  # slow, and rarely needed
 
     package = module.partition(".")[0]

@@ -24,16 +24,11 @@ WIDEST_NAME = 30
 
 
 class QuickHelpCommand(DefaultedCommand):
-    """A command whose help has a section for each panel of options.
-
-    Attributes:
-        commands: commands of its program -> what they do.
-    """
+    """A command whose help has a section for each panel of options."""
 
     commands: Mapping[str, str] = {}
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write usage, text, arguments and options."""
         self.format_usage(ctx, formatter)
         for paragraph in inspect.cleandoc(self.help or "").split("\n\n"):
             is_command = paragraph.startswith("    ")
@@ -48,11 +43,9 @@ class QuickHelpCommand(DefaultedCommand):
                 formatter.write(first + (filled if first.endswith("\n") else filled[column:]))
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
-        """Return the usage line's parts: `[NAME]` is optional."""
         return [piece.removeprefix("{").removesuffix("}") for piece in super().collect_usage_pieces(ctx)]
 
     def _panels(self, ctx: Any) -> dict[str, list[tuple[str, str]]]:
-        """Return title -> (name, help) of each parameter, arguments first."""
         panels: dict[str, list[tuple[str, str]]] = {"Commands": [*self.commands.items()], "Arguments": []}
         general: list[tuple[str, str]] = []
         for parameter in self.get_params(ctx):
@@ -87,14 +80,11 @@ def option(name: str, help: str, *, also: str = "", show_default: bool = False, 
 
 
 def argument(metavar: str, help: str, **more: Any) -> ArgumentInfo:  # noqa: A002 - typer's word
-    """Return an argument."""
     info: ArgumentInfo = typer.Argument(metavar=metavar, help=help, show_default=False, **more)
     return info
 
 
 def starting(names: Iterable[str]) -> Callable[[str], list[str]]:
-    """Return the completion of a word that is one of these."""
-
     def complete(incomplete: str) -> list[str]:
         return [name for name in names if name.startswith(incomplete)]
 
@@ -102,7 +92,6 @@ def starting(names: Iterable[str]) -> Callable[[str], list[str]]:
 
 
 def command_app(*, completes: bool = False) -> typer.Typer:
-    """Return an empty app, with options for completion in the shell if it `completes`."""
     return typer.Typer(add_completion=completes, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 

@@ -68,7 +68,6 @@ def _parameter(name: str, in_panels: bool) -> inspect.Parameter:
 
 
 def given_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that the command line or a file of defaults has."""
     return {
         name: value
         for name, value in values.items()
@@ -77,6 +76,5 @@ def given_values(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_record(record: type[_Record], given: Mapping[str, Any], **more: object) -> _Record:
-    """Return a record of options with the given values and `more`."""
     names = [column.name for column in fields(record) if column.name in given]  # type: ignore[arg-type]
     return record(**{name: OPTIONS[name].read(given[name]) for name in names}, **more)

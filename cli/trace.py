@@ -70,7 +70,6 @@ def _record_command(role: Annotated[str, argument("ROLE", "", autocompletion=sta
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run `dds-trace` with these arguments, by default the process's."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     completed = take_completed_command(PROGRAM, app, (*_MODULES, *_OF_ANALYZE))
     word = completed or (given[0] if given else "--help")
@@ -122,7 +121,6 @@ _NAMES = (
 
 
 def _adapt(command: Any, role: Role | None = None) -> None:
-    """Name this program in a command's help, without its installing of completion and the options of the other role."""
     command.help = _renamed(command.help)
     command.params = [one for one in command.params if one.name not in ("install_completion", "show_completion")]
     for one in command.params:

@@ -69,7 +69,6 @@ class _CtrlC:
         return self
 
     def wait(self, seconds: float) -> None:
-        """Wait so long, or until Ctrl-C is pressed."""
         with suppress(KeyboardInterrupt):
             try:
                 self._waiting = True

@@ -92,7 +92,6 @@ class BaseRecording:
 
     @property
     def has_bridge(self) -> bool:
-        """Whether messages go through a bridge."""
         return self.options.ping is not None and self.options.ping.bridge != "none"
 
     @property
@@ -120,7 +119,6 @@ class BaseRecording:
         )
 
     def open_node(self, role: str) -> Node:
-        """Open the node of a role."""
         # Unique, so that the node recognizes its own endpoints.
         name = f"dds_trace_{role}_{self.session_id:016x}"
         listens = role == "relay" or (role == "beacon" and not self.options.node.peers)
@@ -128,7 +126,6 @@ class BaseRecording:
         return self._node
 
     def read_back(self, node: Node) -> ReadBack:
-        """Return the settings to read back."""
         return ReadBack(node, self.environment, strict=self.options.strict, note=self.watch.note)
 
     def describe(
@@ -141,7 +138,6 @@ class BaseRecording:
         session_id: int | None = None,
         extra: JsonObject | None = None,
     ) -> Session:
-        """Describe the session of a role, by default the recording's own."""
         options = self.options
         connectivity = options.connectivity or default_connectivity(options.node.discovery)
         settings = side_settings(options, connectivity)
@@ -187,7 +183,6 @@ class BaseRecording:
             self.watch.note(f"{sink.error}; the node continues to answer; what was written stays readable")
 
     def note_strangers(self, node: Node) -> None:
-        """Note each new kind of what others sent."""
         for kind in node.strangers.take_new():
             self.watch.note(f"somebody else sends here: a {kind} was not accepted; the trace counts further ones")
 
@@ -197,7 +192,6 @@ class BaseRecording:
         return None if duration_s is None else self.clock.monotonic_ns() + round(duration_s * 1e9)
 
     def left_s(self, end_ns: int | None) -> float:
-        """Return the time until then."""
         return float("inf") if end_ns is None else (end_ns - self.clock.monotonic_ns()) / 1e9
 
 

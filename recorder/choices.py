@@ -98,7 +98,6 @@ class FileMode(Enum):
 
     @property
     def bits(self) -> int:
-        """The mode as a number."""
         return int(self.value, 8)
 
 

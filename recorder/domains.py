@@ -16,7 +16,6 @@ _PROC = Path("/proc")
 
 
 def check_domain_id(domain_id: int) -> None:
-    """Refuse a number that is not a DDS domain id."""
     limits.check(limits.DOMAIN_ID, domain_id, "--domain")
 
 
@@ -49,7 +48,6 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
 
 
 def first_port(domain_id: int) -> int:
-    """Return the first port of a domain."""
     return _PORT_BASE + _DOMAIN_GAIN * domain_id
 
 
@@ -59,13 +57,11 @@ def domain_port_range(domain_id: int) -> range:
 
 
 def participants_in(domain_id: int, ports: set[int]) -> list[int]:
-    """Return the participants of this machine whose discovery port is among `ports`."""
     first = first_port(domain_id) + _FIRST_PARTICIPANT
     return [number for number in range(PARTICIPANTS_PER_DOMAIN) if first + 2 * number in ports]
 
 
 def bound_udp_ports(proc: Path = _PROC) -> set[int]:
-    """Return the local UDP ports of this network namespace."""
     ports: set[int] = set()
     for name in ("net/udp", "net/udp6"):
         try:

@@ -85,11 +85,9 @@ class Option:
 
     @property
     def is_repeatable(self) -> bool:
-        """Whether it may be given several times."""
         return isinstance(self.field_default, tuple | dict)
 
     def read(self, given: Any) -> object:
-        """Return the field's value from the command line's or `dds-trace.toml`'s."""
         if self.field_default is True:  # --no-own-cost
             return False
         if self.parse is not None:
@@ -153,12 +151,10 @@ def option(
 
 
 def detail(default: _T, name: str, panel: Panel, help: str, **row: Any) -> _T:  # noqa: A002 - typer's word
-    """Return a field that is an option and no setting."""
     return option(default, name, panel, help, in_key=False, **row)
 
 
 def options_of(record: Any) -> dict[str, Option]:
-    """Return field -> row of a record of options."""
     return {column.name: column.metadata["option"] for column in fields(record) if "option" in column.metadata}
 
 

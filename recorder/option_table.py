@@ -122,7 +122,6 @@ class CommandOptions:
 
     @property
     def qos(self) -> Qos:
-        """The QoS of both roles."""
         durations = {"deadline_ns": self.deadline, "lifespan_ns": self.lifespan}
         return Qos(
             self.reliability.value,
@@ -153,7 +152,6 @@ def choices_of(row: Option) -> list[str]:
 
 
 def help_of(row: Option) -> str:
-    """Return an option's help, with choices and default."""
     text, default = row.help, row.default
     if text.endswith(":"):
         *others, last = (name for name in choices_of(row) if name != "none")

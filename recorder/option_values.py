@@ -44,7 +44,6 @@ def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]
 
 
 def parse_topics(texts: Iterable[str]) -> tuple[str, ...]:
-    """Return the names in texts such as `/camera/image,/tf`, each once."""
     return tuple(dict.fromkeys(name.strip() for text in texts for name in text.split(",") if name.strip()))
 
 
@@ -118,7 +117,6 @@ class KeepFree:
         return cls(1.0, parse_size(text, "--keep-free"))
 
     def floor_bytes(self, disk_bytes: int) -> int:
-        """Return the bytes to keep free on a disk of this size."""
         share_bytes = int(self.share * disk_bytes)
         return share_bytes if self.most_bytes is None else min(share_bytes, self.most_bytes)
 

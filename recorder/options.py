@@ -249,12 +249,7 @@ class TapOptions:
 
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
-    """The options of one recording; without `ping`, `tap` and `beacon_rate_hz` of a relay.
-
-    Attributes:
-        node: the role sets its `name` and `listens`.
-        tap_qos: of a tap's subscriptions.
-    """
+    """The options of one recording; without `ping`, `tap` and `beacon_rate_hz` of a relay."""
 
     destination: TraceDestination = field(metadata=OUTSIDE_OF_KEY)
     node: NodeOptions
@@ -418,7 +413,6 @@ class RecordOptions:
 
 
 def check_fields(record: object) -> None:
-    """Refuse options that are beyond their limit."""
     assert is_dataclass(record)
     for column in fields(record):
         row: Option | None = column.metadata.get("option")
@@ -429,7 +423,6 @@ def check_fields(record: object) -> None:
 
 
 def side_settings(options: RecordOptions, connectivity: str) -> dict[str, Json]:
-    """Return a session's settings, without the usual discovery of its link."""
     settings = dict(changed_settings(options))
     usual = Discovery.LOCALHOST if connectivity == "loopback" else Discovery.SUBNET
     settings.pop("discovery", None)
@@ -439,7 +432,6 @@ def side_settings(options: RecordOptions, connectivity: str) -> dict[str, Json]:
 
 
 def run_settings(options: PingOptions) -> dict[str, Json]:
-    """Return the settings in a run's description."""
     settings = dict(changed_settings(options))
     if options.bridge_listen is not None:
         settings["bridge_listen"] = True  # not the address, which is private

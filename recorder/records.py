@@ -16,7 +16,6 @@ Record = TypeVar("Record")
 
 
 def to_json(record: DataclassInstance) -> dict[str, Json]:
-    """Return objects for dataclasses and mappings, arrays for tuples."""
     return {field.name: _json(getattr(record, field.name)) for field in fields(record)}
 
 
@@ -42,7 +41,6 @@ def from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:
 
 
 def _value(hint: Any, data: Any) -> Any:
-    """Return `data` as a dataclass, a (named) tuple or mapping, an optional one, or a plain value."""
     if data is None:
         return None
     origin, arguments = get_origin(hint), get_args(hint)

@@ -110,7 +110,6 @@ def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterat
 
 
 def _bars(cases: Sequence[CaseAnswer], labels: Mapping[str, str], place: str) -> list[Text]:
-    """Draw the medians of the largest decided message."""
     if not any(outcome_of(case).is_decided for case in cases):
         return []
     case = shown_case(cases)
@@ -136,7 +135,6 @@ def _bar(value: float, longest: float, cells: int) -> str:
 
 
 def _thresholds(book: Book) -> list[Text]:
-    """Return the deadline's outcome for each setup, over all places the worst."""
     sizes = book.sizes
     if sizes is None or not sizes.deadline:
         return []

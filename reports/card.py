@@ -81,12 +81,10 @@ class Measured:
 
     @property
     def is_finite(self) -> bool:
-        """Whether it has a dot."""
         return self.median_ns is not None and math.isfinite(self.median_ns)
 
 
 def render(book: Book) -> str:
-    """Return the card as SVG."""
     return _svg_text(_verdict(book)[1], card_marks(book))
 
 
@@ -151,7 +149,6 @@ def card_marks(book: Book) -> list[Mark]:
 
 
 def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
-    """Return the sentence with its kind, and the answers that it is about."""
     answers = book.analysis.details.answers if book.answer.metric == "latency" else ()
     ordered = [kind for _, kind in sorted(answers_by_kind(answers), key=lambda item: (item[0][0] != "same", *item[0]))]
     for by_place in ordered:

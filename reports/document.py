@@ -23,13 +23,11 @@ _IDENTIFIERS = ("run_id", "session_id")
 
 
 def render(book: Book) -> str:
-    """Return the report with one list item per line, escaped beyond ASCII."""
     parts = [f"{json.dumps(name)}: {_lines(value)}" for name, value in _document(book).items()]
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
 def write(book: Book, folder: Path) -> Path:
-    """Write the report into `folder` and return its path."""
     path = folder / FILE_NAME
     with replacing(path) as draft:
         draft.write_text(render(book), encoding="utf-8", newline="\n")

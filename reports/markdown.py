@@ -38,7 +38,6 @@ SHOWN_STATISTICS = ("p50", "p90", "p99", "max")
 
 
 def render(book: Book) -> str:
-    """Return the report as GitHub-flavoured Markdown."""
     overview, answer = book.overview, book.answer
     parts = [
         f"# Latency report: {markdown(overview.title)}",
@@ -68,7 +67,6 @@ def render(book: Book) -> str:
 
 
 def write(book: Book, folder: Path) -> Path:
-    """Write the report into `folder` and return its path."""
     path = folder / FILE_NAME
     with replacing(path) as draft:
         draft.write_text(render(book), encoding="utf-8", newline="\n")

@@ -40,7 +40,6 @@ _CELL = "text-align:left;white-space:nowrap"
 
 
 def first_screen(analysis: Analysis) -> str:
-    """Return headline, points and the table of sizes as HTML, at most `MOST_CHARACTERS`."""
     book = Book(analysis)
     answer, sizes = book.answer, book.sizes
     counts = ", ".join(text for _, text in severity_counts(book.findings))
@@ -104,7 +103,6 @@ def _cell(cell: SizeCell | None) -> str:
 
 
 def comparison_screen(comparison: Comparison) -> str:
-    """Return the answer and the results, worst first, as HTML, at most `MOST_CHARACTERS`."""
     info = comparison_info(comparison)
     top = f"<p><b>{escape(info.said)}</b> {escape(info.seen)}</p>"
     top += "".join(f"<p style='{_SOFT}'>{escape(note)}</p>" for note in info.notes)
@@ -133,12 +131,10 @@ def comparison_screen(comparison: Comparison) -> str:
 def plot(
     analysis: Analysis, name: str, *, panels: str | None = None, metric: str | None = None, statistic: str = "p50"
 ) -> Figure:
-    """Return a figure of the page as a plotly value (`plotting.line_figure`)."""
     return line_figure(Book(analysis), name, panels, metric, statistic)
 
 
 def show(analysis: Analysis, folder: Path | None = None) -> Path:
-    """Write the HTML report into a folder, by default a temporary one, open it and return its path."""
     folder = Path(tempfile.mkdtemp(prefix="dds-trace-")) if folder is None else Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (path,) = write_reports(analysis, ["html"], folder)

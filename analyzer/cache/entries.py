@@ -45,7 +45,6 @@ class StoredParts:
         self._seals: dict[EventKey, hmac.HMAC] = {}
 
     def add(self, parts: Mapping[EventKey, EventPart]) -> None:
-        """Append events."""
         for key, part in parts.items():
             events = part.load()
             piece = self._file.write(events)
@@ -54,7 +53,6 @@ class StoredParts:
                 self._seals[key] = self._sealer.seal_events(piece.arrays(events), self._seals.get(key))
 
     def index(self, file: Path, position: int) -> dict[EventKey, EventPart]:
-        """Return the event index of a trace whose events are in `file`."""
         index = {}
         for key, written in self._pieces.items():
             firsts_ns, lasts_ns, pieces = zip(*written, strict=True)
@@ -64,7 +62,6 @@ class StoredParts:
 
     @property
     def seals(self) -> list[str]:
-        """The seals, in the order of the index."""
         return [seal.hexdigest() for seal in self._seals.values()]
 
 

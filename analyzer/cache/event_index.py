@@ -38,7 +38,6 @@ class EventPart:
         return object.__sizeof__(self) + in_memory * EVENT_DTYPE.itemsize
 
     def load(self) -> EventColumns:
-        """Return the events, fetched if they are elsewhere."""
         return self.events if isinstance(self.events, EventColumns) else self.events.load()
 
 
@@ -56,7 +55,6 @@ class Copies:
 
 
 def index_events(traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
-    """Join the indices of the traces, in their order."""
     index: dict[EventKey, tuple[EventPart, ...]] = {}
     for parts in traces:
         for key, part in parts.items():
@@ -65,7 +63,6 @@ def index_events(traces: Iterable[Mapping[EventKey, EventPart]]) -> EventIndex:
 
 
 def split_trace(events: Mapping[Stage, EventColumns], position: int) -> dict[EventKey, EventPart]:
-    """Index the events of one trace, or of a piece of it."""
     return {
         (stage, *key): EventPart(
             position, len(columns), int(columns.monotonic_ns.min()), int(columns.monotonic_ns.max()), columns
@@ -135,7 +132,6 @@ def merge_parts(parts: Sequence[EventPart]) -> tuple[EventColumns, tuple[Copies,
 
 
 def total_copies(copies: Iterable[Copies]) -> tuple[Copies, ...]:
-    """Add up the copies of each trace, by trace."""
     events: dict[int, int] = defaultdict(int)
     others: dict[int, set[int]] = defaultdict(set)
     for copied in copies:

@@ -62,7 +62,6 @@ class StoredPiece:
                 raise ValueError(f"{name} is {kind} {value}, which is not from {low} to {high}")
 
     def arrays(self, events: EventColumns, first: int = 0) -> list[NDArray[np.integer]]:
-        """Return the columns in the file, of events whose `first` one begins this piece."""
         return [
             getattr(events, name)[first : first + self.count] for name in _FIELDS if self.columns[name][0] == "array"
         ]
@@ -77,18 +76,15 @@ class StoredEvents:
 
     @property
     def count(self) -> int:
-        """Number of events."""
         return sum(piece.count for piece in self.pieces)
 
     def check(self, file_bytes: int) -> None:
-        """Check every piece, as `StoredPiece.check` does, and that there is one."""
         if not self.pieces:
             raise ValueError("no events")
         for piece in self.pieces:
             piece.check(file_bytes)
 
     def arrays(self, events: EventColumns) -> list[NDArray[np.integer]]:
-        """Return the columns of these events in the file, piece by piece."""
         firsts = accumulate((piece.count for piece in self.pieces), initial=0)
         return [
             array for piece, first in zip(self.pieces, firsts, strict=False) for array in piece.arrays(events, first)
@@ -111,7 +107,6 @@ class EventsFile:
         self._stream = stream
 
     def write(self, events: EventColumns) -> StoredPiece:
-        """Write at least one event."""
         columns = {name: self._write_column(getattr(events, name)) for name in _FIELDS}
         return StoredPiece(len(events), columns)
 

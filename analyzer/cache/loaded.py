@@ -28,11 +28,9 @@ class LoadedTrace:
 
     @property
     def events(self) -> int:
-        """Number of its events."""
         return sum(part.count for part in self.parts.values())
 
     def at(self, position: int) -> LoadedTrace:
-        """Return the trace at another index of its campaign."""
         return LoadedTrace(self.trace, {label: replace(part, trace=position) for label, part in self.parts.items()})
 
 
@@ -64,7 +62,6 @@ def read_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], ob
 def loaded_or_error(
     load: Callable[[Path, int], LoadedTrace], path: Path, position: int
 ) -> LoadedTrace | TraceFormatError:
-    """Load one trace, or return why it is not a trace."""
     try:
         return load(path, position)
     except TraceFormatError as err:

@@ -81,13 +81,11 @@ def local_copy(path: Path) -> Iterator[Path]:
 
 
 def remote_key(path: Path) -> str:
-    """Return the storage's tags of the trace's files, which change with their content."""
     with _storage(path) as (files, root):
         return "\0".join(f"{remote[len(root) :]}\0{files.ukey(remote)}" for remote in _files_of(files, root))
 
 
 def _files_of(files: _Storage, root: str) -> list[str]:
-    """List a folder, or the file and its ring."""
     if files.isdir(root):
         return sorted(files.find(root))
     names = files.ls(os.fspath(PurePosixPath(root).parent), detail=False)

@@ -74,11 +74,9 @@ class Sealer:
     secret: bytes = field(repr=False)
 
     def hash(self, purpose: bytes) -> hmac.HMAC:
-        """Return an HMAC that starts with its purpose."""
         return hmac.new(self.secret, purpose + b"\0", _DIGEST)
 
     def seal_events(self, columns: Iterable[NDArray[Any]], previous: hmac.HMAC | None = None) -> hmac.HMAC:
-        """Seal columns of events, or extend the seal of the preceding columns."""
         seal = self.hash(b"events") if previous is None else previous
         for column in columns:
             seal.update(np.ascontiguousarray(column).data)
@@ -95,12 +93,10 @@ class SealedStream:
         self._digest = digest
 
     def write(self, content: bytes | memoryview) -> int:
-        """Append bytes."""
         self._digest.update(content)
         return self._file.write(content)
 
     def tell(self) -> int:
-        """Return the number of bytes of the entry so far."""
         return self._file.tell() - SEAL_BYTES
 
     def close(self) -> None:
@@ -155,13 +151,11 @@ class TraceCache:
         return digest.hexdigest()
 
     def key_of_text(self, purpose: str, text: str) -> str:
-        """Return the key of a result that follows from a text."""
         digest = self.sealer.hash(purpose.encode())
         digest.update(text.encode())
         return digest.hexdigest()
 
     def path(self, key: str, ending: str) -> Path:
-        """Return the path of an entry."""
         return self.folder / f"{key}.{ending}"
 
     @contextmanager
@@ -258,7 +252,6 @@ class TraceCache:
                 os.unlink(name, dir_fd=self._descriptor)
 
     def _block_digests(self, descriptor: int, size: int) -> Iterator[bytes]:
-        """Digest the blocks of a large file on all cores."""
         if 0 < size <= _BUFFER_BYTES:
             buffer = _buffer_of_thread()
             return iter([hashlib.sha256(buffer[: os.preadv(descriptor, [buffer], 0)]).digest()])
@@ -293,7 +286,6 @@ def _base(variable: str, default: str) -> Path:
 
 
 def _own_folder(folder: Path) -> int:
-    """Open, or make, a folder that only this user can read and that is no link."""
     with suppress(FileExistsError):
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700)

@@ -41,7 +41,6 @@ class TraceLoader:
         self._writing = ThreadPoolExecutor(1, thread_name_prefix="keep")
 
     def use_files(self) -> None:
-        """Put the events of all further traces into files."""
         self._left = 0
 
     def load_all(self, paths: Sequence[Path]) -> Iterator[LoadedTrace | TraceFormatError]:
@@ -82,7 +81,6 @@ class TraceLoader:
         return self._cached(path, position) or self._store_in_pieces(path, position)
 
     def close(self) -> None:
-        """Remove temporary files and close the cache."""
         self._writing.shutdown(cancel_futures=True)
         if self._own_folder is not None:
             self._own_folder.cleanup()
@@ -114,7 +112,6 @@ class TraceLoader:
             ) from err
 
     def _add_pieces(self, path: Path, position: int, stored: StoredParts) -> Trace:
-        """Write a piece while the next one is read."""
         writing: list[Future[None]] = []
         last: list[Mapping[Stage, EventColumns]] = []
 

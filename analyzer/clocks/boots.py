@@ -29,7 +29,6 @@ def boot_id_of(session: Session) -> str | None:
 
 
 def machine_of(session: Session) -> str:
-    """Return the boot id of a session, else the name of its device."""
     return boot_id_of(session) or session.device
 
 

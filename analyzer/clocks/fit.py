@@ -50,9 +50,6 @@ class ClockSegment:
     """A stretch of time in which neither clock was stepped; times on the ping's monotonic clock.
 
     Attributes:
-        at_ns: instant at which the bound of the offset is smallest.
-        offset_ns: relay's clock minus ping's clock at `at_ns`.
-        bound_ns: largest error of the offset.
         drift_ppb: mean rate at which the relay's clock gains on the ping's, parts per billion (ns per s).
         residual_ns: largest distance of a knot from the straight line through the first and the last knot.
         knots: one for each window, in order of time.
@@ -72,12 +69,7 @@ class ClockSegment:
 
 @dataclass(frozen=True, slots=True)
 class ClockStep:
-    """A jump of the relay's clock against the ping's: a clock that was set, a suspend, a reboot.
-
-    Attributes:
-        after_ns: last message surely before the step, ping's monotonic clock.
-        before_ns: first message surely after it.
-    """
+    """A jump of the relay's clock against the ping's: a clock that was set, a suspend, a reboot."""
 
     after_ns: int
     before_ns: int
@@ -90,7 +82,6 @@ class ClockFit:
     """The relay's clock against the ping's, for one pair of devices.
 
     Attributes:
-        boot: number of the boot of the ping's device (`boots.ping_boots`).
         same_clock: both sides are of one boot of one machine (without boot ids: have one name), and zero agrees with every
             message. One-way times are then exact.
         segments: in order of time; empty without a message that has all four stamps.
@@ -149,7 +140,6 @@ class _Points:
 
     @classmethod
     def of(cls, messages: RelayedMessages, points: OffsetIntervals) -> _Points:
-        """Write the bounds of at least one message into `points`."""
         ordered = cls._in_order(messages, points, None)
         if ordered is None:
             at_ns = _half_way(messages.publish_ns, messages.receive_ns - messages.publish_ns)
@@ -159,7 +149,6 @@ class _Points:
 
     @classmethod
     def _in_order(cls, messages: RelayedMessages, points: OffsetIntervals, order: Int64 | None) -> _Points | None:
-        """Return None if this is not the order of time."""
         first = 0 if order is None else int(order[0])
         publish_ns, receive_ns = int(messages.publish_ns[first]), int(messages.receive_ns[first])
         time_origin_ns = last_ns = _half_way(publish_ns, receive_ns - publish_ns)
@@ -215,7 +204,6 @@ class _Points:
 
 
 def _blocks(messages: int) -> Iterator[slice]:
-    """Yield blocks whose arrays fit into the cache of a core."""
     return (slice(first, first + _BLOCK_MESSAGES) for first in range(0, messages, _BLOCK_MESSAGES))
 
 

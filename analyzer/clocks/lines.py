@@ -105,11 +105,9 @@ class OffsetIntervals:
     upper: Float64
 
     def part(self, start: int, stop: int) -> OffsetIntervals:
-        """Return the messages from `start` to `stop`, not included."""
         return OffsetIntervals(self.time[start:stop], self.lower[start:stop], self.upper[start:stop])
 
     def take(self, messages: Intp) -> OffsetIntervals:
-        """Return the messages at these indices."""
         return OffsetIntervals(self.time[messages], self.lower[messages], self.upper[messages])
 
     def __len__(self) -> int:
@@ -162,7 +160,6 @@ class Boundary:
         return reached
 
     def take(self, windows: Bools | Intp | slice) -> Boundary:
-        """Return some windows."""
         return Boundary(self.slope[windows], self.height[windows], self.breaks[windows])
 
 
@@ -172,10 +169,7 @@ class Lines:
 
     Attributes:
         exist: whether a window has any; else its other values have no meaning.
-        centre: instant of the heights of the boundaries.
         steepness: shape (windows, 2): slope of the gentlest and of the steepest line.
-        above: the greatest heights.
-        below: the least heights, heights and slopes with the other sign.
     """
 
     exist: Bools
@@ -221,7 +215,6 @@ class Lines:
         return -self.below.reach(x), self.above.reach(x)
 
     def take(self, windows: Bools | Intp | slice) -> Lines:
-        """Return some windows."""
         return Lines(
             self.exist[windows],
             self.centre[windows],

@@ -60,7 +60,6 @@ class Stretch:
         return way * self.drift_ppb - self.drift_bound_ppb > CRYSTAL_PPB
 
     def may_be_fast(self, way: int) -> bool:
-        """Return whether the clock perhaps did."""
         return way * self.drift_ppb + self.drift_bound_ppb > CRYSTAL_PPB
 
 
@@ -71,8 +70,6 @@ class Slew:
     Attributes:
         first: index of the stretch after its first step, or after a bent stretch.
         after: index after the stretch of its last step; equal to `first` without a step.
-        start_ns: start of the time with the best known rate, ping's monotonic clock.
-        rate_ppm: mean rate at which the relay's clock gained in that time.
     """
 
     first: int

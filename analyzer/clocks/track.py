@@ -34,7 +34,6 @@ class _Piece:
     last_slopes: Float64
 
     def ends_at(self, time: Float64) -> tuple[Float64, Float64]:
-        """Return both ends of the offset, farther apart with the distance from the messages."""
         low, high = np.interp(time, self.time, self.low), np.interp(time, self.time, self.high)
         after = np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1)
         left, right = self.time[after - 1], self.time[after]
@@ -76,7 +75,6 @@ class ClockTrack:
         return ClockOffsets(offset_ns, bound_ns)
 
     def at_relay(self, relay_ns: Int64) -> ClockOffsets:
-        """Return the offset at instants of the relay's clock."""
         ping_ns = relay_ns - self.offset_origin_ns
         for _ in range(3):  # clocks part by 0.1 % at most, so each turn is a thousand times closer
             ping_ns = relay_ns - self.at(ping_ns).offset_ns

@@ -34,12 +34,8 @@ class Windows:
     """Fitted windows; one element a window, or one row.
 
     Attributes:
-        time: the instant at which the lines are closest together.
-        offset: middle of the lines then.
-        bound: half of their distance then.
         steepness: shape (windows, 2): smallest and largest slope.
         first: shape (windows, 2): middle and half distance of the lines at the first message.
-        last: the same at the last message.
     """
 
     start: Intp
@@ -53,7 +49,6 @@ class Windows:
 
     @classmethod
     def of(cls, points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> Windows:
-        """Return windows from their lines."""
         begin, end = points.time[start], points.time[stop - 1]
         time = np.arange(_INSTANTS) * ((end - begin) / (_INSTANTS - 1))[:, None] + begin[:, None]
         time[:, -1] = end
@@ -73,7 +68,6 @@ class Windows:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Windows]) -> Windows:
-        """Return the windows of all parts."""
         if not parts:
             none, no_pairs = np.empty(0), np.empty((0, 2))
             no_messages = np.empty(0, np.intp)
@@ -81,7 +75,6 @@ class Windows:
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     def take(self, windows: Intp) -> Windows:
-        """Return some of the windows."""
         return Windows(*(getattr(self, field.name)[windows] for field in fields(self)))
 
 

@@ -121,5 +121,4 @@ def parts_of(batch: Batch) -> list[Batch]:
 
 
 def groups_in_parts(batches: Sequence[Batch]) -> list[int]:
-    """Return the groups that no batch has whole, ascending."""
     return sorted({int(group) for batch in batches if not batch.whole for group in batch.group_of_exchange})

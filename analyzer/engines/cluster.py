@@ -56,7 +56,6 @@ class RemoteEvents:
     key: EventKey
 
     def load(self) -> EventColumns:
-        """Fetch the events from the worker."""
         return self.client.submit(_events, self.loaded, self.key, pure=False).result()
 
 
@@ -114,14 +113,12 @@ class ClusterEngine:
         return campaign_of(folder, loaded, skipped)
 
     def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
-        """Submit all batches at once, and yield their rows and results in order."""
         pending = [self._submit(batch, index) for batch in batches]
         pending.reverse()
         while pending:
             yield pending.pop().result()
 
     def has_workers_with(self, file: Path) -> bool:
-        """Return whether all workers see this file under this path."""
         try:
             seen = self._client.run(_size_and_time, os.fspath(file))
         except OSError:  # one was just lost
@@ -129,7 +126,6 @@ class ClusterEngine:
         return set(seen.values()) == {_size_and_time(os.fspath(file))}
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> Iterable[Result]:
-        """Return the function's results in order, by the workers."""
         size = max(1, len(items) // _CHUNKS)
         chunks = [
             self._client.submit(_map, function, items[first : first + size], pure=False)
@@ -149,13 +145,11 @@ class ClusterEngine:
         return self._client.submit(_process, batch, selected, pure=False)
 
     def close(self) -> None:
-        """Release the events that workers have in memory."""
         self._loaded.clear()
         self._client.close()
 
 
 def _load(path: str) -> LoadedTrace | str:
-    """Return the trace, or why the file is not a trace."""
     try:
         return load_trace(Path(path), 0)
     except TraceFormatError as err:

@@ -8,6 +8,5 @@ NEW_OBJECTS = 10_000
 
 
 def tune_gc() -> None:
-    """Collect less often, and skip the last collection at exit."""
     gc.set_threshold(NEW_OBJECTS)
     atexit.register(gc.freeze)

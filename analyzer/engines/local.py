@@ -76,7 +76,6 @@ class LocalEngine:
         self._workers: Workers | None = None
 
     def load(self, location: Place, skip: Collection[Path], progress: Progress | None) -> Campaign:
-        """Read every trace that is not in the cache."""
         return load_campaign(location, skip=skip, progress=progress, load_all=self._load_all)
 
     def process(self, batches: Sequence[Batch], index: EventIndex) -> Iterator[BatchOutput]:
@@ -112,15 +111,12 @@ class LocalEngine:
                 yield from in_turn(jobs, ahead + 1, _MOST_EVENTS_AHEAD)
 
     def has_workers_with(self, file: Path) -> bool:  # noqa: ARG002 - they are on this machine
-        """Return whether there are worker processes by now."""
         return self._workers is not None
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return results in order, by the worker processes if there are any."""
         return map(function, items) if self._workers is None else self._workers.map(function, items)
 
     def close(self) -> None:
-        """End the workers and remove temporary files."""
         if self._workers is not None:
             self._workers.close()
         self._loader.close()

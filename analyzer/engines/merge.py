@@ -82,7 +82,6 @@ class _ValueSpool:
                 stream.write(np.ascontiguousarray(values_of_part).data)
 
     def measure(self) -> Statistics:
-        """Return exact statistics of the group, and remove the files."""
         with self._folder:
             return measure_groups((self.group, metric, self._sorted(metric)) for metric in METRICS)
 
@@ -127,7 +126,6 @@ def merge_sketches(parts: Statistics) -> Statistics:
 
 
 def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
-    """Merge samples, mean, standard deviation and extremes of one group and metric."""
     samples, mean, squares = 0, 0.0, 0.0
     for n, mean_of_part, std in parts.filter(pl.col("samples") > 0).select("samples", "mean", "std").iter_rows():
         difference = mean_of_part - mean
@@ -144,7 +142,6 @@ def merge_moments(parts: pl.DataFrame) -> dict[str, float | None]:
 
 
 def histogram_percentile(value_ns: NDArray[np.float64], count: NDArray[np.uint64], quantile: float) -> float:
-    """Interpolate a percentile of values counted in buckets with ascending centres."""
     cumulative = np.cumsum(count.astype(np.int64))
     last = int(cumulative[-1]) - 1
     position = quantile * last

@@ -79,7 +79,6 @@ class PackedRows(PairedRows):
     """Rows that are read on demand, column by column or batch by batch.
 
     Attributes:
-        offset: of the stream of rows in the source.
         is_temporary: whether the file is for these rows only.
     """
 
@@ -101,29 +100,24 @@ class PackedRows(PairedRows):
 
     @classmethod
     def like(cls, rows: PairedRows, source: Path | pa.Buffer, offset: int) -> PackedRows:
-        """Describe rows that were packed with their stream of rows at this offset."""
         return cls(rows.described, rows.bounds, rows.counts, rows.clock_knots, source, offset)
 
     @cached_property
     def stamp_names(self) -> frozenset[str]:
-        """Columns of `MIDDLEWARE_STAMPS` that any event has."""
         with self._opened() as stream:
             return frozenset(STAMP_NAMES).intersection(pa.ipc.open_stream(stream).schema.names)
 
     def column(self, name: str) -> pl.Series:
-        """Read a column."""
         value = _FORMULAS.get(name, pl.col(name))
         batches = self._batches(*value.meta.root_names())
         column: pl.Series = pl.concat([batch.select(value).to_series() for batch in batches]).rechunk()
         return column
 
     def frames(self) -> Iterator[pl.DataFrame]:
-        """Read the rows as in `PairedRows.frames`."""
         for batch in self._batches():
             yield with_metrics(batch.drop(self.stamp_names))
 
     def load(self) -> RoundTrips:
-        """Return all rows in memory."""
         rows = pl.concat(self._batches()).rechunk()
         outcome = rows["outcome"].to_numpy()
         return RoundTrips(
@@ -137,7 +131,6 @@ class PackedRows(PairedRows):
         )
 
     def remove(self) -> None:
-        """Remove the file if it is for these rows only."""
         if isinstance(self.source, Path) and self.is_temporary:
             self.source.unlink()
 

@@ -60,7 +60,6 @@ class BatchResult:
     """What a batch gives in addition to its rows.
 
     Attributes:
-        frames: by name, see `groups/frames.py`.
         counts: one row per exchange, columns of `counts.COUNT_SCHEMA`.
         copies: events that were left out because another trace has them.
         values: metric -> int64 values that are not null, for a part of a group; None for whole groups.
@@ -89,14 +88,12 @@ class BatchOutput:
     stored: Sequence[Future[PackedRows | None]] = ()
 
     def tables(self) -> Iterator[pa.Table]:
-        """Yield the rows as `RowWriter` takes them, and remove temporary files."""
         for rows in self.rows:
             yield from tables_of(rows)
             if isinstance(rows, PackedRows):
                 rows.remove()
 
     def result(self) -> BatchResult:
-        """Return the result once it is computed and the cache has the rows."""
         wait(self.stored)
         return self.measured.result() if isinstance(self.measured, Future) else self.measured
 
@@ -143,7 +140,6 @@ class _JoinedRows(PairedRows):
         return frozenset[str]().union(*(part.stamp_names for part in self.parts))
 
     def column(self, name: str) -> pl.Series:
-        """Fill a stamp with zeros in a part whose events have none."""
         is_stamp = name in self.stamp_names
         columns = [
             part.column(name)

@@ -71,7 +71,6 @@ class Workers:
         return self._submit(Worker.process, batch, parts, keys)
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> Iterable[R]:
-        """Return the function's results in the order of the items."""
         size = max(1, len(items) // (self.count * _CHUNKS_PER_WORKER))
         chunks = [items[first : first + size] for first in range(0, len(items), size)]
         with self.explaining_kills():
@@ -80,7 +79,6 @@ class Workers:
 
     @contextmanager
     def explaining_kills(self) -> Iterator[None]:
-        """Turn a killed process into an error that names a likely cause."""
         try:
             yield
         except BrokenProcessPool as err:
@@ -89,7 +87,6 @@ class Workers:
             ) from err
 
     def close(self) -> None:
-        """End the processes and remove their files."""
         self._threads.shutdown(cancel_futures=True)
         self._pool.shutdown(cancel_futures=True)
         self._here.close()
@@ -146,16 +143,13 @@ class Worker:
         return output if self._is_here else output.packed(self._folder)
 
     def map(self, function: Callable[[T], R], items: Sequence[T]) -> list[R]:
-        """Return the results."""
         return list(map(function, items))
 
     def close(self) -> None:
-        """Close the cache."""
         self._loader.close()
 
 
 def can_start_workers() -> bool:
-    """Return whether this process may start others, as no daemon of `multiprocessing` may."""
     return not multiprocessing.current_process().daemon
 
 
@@ -174,7 +168,6 @@ def start_workers(count: int, folder: Path, *, cache: bool) -> ProcessPoolExecut
 
 
 def do_in_worker(job: Callable[..., R], *arguments: object) -> R:
-    """Do a job in a worker process."""
     assert _worker is not None
     return _worker.do(job, *arguments)
 
@@ -214,7 +207,6 @@ def _without_main() -> Iterator[None]:
 
 @contextmanager
 def _with_one_blas_thread() -> Iterator[None]:
-    """Multiply small matrices on one core, as the others are busy."""
     name = "OPENBLAS_NUM_THREADS"
     if name in os.environ:  # the user's own
         yield

@@ -117,7 +117,6 @@ class ResultCache:
 
 @cache
 def code_of_analysis() -> tuple[object, ...]:
-    """Return what invalidates cached results: versions, and size and mtime of our files."""
     rooms = (Path(__file__).parents[1], Path(dds_trace.tracefile.__file__).parent)
     files = sorted(file for room in rooms for file in room.rglob("*.py"))
     return (

@@ -82,7 +82,6 @@ def write_perfetto(analysis: Analysis, path: Path) -> None:
 
 
 def timeline_slices(analysis: Analysis) -> Iterator[Slice]:
-    """Yield a slice for the round trip and the time in the relay of each message, and for each way of a message of a topic."""
     clock = _Reference(analysis)
     yield from _roundtrips(analysis, clock)
     yield from _topics(analysis, clock)

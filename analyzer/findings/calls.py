@@ -61,7 +61,6 @@ def calls_timed_out(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _calls(evidence: Evidence) -> dict[int, dict[str, list[float]]]:
-    """Return group -> the values of its runs' `call`."""
     groups: dict[int, dict[str, list[float]]] = {}
     for exchange, group in evidence.exchanges_by_group():
         for name, value in object_of(exchange.run.extra.get("call")).items():

@@ -61,24 +61,19 @@ class Evidence:
     shapes: pl.DataFrame
 
     def result(self, group: int, what: str, effect: float = 1.0, **blanks: object) -> Observation:
-        """Observe something about a result."""
         return Observation(self.group_names[group], what, (group,), effect, blanks)
 
     def recording(self, session: Session, what: str, effect: float = 1.0) -> Observation:
-        """Observe something about a recording, which concerns all results that it took part in."""
         groups = self.groups_of_sessions.get(session.session_id, ())
         return Observation(self.session_name(session), what, groups, effect)
 
     def run(self, run_id: int, what: str, groups: tuple[int, ...] = (), effect: float = 1.0) -> Observation:
-        """Observe something about a run."""
         return Observation(self.run_name(run_id), what, groups, effect)
 
     def rows_by_group(self, *columns: str) -> Iterator[tuple[int, dict[str, int]]]:
-        """Yield each group and these columns of its row of the summary."""
         return enumerate(self.summary.frame.select(columns).iter_rows(named=True))
 
     def exchanges_by_group(self) -> Iterator[tuple[Exchange, int]]:
-        """Yield each exchange and its group."""
         return zip(self.grouping.exchanges, self.grouping.group_of_exchange.tolist(), strict=True)
 
     @cached_property
@@ -86,32 +81,26 @@ class Evidence:
         return self.summary.exchange_counts.to_dicts()
 
     def counts_by_exchange(self) -> Iterator[tuple[Exchange, int, dict[str, int]]]:
-        """Yield each exchange, its group and its counts."""
         rows = zip(self.exchanges_by_group(), self._counts, strict=True)
         return ((exchange, group, row) for (exchange, group), row in rows)
 
     def counts_by_run(self) -> dict[int, tuple[Exchange, dict[str, int]]]:
-        """Return run_id -> an exchange of the run and its counts."""
         return {exchange.run.run_id: (exchange, row) for exchange, _, row in self.counts_by_exchange()}
 
     @cached_property
     def group_names(self) -> list[str]:
-        """A short distinct name of each group (`names.name_groups`)."""
         return name_groups(self.grouping.parameters)
 
     @cached_property
     def device_pairs(self) -> tuple[DevicePair, ...]:
-        """The clock fits of the campaign."""
         boots = ping_boots(self.campaign.sessions.values(), self.campaign.runs.values())
         return tuple(pair_devices(self.details.clock_fits, self.details.clock_knots, boots))
 
     @cached_property
     def groups_of_sessions(self) -> Mapping[int, tuple[int, ...]]:
-        """session_id -> the groups that the session took part in."""
         return self.groups_by_session(lambda _session, _payload_bytes: True)
 
     def groups_by_session(self, concerns: Callable[[Session, int], bool]) -> Mapping[int, tuple[int, ...]]:
-        """Return session_id -> its groups with messages of a size that concerns it or the other side."""
         groups: dict[int, dict[int, None]] = defaultdict(dict)
         for exchange, group in self.exchanges_by_group():
             sides = [session for session in (exchange.ping, exchange.relay) if session is not None]
@@ -121,7 +110,6 @@ class Evidence:
         return {session_id: tuple(numbers) for session_id, numbers in groups.items()}
 
     def session_name(self, session: Session) -> str:
-        """Name a session: `relay on beta (relay.mcap)`."""
         traces = sorted(set(self.campaign.session_traces[session.session_id]))
         files = some((self.campaign.name(trace) for trace in traces), _MOST_FILES)
         return f"{session.role} on {session.device} ({files})"
@@ -139,7 +127,6 @@ def exchange_name(exchange: Exchange) -> str:
 
 
 def some(names: Iterable[str], at_most: int = 3) -> str:
-    """List the first names, and how many more there are."""
     listed = list(names)
     shown = "; ".join(listed[:at_most])
     return shown if len(listed) <= at_most else f"{shown}; and {len(listed) - at_most} more"
@@ -166,7 +153,6 @@ class Check:
     observe: Observe
 
     def __call__(self, evidence: Evidence) -> Iterator[Finding]:
-        """Yield a finding for each observation."""
         for seen in self.observe(evidence):
             action = self.action.format(**seen.blanks)
             seen_there = seen.where, seen.what, action, seen.groups

@@ -381,6 +381,5 @@ def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _answered_together(exchanges: list[Exchange]) -> bool:
-    """Return whether at some time every relay had answered and was to answer again."""
     spans = [exchange.replied_ns for exchange in exchanges if exchange.replied_ns is not None]
     return len(spans) == len(exchanges) and max(first for first, _ in spans) < min(last for _, last in spans)

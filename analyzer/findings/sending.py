@@ -142,7 +142,6 @@ def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: 
 
 
 def _went_on(timed: pl.DataFrame, still_ns: int, end_ns: int) -> bool:
-    """Return whether samples were taken through most of the time in which the ping stood still."""
     inside = timed["monotonic_ns"].filter(timed["monotonic_ns"].is_between(end_ns - still_ns, end_ns))
     longest_ns = max(after - before for before, after in pairwise([end_ns - still_ns, *inside, end_ns]))
     return longest_ns < max(still_ns / 2, _SAMPLES_NS) and not inside.is_empty()

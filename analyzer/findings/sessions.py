@@ -56,7 +56,6 @@ def failed_bridges(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _last_words(bridge: Mapping[str, object]) -> str:
-    """Return the last line of each log."""
     programs = bridge.get("programs")
     logs = [bridge, *(programs if isinstance(programs, list) else ())]
     tails = [str(log.get("log_tail") or "") for log in logs if isinstance(log, dict)]

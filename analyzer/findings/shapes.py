@@ -98,7 +98,6 @@ def two_modes(evidence: Evidence) -> Iterator[Observation]:
 def _results_with(
     evidence: Evidence, column: str, condition: pl.Expr | bool = True
 ) -> Iterator[tuple[int, pl.DataFrame, int]]:
-    """Yield each group with enough runs that have a value, their rows, and the number of runs."""
     runs = evidence.shapes["group"].value_counts()
     totals = dict(runs.iter_rows())
     showing = evidence.shapes.drop_nulls(column).filter(condition)
@@ -160,7 +159,6 @@ class _Sizes(NamedTuple):
     large: dict[str, float]
 
     def observation(self, evidence: Evidence, verb: str) -> Observation:
-        """Observe how the latency changes between the two, and why by the recorded environment."""
         group = int(self.large["group"])
         cause = _cause(evidence, group, self.small_bytes, self.large_bytes)
         return evidence.result(
@@ -171,7 +169,6 @@ class _Sizes(NamedTuple):
 
 
 def _neighbouring_sizes(evidence: Evidence) -> Iterator[_Sizes]:
-    """Yield pairs whose intervals rest on several runs."""
     medians = evidence.details.intervals.filter(
         pl.col("runs") >= MIN_RUNS, metric="latency", percentile="p50"
     ).drop_nulls("method")
@@ -211,7 +208,6 @@ def _may_use_memory(session: Session) -> bool:
 
 
 def _receive_buffer(session: Session) -> tuple[str, int | None]:
-    """Return name and bytes of the receive buffer, None where datagrams met none."""
     path = payload_path(session)
     if path is not None:
         size = None if path == SHARED_MEMORY else udp_receive_buffer_bytes(session)

@@ -54,7 +54,6 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _is_planned(one: str, other: str) -> bool:
-    """Return whether the settings name two flows that a plan ran together."""
     (flow, own_with), (other_flow, other_with) = flows_of(one), flows_of(other)
     return flow in other_with and other_flow in own_with
 

@@ -134,7 +134,6 @@ _MOST_LISTED = 20
 
 
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
-    """Return the findings of every check, by severity, then by effect."""
     kinds: dict[tuple[Severity, str], list[Finding]] = defaultdict(list)
     for check in CHECKS:
         kinds[check.severity, check.code] += check(evidence)
@@ -143,7 +142,6 @@ def find_findings(evidence: Evidence) -> tuple[Finding, ...]:
 
 
 def _worst(findings: list[Finding]) -> list[Finding]:
-    """Return the worst findings of a kind, and one for all others."""
     findings = sorted(findings, key=lambda finding: -finding.effect)
     others = findings[_MOST_LISTED:]
     if len(others) <= 1:

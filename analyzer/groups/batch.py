@@ -50,7 +50,6 @@ class Grouping:
         return tuple(sorted(barred))
 
     def members(self) -> list[list[int]]:
-        """Return for each group the indices of its exchanges."""
         members: list[list[int]] = [[] for _ in range(self.parameters.height)]
         for exchange, group in enumerate(self.group_of_exchange.tolist()):
             members[group].append(exchange)
@@ -58,7 +57,6 @@ class Grouping:
 
 
 def group_exchanges(exchanges: Sequence[Exchange]) -> Grouping:
-    """Group exchanges with equal parameters."""
     keys = [exchange.parameters() for exchange in exchanges]
     groups = sorted(set(keys), key=Parameters.order)
     number = {key: group for group, key in enumerate(groups)}
@@ -99,7 +97,6 @@ class Batch:
 
     @property
     def events(self) -> int:
-        """Number of events."""
         return sum(sum(exchange.counts) for exchange in self.exchanges)
 
     @property
@@ -108,12 +105,10 @@ class Batch:
         return int(self.group_of_exchange[0]) if len(self.group_of_exchange) else 0
 
     def event_keys(self) -> list[EventKey]:
-        """Return the keys of its events in the event index, each once."""
         return list(dict.fromkeys(key for exchange in self.exchanges for key in exchange.event_keys()))
 
 
 def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
-    """Yield each whole group and the indices of its exchanges."""
     if not batch.whole:
         return
     groups = batch.group_of_exchange
@@ -123,7 +118,6 @@ def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
 
 
 def columns_by_group(batch: Batch, rows: PairedRows) -> Iterator[tuple[int, Callable[[str], pl.Series]]]:
-    """Yield each whole group and a function that fetches a column of its rows."""
     bounds = rows.bounds.tolist()
     for group, numbers in exchanges_by_group(batch):
         first, after = bounds[numbers.start], bounds[numbers.stop]
@@ -135,7 +129,6 @@ def _part_of_column(rows: PairedRows, first: int, after: int, name: str) -> pl.S
 
 
 def runs_by_group(batch: Batch, roundtrips: PairedRows) -> Iterator[NDArray[np.int64]]:
-    """Yield for each group of `columns_by_group` the number of each row's run."""
     run_ids = [exchange.run.run_id for exchange in batch.exchanges]
     number = {run_id: index for index, run_id in enumerate(dict.fromkeys(run_ids))}
     run_of_row = roundtrips.per_row(np.array([number[run_id] for run_id in run_ids], np.int64))
@@ -154,11 +147,9 @@ def present(values: pl.Series) -> NDArray[Any]:
 
 
 def first_known(rows: pl.DataFrame, name: str, other: str) -> pl.Series:
-    """Return a column, with the value of another one where it is null."""
     column = rows[name]
     return rows.select(pl.coalesce(name, other)).to_series() if column.null_count() else column
 
 
 def is_present(values: pl.Series) -> NDArray[np.bool_]:
-    """Return which values of a column are not null."""
     return values.is_not_null().to_numpy() if values.null_count() else np.ones(len(values), np.bool_)

@@ -172,7 +172,6 @@ class _Deliveries:
 
 
 def _parts(messages: _Messages, deliveries: _Deliveries | None) -> Iterator[tuple[str, Int64, float | None]]:
-    """Yield name, time in each message and mean bound of each part, one by one to save memory."""
     shown = messages.shown_column
     clock_ns = float(shown("clock_bound_ns").mean())
     yield "waiting_ns", shown("publish_ns") - shown("scheduled_ns"), 0.0

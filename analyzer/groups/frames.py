@@ -67,7 +67,6 @@ def begin_frames(
 
 
 def concatenate_frames(parts: Sequence[Frames]) -> Frames:
-    """Concatenate the frames of at least one batch, in their order."""
     frames = {name: pl.concat([part[name] for part in parts]) for name in parts[0]}
     for name in frames.keys() & _BY_RUN_ID:  # a group may come in parts
         frames[name] = frames[name].sort("group", "run_id", "relay_id", maintain_order=True)

@@ -59,7 +59,6 @@ def _is_ascending(times: Int64) -> bool:
 
 
 def _updates(generated: Int64, received: Int64) -> tuple[Int64, Int64]:
-    """Return the times of the receptions of newer information than any before, in order."""
     order = np.lexsort((generated, received))
     generated, received = generated[order], received[order]
     newer = np.ones(len(generated), np.bool_)
@@ -93,12 +92,10 @@ RECOVERED_MESSAGES = 5
 
 
 def longest_run(happened: Bools) -> int:
-    """Return the length of the longest run of True."""
     return max((stop - start for start, stop in runs_of(happened)), default=0)
 
 
 def runs_of(happened: Bools) -> list[tuple[int, int]]:
-    """Return start and stop (one past the end) of each run of True, in order."""
     changes = np.flatnonzero(np.diff(np.concatenate([[False], happened, [False]]).astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in changes.reshape(-1, 2)]
 
@@ -122,7 +119,6 @@ class Outage:
 def find_outages(
     sequence: NDArray[np.uint64], planned_ns: Int64, receive_ns: Int64, lost: Bools, in_time: Bools
 ) -> list[Outage]:
-    """Find the outages of one run, in order, from its messages by sequence number."""
     outages = []
     good = in_time & ~lost
     for start, stop in runs_of(lost):

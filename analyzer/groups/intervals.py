@@ -63,7 +63,6 @@ def interval_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
 def interval_rows(
     group: int, column: Callable[[str], pl.Series], run_of_row: NDArray[np.int64]
 ) -> Iterator[dict[str, object]]:
-    """Yield the rows of `interval_frame` for one group from its columns and the run of each row, ascending."""
     sent_ns = column("publish_ns").to_numpy()
     all_messages = _Sending.of(sent_ns, run_of_row)
     bounds_ns = present(column("clock_bound_ns"))
@@ -111,7 +110,6 @@ def _rows_of_runs(runs: Runs, spreads: Sequence[Spread], off_ns: float) -> Itera
 
 
 def sample_columns(interval: Interval) -> dict[str, object]:
-    """Return the columns of `INTERVAL_SCHEMA` that describe the sample of an interval."""
     return {
         "confidence": interval.confidence,
         "messages": interval.samples,
@@ -150,13 +148,11 @@ class _Sending:
 
 
 def one_way_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
-    """Summarize the way out and the way back of each group, with the error bound of a message's one-way time."""
     rows = [row for group, column in columns_by_group(batch, roundtrips) for row in one_way_rows(group, column)]
     return pl.DataFrame(rows, schema=ONE_WAY_SCHEMA)
 
 
 def one_way_rows(group: int, column: Callable[[str], pl.Series]) -> Iterator[dict[str, object]]:
-    """Yield the rows of `one_way_frame` for one group, whose columns are fetched one by one."""
     bounds = column("clock_bound_ns")
     bounds_ns, has_bound = present(bounds), bounds.is_not_null()
     for metric in ONE_WAY_METRICS if len(bounds_ns) else ():

@@ -33,7 +33,6 @@ class OutageTimes(TypedDict):
 
 
 def read_outages(traces: Iterable[Trace]) -> dict[int, OutageTimes]:
-    """Return run_id -> its outage, from the host samples that `dds-sweep` wrote into the relays' traces."""
     outages: dict[int, OutageTimes] = {}
     for trace in traces:
         for sample in trace.host_samples:

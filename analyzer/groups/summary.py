@@ -39,18 +39,15 @@ class Statistics:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Statistics]) -> Statistics:
-        """Concatenate the frames of all parts."""
         return cls(pl.concat([p.frame for p in parts]), pl.concat([p.distributions for p in parts]))
 
 
 def metric_values(roundtrips: PairedRows, metric: str, first: int, after: int) -> NDArray[np.int64]:
-    """Return the values of a metric of exchanges `first` to `after` (not included), without nulls."""
     rows = roundtrips.bounds[[first, after]].tolist()
     return present(roundtrips.column(f"{metric}_ns").slice(rows[0], rows[1] - rows[0]))
 
 
 def measure_batch(roundtrips: PairedRows, group_of_exchange: NDArray[np.uint32]) -> Statistics:
-    """Measure every group of a batch, in ascending order."""
     groups, first = np.unique(group_of_exchange, return_index=True)
     after = np.append(first, len(group_of_exchange))[1:]
     return measure_groups(
@@ -61,7 +58,6 @@ def measure_batch(roundtrips: PairedRows, group_of_exchange: NDArray[np.uint32])
 
 
 def measure_groups(values: Iterable[tuple[int, str, NDArray[np.int64]]]) -> Statistics:
-    """Compute statistics and histograms from (group, metric, values ascending)."""
     rows, histograms = [], []
     for group, metric, ordered_ns in values:
         rows.append({"group": group, "metric": metric, "samples": len(ordered_ns), **summarize_values(ordered_ns)})
@@ -121,7 +117,6 @@ class Summary:
 
 
 def summarize_groups(grouping: Grouping, exchange_counts: pl.DataFrame, statistics: Statistics) -> Summary:
-    """Make one row per group from the counts of its exchanges and its statistics."""
     measured = statistics.frame.sort("group", maintain_order=True)
     wide = [
         measured.filter(metric=metric).select(pl.col(name).alias(f"{metric}_{name}_ns") for name in STATISTICS)

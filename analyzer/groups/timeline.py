@@ -131,7 +131,6 @@ def points_of_exchange(all_exchanges: int) -> int:
 
 
 def _rows_to_draw(roundtrips: RoundTrips, recorded: NDArray[np.bool_], share: int) -> NDArray[np.int64]:
-    """Return the indices of about `share` rows of each exchange, by round trips where its relay is not `recorded`."""
     rows, first = np.diff(roundtrips.bounds), roundtrips.bounds[:-1]
     if (rows <= share).all():
         return np.arange(roundtrips.measured.height)

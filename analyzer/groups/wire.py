@@ -79,7 +79,6 @@ class WireFrames(NamedTuple):
 
 
 def no_wire_frames() -> WireFrames:
-    """Make empty frames."""
     return WireFrames(**{name: pl.DataFrame(schema=schema) for name, schema in WIRE_FRAMES.items()})
 
 
@@ -125,7 +124,6 @@ def wire_frames(traces: Sequence[Trace], runs: Mapping[int, Run], grouping: Grou
 
 
 def _relay_counts(traces: Iterable[Trace]) -> list[tuple[JsonObject, frozenset[int]]]:
-    """Return the counts of relays' captures with their runs, each once."""
     counts: dict[tuple[Json, Json], tuple[JsonObject, frozenset[int]]] = {}
     for trace in traces:
         for text in trace.wire:

@@ -118,17 +118,14 @@ class Campaign:
     copies: tuple[Copies, ...] = ()
 
     def with_copies(self, copies: tuple[Copies, ...]) -> Campaign:
-        """Return the campaign with its copies, and with sources that report them."""
         skipped = [source for source in self.sources if source.status == "skipped"]
         sources = [*_read_sources(self.folder, self.traces, self.event_counts, copies), *skipped]
         return replace(self, copies=copies, sources=tuple(sorted(sources, key=lambda source: source.path)))
 
     def name(self, trace: int) -> str:
-        """Return the name of a trace for findings."""
         return _relative(self.traces[trace].path, self.folder)
 
     def names(self, traces: Iterable[int]) -> str:
-        """Join the names of several traces."""
         return ", ".join(self.name(trace) for trace in sorted(set(traces)))
 
 
@@ -172,7 +169,6 @@ def load_campaign(
 
 
 def skipped_source(candidate: Path, folder: Path, why: str) -> Source:
-    """Return the source of a file that is not a trace."""
     return Source(_relative(candidate, folder), "skipped", why, 0)
 
 
@@ -242,7 +238,6 @@ def _read_sources(
 
 
 def _other_files(folder: Path, traces: Collection[Path], skip: Collection[Path]) -> Iterator[Path]:
-    """Leave out files of a trace or a sweep, and hidden files."""
     skipped = {entry.resolve() for entry in (*traces, *skip) if entry.is_dir()}
     stems = {os.fspath(entry) for entry in traces}
     lengths = {len(stem) for stem in stems}  # few, for thousands of stems

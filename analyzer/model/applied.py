@@ -19,19 +19,16 @@ _LARGEST_PACKET_BYTES = 65_535
 
 
 def words_not_applied(session: Session) -> tuple[str, ...]:
-    """Return a sentence, without a full stop, for each requested setting that was not applied."""
     words = [entry.get("words") for entry in objects_of(session.extra.get("not_applied"))]
     return tuple(dict.fromkeys(text for text in words if isinstance(text, str) and text))
 
 
 def payload_path(session: Session) -> str | None:
-    """Return what carried the payload: `shm`, an interface, `unknown` or None."""
     path = object_of(session.extra.get("applied")).get("path")
     return path if isinstance(path, str) else None
 
 
 def maps_memory(session: Session) -> bool:
-    """Return whether the process had its vendor's shared memory open."""
     return any(
         segment.get("middleware") == session.vendor and segment.get("is_deleted") is False
         for segment in objects_of(_instant(session, "begin").get("memory"))
@@ -46,7 +43,6 @@ def udp_receive_buffer_bytes(session: Session) -> int | None:
 
 
 def congestion_controls(session: Session) -> tuple[str, ...]:
-    """Return the congestion controls of the process's TCP connections, sorted."""
     states = [socket.get("tcp") for socket in objects_of(_instant(session, "begin").get("sockets"))]
     names = {object_of(state).get("congestion_control") for state in states}
     return tuple(sorted(name for name in names if isinstance(name, str) and name))
@@ -67,7 +63,6 @@ def socket_drops(session: Session) -> int | None:
 
 
 def is_tuned(session: Session) -> bool:
-    """Return whether the vendor's settings for large messages were requested."""
     return object_of(session.extra.get("asked")).get("tuned") is True
 
 

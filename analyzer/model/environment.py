@@ -21,7 +21,6 @@ FLEETING = ("wifi",)
 
 
 def flat_fields(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the leaves of a nested object with their dotted names."""
     for key, value in host.items():
         if isinstance(value, dict):
             yield from flat_fields(value, f"{prefix}{key}.")

@@ -6,7 +6,6 @@ from dds_trace.tracefile.format.json_fields import JsonObject
 
 
 def object_of(value: object) -> JsonObject:
-    """Return a JSON object, empty for anything else."""
     return value if isinstance(value, dict) else {}
 
 

@@ -20,17 +20,14 @@ Rule = Callable[[Sequence[str], Sequence[str]], "Iterable[int]"]
 
 
 def where_it_varies(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
-    """Choose all names if any two words differ."""
     return range(len(names)) if len(set(words)) > 1 else ()
 
 
 def where_it_helps(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
-    """Choose all names if the words make more of them distinct."""
     return range(len(names)) if len(set(zip(names, words, strict=True))) > len(set(names)) else ()
 
 
 def where_alike(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
-    """Choose the names that are equal so far and whose words differ."""
     words_by_name: dict[str, set[str]] = defaultdict(set)
     for name, word in zip(names, words, strict=True):
         words_by_name[name].add(word)
@@ -87,12 +84,10 @@ def _word(name: str, group: Mapping[str, ParameterValue]) -> str:
 
 
 def is_topic(data_type: object) -> bool:
-    """Return whether the kind of data is the name of a topic that a tap heard."""
     return isinstance(data_type, str) and data_type.startswith("/")
 
 
 def varying_parameters(groups: pl.DataFrame, columns: Iterable[str]) -> list[str]:
-    """Return the columns in which groups differ, and always vendor, bridge and message."""
     always = {*_FIRST, *CELL_COLUMNS}
     return [name for name in columns if name in always or groups[name].n_unique() > 1]
 
@@ -105,7 +100,6 @@ def group_words(group: Mapping[str, ParameterValue], columns: Iterable[str]) -> 
 
 
 def value_word(value: object) -> str:
-    """Write the value of a parameter: `unknown` for None, `nothing` for an empty text."""
     if value is None:
         return "unknown"
     return f"{value:g}" if isinstance(value, float) else str(value) or "nothing"

@@ -30,5 +30,4 @@ class Presenter(Protocol):
 
 
 def presenter() -> Presenter:
-    """Load the presenter."""
     return cast("Presenter", import_module(PRESENTER_MODULE))

@@ -63,12 +63,10 @@ class RunRows:
 
     @cached_property
     def received(self) -> NDArray[np.bool_]:
-        """For each message whether its reply came back."""
         return (self.rows["outcome"] == "completed").to_numpy()
 
     @property
     def is_lost(self) -> bool:
-        """Whether no reply came back."""
         return not self.received.any()
 
 
@@ -90,7 +88,6 @@ def topics_in_blocks(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
-    """Cut round trips into runs, in their order."""
     parts = rows.partition_by("run_id", maintain_order=True)
     # Only the rows of several relays are not in the order of T1.
     return tuple(
@@ -111,7 +108,6 @@ def delivered_runs(runs: Sequence[RunRows], metric: str) -> list[Run]:
 
 
 def pass_numbers(runs: Iterable[RunDescription]) -> dict[int, int]:
-    """Return run_id -> pass of the sweep, for the runs with that label."""
     return {
         run.run_id: int(text) for run in runs if (text := run.labels.get(PASS_LABEL, "")).isascii() and text.isdigit()
     }

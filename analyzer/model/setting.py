@@ -49,28 +49,23 @@ def setting_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 
 
 
 def write_setting(values: Mapping[str, str]) -> str:
-    """Write keys and values as one text that `parse_setting` takes apart again."""
     return ",".join(f"{_quoted(key, '=')}={_quoted(value)}" for key, value in sorted(values.items()))
 
 
 def parse_setting(text: str) -> dict[str, str]:
-    """Return the keys and values of a setting."""
     pairs = (part.partition("=") for part in _split(text))
     return {unquote(key): unquote(value) for key, _, value in pairs}
 
 
 def condition_of(setting: str) -> str:
-    """Return the part of a setting that nobody chooses (`CONDITIONS`)."""
     return write_setting({k: v for k, v in parse_setting(setting).items() if k in CONDITIONS})
 
 
 def choice_of(setting: str) -> str:
-    """Return the part of a setting that a user can choose."""
     return write_setting({k: v for k, v in parse_setting(setting).items() if k not in CONDITIONS})
 
 
 def without_relay(setting: str) -> str:
-    """Return the part of a setting that is known without the relay's trace."""
     values = {k: v for k, v in parse_setting(setting).items() if k != "relays" and not k.startswith("relay.")}
     return write_setting(values)
 
@@ -88,7 +83,6 @@ def _side(session: Session) -> dict[str, str]:
 
 
 def _configuration(host: JsonObject) -> dict[str, str]:
-    """Return the middleware's configuration files: variable -> names with the start of their hashes."""
     configuration = host.get("configuration")
     named: dict[str, str] = {}
     for variable, entries in configuration.items() if isinstance(configuration, dict) else ():

@@ -125,7 +125,6 @@ def count_all(t1: EventColumns, t3: EventColumns, warmup_messages: int) -> dict[
 def _beyond_history(
     arrivals_ns: NDArray[np.int64], is_lost: NDArray[np.bool_], history_ns: float | None
 ) -> tuple[int, int]:
-    """Count the lost messages between two arrivals further apart than a history, and return the longest such time."""
     if history_ns is None or not is_lost.any():
         return 0, 0
     arrived = np.flatnonzero(arrivals_ns != MISSING)

@@ -55,16 +55,13 @@ class Exchange:
 
     @property
     def took_part(self) -> bool:
-        """Whether there is a relay at all."""
         return sum(self.counts[1:]) > 0
 
     @property
     def relay_recorded(self) -> bool:
-        """Whether the relay's own events are there."""
         return sum(self.counts[2:]) > 0
 
     def span(self) -> RunSpan:
-        """Return the time that the run took, on the ping's machine."""
         return RunSpan(self.start_ns, self.end_ns, self.run.run_id, machine_of(self.ping))
 
     def event_keys(self) -> tuple[EventKey, EventKey, EventKey, EventKey]:
@@ -78,11 +75,9 @@ class Exchange:
         )
 
     def parameters(self) -> Parameters:
-        """Return the key of its group."""
         return parameters_of(self.run, self.ping, self.relay, relays=self.relays, flows=self.flows)
 
     def environment(self) -> str:
-        """Return the digest of both sides' environment."""
         return environment_of(self.ping, self.relay)
 
 
@@ -91,9 +86,7 @@ class Unplaced:
     """Events that belong to no row, copies left out.
 
     Attributes:
-        reason: a key of the table of reasons in `findings/runs.py`.
         relay_id: the relay that they name, 0 for none.
-        traces: indices of the traces with these events.
     """
 
     reason: str
@@ -173,7 +166,6 @@ def find_exchanges(campaign: Campaign) -> Exchanges:
 def _within_bounds(
     relays: Mapping[int, Mapping[Stage, Parts]], published: int
 ) -> tuple[Mapping[int, Mapping[Stage, Parts]], list[Parts]]:
-    """Return the relays that get rows, the busiest first, and the events of all others."""
     if len(relays) <= _ANY_RELAYS:
         return relays, []
     events = {relay_id: sum(map(_count, stages.values())) for relay_id, stages in relays.items()}

@@ -23,11 +23,9 @@ class RunSpan:
 
     @property
     def middle_ns(self) -> int:
-        """Instant halfway between the two."""
         return (self.start_ns + self.end_ns) // 2
 
     def includes(self, instant_ns: int) -> bool:
-        """Return whether the run went on at an instant."""
         return self.start_ns <= instant_ns <= self.end_ns
 
 
@@ -47,7 +45,6 @@ class Overlap:
 
 
 def count_flows(spans: Iterable[RunSpan]) -> dict[int, int]:
-    """Return by run_id the number of runs of its machine at its middle, itself included."""
     flows: dict[int, int] = {}
     for spans_of_machine in _by_machine(spans):
         middles = np.array([span.middle_ns for span in spans_of_machine])

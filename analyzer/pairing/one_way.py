@@ -81,7 +81,6 @@ class OneWay:
 
     @classmethod
     def unknown(cls, rows: int, exchanges: int) -> OneWay:
-        """Return null for every row."""
         return cls(
             tuple(pl.Series(name, [None], pl.Int64).new_from_index(0, rows) for name in ONE_WAY_COLUMNS),
             (None,) * exchanges,
@@ -170,7 +169,6 @@ class _FitInput:
 
 
 def _usable(stamps: Mapping[str, NDArray[np.int64]], here: slice, damaged: Sequence[str]) -> NDArray[np.bool_]:
-    """Return which rows have all four stamps, sane where named as `damaged`, and less time in the relay than under way."""
     t1, t3, t4, t2 = (stamps[name][here] for name in _FOUR_STAMPS)
     usable: NDArray[np.bool_] = t2 - t1 >= t4 - t3
     for name in damaged:

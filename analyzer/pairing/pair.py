@@ -117,7 +117,6 @@ class PairedMessages:
 
 
 def published_messages(t1: EventColumns, warmup_messages: int, ping_every: int = 1) -> Published:
-    """Select the counted messages of a run: distinct, sorted, from sequence number `warmup_messages` on, every n-th."""
     sequence, publish_ns, scheduled_ns = t1.sequence, t1.monotonic_ns, t1.scheduled_ns
     # Zeros of a recorder without a schedule: no two messages are planned for the boot of the device.
     if len(t1) > 1 and not scheduled_ns.any():
@@ -145,7 +144,6 @@ def published_messages(t1: EventColumns, warmup_messages: int, ping_every: int =
 
 
 def is_pinged(sequence: NDArray[np.uint64], ping_every: int) -> NDArray[np.bool_]:
-    """Return for each message whether it wants a reply."""
     pinged: NDArray[np.bool_] = sequence % np.uint64(ping_every) == 0
     return pinged
 
@@ -196,7 +194,6 @@ def middleware_stamps(
 
 
 def _earliest(published: Published, events: EventColumns) -> tuple[NDArray[np.int64], NDArray[np.uint16], int]:
-    """Return each message's earliest event, its number of others, and the number of orphans."""
     extra = np.zeros(len(published), np.uint16)
     if _are_its_own(published, events):
         return events.monotonic_ns, extra, 0
@@ -252,7 +249,6 @@ def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def chosen_of(mask: NDArray[np.bool_], values: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Return the values of a mask, without a copy where it is all true."""
     return values if mask.all() else values[mask]
 
 

@@ -140,7 +140,6 @@ def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, st
 
 
 def summary_table(summary: pl.DataFrame, provenance: Mapping[str, str] | None = None) -> pa.Table:
-    """Return `Analysis.summary` with exact types, and metadata of fields and table."""
     return summary.to_arrow().cast(_schema(SUMMARY_COLUMNS).with_metadata(dict(provenance or {})))
 
 

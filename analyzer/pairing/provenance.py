@@ -24,7 +24,6 @@ MOST_NAMED = 1000
 
 
 def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
-    """Return the metadata of the files: key -> text, or JSON."""
     read = sorted(source.path for source in campaign.sources if source.status != "skipped")
     sessions = sorted(campaign.sessions.values(), key=lambda session: (session.wall_anchor_ns, session.session_id))
     clocks = [
@@ -53,7 +52,6 @@ def provenance(campaign: Campaign, exchanges: Exchanges) -> Mapping[str, str]:
 
 
 def read_provenance(folder: Path) -> Mapping[bytes, bytes] | None:
-    """Return the metadata of a folder's `summary.parquet`, None without one."""
     try:
         return dict(pq.read_schema(folder / "summary.parquet").metadata or {})
     except (OSError, UnicodeEncodeError, pa.ArrowException):  # pyarrow takes no path that is not UTF-8

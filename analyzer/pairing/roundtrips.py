@@ -115,9 +115,7 @@ class RoundTrips(PairedRows):
     """The rows of some exchanges in memory.
 
     Attributes:
-        measured: `sequence`, `columns.MEASURED_COLUMNS` and `UTC_COLUMNS`, `outcome` as Enum.
         outcome: uint8, for each row an index of `pair.OUTCOMES`.
-        stamps: columns of `MIDDLEWARE_STAMPS` that any event has.
     """
 
     measured: pl.DataFrame
@@ -126,16 +124,13 @@ class RoundTrips(PairedRows):
 
     @property
     def stamp_names(self) -> frozenset[str]:
-        """Names of `stamps`."""
         return frozenset(series.name for series in self.stamps)
 
     def column(self, name: str) -> pl.Series:
-        """Return a column of `measured`, or one of `stamps`."""
         stamps = [series for series in self.stamps if series.name == name]
         return stamps[0] if stamps else self.measured[name]
 
     def frames(self) -> Iterator[pl.DataFrame]:
-        """Yield slices of the rows."""
         for first in range(0, len(self.outcome) or 1, ROWS_PER_FRAME):
             outcome = pl.Series("outcome", self.outcome[first : first + ROWS_PER_FRAME])
             yield self.measured[first : first + ROWS_PER_FRAME].with_columns(outcome)
@@ -269,7 +264,6 @@ class _Filled:
 
 
 def describe(exchanges: Sequence[Exchange]) -> pl.DataFrame:
-    """Return the columns of `PairedRows.described`."""
     return pl.DataFrame(
         [(e.run.run_id, e.relay_id, *e.parameters().values()) for e in exchanges],
         schema=schema_of((*KEY_COLUMNS[:2], *PARAMETER_COLUMNS)),
@@ -284,11 +278,9 @@ def _null_where_missing(name: str, values: NDArray[np.int64]) -> pl.Series:
 
 
 def bounds_of(counts: pl.DataFrame) -> NDArray[np.int64]:
-    """Return `PairedRows.bounds` from the counts of the exchanges."""
     return np.concatenate([[0], np.cumsum(counts["published"].to_numpy())]).astype(np.int64)
 
 
 def outcome_names(codes: NDArray[np.uint8]) -> pl.Series:
-    """Return the column `outcome` as Enum from indices of `pair.OUTCOMES`."""
     names = [outcome.value for outcome in OUTCOMES]
     return pl.Series("outcome", names, pl.Enum(names)).gather(codes.astype(np.uint32))

@@ -101,19 +101,15 @@ class RowsInMemory(RowStore):
 
     @property
     def file(self) -> Path | None:
-        """Path of the file, if there is one."""
         return None if self._path is None else self._path.resolve()
 
     def moved_to(self, path: Path) -> None:
-        """Take note of the new path."""
         self._path = path
 
     def load(self) -> pl.DataFrame:
-        """Return all rows."""
         return self._rows
 
     def scan(self) -> pl.LazyFrame:
-        """Return all rows."""
         return self._rows.lazy()
 
 
@@ -133,19 +129,15 @@ class RowsInFile(RowStore):
 
     @property
     def file(self) -> Path:
-        """Path of the file."""
         return self._path.resolve()
 
     def moved_to(self, path: Path) -> None:
-        """Take note of the new path."""
         self._path = path
 
     def load(self) -> pl.DataFrame:
-        """Read all rows."""
         return pl.read_parquet(self._path)
 
     def scan(self) -> pl.LazyFrame:
-        """Return all rows."""
         written = self._path.stat()
         return _scan(self._path, written.st_size, written.st_mtime_ns)
 
@@ -174,7 +166,6 @@ class RowWriter:
         self._write: Callable[[pa.Table], None] | None = None
 
     def __enter__(self) -> RowWriter:  # noqa: PYI034 - `Self` is Python 3.11's
-        """Start the file, if a path is given."""
         if self._path is not None:
             self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
         return self
@@ -182,11 +173,9 @@ class RowWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Complete the file, or leave the previous one."""
         self._stack.__exit__(kind, error, trace)
 
     def write(self, tables: Iterable[pa.Table]) -> None:
-        """Append tables of `parquet.tables_of`."""
         for table in tables:
             self._rows += len(table)
             if self._write is not None:
@@ -200,7 +189,6 @@ class RowWriter:
                 self._tables = None
 
     def store(self) -> RowStore:
-        """Return the rows, once all are written."""
         if self._tables is not None:
             return RowsInMemory(_frame_of(self._tables), self._path)
         assert self._path is not None

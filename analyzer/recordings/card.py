@@ -35,7 +35,6 @@ class RecordingHealth:
     """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics.
 
     Attributes:
-        verdict: `whole`, `holes` or `damaged`.
         damages: what is broken; `notes` what else is worth a word.
         pauses: start and length in seconds of the times in which all topics stopped.
     """
@@ -187,7 +186,6 @@ class Card:
 
 
 def _find_pauses(logged: Int64, losses: Sequence[Losses]) -> list[tuple[int, int]]:
-    """Return the times in which no topic had a message and at least two should have had."""
     regular = [found for found in losses if found.regularity is not None]
     rate_hz = sum(found.regularity.rate_hz for found in regular if found.regularity)
     if len(regular) < 2 or not rate_hz:
@@ -217,7 +215,6 @@ def _overlaps(chunks: Sequence[tuple[int, int, int]]) -> Iterator[str]:
 
 
 def _other_clock(ages_ns: dict[str, float]) -> Iterator[str]:
-    """Yield a note on the topics with stamps of another clock."""
     if ages_ns:
         topic, age_ns = max(ages_ns.items(), key=itemgetter(1))
         more = f" and {counted(len(ages_ns) - 1, 'more topic')}" if len(ages_ns) > 1 else ""

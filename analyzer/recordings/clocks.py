@@ -28,13 +28,11 @@ def of_one_clock(log_ns: Int64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
 
 
 def apart(time_ns: float) -> str:
-    """Return a long time in days or years."""
     days = time_ns / DAY_NS
     return f"{days / 365.25:.0f} years" if days > 365.25 else f"{days:.0f} days"
 
 
 def is_simulated(start_ns: int) -> bool:
-    """Return whether a recording begins where only a simulation's clock does."""
     return start_ns < _SIMULATED_BEFORE_NS
 
 

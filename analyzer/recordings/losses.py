@@ -52,7 +52,6 @@ class TopicTimes:
     lost: tuple[int, int] | None = None
 
     def find_losses(self, end_ns: int) -> Losses:
-        """Return the losses up to the end of the recording."""
         losses = self._by_period(end_ns)
         by_sequence = self._by_sequence()
         if by_sequence is not None and (by_sequence or self.is_ros1):
@@ -106,7 +105,6 @@ class TopicTimes:
         )
 
     def _regularity(self, times_ns: Int64) -> Regularity | None:
-        """Return the whole topic's, or its publishers' where they can be distinguished and are more regular."""
         best = find_regularity(times_ns)
         for keys in (self.publisher, self.frame, self.payload_bytes):
             parts = _by_key(times_ns, keys)
@@ -115,7 +113,6 @@ class TopicTimes:
         return best
 
     def _steadiest(self) -> tuple[Int64, int]:
-        """Return the times with the least jitter, ascending, and what to add for log times."""
         log = find_regularity(self.log_ns)
         if log is not None and log.jitter_ns < _QUIET * log.period_ns:
             return self.log_ns, 0
@@ -147,7 +144,6 @@ def _by_key(times_ns: Int64, keys: Int64) -> list[Regularity]:
 
 
 def lost_by_recorder(data: bytes) -> Iterator[tuple[str, int, int]]:
-    """Yield topic, messages lost in transport and in the recorder, of one `MessagesLostEvent` (CDR)."""
     order = "<" if data[1:2] == b"\1" else ">"
     body, at = data[4:], 0
 

@@ -77,7 +77,6 @@ class TopicMessages:
         return len(self.columns["log_ns"])
 
     def add(self, message: RawMessage) -> None:
-        """Append a message."""
         stamp, begins_with_header = _readers_of(message.topic)
         data, sequence = message.data, message.sequence
         if begins_with_header and message.topic.encoding == "ros1":
@@ -105,7 +104,6 @@ class TopicMessages:
 
     @property
     def copies(self) -> int:
-        """Messages whose log time and content another one has."""
         keys = np.array([self.columns["log_ns"], self.columns["content"]])
         keys = keys[:, np.lexsort(keys)]
         return int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
@@ -123,7 +121,6 @@ class TopicMessages:
 
 @lru_cache(maxsize=10_000)
 def _readers_of(topic: RecordedTopic) -> tuple[Callable[[bytes], int | None] | None, bool]:
-    """Return how a topic's stamp is read, and whether its messages begin with a header."""
     definition = topic.definition if topic.definition_encoding in _TEXTS else ""
     definition = definition or _definition_of(topic.message_type)
     stamp = stamp_reader(topic.message_type, definition, topic.encoding)

@@ -47,14 +47,7 @@ class Hole:
 
 @dataclass(frozen=True, slots=True)
 class Regularity:
-    """What the times of a topic show; times in ns.
-
-    Attributes:
-        period_ns: of the pattern, which has `in_pattern` messages.
-        jitter_ns: robust standard deviation (of the median deviation) of the period.
-        missing: best estimate, with the interval `low` to `high`.
-        share: of the intervals, of those that fit.
-    """
+    """What the times of a topic show; times in ns."""
 
     period_ns: float
     in_pattern: int
@@ -72,7 +65,6 @@ class Regularity:
 
 
 def spread(values: Int64 | Float64) -> float:
-    """Return a standard deviation that a few outliers do not change."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
@@ -123,7 +115,6 @@ class _Pattern(NamedTuple):
 
 
 def _pattern(times_ns: Int64, m: int) -> _Pattern | None:
-    """Return the pattern of m messages, None if there is none."""
     if len(times_ns) < max(_FEWEST, 4 * m):
         return None
     periods_ns = times_ns[m:] - times_ns[:-m]
@@ -159,7 +150,6 @@ def _single(times_ns: Int64, period_ns: float) -> Regularity:
 
 
 def _rate_changes(ratio: Float64) -> list[int]:
-    """Return where stretches begin in which nearly all intervals are of another rate."""
     is_same = np.concatenate([[False], np.abs(np.diff(ratio)) < 0.15]) & (np.abs(ratio - 1) > 0.25)
     starts = np.flatnonzero(np.diff(np.concatenate([[0], is_same.astype(np.int8), [0]])))
     if not (np.diff(starts)[::2] >= _STEADY).any():

@@ -32,7 +32,6 @@ HOLE_SCHEMA = frame_schema("recording:str topic:str start_s:f64 duration_s:f64 m
 
 
 def timing(log_ns: Int64) -> Row:
-    """Return the columns about ascending log times."""
     duration_ns = int(log_ns[-1] - log_ns[0])
     row: Row = {"start_ns": int(log_ns[0]), "duration_ns": duration_ns}
     if duration_ns:
@@ -49,7 +48,6 @@ def timing(log_ns: Int64) -> Row:
 
 
 def sizes(payload_bytes: Int64, duration_ns: int) -> Row:
-    """Return the columns about sizes."""
     total = int(payload_bytes.sum())
     return {
         "payload_mean_bytes": total / len(payload_bytes),
@@ -60,7 +58,6 @@ def sizes(payload_bytes: Int64, duration_ns: int) -> Row:
 
 
 def ages(log_ns: Int64, publish_ns: Int64, stamp_ns: Int64) -> Row:
-    """Return the columns about ages, from the header stamp where there is one."""
     stamped = stamp_ns != NONE
     published = publish_ns != NONE
     if stamped.any():

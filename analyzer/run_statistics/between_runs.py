@@ -30,7 +30,6 @@ class Units:
 
     Attributes:
         values: float64, infinite where a lost message sets it.
-        independent: how many independent messages they are worth within their runs.
         episodes: beyond the quantile in all runs; None for a mean, and where no value is beyond.
     """
 
@@ -53,7 +52,6 @@ class Estimate:
 
 
 def interval_of_runs(runs: Runs | Sequence[Run], statistic: Statistic, confidence: float = 0.95) -> Interval:
-    """Return the interval of one statistic."""
     return estimates_of_runs(runs, [statistic], confidence)[0].interval
 
 
@@ -172,7 +170,6 @@ class Scale(Enum):
 
 
 def scale_of(values: Float64) -> Scale:
-    """Return the scale on which values can be averaged."""
     few = values.tolist()
     is_positive, is_finite = min(few) > 0, all(map(math.isfinite, few))
     if is_finite:

@@ -75,7 +75,6 @@ class Cells:
     offsets: Indices
 
     def counts(self, indices: Indices) -> Indices:
-        """Return how many messages are in each cell."""
         if len(indices) > _MANY * len(self.widths):
             return np.diff(indices.searchsorted(self._bounds))
         return np.bincount(self._cell_of_message[indices], minlength=len(self.widths))
@@ -111,7 +110,6 @@ class Cells:
 
 
 def cells_of(lengths: Sequence[int]) -> Cells:
-    """Return the cells of one or more series."""
     cells = [min(messages, _MOST_CELLS) for messages in lengths]
     widths = np.concatenate(list(map(_widths, lengths, cells)))
     return Cells(tuple(lengths), widths, np.cumsum([0, *cells]))
@@ -207,12 +205,10 @@ def episode_sizes(indices: Indices, messages: int, sent_ns: Int64 | None = None)
 
 
 def gap_of(events: int, messages: int, share: float) -> float:
-    """Return a share of the events' mean distance, `LEAST_GAP` at least."""
     return max(share * messages / events, LEAST_GAP) if events else np.inf
 
 
 def sizes_between(ends: Indices) -> Int64:
-    """Return the number of events in each episode, from `episode_ends`."""
     sizes = ends + 1
     sizes[1:] -= ends[:-1] + 1
     return sizes

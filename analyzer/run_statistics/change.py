@@ -52,14 +52,10 @@ class Change:
     """One statistic of one group on both sides. What the samples do not support is None.
 
     Attributes:
-        base: interval of the base's statistic.
         basis: between runs only if both sides have three.
-        difference: new - base.
         ratio: new / base, infinite where the new side lost too much; None where a side is not above zero.
         p_value: of a difference like this between equal sides; None within one run.
         smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
-        pairs: repeats that were compared one by one.
-        pair_spread: standard deviation of their differences of logarithms.
     """
 
     base: Interval
@@ -95,7 +91,6 @@ def change_of_runs(
     confidence: float = 0.95,
     passes: Passes | None = None,
 ) -> Change:
-    """Return `change_of_estimates` of one statistic."""
     before, after = (estimates_of_runs(side, [statistic], confidence)[0] for side in (base, new))
     return change_of_estimates(before, after, passes)
 
@@ -268,7 +263,6 @@ class DetectableChange:
 def detectable_changes(
     changes: Iterable[tuple[str, str, Change]], confidence: float, same_within: float
 ) -> tuple[DetectableChange, ...]:
-    """Return the smallest detectable change of each metric and statistic."""
     families: dict[tuple[str, str], list[Change]] = {}
     for metric, statistic, change in changes:
         families.setdefault((metric, statistic), []).append(change)

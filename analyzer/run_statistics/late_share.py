@@ -28,7 +28,6 @@ class LateShare:
     """Share of the messages that are later than a deadline, a lost one included.
 
     Attributes:
-        observed: over all messages.
         lower: lower confidence limit of the mean over runs; None with fewer than three runs.
         upper: upper confidence limit, the larger one of two: of that mean, and of the share that the levels of the runs predict.
     """

@@ -132,7 +132,6 @@ class DeliveryChange:
         basis: between runs only if both sides have three.
         smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %; None where not
             even the loss of everything would be.
-        p_value: of a difference like this between equal sides (`loss_test`).
     """
 
     base: Interval

@@ -45,12 +45,10 @@ class SendTimes:
 
     @cached_property
     def by_run(self) -> list[Int64]:
-        """The times of each run."""
         return [self.sent_ns[start:end] for start, end in pairwise(self.offsets.tolist())]
 
     @cached_property
     def joined_ns(self) -> Int64:
-        """Times of the runs as one series."""
         return np.cumsum(np.concatenate([_steps_ns(times) for times in self.by_run]))
 
     @cached_property
@@ -76,7 +74,6 @@ class Levels:
     is_ratio: bool
 
     def relative(self, values: Values, level: float | Values) -> Values:
-        """Return values relative to a level."""
         return values / level if self.is_ratio else values - level
 
 
@@ -97,12 +94,10 @@ class Runs:
 
     @classmethod
     def of(cls, runs: Runs | Sequence[Run]) -> Runs:
-        """Return runs as a group."""
         return runs if isinstance(runs, Runs) else cls(tuple(runs))
 
     @classmethod
     def split(cls, values: Values, times: SendTimes) -> Runs:
-        """Return the group whose shared arrays are these."""
         offsets = pairwise(times.offsets.tolist())
         runs = cls(tuple(Run(values[s:e], sent) for (s, e), sent in zip(offsets, times.by_run, strict=True)))
         runs.__dict__.update(values=values, times=times)
@@ -110,35 +105,29 @@ class Runs:
 
     @cached_property
     def lengths(self) -> tuple[int, ...]:
-        """Messages of each run."""
         return tuple(map(len, self.runs))
 
     @cached_property
     def offsets(self) -> Indices:
-        """The first message of each run and the number of all."""
         return np.cumsum([0, *self.lengths])
 
     @cached_property
     def values(self) -> Values:
-        """The values of all runs."""
         if len(self) == 1:
             return self.runs[0].values
         return np.concatenate([run.values for run in self.runs]) if self.runs else np.empty(0)
 
     @cached_property
     def times(self) -> SendTimes:
-        """When each message was sent, or its number."""
         times = [np.arange(len(run)) if run.sent_ns is None else run.sent_ns for run in self.runs]
         return SendTimes(np.concatenate(times), self.offsets)
 
     @cached_property
     def ordered(self) -> Values:
-        """All values, ascending."""
         return self.runs[0].ordered if len(self) == 1 else np.sort(self.values)
 
     @cached_property
     def ordered_by_run(self) -> Values:
-        """The values of each run, ascending."""
         if len(self) == 1:
             return self.runs[0].ordered
         ordered: Values = np.concatenate([run.ordered for run in self.runs])
@@ -159,24 +148,20 @@ class Runs:
 
     @cached_property
     def relative(self) -> Values:
-        """The values relative to their run's level."""
         if len(self) == 1:
             return self.values
         return self.levels.relative(self.values, np.repeat(self.levels.values, self.lengths))
 
     @cached_property
     def ordered_relative(self) -> Values:
-        """The relative values, ascending."""
         return self.runs[0].ordered if len(self) == 1 else np.sort(self.relative)
 
     @cached_property
     def cells(self) -> Cells:
-        """`Cells` of the messages."""
         return cells_of(self.lengths)
 
     @property
     def joined(self) -> Runs:
-        """The runs as one series."""
         # Not cached: a single run would reference itself, and its arrays would live until the next garbage collection.
         return self if len(self) == 1 else self._joined
 
@@ -220,7 +205,6 @@ class Statistic:
 
     @property
     def needs(self) -> int:
-        """Messages that a run needs at least."""
         return 1 if self.quantile is None else minimum_messages(self.quantile)
 
     def of_runs(self, runs: Runs) -> Float64:
@@ -230,7 +214,6 @@ class Statistic:
         return quantiles_of_runs(runs, [self.quantile])[0]
 
     def of_run(self, run: Run) -> float:
-        """Return the statistic of one run."""
         return float(self.of_runs(Runs((run,)))[0])
 
 
@@ -248,7 +231,6 @@ def quantiles_of_runs(runs: Runs, quantiles: Sequence[float]) -> list[Float64]:
 
 
 def quantile_at(ordered: Values, position: float) -> float:
-    """Return `quantiles_at` of one series."""
     return float(quantiles_at(ordered, np.array([0, len(ordered)]), np.array([position]))[0])
 
 

@@ -56,7 +56,6 @@ class SetupMean:
     degrees: float
 
     def against(self, other: SetupMean) -> StudentTest:
-        """Return Welch's test of the other one's mean minus this one's."""
         total = self.variance + other.variance
         weights = self.variance**2 / self.degrees + other.variance**2 / other.degrees
         degrees = total**2 / weights if weights else self.degrees + other.degrees

@@ -125,7 +125,6 @@ class Tail:
 
     Attributes:
         sizes: int64, messages of each episode.
-        inflation: variance of their share over the variance for independent messages.
         streaks: unbroken streaks of messages; None for as many as episodes.
         bursts: bursts of the group's tail, if few enough to limit it.
     """
@@ -149,7 +148,6 @@ class Beyond:
 
     @property
     def by_run(self) -> list[Float64]:
-        """The positions in each run."""
         return [self.positions[start:end] for start, end in pairwise(self.offsets.tolist())]
 
 
@@ -210,7 +208,6 @@ def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
 
 
 def inflations_of(runs: Runs, quantiles: Sequence[float]) -> list[list[float]]:
-    """Return for each quantile the `Tail.inflation` of each run beyond its own quantile."""
     thresholds = [thresholds_of(run.ordered, quantiles) for run in runs]
     indices = indices_beyond(runs.values, runs.offsets, thresholds, quantiles)
     return share_inflations(runs.cells, [(tail, tail.searchsorted(runs.offsets)) for tail in indices])

@@ -28,18 +28,15 @@ class StudentTest:
 
     @property
     def error(self) -> float:
-        """Standard error of the difference."""
         return math.hypot(self.base_error, self.new_error)
 
     @property
     def p_value(self) -> float:
-        """Two-sided."""
         if self.error == 0:
             return 1.0 if self.difference == 0 else 0.0
         return 2 * student_cdf(-abs(self.difference) / self.error, self.degrees)
 
     def reach(self, confidence: float) -> float:
-        """Return how many standard errors an end of the interval is away."""
         return student_quantile((1 + confidence) / 2, self.degrees)
 
 

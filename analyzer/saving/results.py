@@ -90,7 +90,6 @@ def _open_drafts(folder: Path, stack: ExitStack) -> Path:
 
 @contextmanager
 def _finished_results(folder: Path) -> Iterator[None]:
-    """Within the block no other process replaces results, and what dead ones left is finished or removed."""
     with folder_lock(folder, fcntl.LOCK_EX, _LOCK_S) as is_ours:
         for left in sorted(folder.iterdir()) if is_ours else ():
             if _DRAFTS.fullmatch(left.name) and left.is_dir() and not left.is_symlink():
@@ -124,7 +123,6 @@ def _move_results(whole: Path) -> None:
 
 
 def _remove(drafts: Path) -> None:
-    """Remove a folder, its mark last."""
     for path in sorted(drafts.iterdir(), key=lambda path: path.name == _MARK):
         path.unlink()
     drafts.rmdir()

@@ -90,7 +90,6 @@ def poisson_limits(count: int, confidence: float = 0.95) -> tuple[float, float]:
 
 
 def poisson_cdf(count: int, mean: float) -> float:
-    """Return the probability of at most `count` events."""
     if mean <= 0:
         return 1.0
     return math.fsum(math.exp(k * math.log(mean) - mean - math.lgamma(k + 1)) for k in range(count + 1))

@@ -66,17 +66,14 @@ class Interval:
 
     @property
     def is_two_sided(self) -> bool:
-        """Whether both ends are there."""
         return self.lower is not None and self.upper is not None
 
     @property
     def range(self) -> Range:
-        """Both ends."""
         return self.lower, self.upper
 
 
 def ranges_overlap(one: Range, other: Range) -> bool:
-    """Return whether two ranges have a value in common."""
     low = max(-math.inf if lower is None else lower for lower, _ in (one, other))
     high = min(math.inf if upper is None else upper for _, upper in (one, other))
     return low <= high

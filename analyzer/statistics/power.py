@@ -77,7 +77,6 @@ MOST_RUNS = 1000
 
 
 def smallest_shift(error: float, degrees: float, confidence: float = 0.95, power: float = POWER) -> float:
-    """Return the smallest true difference that a t test detects with a probability of `power`, in the unit of `error`."""
     # Quarters of a degree: Welch's are fractions, and what is alike is computed once.
     return error * shift_for_power(max(1.0, math.floor(degrees * 4) / 4), confidence, power)
 

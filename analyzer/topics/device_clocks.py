@@ -39,7 +39,6 @@ class Machine(NamedTuple):
 
 
 def machine_of_session(session: Session) -> Machine:
-    """Return the machine that recorded a session."""
     return Machine(boot_id_of(session) or "", session.device)
 
 
@@ -56,7 +55,6 @@ class _Link:
     is_ping: bool
 
     def across(self, at_ns: Int64) -> Instants:
-        """Convert from the clock of the ping, or of the relay, to the other one."""
         offsets = self.track.at(at_ns) if self.is_ping else self.track.at_relay(at_ns)
         return Instants(at_ns + offsets.offset_ns if self.is_ping else at_ns - offsets.offset_ns, offsets.bound_ns)
 
@@ -76,16 +74,13 @@ class DeviceClocks:
 
     @property
     def machines(self) -> tuple[Machine, ...]:
-        """All machines, sorted."""
         return tuple(sorted(self._anchors))
 
     def machine_named(self, device: str) -> Machine | None:
-        """Return the machine with a device's name that started last, None if no session is of it."""
         named = [machine for machine in self._anchors if machine.device == device]
         return max(named, key=lambda machine: max(self._anchors[machine]), default=None)
 
     def convert(self, at_ns: Int64, start: Machine, end: Machine) -> Instants:
-        """Return instants of the monotonic clock of `start` on the one of `end`."""
         path = self._path(start, end)
         if path is None:
             return Instants(at_ns, np.full(len(at_ns), UNKNOWN_NS, np.int64))
@@ -153,7 +148,6 @@ class DeviceClocks:
 def _messages_by_pair(
     sessions: Collection[Session], runs: Collection[Run], rows: RowStore
 ) -> Mapping[tuple[Machine, Machine], RelayedMessages]:
-    """Return the round trips of each pair of machines, thinned."""
     by_id = {session.session_id: machine_of_session(session) for session in sessions}
     pings = {run.run_id: by_id[session_id] for run in runs if (session_id := session_of_run(run)) in by_id}
     started = sorted(sessions, key=lambda session: session.wall_anchor_ns)

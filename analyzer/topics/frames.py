@@ -49,12 +49,10 @@ class Topics:
 
     @classmethod
     def none(cls) -> Topics:
-        """Return empty frames."""
         return cls(*(pl.DataFrame(schema=schema) for schema in (TOPIC_SCHEMA, TOPIC_MESSAGE_SCHEMA, HOP_SCHEMA)))
 
 
 def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
-    """Join the taps of a campaign, by the clocks that its round trips give."""
     if not has_taps(campaign):
         return Topics.none()
     clocks = DeviceClocks(campaign.sessions.values(), campaign.runs.values(), rows)
@@ -145,7 +143,6 @@ def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
 
 
 def _arrivals_by_tap(deliveries: Sequence[Delivery]) -> Iterator[pl.Series]:
-    """Yield when each tap received its messages, of all publishers."""
     sessions: dict[int, list[pl.Series]] = defaultdict(list)
     for one in deliveries:
         sessions[one.heard.session.session_id].append(one.messages["relay_in_ns"].drop_nulls())

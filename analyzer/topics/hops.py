@@ -25,13 +25,11 @@ _QUANTILES = {"p50": (0.5, 1), "p90": (0.9, 10), "p99": (0.99, 100), "max": (1.0
 
 
 def quantile(values: Int64, statistic: str) -> float | None:
-    """Return a statistic of some times, None where they are too few."""
     share, needs = _QUANTILES[statistic]
     return float(np.quantile(values, share)) if len(values) >= needs else None
 
 
 def origin_name(delivery: Delivery) -> str:
-    """Return the name of the publisher's device, `unknown` if it is."""
     return "unknown" if delivery.origin is None else delivery.origin.device
 
 
@@ -95,7 +93,6 @@ def _hop(topics: tuple[str, str], events: tuple[str, str], devices: tuple[str, s
 
 
 def _processing_ns(earlier: Delivery, later: Delivery) -> Int64:
-    """Return the times from the reception of a message to the publishing of the one with the same stamp, on one machine."""
     received = earlier.messages.select("header_ns", "relay_in_ns").drop_nulls().unique("header_ns")
     published = later.messages.select("header_ns", "publish_ns").drop_nulls().unique("header_ns")
     joined = received.join(published, on="header_ns")

@@ -47,7 +47,6 @@ class Stream:
 
     @property
     def machines(self) -> tuple[Machine, ...]:
-        """Machines of its taps."""
         return tuple(sorted({one.machine for one in self.heard}))
 
 
@@ -88,7 +87,6 @@ MESSAGE_COLUMNS = {
 
 
 def find_streams(heard: Sequence[Heard]) -> Iterator[Stream]:
-    """Yield the streams of each topic."""
     by_topic: dict[str, list[Heard]] = defaultdict(list)
     for one in heard:
         by_topic[one.topic].append(one)
@@ -111,7 +109,6 @@ def find_streams(heard: Sequence[Heard]) -> Iterator[Stream]:
 
 
 def _shared_key(one: Stream, other: Stream) -> Key | None:
-    """Return what identifies messages of two streams that are one at different taps, None if they are not."""
     if {tap.session.session_id for tap in one.heard} & {tap.session.session_id for tap in other.heard}:
         return None
     for key in (SOURCE, CONTENT):
@@ -125,7 +122,6 @@ def _shared_key(one: Stream, other: Stream) -> Key | None:
 
 
 def deliver(stream: Stream, clocks: DeviceClocks) -> Iterator[Delivery]:
-    """Yield the messages of a stream at each of its taps."""
     arrivals = [_arrivals(one, stream.key) for one in stream.heard]
     sent = _sent(stream.key, arrivals)
     origin, is_assumed = _origin(stream, arrivals, clocks)
@@ -143,7 +139,6 @@ def deliver(stream: Stream, clocks: DeviceClocks) -> Iterator[Delivery]:
 
 
 def _arrivals(heard: Heard, key: Key) -> pl.DataFrame:
-    """Return the first arrival of each message, in their order, with `duplicates` and `reordered`."""
     if key == CONTENT:
         return heard.messages.filter(~pl.col("content_hash").is_duplicated()).with_columns(
             duplicates=pl.lit(0, pl.UInt16), reordered=pl.lit(value=False)
@@ -157,7 +152,6 @@ def _arrivals(heard: Heard, key: Key) -> pl.DataFrame:
 
 
 def _sent(key: Key, arrivals: Sequence[pl.DataFrame]) -> pl.DataFrame:
-    """Return every message that any tap heard, and the numbers in between, where `is_heard` is null."""
     names = ["source_ns", "header_ns", "payload_bytes"]
     sent = (
         pl.concat([part.select(*dict.fromkeys([*key, *names])) for part in arrivals])
@@ -221,7 +215,6 @@ def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceCloc
 
 
 def _can_be_origin(stream: Stream, arrivals: Sequence[pl.DataFrame], origin: Machine, clocks: DeviceClocks) -> bool:
-    """Return whether no message arrives before this machine's clock can have stamped it."""
     for one, part in _zip(stream, arrivals):
         stamped = part.filter(pl.col("source_ns") != 0)
         publish = clocks.of_wall(stamped["source_ns"].to_numpy(), origin)
@@ -313,7 +306,6 @@ def with_ages(delivery: Delivery, stamper: Machine, clocks: DeviceClocks) -> Del
 
 
 def _in_service(messages: pl.DataFrame, settled_ns: int) -> pl.DataFrame:
-    """Leave out what was published before the tap heard its first message, or too late to have arrived before its end."""
     arrived = np.flatnonzero(messages["relay_in_ns"].is_not_null().to_numpy())
     if not len(arrived):
         return messages.clear()

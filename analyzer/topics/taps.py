@@ -30,7 +30,6 @@ class Heard:
         messages: by reception; i64 `received_ns` on the tap's monotonic clock, `header_ns` and `source_ns` (0 if unknown),
             u64 `content_hash` and `publication_sequence` (0 if unknown), u32 `payload_bytes`.
         is_local: whether the publisher runs on the tap's device; None if unknown.
-        end_ns: last instant at which the tap is known to have run.
     """
 
     session: Session
@@ -46,17 +45,14 @@ class Heard:
 
     @property
     def machine(self) -> Machine:
-        """The machine of the tap."""
         return machine_of_session(self.session)
 
 
 def has_taps(campaign: Campaign) -> bool:
-    """Return whether any trace is of a tap."""
     return any(session.role == TAP_ROLE for session in campaign.sessions.values())
 
 
 def heard_by_taps(campaign: Campaign) -> list[Heard]:
-    """Return what each tap heard of each publisher, by topic, session and publisher."""
     parts: dict[tuple[int, int], list[EventPart]] = defaultdict(list)
     ends: dict[int, int] = defaultdict(int)
     for (stage, _, publisher_id), parts_of_key in campaign.events.items():

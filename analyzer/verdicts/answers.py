@@ -263,7 +263,6 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float) -> 
 
 
 def _repeats_to_decide(ranking: Ranking, confidence: float) -> int | None:
-    """Return the repeats that would probably decide all that is open about the best setup."""
     counts = [pair.repeats_to_decide(confidence) for pair in ranking.undecided]
     known = [count for count in counts if count is not None]
     return max(known) if known and len(known) == len(counts) else None
@@ -317,7 +316,6 @@ _HEADLINE_KEY = ("connectivity", "domain_mode", "data_type", "ping_device", "rel
 
 
 def find_headlines(answers: Sequence[CaseAnswer]) -> tuple[Headline, ...]:
-    """Summarize answers, each device pair and link for itself."""
     by_key: dict[tuple[Any, ...], list[CaseAnswer]] = {}
     for answer in answers:
         by_key.setdefault(attrgetter(*_HEADLINE_KEY)(answer), []).append(answer)

@@ -32,7 +32,6 @@ def find_bridge_costs(rows: GroupRows, passes: Mapping[int, int] | None = None) 
 def bridge_cost(
     roundtrips: pl.DataFrame, options: CompareOptions | None = None, passes: Mapping[int, int] | None = None
 ) -> pl.DataFrame:
-    """Compare each bridge with the same domain without a bridge: `bridge`, then the columns of `Comparison.rows`."""
     options = options or CompareOptions()
     match = tuple(name for name in options.match if name in BRIDGE_MATCH_COLUMNS)
     within = (pl.col("domain_mode") == "same") & (pl.col("bridge") == "none")

@@ -51,23 +51,19 @@ class UnbarredRows:
 
     @property
     def groups(self) -> pl.DataFrame:
-        """The groups that may be judged."""
         groups = self.rows.groups
         return groups.filter(~pl.col("group").is_in(self.barred)) if self.barred else groups
 
     @property
     def has_rows(self) -> bool:
-        """Whether there are round trips."""
         return self.rows.has_rows
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] | None = None) -> pl.DataFrame:
-        """Read columns (by default all) of the round trips of some groups."""
         frame = self.rows.frame(groups) if columns is None else self.rows.frame(groups, columns)
         return with_unsent(frame, self.unsent)
 
 
 def partition_groups(groups: pl.DataFrame, columns: Sequence[str]) -> list[pl.DataFrame]:
-    """Split groups by the values of some parameter columns, sorted by these."""
     if len(groups) < 2:
         return [groups] if len(groups) else []
     return groups.sort(*columns, maintain_order=True).partition_by(*columns, maintain_order=True)
@@ -77,7 +73,6 @@ CONDITIONS = "conditions"
 
 
 def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
-    """Append the part of `setting` that surrounds a run."""
     conditions = map(condition_of, groups["setting"].to_list())
     return groups.with_columns(pl.Series(CONDITIONS, list(conditions), pl.String))
 
@@ -87,7 +82,6 @@ LOSSY_SHARE = 0.01
 
 
 def is_lossy(received: Interval) -> bool:
-    """Return whether more than `LOSSY_SHARE` of the messages were lost."""
     return exceeds_lossy_share(1.0 - (received.value or 0.0))
 
 
@@ -97,7 +91,6 @@ def exceeds_lossy_share(lost: float) -> bool:
 
 
 def is_too_large(groups: pl.DataFrame) -> bool:
-    """Return whether groups have more than `MOST_COMPARED_ROWS` round trips together."""
     return int(groups["published"].sum()) > MOST_COMPARED_ROWS
 
 
@@ -144,11 +137,9 @@ class Contender:
 
     @property
     def lost(self) -> float:
-        """Share of the messages that were lost."""
         return 1.0 - (self.received.value or 0.0)
 
     def order(self) -> tuple[bool, float, float, str]:
-        """Return the key by which setups are ranked."""
         value, upper = (math.inf if v is None else v for v in (self.latency.value, self.latency.upper))
         return self.loses_more, value, upper, self.name
 

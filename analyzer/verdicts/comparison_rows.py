@@ -159,7 +159,6 @@ class DistributionRow:
 
 
 def at_levels(ordered: Values) -> tuple[float, ...]:
-    """Return ascending values at the first of `DISTRIBUTION_LEVELS`, as far as they suffice."""
     if not len(ordered):
         return ()
     levels = np.asarray(DISTRIBUTION_LEVELS)

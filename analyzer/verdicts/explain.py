@@ -61,7 +61,6 @@ class Answer:
     """What is known of one rise.
 
     Attributes:
-        shares: parts that add up to the rise.
         removed: what each varied thing takes away, with intervals adjusted by Bonferroni.
         cause: what surely removes most, and at least `LEAST_SHARE`; empty if nothing does.
     """
@@ -73,7 +72,6 @@ class Answer:
 
 
 def medians_by_cell(side: ComparedSide) -> dict[str, dict[int, float]]:
-    """Return the median latency of each run of a sweep, as `Medians`."""
     received = pl.when(pl.col("outcome") == "completed").then(pl.coalesce("latency_ns", pl.col("rtt_ns") / 2))
     messages = side.load_messages().select("run_id", received.fill_null(LOST_NS).alias("ns"))
     values = dict(messages.group_by("run_id").agg(pl.col("ns").median()).iter_rows())
@@ -138,7 +136,6 @@ class _Sums:
         return sorted(set.intersection(*(set(self.medians[cell]) for cell in cells)))
 
     def effect(self, name: str, weights: Weights, whole: Weights, confidence: float) -> Effect | None:
-        """Return a weighted sum over the repeats that have all cells, as a part of `whole`."""
         scale, back = (math.log, math.exp) if self.is_ratio else (float, float)
         repeats = self.repeats({**weights, **whole})
         if not repeats:

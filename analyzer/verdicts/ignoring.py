@@ -69,7 +69,6 @@ def check_match(groups: pl.DataFrame, side: str, match: Sequence[str]) -> None:
 
 
 def ignored_sentences(base: pl.DataFrame, new: pl.DataFrame, match: Sequence[str]) -> tuple[str, ...]:
-    """Return a sentence for each unmatched column in which the sides differ."""
     sides = ((name, _values(base, name), _values(new, name)) for name in MATCH_COLUMNS if name not in match)
     return tuple(
         f"{name} is {' or '.join(before)} in the base and {' or '.join(after)} in the new side"
@@ -79,7 +78,6 @@ def ignored_sentences(base: pl.DataFrame, new: pl.DataFrame, match: Sequence[str
 
 
 def unlike_columns(base: pl.DataFrame, new: pl.DataFrame) -> dict[str, tuple[str, str]]:
-    """Return the columns in which no unmatched group of one side agrees with any of the other, with the values of both."""
     if base.is_empty() or new.is_empty():
         return {}
     sides = {name: (_values(base, name), _values(new, name)) for name in base.columns}

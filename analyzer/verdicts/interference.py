@@ -61,7 +61,6 @@ class Overtaking(Enum):
 
 
 def flows_of(setting: str) -> tuple[str, tuple[str, ...]]:
-    """Return the flow of a group, empty without one, and the flows that ran with it."""
     values = parse_setting(setting)
     return values.get(FLOW, ""), tuple(filter(None, values.get(WITH, "").split("+")))
 
@@ -88,7 +87,6 @@ def _with_flows(groups: pl.DataFrame) -> pl.DataFrame:
 
 
 def _with_loads(groups: pl.DataFrame) -> pl.DataFrame:
-    """Return the columns of `_with_flows`, with a load in place of the other flows."""
     settings = groups["setting"].to_list()
     loads = (parse_setting(setting).get(LOAD) for setting in settings)
     return groups.with_columns(
@@ -99,7 +97,6 @@ def _with_loads(groups: pl.DataFrame) -> pl.DataFrame:
 
 
 def _ran_as_planned(setting: str) -> bool:
-    """Return whether as many runs went on at the same time as the flows that the setting names."""
     _, others = flows_of(setting)
     return parse_setting(setting).get(FLOWS, "1") == str(len(others) + 1)
 

@@ -92,16 +92,13 @@ class MatchedGroup:
 
     @cached_property
     def received(self) -> tuple[NDArray[np.bool_], ...]:
-        """For each run and message whether its reply came back."""
         return tuple(run.received for run in self.runs)
 
     def received_ratio(self, confidence: float) -> Interval:
-        """Return the received share."""
         return received_interval(self.received, confidence)
 
     @cached_property
     def is_dead(self) -> bool:
-        """Whether messages were sent and no reply came back."""
         return bool(self.runs) and all(run.is_lost for run in self.runs)
 
 
@@ -179,7 +176,6 @@ def completed_key(key: Key, other: Key, match: Sequence[str]) -> Key:
 
 
 def knows_relay(key: Key, match: Sequence[str]) -> bool:
-    """Return whether the relay of a key has a trace."""
     return all(value is not None for name, value in zip(match, key, strict=True) if name in RELAY_COLUMNS)
 
 
@@ -195,7 +191,6 @@ def _equal(name: str, one: ParameterValue, two: ParameterValue, is_silent: bool)
 
 
 def unmatched(keys: Mapping[Key, object], matched: Iterable[Key]) -> Iterator[Key]:
-    """Yield the keys that were not matched."""
     excluded = set(matched)
     yield from (key for key in keys if key not in excluded)
 
@@ -227,7 +222,6 @@ def interleaved_keys(
 
 
 def with_partners(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> pl.DataFrame:
-    """Return the round trips of the new side, with the parameters of partners."""
     schema = {name: new.schema[name] for name in ("run_id", *match)}
     rows = [(run_id, *key) for run_id, key in partners.items()]
     theirs = pl.DataFrame(rows, schema=schema, orient="row")
@@ -237,13 +231,11 @@ def with_partners(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequenc
 
 
 def partner_groups(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> dict[Key, Key]:
-    """Return group of the new side -> its partner of the base."""
     rows = new.select("run_id", *match).unique(maintain_order=True).iter_rows()
     return {tuple(key): partners[run_id] for run_id, *key in rows if run_id in partners}
 
 
 def partner_differences(groups: Mapping[Key, Key], match: Sequence[str]) -> tuple[str, ...]:
-    """Return a sentence for each group of the new side whose parameters differ from its partner's."""
     if not groups:
         return ()
     partners = pl.DataFrame(list(groups.values()), schema=list(match), orient="row")

@@ -36,7 +36,6 @@ class RankingOptions:
 
     Attributes:
         margin: the least lead of a winner; 0.05 means that the next takes 5 % longer.
-        trust_order: compare setups that were recorded one after the other, too.
     """
 
     margin: float = 0.05
@@ -50,7 +49,6 @@ class SetupRuns:
     Attributes:
         repeats: the repeat of each run; empty if some run has none.
         starts_ns: when each run started by one clock; empty if unknown. Below three runs there is no verdict, and no order.
-        may_lead: False for a setup that lost too much.
         received: for each run and message whether its reply came back.
     """
 
@@ -127,14 +125,12 @@ class Ranking:
     drift_ratio: float | None
 
     def differ(self, one: str, other: str) -> bool:
-        """Return whether two setups are shown to differ."""
         return not set(self.letters[one]) & set(self.letters[other])
 
 
 def rank_setups(
     kinds: Sequence[Kind], confidence: float = 0.95, options: RankingOptions = RankingOptions()
 ) -> list[dict[str, Ranking]]:
-    """Return for each kind of message percentile -> ranking."""
     rankings: list[dict[str, Ranking]] = [{} for _ in kinds]
     for percentile in dict.fromkeys(name for kind in kinds for name in kind.percentiles):
         pairs_of = _pairs(kinds, percentile, trust_order=options.trust_order)

@@ -80,7 +80,6 @@ def _fields(sessions: Iterable[Session], names: Mapping[str, str]) -> Mapping[Re
 
 
 def difference_sentences(differences: Differences) -> tuple[str, ...]:
-    """Return a sentence for each difference."""
     alike: dict[Unlike, list[Recorder]] = defaultdict(list)
     for recorder, fields in differences.items():
         for unlike in fields:

@@ -31,7 +31,6 @@ class TopicGate:
     limit: float
 
     def is_about(self, topic: str) -> bool:
-        """Return whether the gate applies to a topic."""
         return fnmatchcase(topic, self.topic)
 
     def judge(self, low: float | None, high: float | None) -> GateOutcome:

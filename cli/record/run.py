@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 
 def describe_progress(progress: Progress) -> str:
-    """Return the progress of a role in one line."""
     if isinstance(progress, TapProgress):
         lost = f", {progress.missing} missing" if progress.missing else ""
         topics = f"{counted(progress.topics, 'topic')} of {counted(progress.publishers, 'publisher')}"
@@ -62,7 +61,6 @@ class TerminalWatch:
         )
 
     def __enter__(self) -> TerminalWatch:  # noqa: PYI034 - `Self` is Python 3.11's
-        """Start drawing, on a terminal."""
         if self._console.is_terminal:
             self._live.start()
         return self
@@ -70,18 +68,15 @@ class TerminalWatch:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Remove the line."""
         self._live.stop()
 
     def note(self, text: str) -> None:
-        """Print a line that stays."""
         if self._console.is_terminal:
             self._console.print(Text(printable(text, MAX_FINDING_CHARACTERS)))
         else:
             say(text)
 
     def progress(self, progress: Progress) -> None:
-        """Redraw the line, or the table of a tap."""
         if not self._live.is_started:
             return
         line = Text(describe_progress(progress), no_wrap=True, overflow="ellipsis")
@@ -152,7 +147,6 @@ def _error_of(recorded: Recorded, fail_if_lost: float | None) -> TraceError | No
 
 
 def _trace_error(trace: ClosedTrace, error: OutputError) -> OutputError:
-    """Return the error of an incomplete trace, with where its other events are."""
     if not trace.ring_events:
         return error
     if isinstance(error.__cause__, FileNotFoundError):  # the ring was there, too

@@ -31,7 +31,6 @@ def recover_trace(path: Path, out: Path | None = None) -> None:
 
 
 def check_start(options: RecordOptions) -> None:
-    """Start a recording and end it before its first message."""
     rehearse(options, _Notes())
     role = "ping" if options.ping else "tap" if options.tap else "beacon" if options.beacon_rate_hz else "relay"
     print(f"a {role} can begin")
@@ -41,7 +40,6 @@ class _Notes:
     """A `Watch` whose notes go to stderr."""
 
     def note(self, text: str) -> None:
-        """Print a line."""
         say(text)
 
     def progress(self, progress: Progress) -> None:

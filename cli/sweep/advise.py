@@ -56,7 +56,6 @@ def check_advisable(plan: Plan) -> None:
 
 
 def advise(plan: Plan, out: Path, *, as_json: bool) -> int:
-    """Advise each vendor of a plan, print it, and return the exit code."""
     from dds_trace.recorder.backends.ros2 import vendor_of
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
@@ -123,7 +122,6 @@ def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
 
 
 def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
-    """Record the default and one configuration in turn, and judge whether it pays."""
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.verdicts.advice import pays
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare

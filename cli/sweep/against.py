@@ -62,7 +62,6 @@ def new_side(
 
 
 def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str]]:
-    """Return the runs of both sides and their duration, as a JSON object and as lines."""
     from dds_trace.recorder.sweep.against import against_seconds, interleave
 
     turns = [(turn.side, turn.group.cells[0].name) for turn in interleave(base, other.plan)]
@@ -130,7 +129,6 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
 
 
 def say_missing(missing: Mapping[str, str], side: str = "") -> None:
-    """Print what has no recording, in a line for each reason."""
     for reason in dict.fromkeys(missing.values()):
         first, *more = [name for name, own in missing.items() if own == reason]
         say(f"{side}{first}{f' and {len(more)} more' if more else ''}: {reason}")

@@ -181,7 +181,6 @@ def main_command(
 
 
 def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> None:
-    """Raise an `OptionError` for options that exclude each other, and one that needs another."""
     given = [name for name, value in kinds.items() if value]
     if len(given) > 1:
         reason = (
@@ -265,7 +264,6 @@ COMMANDS: Mapping[str, typer.Typer] = {"new": new.app}
 def main(
     arguments: Sequence[str] | None = None, *, name: str = "dds-sweep", adapt: Callable[[Any], object] | None = None
 ) -> None:
-    """Run `dds-sweep` with these arguments, by default the process's."""
     run_program(name, app, COMMANDS, arguments, adapt=adapt)
 
 

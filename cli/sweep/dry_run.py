@@ -57,7 +57,6 @@ def dry_run(
 
 
 def check_arguments(arguments: Sequence[str]) -> None:
-    """Raise the error of `dds-record` for its arguments, without opening anything."""
     from dds_trace.recorder.rehearsal import check_options
 
     from ..record.command import app
@@ -145,7 +144,6 @@ def _doubt(plan: Plan, cell: Cell) -> str:
 
 
 def relay_commands(plan: Plan) -> list[str]:
-    """Return the commands for a person to start on the other device."""
     from dds_trace.recorder.sweep.plan.commands import half_arguments, relay_arguments
     from dds_trace.recorder.sweep.plan.schedule import schedule
     from dds_trace.recorder.sweep.station.devices import printed_command

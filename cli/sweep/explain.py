@@ -26,7 +26,6 @@ _WORDS = {
 
 
 def made_explanation(plan: Plan, size: str | None) -> Explanation:
-    """Return the sweep that explains a size, by default the rates of a plan."""
     from dds_trace.recorder.sweep.explain import explain_rates, explain_size
 
     return explain_rates(plan) if size is None else explain_size(plan, size)

@@ -90,7 +90,6 @@ def _exists(plan: Path) -> OutputExistsError:
 
 
 def _answer(given: str | None, option: str, question: str, example: str, parse: Callable[[str], _T]) -> _T:
-    """Return the option, or what is typed on the terminal, which is asked until the answer is valid."""
     if given is not None:
         try:
             return parse(given)

@@ -29,7 +29,6 @@ class Judged:
 
     @property
     def outcome(self) -> str:
-        """The outcome: `passed`, `failed` or `undecided`."""
         return _OUTCOMES[self.result.outcome.value]
 
     def to_json(self) -> dict[str, object]:
@@ -74,7 +73,6 @@ def read_thresholds(plan: Plan, until: Until | None, *, is_judged: bool) -> list
 
 
 def judge(folder: Path, gates: Sequence[Gate]) -> list[Judged]:
-    """Judge every result of a sweep's folder by every gate."""
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.verdicts.compare import CompareOptions, compare
     from dds_trace.analyzer.verdicts.gates import judge_gates, options_for
@@ -85,7 +83,6 @@ def judge(folder: Path, gates: Sequence[Gate]) -> list[Judged]:
 
 
 def shown(judged: Sequence[Judged]) -> list[str]:
-    """Return a line for each threshold that a result did not meet, and their numbers."""
     if not judged:
         return []
     failing = [str(one) for one in judged if one.outcome != "passed"]

@@ -19,7 +19,6 @@ class Snapshot:
     """What one process uses at one instant, and the totals, limits and groups of its network namespace.
 
     Attributes:
-        read_ns: how long reading took.
         sockets: UDP and TCP sockets of the process, None if the kernel reports none.
         memory: shared memory of a middleware that it maps, None if unknown.
     """
@@ -45,11 +44,9 @@ class Applied:
 
     @property
     def latest(self) -> Snapshot:
-        """The snapshot at the end, else at the start."""
         return self.begin if self.end is None else self.end
 
     def to_json(self) -> JsonObject:
-        """Return the session's field `applied`."""
         return to_json(self)
 
     def socket_drops(self) -> int | None:
@@ -66,7 +63,6 @@ class Applied:
 
 
 def read_snapshot(pid: int | None = None) -> Snapshot:
-    """Return what a process of the same namespaces uses now, by default this one."""
     start_ns = time.monotonic_ns()
     snapshot = Snapshot(
         monotonic_ns=start_ns,

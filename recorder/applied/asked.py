@@ -58,7 +58,6 @@ class Asked:
     segment_bytes: int = 0
 
     def to_json(self) -> JsonObject:
-        """Return the session's field `asked`."""
         return to_json(self)
 
 
@@ -103,7 +102,6 @@ def asked_settings(
 
 
 def interface_named(cyclonedds_uri: str) -> str:
-    """Return the one interface that CYCLONEDDS_URI names, empty if it names none or several."""
     names = {name for text in configuration_texts(cyclonedds_uri) for name in _INTERFACE.findall(text)}
     return names.pop() if len(names) == 1 else ""
 
@@ -115,7 +113,6 @@ def configuration_texts(cyclonedds_uri: str) -> list[str]:
 
 
 def _asked_by_environment(requested: Asked, environment: Mapping[str, str]) -> Asked:
-    """Take the transports from the user's profile file, or from FASTDDS_BUILTIN_TRANSPORTS without one."""
     path = next((environment[name] for name in PROFILE_VARIABLES if environment.get(name)), "")
     if path:
         request = read_profile_request(_file_text(path))
@@ -174,7 +171,6 @@ class ProfileRequest:
 
     @property
     def transport(self) -> str:
-        """The profile's `--transport`, `default` for several or none."""
         return self.protocols[0] if len(self.protocols) == 1 and self.protocols[0] != "tcp" else "default"
 
 
@@ -210,7 +206,6 @@ def _named(parent: ET.Element, name: str) -> Iterator[ET.Element]:
 
 
 def _whitelist(descriptor: ET.Element) -> Iterator[str]:
-    """Yield the interfaces in either of Fast DDS's two lists."""
     for name in ("interfaceWhiteList", "allowlist"):
         for group in _named(descriptor, name):
             for node in group:

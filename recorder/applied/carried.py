@@ -34,12 +34,10 @@ class Traffic:
 
     @property
     def sent_bytes(self) -> int:
-        """Payload sent."""
         return self.sent * self.payload_bytes
 
     @property
     def received_bytes(self) -> int:
-        """Payload received."""
         return self.received * self.payload_bytes
 
 
@@ -49,7 +47,6 @@ def with_path(applied: Applied, traffic: Traffic) -> Applied:
 
 
 def payload_path(applied: Applied, traffic: Traffic) -> str:
-    """Return `shm`, an interface, or `unknown` for the payload between the two snapshots."""
     if applied.end is None or traffic.sent_bytes + traffic.received_bytes < MIN_PAYLOAD_BYTES:
         return UNKNOWN
     explaining = [name for name, delta in interface_deltas(applied).items() if _explains(delta, traffic)]
@@ -101,7 +98,6 @@ def _explains(delta: InterfaceCounters, traffic: Traffic) -> bool:
 
 
 def _tcp_delta(applied: Applied) -> InterfaceCounters | None:
-    """Return the bytes of the process's own TCP connections between the snapshots, if known."""
     if applied.end is None or applied.end.sockets is None or applied.begin.sockets is None:
         return None
     before = {read.inode: read.tcp for read in applied.begin.sockets if read.tcp is not None}

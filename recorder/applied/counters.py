@@ -39,7 +39,6 @@ class InterfaceCounters:
     received_packets: int = 0
 
     def since(self, begin: InterfaceCounters) -> InterfaceCounters:
-        """Return what was added after `begin`."""
         return InterfaceCounters(
             self.sent_bytes - begin.sent_bytes,
             self.received_bytes - begin.received_bytes,
@@ -57,7 +56,6 @@ class MulticastGroup:
 
 
 def read_interfaces(root: Path = Path("/proc")) -> dict[str, InterfaceCounters]:
-    """Return interface -> totals, from `/proc/net/dev`."""
     counters = {}
     for line in _lines(root / "self/net/dev")[2:]:
         name, _, rest = line.partition(":")

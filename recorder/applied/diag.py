@@ -48,7 +48,6 @@ class DiagSocket:
 
     Attributes:
         state: number of its TCP state (1 established, 7 closed or not connected, 10 listening).
-        cookie: number that differs from a later socket with the same ports.
     """
 
     local: tuple[str, int]
@@ -92,7 +91,6 @@ def _bodies(link: socket.socket) -> Iterator[bytes]:
 
 
 def netlink_messages(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and body of each netlink message."""
     while data:
         length, kind, *_ = _HEADER.unpack_from(data)
         yield kind, data[_HEADER.size : length]
@@ -100,7 +98,6 @@ def netlink_messages(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def parse_socket(body: bytes) -> DiagSocket:
-    """Return the socket of an `inet_diag_msg`."""
     family, state = socket.AddressFamily(body[0]), body[1]
     local_port, remote_port, local, remote = _ADDRESSES.unpack_from(body, _ADDRESSES_OFFSET)
     size = _ADDRESS_BYTES[family]

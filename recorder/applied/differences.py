@@ -61,7 +61,6 @@ class Difference:
     words: str
 
     def to_json(self) -> JsonObject:
-        """Return an entry of the session's field `not_applied`."""
         return {"setting": self.setting.value, "asked": self.asked, "applied": self.applied, "words": self.words}
 
 
@@ -72,7 +71,6 @@ def differences(requested: Asked, applied: Applied, traffic: Traffic | None = No
 
 
 def publisher_differences(requested: Mapping[str, str], used: Mapping[str, str]) -> tuple[Difference, ...]:
-    """Return requested settings of publishers that differ from what these report."""
     return tuple(
         Difference(Setting(name), asked, used[name], f"asked for {name} {asked}, the publisher has {used[name]}")
         for name, asked in requested.items()
@@ -81,7 +79,6 @@ def publisher_differences(requested: Mapping[str, str], used: Mapping[str, str])
 
 
 def _transport(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
-    """Compare sockets and shared memory with what the requested transport needs."""
     facts = vendor_facts(requested.vendor).transports.get(requested.transport)
     if facts is None:
         return None
@@ -118,7 +115,6 @@ def _contradiction(facts: TransportFacts, requested: Asked, applied: Applied, tr
 
 
 def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the smallest receive buffer of the domain's UDP sockets."""
     sockets = _udp_sockets(applied)
     ports = domain_port_range(requested.domain_id)
     kernels_port = applied.latest.limits.get("net.ipv4.ip_local_port_range.min", KERNELS_PORT)
@@ -138,7 +134,6 @@ def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None
 
 
 def _segment(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the process's own segments of Fast DDS, which have the requested size and a table."""
     own = [file.size_bytes for file in _memory_of(requested, applied) if file.role == SEGMENT and file.is_own]
     asked_bytes = requested.segment_bytes
     if requested.vendor != "fastdds" or not asked_bytes or not own or asked_bytes <= max(own) <= 2 * asked_bytes:
@@ -148,7 +143,6 @@ def _segment(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Di
 
 
 def _send_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    """Compare the largest send buffer."""
     buffers = [read.send_buffer_bytes for read in _udp_sockets(applied)]
     return _buffer("send", "net.core.wmem_max", requested.send_buffer_bytes, max(buffers, default=None), applied)
 
@@ -172,7 +166,6 @@ def _buffer(
 
 
 def _interface(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
-    """Compare what the named interface counted with the payload."""
     if not requested.interface or traffic is None or not is_excluded(applied, requested.interface, traffic):
         return None
     path = payload_path(applied, traffic)
@@ -186,7 +179,6 @@ def _interface(requested: Asked, applied: Applied, traffic: Traffic | None) -> D
 
 
 def _shared_memory(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
-    """Compare the mapped shared memory, and the payload's path, with shared memory requested on or off."""
     if requested.shared_memory is None or applied.latest.memory is None:
         return None
     memory = _memory_of(requested, applied)

@@ -60,12 +60,10 @@ class SharedMemory:
 
     @property
     def is_foreign_segment(self) -> bool:
-        """Whether it is another process's segment, from which this one has received."""
         return self.is_in_use and self.role == SEGMENT and self.is_own is False
 
     @property
     def is_unserved_port(self) -> bool:
-        """Whether it is the queue of a receiver that is not in this namespace and was not killed here."""
         return self.is_in_use and self.role == PORT and self.is_served is False and not self.is_abandoned
 
     @property
@@ -104,7 +102,6 @@ def read_memory(pid: int | None = None, folder: Path = SHM) -> tuple[SharedMemor
 
 
 def parse_maps(text: str) -> dict[str, _Mapped]:
-    """Return the shared memory in `/proc/PID/maps`: name -> its mappings as one."""
     mapped: dict[str, _Mapped] = {}
     for begin, end, major, minor, inode, path in _MAPPING.findall(text):
         name = path.removesuffix(_DELETED)
@@ -221,7 +218,6 @@ def read_libraries(pid: int | None = None) -> tuple[Library, ...]:
 
 
 def parse_libraries(text: str) -> tuple[Library, ...]:
-    """Return the middleware libraries in `/proc/PID/maps`, by name."""
     paths = sorted({Path(path) for path in _LOADED.findall(text)})
     return tuple(
         Library(path.name, facts.vendor, _version(path, distribution))
@@ -233,7 +229,6 @@ def parse_libraries(text: str) -> tuple[Library, ...]:
 
 
 def _version(path: Path, distribution: str) -> str:
-    """Return three numbers of the file name, else the distribution's version, else two numbers."""
     match = _VERSION.search(path.name)
     in_name = match[1] if match else ""
     if in_name.count(".") >= 2 or not distribution:

@@ -51,7 +51,6 @@ class Socket:
         remote_address, remote_port: `0.0.0.0` and 0 if it is not connected.
         receive_buffer_bytes: SO_RCVBUF as the kernel granted it: for a buffer that a program set, twice what it set,
             or twice `net.core.rmem_max` if that is less (socket(7)).
-        send_buffer_bytes: SO_SNDBUF likewise, bounded by `net.core.wmem_max`.
         dropped: datagrams that the kernel dropped at this socket since it was opened.
         tcp: state of a TCP connection, None for UDP and for a listening socket.
     """
@@ -71,7 +70,6 @@ class Socket:
 
     @property
     def is_local(self) -> bool:
-        """Whether the other end is a loopback address."""
         return self.remote_port > 0 and ip_address(self.remote_address).is_loopback
 
 

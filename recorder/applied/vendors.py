@@ -41,12 +41,10 @@ class VendorFacts:
     """One middleware.
 
     Attributes:
-        memory: role -> pattern of the names of its shared-memory files.
         locks_own_files: locks a file `NAME_el` for each file of its own while it uses it.
         libraries: pattern of a library's file name -> Python distribution that may contain it, or empty.
         transports: transport -> what must be seen.
         shared_memory: transport -> whether it requests shared memory or none, if a link is open either way.
-        profile_variables, files: environment variables and default files that give it the user's profile.
         builtin_transports: (transport, tuned) of its RMW -> FASTDDS_BUILTIN_TRANSPORTS, None for what the user has set.
     """
 
@@ -130,7 +128,6 @@ UNKNOWN = VendorFacts("")
 
 
 def vendor_facts(vendor: str) -> VendorFacts:
-    """Return a vendor's facts, else `UNKNOWN`."""
     return VENDORS.get(vendor, UNKNOWN)
 
 
@@ -148,7 +145,6 @@ class RosMiddleware:
     """One middleware of ROS 2 (RMW).
 
     Attributes:
-        packages: ROS packages whose versions describe it.
         stamps_reception: whether `received_timestamp` is the time of reception; False if it is the time of the take.
         has_durations: whether deadline and lifespan have an effect.
         router, router_port: program of its package that its nodes need to find each other, and its TCP port.

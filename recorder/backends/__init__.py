@@ -30,12 +30,10 @@ def load_backend(name: str) -> Backend:
 
 
 def load_backends() -> tuple[Backend, ...]:
-    """Return all backends."""
     return tuple(map(load_backend, BACKEND_MODULES))
 
 
 def open_node(name: str, options: NodeOptions) -> Node:
-    """See `Backend.open_node`."""
     return load_backend(name).open_node(options)
 
 

@@ -22,7 +22,6 @@ class CallMessage:
     Attributes:
         stamp: its 46 characters.
         data: serialized message that a request carries; empty in what is received.
-        built: what the client library sends, once it is made of `data`.
     """
 
     stamp: str

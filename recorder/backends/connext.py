@@ -270,7 +270,6 @@ def _qos(endpoint: Any) -> Qos:
 
 
 def _policy(kind: Any) -> str:
-    """Return `best_effort` for a kind that prints as `ReliabilityKind.BEST_EFFORT`."""
     return str(kind).rpartition(".")[2].lower()
 
 

@@ -44,7 +44,6 @@ def cyclone_qos(qos: Qos, priority: int | None = None) -> Any:
 
 
 def qos_of(policies: Any) -> Qos:
-    """Return the quality of service of a discovered endpoint."""
     from cyclonedds.qos import Policy
 
     reliability, durability = (

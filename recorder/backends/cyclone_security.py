@@ -65,5 +65,4 @@ def _plugin_folder() -> Path | None:
 
 
 def loaded_plugins() -> str:
-    """Return the security plugins that this process has loaded."""
     return ", ".join(sorted(set(_LIBRARY.findall(Path("/proc/self/maps").read_text()))))

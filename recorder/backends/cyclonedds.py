@@ -293,7 +293,6 @@ class _BuiltinReaders:
         }
 
     def endpoints(self, kind: str, topic: str) -> list[Endpoint]:
-        """Return the `publications` or `subscriptions` of a topic of DDS."""
         names = self.participants()
         return [
             Endpoint(names.get(endpoint.participant_key, ""), ros_name(endpoint.type_name), qos_of(endpoint.qos))
@@ -302,7 +301,6 @@ class _BuiltinReaders:
         ]
 
     def publications(self, matches: TopicPatterns, own_name: str) -> list[Publication]:
-        """Return the publishers of others on matching topics."""
         names = self.participants()
         return [
             Publication(
@@ -313,7 +311,6 @@ class _BuiltinReaders:
         ]
 
     def key_of(self, handle: Hashable) -> str | None:
-        """Return the GUID of the publisher with this instance handle."""
         keys = (data.key.hex for data in self._read("publications") if data.sample_info.instance_handle == handle)
         return next(keys, None)
 
@@ -394,7 +391,6 @@ def _take() -> Callable[[int], list[tuple[bytes, Any]]]:
 
 @cache
 def _message_type(type_name: str) -> Any:
-    """Return the type against which Cyclone DDS checks each serialized message."""
     from cyclonedds.idl import make_idl_struct
 
     check_type("cyclonedds", type_name)

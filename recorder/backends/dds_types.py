@@ -68,14 +68,12 @@ def split_type(text: str) -> tuple[str, int | None]:
 
 
 def check_type(backend: str, type_name: str) -> None:
-    """Refuse a type that is not in `DDS_TYPES`."""
     if type_name not in DDS_TYPES:
         names = ", ".join(name for name in DDS_TYPES if name.startswith(("sensor_msgs", "std_msgs")))
         raise OptionError(f"the backend {backend} does not know the type {type_name}; it knows {names}")
 
 
 def dds_name(type_name: str) -> str:
-    """Return `sensor_msgs::msg::dds_::Image_` for `sensor_msgs/msg/Image`."""
     package, kind, name = type_name.split("/")
     return f"{package}::{kind}::dds_::{name}_"
 
@@ -87,5 +85,4 @@ def ros_name(dds_type: str) -> str:
 
 
 def dds_topic(topic: str) -> str:
-    """Return a ROS topic's name in DDS."""
     return f"rt/{topic}"

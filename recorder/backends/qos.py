@@ -57,7 +57,6 @@ def duration_extra(durations_ns: Mapping[str, int]) -> dict[str, int]:
 
 
 def refuse_durations(backend: str, qos: Qos) -> None:
-    """Raise an `OptionError` for a deadline and a lifespan, which only DDS has."""
     for policy in requested_durations(qos):
         raise OptionError(f"--{policy}: the backend {backend} has no such quality of service; leave it out")
 

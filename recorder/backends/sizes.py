@@ -27,7 +27,6 @@ VENDORS_SIZES = Sizes()
 
 
 def size_option(name: str, text: str, limit: Whole) -> int | None:
-    """Return a field of `NodeOptions` for a size, an axis of plans."""
     flag = f"--{name}"
     parse = partial(parse_size, what=flag)
     help_text = f"{text} ({', '.join(_WITH_SIZES[name])}). Default: the vendor's"
@@ -36,13 +35,11 @@ def size_option(name: str, text: str, limit: Whole) -> int | None:
 
 
 def call_option() -> Call:
-    """Return the field of `NodeOptions` for the kind of call."""
     help_text = "What carries a message and its reply instead of two topics:"
     return option(Call.NONE, "--call KIND", Panel.CALL, help_text, axis=Axis())
 
 
 def response_size_option(limit: Whole) -> int | None:
-    """Return the field of `NodeOptions` for the response to a call."""
     flag = "--response-size"
     help_text = "Size of the response to a call, for both sides. Default: as the request; of an action 33KB"
     axis, parse = Axis(kind=int, unit="bytes"), partial(parse_size, what=flag)

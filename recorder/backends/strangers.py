@@ -18,13 +18,11 @@ class Strangers:
         self._noted: set[str] = set()
 
     def count(self, kind: str, number: int = 1) -> None:
-        """Count one of `kind`, words for people in the singular."""
         with self._lock:
             self._counts[kind] += number
 
     @property
     def counts(self) -> dict[str, int]:
-        """Kind -> number so far."""
         with self._lock:
             return dict(self._counts)
 

@@ -35,7 +35,6 @@ def parse_token(key: str) -> Publication | None:
 
 
 def data_key(domain_id: int, topic: str, type_name: str) -> str:
-    """Return the key expression of a topic's messages, of any version of its type."""
     return f"{domain_id}/{topic.strip('/')}/{dds_name(type_name)}/*"
 
 

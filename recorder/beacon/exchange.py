@@ -53,7 +53,6 @@ class _Interval:
         return (self.low_ns + self.high_ns) / 2
 
     def is_contradicted(self, later: _Interval) -> bool:
-        """Return whether no drift leads from this one to a later one."""
         most_ns = abs(later.at_ns - self.at_ns) * STEP_PPM / 1e6
         return later.low_ns - self.high_ns > most_ns or self.low_ns - later.high_ns > most_ns
 
@@ -102,7 +101,6 @@ class ClockEstimate:
         return min(max(WANDER_PPM, 1e6 * widths[len(widths) // 2] / span_ns), UNKNOWN_DRIFT_PPM)
 
     def _drift(self) -> float | None:
-        """Return the slope of a line through the windows, the narrow ones with more weight."""
         windows = self._windows
         if len(windows) < DRIFT_WINDOWS:
             return None
@@ -138,7 +136,6 @@ class OtherClock:
     estimate: ClockEstimate = field(default_factory=ClockEstimate)
 
     def words(self, now_ns: int, wall_offset_ns: int) -> str:
-        """Return one line about the difference of both wall clocks, `wall_offset_ns` being this device's."""
         now = self.estimate.at(now_ns)
         if now is None:
             return f"{self.device}: no round trip yet"
@@ -199,7 +196,6 @@ class Exchanges:
             self.others[relay_id].estimate.add(publish_ns, relay_in_ns, relay_out_ns, receive_ns)
 
     def words(self, now_ns: int, wall_offset_ns: int) -> list[str]:
-        """Return a line for each other beacon, by device."""
         with self._lock:
             return sorted(other.words(now_ns, wall_offset_ns) for other in self.others.values())
 
@@ -216,8 +212,6 @@ class ClockNote:
 
     Attributes:
         relay_in_ns, relay_out_ns: T3 and T4, monotonic.
-        wall_offset_ns: its wall clock minus its monotonic clock at that time.
-        time_service: what keeps its clock, in words.
     """
 
     device: str
@@ -230,7 +224,6 @@ class ClockNote:
     time_service: str
 
     def publish(self, publisher: Publisher[RawMessage]) -> None:
-        """Send it."""
         text = {name: getattr(self, name) for name in self.__dataclass_fields__}
         publisher.publish(encode_string(json.dumps({**text, "run_id": f"{self.run_id:016x}"})))
 
@@ -260,17 +253,14 @@ class NotingSink:
         self._exchanges = exchanges
 
     def write_run(self, run: Run) -> None:
-        """See `TraceSink.write_run`."""
         self._sink.write_run(run)
 
     def stamp(self, stage: int, run_id: int, sequence: int, *rest: int) -> int:
-        """See `TraceSink.stamp`."""
         publish_ns = self._sink.stamp(stage, run_id, sequence, *rest)
         self._exchanges.note_sent(run_id, sequence, publish_ns)
         return publish_ns
 
     def record(self, stage: int, run_id: int, sequence: int, monotonic_ns: int, *rest: int) -> None:
-        """See `TraceSink.record`."""
         self._sink.record(stage, run_id, sequence, monotonic_ns, *rest)
         if stage == T2:
             self._exchanges.note_reply(run_id, sequence, rest[-1], monotonic_ns)

@@ -39,7 +39,6 @@ _NOT_SYNCHRONIZED = 0x40
 
 
 def time_service() -> str:
-    """Return the state of this device's time service."""
     return _chrony() or _timedatectl() or _kernel()
 
 

@@ -29,7 +29,6 @@ BRIDGE = Bridge(
 
 
 def main(configuration: Path) -> None:
-    """Serve the domains of a configuration."""
     options = options_from_json(configuration)
     sides = options.sides()
     with ExitStack() as stack:

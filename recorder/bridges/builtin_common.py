@@ -28,7 +28,6 @@ CHECK_PERIOD_S = 0.5
 
 
 def options_to_json(options: BridgeOptions) -> str:
-    """Return what our own bridges read of `options`."""
     values = {
         "ping_domain_id": options.ping_domain_id,
         "relay_domain_id": options.relay_domain_id,
@@ -92,7 +91,6 @@ class Forwarder:
         self._counts: list[list[int]] = []
 
     def forward(self, publish: Callable[[RawMessage], None]) -> Receive[RawMessage]:
-        """Return a callback that publishes each serialized message as it is."""
         count = [0]
         self._counts.append(count)
 
@@ -105,7 +103,6 @@ class Forwarder:
 
     @property
     def messages(self) -> int:
-        """Number of forwarded messages."""
         return sum(count[0] for count in self._counts)
 
 

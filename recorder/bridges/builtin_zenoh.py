@@ -42,7 +42,6 @@ BRIDGE = Bridge(
 
 
 def main(configuration: Path) -> None:
-    """Serve the half of a configuration."""
     zenoh: Any = importlib.import_module("zenoh")
     zenoh.init_log_from_env_or("error")
     options = options_from_json(configuration)

@@ -54,7 +54,6 @@ def _configuration(options: BridgeOptions) -> str:
 
 
 def _has_handle(name: str) -> bool:
-    """Return whether the program finds this system handle's `.mix` file."""
     listed = [folder for variable in PREFIX_VARIABLES for folder in os.environ.get(variable, "").split(os.pathsep)]
     folders = [Path(folder) for folder in (*listed, *SYSTEM_PREFIXES) if folder]
     files = (f"{name}.mix", f"is/{name}.mix", f"is/{name}/{name}.mix")

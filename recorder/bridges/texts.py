@@ -12,7 +12,6 @@ _PLAIN = re.compile(r"(?!(?:true|false|yes|no|on|off|null|y|n)$)[A-Za-z_/][\w./:
 
 
 def yaml_text(value: Mapping[str, object]) -> str:
-    """Return mappings, lists, strings, numbers and booleans as a YAML document in block style."""
     return "\n".join(_yaml_lines(value)) + "\n"
 
 
@@ -41,7 +40,6 @@ def _yaml_scalar(value: object) -> str:
 
 
 def element(tag: str, /, *content: Element | str, **attributes: str) -> Element:
-    """Return an XML element with elements, or text."""
     parent = Element(tag, attributes)
     for part in content:
         if isinstance(part, str):
@@ -52,6 +50,5 @@ def element(tag: str, /, *content: Element | str, **attributes: str) -> Element:
 
 
 def xml_text(root: Element) -> str:
-    """Return an indented XML document."""
     indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{tostring(root, encoding="unicode")}\n'

@@ -48,14 +48,12 @@ def zenoh_environment(options: BridgeOptions, *, names_loopback: bool) -> Mappin
 
 
 def router_with(plugin: str) -> Path | None:
-    """Return the `zenohd` that `just install-zenoh-bridge` builds, if the plugin's library is next to it."""
     data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
     router = Path(data) / "dds-trace" / "zenoh-bridge-dds" / "zenohd"
     return router if router.is_file() and _library(router, plugin).is_file() else None
 
 
 def plugin_arguments(program: Path, plugin: str) -> Sequence[str]:
-    """Return the arguments of a bridge's program, or of zenoh's router with the plugin."""
     required = ("-P", f"{plugin}:{_library(program, plugin)}") if program.name == "zenohd" else ()
     return (*required, "-c")
 

@@ -51,7 +51,6 @@ class SystemClock:
     monotonic_ns = staticmethod(time.monotonic_ns)
 
     def anchor(self) -> ClockAnchor:
-        """Read both clocks at one instant."""
         monotonic_ns, wall_ns = _read_together(time.time_ns, _ANCHOR_READINGS)
         return ClockAnchor(wall_ns, monotonic_ns)
 

@@ -42,24 +42,16 @@ class ConfigurationVariable:
 
 @dataclass(frozen=True, slots=True)
 class MiddlewareEnvironment:
-    """The variables and files by which a middleware can be configured.
-
-    Attributes:
-        settings: variables whose values a session keeps.
-        configuration: variables with files or their text, whose hashes a session keeps.
-        files: files that the middleware loads from the working directory by itself.
-    """
+    """The variables and files by which a middleware can be configured."""
 
     settings: tuple[str, ...] = ()
     configuration: tuple[ConfigurationVariable, ...] = ()
     files: tuple[str, ...] = ()
 
     def sources(self) -> list[str]:
-        """Return the variables and files of the working folder that configure the middleware now."""
         return list(self.hash_configuration(os.environ, Path.cwd()))
 
     def read_settings(self, variables: Mapping[str, str]) -> dict[str, str]:
-        """Return the `settings` that are set."""
         return {name: variables[name] for name in self.settings if name in variables}
 
     def hash_configuration(self, variables: Mapping[str, str], folder: Path) -> dict[str, list[dict[str, str | None]]]:
@@ -76,7 +68,6 @@ class MiddlewareEnvironment:
 
 
 def join_environments(environments: Iterable[MiddlewareEnvironment]) -> MiddlewareEnvironment:
-    """Return all variables and files in one environment."""
     every = list(environments)
     return MiddlewareEnvironment(
         settings=tuple(dict.fromkeys(name for one in every for name in one.settings)),
@@ -135,6 +126,5 @@ def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Ite
 
 
 def refusal(printed: str) -> str | None:
-    """Return the first line in which Cyclone DDS or Fast DDS refuses a part of its configuration, None without one."""
     match = _REFUSAL.search(_COLOUR.sub("", printed))
     return match and (match["cyclonedds"] or match["fastdds"]).strip()

@@ -60,7 +60,6 @@ def host_fingerprint(
 
 
 def read_text(path: str | Path) -> str | None:
-    """Return a file's stripped text, if readable."""
     try:
         return Path(path).read_text(errors="replace").strip("\0 \n")
     except OSError:
@@ -68,13 +67,11 @@ def read_text(path: str | Path) -> str | None:
 
 
 def read_mhz(path: str) -> float | None:
-    """Return in MHz what cpufreq has in kHz."""
     khz = read_text(path)
     return int(khz) / 1000 if khz and khz.isdigit() else None
 
 
 def read_boot_id() -> str | None:
-    """Return the id of this boot, within which CLOCK_MONOTONIC is one."""
     return read_text("/proc/sys/kernel/random/boot_id") or None
 
 
@@ -108,7 +105,6 @@ def wifi_signals() -> dict[str, dict[str, float]]:
 
 
 def _wifi_links() -> dict[str, dict[str, float]]:
-    """Return `wifi_signals` and, where `iw` is installed, `frequency_mhz` and `bitrate_mbit_s`."""
     links = wifi_signals()
     iw = shutil.which("iw", path=os.environ.get("PATH", "") + ":/usr/sbin:/sbin")
     for interface, link in links.items():

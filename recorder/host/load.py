@@ -67,7 +67,6 @@ def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObje
 
 
 def _cpu_seconds(pid: int) -> float:
-    """Return the CPU time of a process and its children."""
     total_s = 0.0
     try:
         own = psutil.Process(pid)

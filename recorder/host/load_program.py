@@ -73,7 +73,6 @@ def hold_dma_latency() -> None:
 
 
 def main() -> None:
-    """Make the load."""
     kind, host = sys.argv[1:]
     # The recorder may have a real-time priority and only some processors.
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

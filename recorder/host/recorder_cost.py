@@ -36,9 +36,7 @@ class RecorderCost:
     """The recorder's own cost in ns, with caches as cold as in a node at 1 kHz.
 
     Attributes:
-        timer_ns: one reading of the monotonic clock in a loop.
         record_median_ns: recording one event; likewise `record_p99_ns` and `record_max_ns`.
-        stall_of_ten_ns: longest time of ten consecutive events together.
         cold_timer_ns: one reading of the clock after a sleep, which is subtracted from the times of events.
     """
 
@@ -52,7 +50,6 @@ class RecorderCost:
 
 
 def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> RecorderCost:
-    """Measure with a trace in `folder` (by default a temporary one) that is deleted again."""
     count = max(int(seconds * 1e9) // PACE_NS, STALL_EVENTS)
     try:
         scratch = tempfile.TemporaryDirectory(prefix="dds-trace-cost-", dir=folder)
@@ -107,13 +104,11 @@ def time_paced_events(record: Record | None, count: int) -> NDArray[np.float64]:
 
 
 def worst_stall_ns(times: NDArray[np.float64]) -> float:
-    """Return the largest sum of `STALL_EVENTS` consecutive times."""
     sums = np.convolve(times, np.ones(STALL_EVENTS), "valid")
     return float(sums.max())
 
 
 def measuring_session() -> Session:
-    """Return a session without middleware and domain."""
     return Session(
         session_id=0,
         role="relay",

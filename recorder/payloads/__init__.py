@@ -27,7 +27,6 @@ PAYLOADS: dict[str, DataType | Source] = {
 
 
 def data_types() -> dict[str, DataType]:
-    """Return the built-in data types, which a relay serves."""
     return {name: payload for name, payload in PAYLOADS.items() if isinstance(payload, DataType)}
 
 
@@ -79,17 +78,14 @@ def check_data(data: str) -> None:
 
 
 def is_live(data: str) -> bool:
-    """Return whether `--data` names a running topic."""
     return _split_source(data)[0] is TOPIC
 
 
 def sources() -> dict[str, Source]:
-    """Return the kinds of data that are read, by the text before the colon."""
     return {payload.name: payload for payload in PAYLOADS.values() if isinstance(payload, Source)}
 
 
 def _split_source(data: str) -> tuple[Source | None, str]:
-    """Return the source, if any, and the text after the colon."""
     kind, colon, name = data.partition(":")
     source = sources().get(kind) if colon else None
     return (source, name) if source else (None, data)

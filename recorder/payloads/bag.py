@@ -104,7 +104,6 @@ def _read_topic(path: Path, topic: str, condition: Condition, stop: threading.Ev
 
 
 def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None, int]:
-    """Return the mean rate, one from the median interval, and the number of clocks that the times are of."""
     steps_ns = sorted(after - before for before, after in pairwise(times_ns))
     intervals_ns = [step_ns for step_ns in steps_ns if step_ns < _OTHER_CLOCK_NS]
     span_ns = sum(intervals_ns)

@@ -40,7 +40,6 @@ def _noise(size: int, seed: int, stop: threading.Event | None) -> Iterator[bytes
 
 
 def image_message(size: int, pieces: Iterable[bytes]) -> Message:
-    """Return an image of one row of `pieces`."""
     writer = CdrWriter()
     writer.header(stamp_text(0, 0))
     writer.uint32(1)  # height
@@ -64,14 +63,12 @@ def payload_bytes_of(message: RawMessage) -> int:
 
 
 def sizing_bytes_of(message: RawMessage) -> int:
-    """Return the offset of the content of `data`."""
     (encoding_bytes,) = _UINT32.unpack_from(message, _ENCODING_OFFSET)
     step_offset = _ENCODING_OFFSET + 4 + encoding_bytes + 1  # is_bigendian is one byte
     return int(step_offset + -step_offset % 4 + 8)
 
 
 def object_bytes_of(message: RosMessage) -> int:
-    """Return the length of `data` of an image object."""
     return len(message.data)
 
 

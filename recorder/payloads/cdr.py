@@ -26,12 +26,10 @@ class CdrWriter:
         self._data += struct.pack("<I", value)
 
     def float64s(self, values: Sequence[float]) -> None:
-        """Append a fixed array of doubles, aligned to eight."""
         self._align(8)
         self._data += struct.pack(f"<{len(values)}d", *values)
 
     def string(self, text: bytes, more_bytes: int = 0, more: Iterable[bytes] = ()) -> None:
-        """Append length, the characters of `text` and `more`, and a zero."""
         self.pieces(len(text) + more_bytes + 1, itertools.chain((text,), more))
         self._data += b"\0"
 
@@ -45,7 +43,6 @@ class CdrWriter:
             self._data += piece
 
     def header(self, frame_id: bytes) -> None:
-        """Append a `std_msgs/Header` whose stamp is zero."""
         self.uint32(0)
         self.uint32(0)
         self.string(frame_id)

@@ -19,7 +19,6 @@ _PIECE_BYTES = 1 << 20
 
 
 def load_payload(where: str, stop: threading.Event | None = None) -> Payload:
-    """Return one image for each file at `where`, by name, without hidden files."""
     path = Path(where)
     try:
         files = _files(path)

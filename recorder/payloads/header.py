@@ -19,7 +19,6 @@ _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 
 
 def header_data_type(type_name: str) -> DataType:
-    """Return a message type's data type, with the topic `data_PACKAGE_TYPE`."""
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
         raise OptionError(f"{type_name!r} is not a message type; write it as sensor_msgs/msg/PointCloud2")
@@ -35,7 +34,6 @@ def header_data_type(type_name: str) -> DataType:
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Count the serialized bytes after the header, rounded up to four as some vendors pad them."""
     return max(len(message) + -len(message) % 4 - HEADER_BYTES, 0)
 
 

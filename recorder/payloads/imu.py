@@ -30,7 +30,6 @@ _NO_ORIENTATION, _UNKNOWN_COVARIANCE = (0.0, 0.0, 0.0, 1.0, -1.0, *[0.0] * 8), (
 
 
 def make_payload(size_bytes: int | None, seed: int, _stop: threading.Event | None = None, /) -> Payload:
-    """Make up one message."""
     if size_bytes not in (None, PAYLOAD_BYTES):
         raise OptionError(f"--size {size_bytes}: an IMU message always has {PAYLOAD_BYTES} bytes; leave --size out")
     draw = random.Random(seed)  # noqa: S311 - reproducible noise, no secret
@@ -71,7 +70,6 @@ def load_payload(where: str, stop: threading.Event | None = None) -> Payload:
 
 
 def _rows(stream: BinaryIO, where: str) -> Iterator[list[float]]:
-    """Yield the values of each row, without blank ones and a row of titles at the top."""
     latest_s = -math.inf
     for number, line in enumerate(stream, 1):
         cells = line.decode("utf-8-sig", "replace").replace(",", " ").split()
@@ -99,13 +97,11 @@ def _number(text: str) -> float | None:
 
 
 def check_path(where: str) -> None:
-    """Refuse a text that is not a path."""
     if not where or "\0" in where:
         raise OptionError(f"--data imu:{where}: write imu:FILE, a file of {COLUMNS}")
 
 
 def payload_bytes_of(_message: RawMessage | RosMessage) -> int:
-    """Return `PAYLOAD_BYTES`."""
     return PAYLOAD_BYTES
 
 

@@ -135,7 +135,6 @@ class RawStampPlace:
         return stamp
 
     def begin_of(self, message: RawMessage, run_id: int, sequence: int, end: int) -> bytes:
-        """Return the bytes from `begin_at` to `end` of a message like `message`, with another stamp."""
         return bytes(message[self.begin_at : self._start] + stamp_text(run_id, sequence) + message[self._end : end])
 
     def reply(self, message: RawMessage, relay_id_text: bytes) -> bytearray | None:

@@ -52,7 +52,6 @@ def _letters(size: int, seed: int, stop: threading.Event | None) -> Iterator[byt
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Count the characters after the stamp."""
     (length,) = _UINT32.unpack_from(message, 4)
     if not STAMP_BYTES < length <= len(message) - 8:
         raise ValueError("the string is longer than its message")
@@ -60,7 +59,6 @@ def payload_bytes_of(message: RawMessage) -> int:
 
 
 def object_bytes_of(message: RosMessage) -> int:
-    """Count the characters after the stamp."""
     return len(message.data) - STAMP_BYTES
 
 

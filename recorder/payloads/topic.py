@@ -32,7 +32,6 @@ CHECK_PERIOD_S = 0.05
 
 
 def check_name(name: str) -> None:
-    """Refuse a text that is not the name of a topic."""
     limits.check(limits.TOPIC_NAME, name, "--data topic:")
 
 
@@ -156,7 +155,6 @@ def _batch_starts(times_ns: Sequence[int]) -> list[int]:
 
 
 def shows_rate(sent_ns: Sequence[int]) -> bool:
-    """Return whether messages come one by one, or in enough batches."""
     return len(_batch_starts(sorted(sent_ns))) >= RATE_BATCHES
 
 

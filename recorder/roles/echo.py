@@ -41,13 +41,11 @@ class RelayView:
 
     @property
     def is_hopeless(self) -> bool:
-        """Whether there are relays and none of them can ever match."""
         hopeless = len(self.incompatible)
         return hopeless > 0 and hopeless >= max(len(self.subscriptions), len(self.publishers))
 
 
 def look_for_relays(node: Node, data_type: DataType) -> RelayView:
-    """Return the relays' endpoints that a node sees now."""
     there, back = node.look_at(data_type.topic), node.look_at(data_type.relay_topic)
     own = node.options.name
     return RelayView(

@@ -73,7 +73,6 @@ def message_objects_of(node: Node) -> ObjectNode:
 
 
 def call_lane(calls: CallNode) -> Lane[CallMessage, CallMessage]:
-    """Return the lane of typed calls, each with one message of any data type."""
     form = Form(CALL_STAMP, lambda call: call.payload_bytes)
     return Lane(
         lambda _data_type: form,
@@ -100,6 +99,5 @@ class Clients(Generic[SentT]):
         return all(caller.is_matched() for caller in self.callers)
 
     def close(self) -> None:
-        """Close all."""
         for publisher in self._publishers:
             publisher.close()

@@ -39,7 +39,6 @@ class LiveRow:
         expected_hz: given or learnt; None before that.
         age_ns, age_p99_ns: arrival minus the message's stamp, both by this device's wall clock, of the latest message and
             of the latest `KEPT_MESSAGES`; wrong by the difference of the clocks where the sender is another device.
-        missing: gaps in the publication sequence so far.
         silence_ns: time since the latest message.
     """
 
@@ -53,7 +52,6 @@ class LiveRow:
     silence_ns: int | None
 
     def to_dict(self) -> JsonObject:
-        """Return the row as JSON."""
         return {**asdict(self), "health": self.health.value}
 
 
@@ -128,10 +126,8 @@ class LiveTable:
         self._topics = {name: LiveTopic(name, rate_hz) for name, rate_hz in expected_hz.items()}
 
     def topic(self, name: str) -> LiveTopic:
-        """Return a topic's messages."""
         return self._topics.setdefault(name, LiveTopic(name, None))
 
     def rows(self) -> tuple[LiveRow, ...]:
-        """Return the state of every topic, by name."""
         now_ns = time.monotonic_ns()
         return tuple(self._topics[name].row(now_ns) for name in sorted(self._topics))

@@ -84,7 +84,6 @@ AnyPing: TypeAlias = "Ping[Any, Any]"
 
 
 def open_ping(node: Node, plan: RunPlan, clock: Clock | None = None) -> AnyPing:
-    """Open the ping of a plan on a node that is not started yet."""
     return Ping(open_lane(node, plan.serialization), plan, node.strangers, clock)
 
 
@@ -126,7 +125,6 @@ class Ping(Generic[SentT, ReceivedT]):
         )
 
     def close(self) -> None:
-        """Take the endpoints off their topics."""
         self._publisher.close()
         self._subscription.close()
 
@@ -176,14 +174,12 @@ class Ping(Generic[SentT, ReceivedT]):
             self._replies.note(sequence, relay_id, receive_ns)
 
     def _probe(self, number: int | None = None) -> None:
-        """Send a probe, whose number nobody can guess."""
         message, nonce = self._messages[0], self._nonce + (len(self._nonces) if number is None else number)
         self._stamps.write(message, PROBE_RUN_ID, nonce)
         self._nonces[nonce] = self._now()
         self._publisher.publish(message)
 
     def _probe_others(self, now_ns: int) -> None:
-        """Within a run, probe relays whose replies wait, at most one each `MEETING_NS`."""
         if now_ns - self._probed_ns >= MEETING_NS:
             self._probed_ns = now_ns
             self._probe()
@@ -209,7 +205,6 @@ class Ping(Generic[SentT, ReceivedT]):
         return False
 
     def is_own(self, run_id: int, sequence: int) -> bool:
-        """Return whether a message is of this run, or one of its probes."""
         return run_id == self.run_id or (run_id == PROBE_RUN_ID and sequence in self._nonces)
 
     @property
@@ -219,13 +214,11 @@ class Ping(Generic[SentT, ReceivedT]):
 
     @property
     def traffic(self) -> Traffic:
-        """The messages of the run so far, at their mean size."""
         sizes = self._replies.payload_bytes[: self._published]
         return Traffic(self._published, self._replies.received, sum(sizes) // max(len(sizes), 1))
 
     @property
     def silence(self) -> Silence:
-        """The messages after the last answered one, so far."""
         replies, published = self._replies, self._published
         first = replies.highest + 1
         since_ns = replies.publish_ns[first] if first < published else self._now()
@@ -234,7 +227,6 @@ class Ping(Generic[SentT, ReceivedT]):
 
     @property
     def echoing_relays(self) -> int:
-        """Relays that have echoed a probe."""
         return len(self._met)
 
     def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
@@ -322,7 +314,6 @@ class Ping(Generic[SentT, ReceivedT]):
             yield message, taken.payload_bytes, arrival_ns
 
     def _drain(self, hopeless: threading.Event, sending_ns: int) -> None:
-        """Wait for missing replies."""
         replies = self._replies
         began_ns = self._now()
         deadline_ns = began_ns + max(LONGEST_DRAIN_NS, began_ns - sending_ns)

@@ -37,7 +37,6 @@ class RunPlan:
     Attributes:
         rate_hz: infinite for messages that leave as fast as the middleware takes them.
         wake_ns: time between a probe and the message after it, 0 for no probes.
-        ping_every: every n-th message is sent back.
         is_timed: whether time ends the run, and `messages` is only a bound.
     """
 
@@ -59,7 +58,6 @@ class RunPlan:
 
     @property
     def total(self) -> int:
-        """Planned messages, warm-up included."""
         return self.warmup + self.messages
 
     def scheduled_ns(self, start_ns: int, sequence: int) -> int:
@@ -68,11 +66,9 @@ class RunPlan:
         return 0 if math.isinf(self.rate_hz) else start_ns + round(slot * SECOND_NS / self.rate_hz)
 
     def pinged(self, messages: int) -> int:
-        """Return how many of the first messages are sent back."""
         return -(-messages // self.ping_every)
 
     def describe(self, run_id: int) -> Run:
-        """Return the trace's description of the run."""
         return Run(
             run_id=run_id,
             data_type=self.payload.data_type.name,
@@ -90,7 +86,6 @@ class RunPlan:
 
 
 def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, session_id: int, seed: int) -> RunPlan:
-    """Return the run of these options with this payload."""
     check_serialization([payload.data_type], options.serialization)
     check_rate(ping, is_live=payload.feed is not None)
     rate_hz = ping.rate_hz or payload.rate_hz or DEFAULT_RATE_HZ
@@ -124,7 +119,6 @@ def plan_run(options: RecordOptions, ping: PingOptions, payload: Payload, *, ses
 
 
 def count_messages(messages: int | None, duration_s: float | None, rate_hz: float, warmup: int) -> int:
-    """Return the messages that are requested, or fit the duration."""
     if messages is not None:
         return messages
     if duration_s is None:
@@ -139,13 +133,11 @@ def count_messages(messages: int | None, duration_s: float | None, rate_hz: floa
 
 
 def check_rate(ping: PingOptions, *, is_live: bool) -> None:
-    """Refuse a rate for a live topic."""
     if is_live and ping.rate_hz is not None:
         raise OptionError("--rate cannot be given with topic:/NAME, whose messages are the schedule")
 
 
 def check_serialization(data_types: Iterable[DataType], serialization: Serialization) -> None:
-    """Refuse message objects of a data type that has none."""
     if serialization is Serialization.TYPED:
         for data_type in data_types:
             data_type.object_form()

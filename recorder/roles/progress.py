@@ -27,10 +27,8 @@ class PingProgress:
     """The progress of a ping's run, in messages, warm-up included.
 
     Attributes:
-        received: messages with at least one reply.
         lost: messages without a reply although a later one has one; at the end, all without one.
         rtt_p50_ns: median round trip so far; likewise `rtt_p99_ns`.
-        warmup: planned messages of the warm-up.
     """
 
     planned: int
@@ -102,7 +100,6 @@ class Silence:
 
     @property
     def is_lasting(self) -> bool:
-        """Whether the losses before do not explain it."""
         if self.duration_ns < SILENCE_NS or self.messages <= 0:
             return False
         loss = (self.before - self.answered + 1) / (self.before + 2)  # Laplace's rule of succession
@@ -117,9 +114,7 @@ class Replies:
     Attributes:
         publish_ns: T1 of each message by its sequence number; 0 before it is sent.
         payload_bytes: application bytes of each message.
-        received: messages with at least one reply.
         highest: sequence number with a reply, -1 before the first.
-        last_ns: time of the latest reply, duplicates left out.
     """
 
     __slots__ = (
@@ -146,7 +141,6 @@ class Replies:
         self._counts: dict[int, int] = {}  # relay -> messages that it has answered
 
     def note(self, sequence: int, relay_id: int, receive_ns: int) -> None:
-        """Count a reply, once for each relay and message."""
         answered = self._answered.get(relay_id)
         if answered is None:
             answered = self._answered[relay_id] = bytearray(len(self.publish_ns))
@@ -162,16 +156,13 @@ class Replies:
             self.highest = max(self.highest, sequence)
 
     def are_complete(self, published: int) -> bool:
-        """Return whether each answering relay has answered all."""
         counts = list(self._counts.values())
         return published == 0 or (bool(counts) and min(counts) >= published)
 
     def received_before(self, sequence: int) -> int:
-        """Return how many of the first messages have a reply."""
         return sum(rtt_ns >= 0 for rtt_ns in self._rtt_ns[:sequence])
 
     def without_reply_within(self, timeout_ns: float, messages: slice) -> int:
-        """Return how many messages had no reply in time."""
         return sum(not 0 <= rtt_ns <= timeout_ns for rtt_ns in self._rtt_ns[messages])
 
     def percentiles_ns(self) -> tuple[int | None, int | None]:

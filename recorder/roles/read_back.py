@@ -90,7 +90,6 @@ class ReadBack:
         return (Difference(Setting.SECURITY, level.value, "nothing", words),)
 
     def note_bridge(self, not_applied: tuple[Difference, ...]) -> None:
-        """Replace the differences of the bridge's programs."""
         self._bridge = not_applied
 
     @property
@@ -133,11 +132,9 @@ class ReadBack:
             self._note(f"not applied: {difference.words}; no answer will use this recording")
 
     def explain(self, traffic: Traffic) -> tuple[Difference, ...]:
-        """Return the settings that may explain `traffic` without a reply."""
         return differences(self.requested, read_applied(), traffic)
 
     def fields(self) -> JsonObject:
-        """Return the session's fields `asked`, `applied` and `not_applied`."""
         requested: JsonObject = {"asked": self.requested.to_json()}
         if self._applied is None:
             return requested

@@ -83,7 +83,6 @@ class Relay:
             self.topics += [data_type.topic, data_type.relay_topic]
 
     def close(self) -> None:
-        """Take the endpoints off their topics."""
         for close in self._closers:
             close()
 
@@ -178,7 +177,6 @@ class Relay:
 
     @property
     def traffic(self) -> Traffic:
-        """The messages relayed so far, at their mean size."""
         count = self._relayed
         return Traffic(count, count, self._payload_bytes // max(count, 1))
 

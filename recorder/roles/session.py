@@ -63,7 +63,6 @@ def describe_session(
 
 
 def strangers_field(strangers: Strangers) -> JsonObject:
-    """Return the session's field `strangers`, kind -> number, if there were any."""
     counts = strangers.counts
     return {"strangers": dict(sorted(counts.items()))} if counts else {}
 

@@ -53,7 +53,6 @@ class WireRecord:
 
     @property
     def processes(self) -> Mapping[str, int]:
-        """The capturing process, for samples of the host's load."""
         return {} if self._capture is None else {"wire": self._capture.pid}
 
     def begin(self, run_id: int | None = None) -> None:

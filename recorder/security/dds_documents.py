@@ -47,7 +47,6 @@ def governance(level: Security) -> str:
 
 
 def permissions(subject: str, not_before: str, not_after: str) -> str:
-    """Return what a certificate's owner may do: everything, between two times (UTC)."""
     everything = "<topics><topic>*</topic></topics><partitions><partition>*</partition></partitions>"
     content = f"""<permissions><grant name="dds_trace">
 <subject_name>{subject}</subject_name>

@@ -32,12 +32,10 @@ _FOLDER = re.compile(r"dds-trace-keys-(\d+)-\w+")
 
 
 def enclave(keys: str, *, listens: bool) -> Path:
-    """Return the folder of one side's certificate and key."""
     return Path(keys).absolute() / "enclaves" / SIDES[listens]
 
 
 def public_hash(keys: str) -> str:
-    """Return a hash of the authority, governance and both permissions, as it is written to traces."""
     files = [path for path in sorted(Path(keys).rglob("*")) if path.name != "key.pem" and path.is_file()]
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()
 
@@ -97,7 +95,6 @@ def shared_keys(levels: Collection[str]) -> Iterator[Sequence[str]]:
 
 
 def _remove_stale() -> None:
-    """Remove the keys of killed sweeps."""
     for path in Path(tempfile.gettempdir()).glob("dds-trace-keys-*"):
         match = _FOLDER.fullmatch(path.name)
         if match and not Path("/proc", match[1]).exists() and path.stat().st_uid == os.geteuid():

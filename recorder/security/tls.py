@@ -55,7 +55,6 @@ class TlsSocket:
         self.shutdown, self.close, self.getsockname = connection.shutdown, connection.close, connection.getsockname
 
     def describe(self) -> str:
-        """Return version, cipher and the peer's name, as the connection has them."""
         cipher, certificate = self._tls.cipher(), self._tls.getpeercert() or {}
         names = [pair[1] for part in certificate.get("subject", ()) for pair in part]
         return f"{self._tls.version()} {cipher[0] if cipher else ''}, peer {', '.join(map(str, names))}"
@@ -95,12 +94,10 @@ class TlsSocket:
         return sent
 
     def send(self, data: bytes | memoryview) -> int:
-        """Send all bytes."""
         return self.sendmsg((data,))
 
 
 def zenoh_tls(keys: str, *, listens: bool) -> dict[str, object]:
-    """Return `transport/link/tls` of a zenoh configuration, for listening and for connecting."""
     folder = enclave(keys, listens=listens)
     certificate, key = str(folder / "cert.pem"), str(folder / "key.pem")
     return {

@@ -37,7 +37,6 @@ class RotatedFiles:
         self._stem = destination.path.name.removesuffix(".mcap")
 
     def next(self) -> TraceDestination:
-        """Return the next file."""
         folder = self._destination.path.parent
         number = max((int(match["number"]) for match in self._matches()), default=0) + 1
         return replace(self._destination, path=folder / f"{self._stem}.{number:0{DIGITS}d}.mcap", force=False)
@@ -63,7 +62,6 @@ class RotatedFiles:
 
 
 def later_files(path: Path, session_id: int) -> list[Path]:
-    """Return the recording's files after `path`, in order."""
     matched = _NUMBERED.fullmatch(path.name)
     if matched is None:
         return []

@@ -36,13 +36,10 @@ class Entry:
     """The state of a recording, as `dds-record status --json` prints it.
 
     Attributes:
-        path: absolute, of the present file.
         pid_start: the process's start, in clock ticks since boot: ids are reused.
         session_id: 16 hex digits.
         began_ns: its start, ns since 1970.
         told_ns: time of this state, ns since 1970.
-        messages: messages sent back by a relay, or replies received by a ping.
-        stopped: why recording has stopped while the node continues.
     """
 
     role: str
@@ -88,7 +85,6 @@ def runtime_folder(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def runtime_folders(environment: Mapping[str, str] = os.environ) -> list[Path]:
-    """Return all folders with entries, this user's first."""
     others = [
         *Path("/run").glob("dds-trace/*/"),
         *Path("/run/user").glob("*/dds-trace/"),
@@ -137,7 +133,6 @@ class RunningRecording:
             os.close(descriptor)
 
     def update(self, *, path: Path, messages: int, files: int, stopped: str | None) -> None:
-        """Write the current state."""
         if self._descriptor is not None:
             self._entry = replace(
                 self._entry,
@@ -151,7 +146,6 @@ class RunningRecording:
                 self._write()
 
     def close(self) -> None:
-        """Remove the entry."""
         if self._descriptor is not None:
             with suppress(OSError):
                 self._path.unlink(missing_ok=True)
@@ -165,7 +159,6 @@ class RunningRecording:
 
 
 def list_recordings(folders: Iterable[Path] | None = None) -> list[Listed]:
-    """Return this machine's recordings, running ones first."""
     recordings: list[Listed] = []
     for folder in runtime_folders() if folders is None else folders:
         with suppress(OSError):
@@ -225,7 +218,6 @@ def _is_own(folder: Path) -> bool:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove entries of killed processes whose events are recovered."""
     for path in folder.glob(f"*{SUFFIX}"):
         listed = _read_entry(path)
         if listed is not None and listed.state is State.KILLED and listed.waiting is None:

@@ -73,7 +73,6 @@ class ServiceManager:
         self._send(assignments)
 
     def close(self) -> None:
-        """Report that this process ends."""
         if self._socket is not None:
             self._send(["STOPPING=1"])
             self._socket.close()
@@ -90,7 +89,6 @@ class Upkeep:
 
     Attributes:
         sink: the sink; with `--rotate` its session's field `part` counts the files from 1.
-        destination: the file that is written now.
         shortage: the first lack of disk space that dropped events, or that ends a ping's run.
     """
 
@@ -149,13 +147,11 @@ class Upkeep:
         self._manager.notify(f"{counted(messages, 'message')}, {activity}")
 
     def close_trace(self, **described: Json) -> ClosedTrace:
-        """Close a relay's trace with these fields, and why it stopped recording."""
         self._blame_disk()
         stopped: JsonObject = {} if self.shortage is None else {"stopped": str(self.shortage)}
         return self.sink.close(**described, **stopped)
 
     def _blame_disk(self) -> None:
-        """Set `shortage` once events were dropped or a ping's run ends."""
         if self._options.ping is not None or self.sink.dropped_events > self._dropped:
             self.shortage = self.shortage or self._short
 

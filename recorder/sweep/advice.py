@@ -157,7 +157,6 @@ def _zenoh(largest_bytes: int, on_the_way_bytes: float) -> dict[str, Settings]:
 
 
 def xml_text(title: str, settings: Settings) -> str:
-    """Return the text of an XML file."""
     return f'<?xml version="1.0" encoding="UTF-8"?>\n<!-- Written by dds-trace: {title}. -->\n{_tags(settings, "")}'
 
 

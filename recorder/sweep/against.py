@@ -64,7 +64,6 @@ def interleave(base: Plan, new: Plan) -> list[InterleavedRun]:
 
 
 def against_seconds(base: Plan, new: Plan) -> Remaining:
-    """Return the expected time of both sides."""
     starts = len(base.cells) * base.run.repeats
     return Remaining(
         sum(plan_seconds(side, passes=base.run.repeats, relay_starts=starts).seconds for side in (base, new))

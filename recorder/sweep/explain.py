@@ -102,7 +102,6 @@ def _refused_conditions(slow_hz: float) -> dict[str, str]:
 
 
 def _native(cell: Cell) -> Cell | None:
-    """Return the same vendor without the client library, where it is installed."""
     vendor = ros_middleware(cell.rmw).vendor if cell.backend == "ros2" and cell.rmw else ""
     if vendor not in BACKEND_MODULES or cell.crosses_domains or not load_backend(vendor).find_installed():
         return None
@@ -138,7 +137,6 @@ def explain_size(plan: Plan, text: str) -> Explanation:
 
 
 def _factors(plan: Plan, cell: Cell, large_bytes: int) -> dict[str, dict[str, Any]]:
-    """Return the axes that give each factor another value, none where there is no such factor."""
     backend = load_backend(cell.backend)
     is_sized = not cell.rmw or ros_middleware(cell.rmw).vendor == "fastdds"
     names = backend.sizes.get(Transport(cell.transport), ()) if is_sized else ()

@@ -86,7 +86,6 @@ def make_parts(folder: Path) -> Path:
 
 
 def clear_parts(parts: Path) -> list[str]:
-    """Remove a sweep's unfinished traces, and return the names of other files."""
     foreign = []
     for path in sorted(parts.iterdir()):
         if _OWN_NAME.fullmatch(path.name) and (path.is_symlink() or path.is_file()):
@@ -105,7 +104,6 @@ def remove_files(folder: Path, name: str, endings: Collection[str]) -> None:
 
 
 def is_segment_name(name: str) -> bool:
-    """Return whether a name is a relay's: GROUP-MILLISECONDS-START.mcap, or GROUP-MILLISECONDS-START.RELAY-HOST.mcap."""
     return re.fullmatch(_SEGMENT, name, re.ASCII) is not None
 
 
@@ -115,18 +113,15 @@ def segment_of(first: str, number: int, host: int) -> str:
 
 
 def place_of(segment: str) -> tuple[int, int]:
-    """Return number and host of the relay of a segment, as `segment_of` got them."""
     number, _, host = segment.removesuffix(".mcap").partition(".")[2].partition("-")
     return int(number or 1), int(host or 0)
 
 
 def log_path(folder: Path, segment: str) -> Path:
-    """Return the path of a relay's log."""
     return folder / f"{segment}.log"
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Replace a file in one step, safe against a reboot."""
     try:
         with replacing(path, fsync=True) as draft, create_file(draft) as file:
             file.write(text.encode())

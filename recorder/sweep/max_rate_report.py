@@ -30,7 +30,6 @@ _COLOURS = {
 
 
 def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> list[Path]:
-    """Write `max_rate.json`, `.csv` and `.svg` and return their paths."""
     texts = {
         "max_rate.json": json.dumps(
             {"search": asdict(search), "answers": [{**asdict(rate), "answer": rate.answer.value} for rate in answers]},
@@ -45,7 +44,6 @@ def write_max_rates(folder: Path, answers: list[MaxRate], search: Search) -> lis
 
 
 def max_rate_rows(answers: list[MaxRate]) -> list[tuple[str, ...]]:
-    """Return one row of `COLUMNS` for each answer."""
     return [
         (
             highest.cell.middleware,
@@ -63,13 +61,11 @@ def max_rate_rows(answers: list[MaxRate]) -> list[tuple[str, ...]]:
 
 
 def _inert(row: tuple[str, ...]) -> list[str]:
-    """Return cells that a spreadsheet does not compute as formulas."""
     cells = (printable(cell, MAX_FINDING_CHARACTERS) for cell in row)
     return [f"'{cell}" if cell.startswith(("=", "+", "-", "@", "::")) else cell for cell in cells]
 
 
 def max_rate_csv(answers: list[MaxRate]) -> str:
-    """Return the rows as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)

@@ -52,7 +52,6 @@ class MaxRate:
 
     Attributes:
         failing_hz: the lowest rate that was not sustained.
-        held_repeats: runs at the answer that sustained it, and all runs at it.
         reason: why the next rate was not sustained, or why the search failed.
     """
 
@@ -84,7 +83,6 @@ class Bisection:
     trial: Callable[[float, int], str]
 
     def run(self) -> Knee:
-        """Return the highest sustained rate, within the resolution."""
         low, high = self.search.min_rate, self.search.max_rate
         is_low_sustained, why = False, ""
         while high / low > self.search.resolution:
@@ -177,7 +175,6 @@ def _loses_more(result: CellResult, percent: float) -> bool:
 
 
 def search_plan(plan: Plan) -> Plan:
-    """Return a plan of one cell for all rates, in runs long enough for the percentile."""
     cells = dict.fromkeys(replace(cell, rate=plan.search.max_rate) for cell in plan.cells)
     return replace(
         plan,
@@ -188,7 +185,6 @@ def search_plan(plan: Plan) -> Plan:
 
 
 def messages_needed(search: Search) -> int:
-    """Return the fewest messages for the percentile."""
     return math.ceil(MESSAGES_FOR_PERCENTILE / (1 - search.percentile / 100) - 1e-9)
 
 

@@ -73,7 +73,6 @@ class SweepOutcome:
     """Result of a sweep.
 
     Attributes:
-        cells: number of cells, repeats included.
         missing: cell without complete recording -> reason.
         too_wide: cell with too wide an interval -> half width in percent.
     """

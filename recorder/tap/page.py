@@ -94,7 +94,6 @@ def open_diagnostics(node: Node, device: str) -> Callable[[LiveTable], None]:
 
 
 def diagnostic_array(rows: tuple[LiveRow, ...], device: str, wall_ns: int) -> bytearray:
-    """Return the serialized message of a table at a wall time."""
     writer = CdrWriter()
     writer.uint32(wall_ns // SECOND_NS)
     writer.uint32(wall_ns % SECOND_NS)

@@ -36,12 +36,8 @@ class Stream:
         publication: as the graph shows it; of several that share one stream, one of them.
         publisher_id: its number in the trace, from 1.
         publisher: its GUID; None if it is not sure.
-        subscribed: the quality of service of the tap's subscription.
         has_header: whether its type has a header stamp.
-        missing: gaps in the publication sequence.
-        reordered: messages whose number was lower than one before.
         last_ns: arrival of the latest message, monotonic; 0 before the first.
-        period_ns: mean interval of its latest messages.
         stopped_at: its messages when it was reported as stopped; None while it is not.
     """
 
@@ -61,7 +57,6 @@ class Stream:
     stopped_at: int | None = None
 
     def count(self, now_ns: int, sequence: int, payload_bytes: int) -> None:
-        """Count a message."""
         if sequence:
             expected = self.last_sequence + 1
             if sequence >= expected:
@@ -80,12 +75,10 @@ class Stream:
 
     @property
     def is_back(self) -> bool:
-        """Whether messages came after it was reported as stopped."""
         return self.stopped_at is not None and self.messages > self.stopped_at
 
     @property
     def is_learnt(self) -> bool:
-        """Whether `period_ns` means something."""
         return self.messages > _LEARNING
 
     def silence_ns(self, now_ns: int) -> int | None:
@@ -95,7 +88,6 @@ class Stream:
         return silence_ns if self.is_learnt and silence_ns > usual_ns else None
 
     def describe(self, state: State, session_id: int, now_ns: int) -> JsonObject:
-        """Return the JSON object of `/dds_trace/publisher`."""
         offered = self.publication.qos
         return {
             "session_id": f"{session_id:016x}",

@@ -54,7 +54,6 @@ class Worker:
                     self.error = error
 
     def close(self) -> None:
-        """Work at what was handed over, and end."""
         self._queue.put(None)
         self._thread.join()
 
@@ -101,7 +100,6 @@ class Tap:
     With `has_worker` another thread does the rest, so that a message does not wait for the hash of the one before it.
 
     Attributes:
-        streams: all publishers that were heard.
         refused: topic -> why it cannot be joined.
     """
 
@@ -138,12 +136,10 @@ class Tap:
 
     @property
     def messages(self) -> int:
-        """Messages so far."""
         return sum(stream.messages for stream in self.streams)
 
     @property
     def topics(self) -> list[str]:
-        """Topics that are joined."""
         return sorted({topic.name for topic in self._topics.values() if topic.subscription is not None})
 
     def look(self) -> None:
@@ -161,7 +157,6 @@ class Tap:
             self._look_at_stream(stream, now_ns)
 
     def close(self) -> None:
-        """Leave all topics and describe every publisher's end."""
         for topic in self._topics.values():
             if topic.subscription is not None:
                 topic.subscription.close()
@@ -261,7 +256,6 @@ class Tap:
             topic.live.count(arrival_ns, header_ns or source_ns, stream.publisher_id, stream.missing)
 
     def _meet(self, topic: _Topic, source: Hashable) -> Stream:
-        """Return the stream of a source's first message."""
         publisher, publication = self._identify(topic, source)
         heard = (one for one in self.streams if one.publisher == publisher and one.publication.topic == topic.name)
         stream = next(heard, None)
@@ -299,7 +293,6 @@ class Tap:
 
 
 def summarize(streams: Iterable[Stream]) -> list[str]:
-    """Return a line for each publisher: messages, rate, missing ones."""
     lines = []
     for stream in sorted(streams, key=lambda one: (one.publication.topic, one.publisher_id)):
         rate = (

@@ -70,7 +70,6 @@ class WireOptions:
     Attributes:
         rtps_ports: UDP ports of the run's DDS domains (`domain_ports`); other RTPS is left out. Empty: all RTPS counts.
         udp_ports: of UDP that is not RTPS: the `socket` backend's, zenoh's scouting.
-        tcp_ports: of the `socket` backend, of zenoh, of Fast DDS over TCP.
         ring_bytes: kernel memory for packets on each interface; 100 Mbit/s may need 12.5 MB a second.
         block_timeout_ms: how long the kernel collects packets before it delivers them, and how often they are counted.
         cpus: that the capturing process may run on; empty for its parent's.
@@ -124,7 +123,6 @@ class WireCapture:
 
     @property
     def pid(self) -> int:
-        """The capturing process, to sample its CPU share."""
         return self._process.pid
 
     def begin(self, run_id: int | None = None) -> None:
@@ -146,7 +144,6 @@ class WireCapture:
         return WireResult(from_json(WireCounts, answer), rows)
 
     def close(self) -> None:
-        """End the process."""
         if self._process.poll() is None:
             _stream(self._process.stdin).close()
             try:

@@ -42,7 +42,6 @@ class Beginnings:
     reply_ns: int | None = None
 
     def note(self, name: str, time_ns: int) -> None:
-        """Store the time if it is the first."""
         if getattr(self, name) is None:
             setattr(self, name, time_ns)
 
@@ -63,18 +62,15 @@ class RunTally:
 
     @property
     def heartbeat_gap_p50_ns(self) -> float | None:
-        """Median of the gaps, None without any."""
         return median(self.heartbeat_gaps_ns) if self.heartbeat_gaps_ns else None
 
     def count_frame(self, frame: Frame, kind: WireClass, direction: Direction) -> None:
-        """Count a frame with all its bytes for one class."""
         tally = self.classes[kind, direction]
         tally.packets += 1
         tally.bytes += frame.wire_bytes
         tally.ip_fragments += bool(frame.fragment_offset or frame.more_fragments)
 
     def move_bytes(self, bytes_of: Counter[WireClass], principal: WireClass, direction: Direction) -> None:
-        """Move the bytes of a packet's other submessages from its principal class to their own."""
         for kind, size in bytes_of.items():
             if kind is not principal:
                 self.classes[kind, direction].bytes += size
@@ -138,7 +134,6 @@ class IpCounts:
     udp_in_errors: int = 0
 
     def since(self, before: IpCounts) -> IpCounts:
-        """Return how much each counter grew."""
         return IpCounts(*(getattr(self, f.name) - getattr(before, f.name) for f in fields(self)))
 
 
@@ -159,7 +154,6 @@ class InterfaceCount:
     received_packets: int = 0
 
     def since(self, before: InterfaceCount | None) -> InterfaceCount:
-        """Return how much the counters grew."""
         names = ("sent_bytes", "sent_packets", "received_bytes", "received_packets")
         grown = (getattr(self, name) - (getattr(before, name) if before else 0) for name in names)
         return InterfaceCount(self.name, *grown)
@@ -186,7 +180,6 @@ class WireCounts:
     """Counts of one run on the wire, seen from one side; times are CLOCK_MONOTONIC ns of this device.
 
     Attributes:
-        messages, sample_bytes: messages with a row, both directions, and their serialized bytes.
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
         first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
             the first message with our stamp (probes included), the first that a relay has sent back.
@@ -231,12 +224,10 @@ class WireCounts:
 
     @property
     def duration_s(self) -> float:
-        """Length of the counting, s."""
         return (self.end_ns - self.begin_ns) / 1e9
 
     @property
     def total_bytes(self) -> int:
-        """Bytes of all classes, both directions."""
         return sum(count.bytes for count in self.classes)
 
     @property
@@ -246,7 +237,6 @@ class WireCounts:
 
     @property
     def discovery_bytes(self) -> int:
-        """Bytes of SPDP, SEDP and liveliness, both directions."""
         return self._bytes_of(_DISCOVERY_NAMES)
 
     @property
@@ -261,7 +251,6 @@ class WireCounts:
 
     @property
     def match_ns(self) -> int | None:
-        """Time from a participant's first announcement to the first message that came back, if both exist."""
         if self.first_spdp_ns is None or self.first_reply_ns is None:
             return None
         return self.first_reply_ns - self.first_spdp_ns
@@ -275,6 +264,5 @@ class WireCounts:
         return sum(count.bytes for count in self.classes if count.name in names)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object, the properties included."""
         derived = [name for name, value in vars(type(self)).items() if isinstance(value, property)]
         return {**to_json(self), **{name: getattr(self, name) for name in derived}}

@@ -31,10 +31,8 @@ class Copy(NamedTuple):
     """One sample, or some fragments of it, sent to one destination.
 
     Attributes:
-        fragment: the first, WHOLE for a whole sample.
         fragments: how many, 1 for a whole sample.
         destination: a number for address and port; MULTICAST for all groups.
-        sample_bytes: of the whole sample.
     """
 
     sequence: int
@@ -51,10 +49,7 @@ class SentSample:
 
     Attributes:
         stamp: ours, None until a copy shows one.
-        first_copies: (fragment, destination) -> time of its first copy.
-        repeats: fragment -> how often it was sent again.
         resent_after_ns: from the first copy of the fragment that was repeated first to its repetition.
-        waited_heartbeats: of its writer, from its first copy to its first repetition.
     """
 
     first_ns: int
@@ -136,7 +131,6 @@ class SendLedger(Generic[Stream]):
         return again
 
     def note_heartbeat(self, stream: Stream) -> None:
-        """Count a heartbeat."""
         self._streams.setdefault(stream, _StreamSamples()).heartbeats += 1
 
     def forget(self, now_ns: int) -> Iterator[tuple[Stream, SentSample]]:
@@ -199,23 +193,16 @@ def message_row(sample: SentSample, direction: Direction) -> tuple[int, ...] | N
 
 
 def pack_rows(rows: Sequence[tuple[int, ...]]) -> MessageRows:
-    """Return rows, given as tuples, as an array."""
     return np.array(rows, MESSAGE_ROW)
 
 
 def message_rows(packed: Sequence[MessageRows]) -> MessageRows:
-    """Return packed rows as one array, by run, direction, relay and sequence."""
     return np.sort(np.concatenate(packed), order=("run_id", "direction", "relay_id", "sequence"))
 
 
 @dataclass(frozen=True, slots=True)
 class RepeatCount:
-    """Messages that were sent again `repeats` times; the other fields are None for those that were sent once.
-
-    Attributes:
-        delay_p50_ns, delay_p90_ns, delay_p99_ns, delay_max_ns: of `resent_after_ns` (linear interpolation, as in numpy).
-        heartbeats_p50: median of the heartbeats that their writer sent meanwhile.
-    """
+    """Messages that were sent again `repeats` times; the other fields are None for those that were sent once."""
 
     repeats: int
     messages: int
@@ -227,7 +214,6 @@ class RepeatCount:
 
 
 def count_repeats(rows: MessageRows) -> tuple[RepeatCount, ...]:
-    """Count the messages that this side sent by their number of repeats."""
     sent = rows[rows["direction"] != Direction.RECEIVED]
     return tuple(
         _repeat_count(int(repeats), sent[sent["repeats"] == repeats]) for repeats in np.unique(sent["repeats"])

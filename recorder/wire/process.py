@@ -128,7 +128,6 @@ class Capture:
         return counts, rows
 
     def serve(self) -> None:
-        """Count packets and answer questions until standard input closes."""
         poll = select.poll()
         # Not the rings: a large flow fills a block every few milliseconds, and each wake-up takes CPU from the roles.
         if self._closed:
@@ -152,7 +151,6 @@ class Capture:
                 self._answer(json.loads(line))
 
     def close(self) -> None:
-        """Close the rings."""
         self._resources.close()
 
     def _answer(self, question: dict[str, Any]) -> None:
@@ -203,7 +201,6 @@ class Capture:
 
 
 def wall_to_monotonic_ns() -> int:
-    """Return what to add to CLOCK_REALTIME to get CLOCK_MONOTONIC, from the tightest of a few readings."""
     readings = []
     for _ in range(_CLOCK_READINGS):
         before_ns = time.monotonic_ns()
@@ -214,13 +211,11 @@ def wall_to_monotonic_ns() -> int:
 
 
 def write_answer(answer: dict[str, Any], rows: bytes = b"") -> None:
-    """Write one answer."""
     sys.stdout.buffer.write(json.dumps(answer).encode() + b"\n" + rows)
     sys.stdout.buffer.flush()
 
 
 def main() -> None:
-    """Capture until standard input closes."""
     options = from_json(WireOptions, json.loads(sys.argv[1]))
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))  # also if the role has a real-time priority
     os.nice(NICENESS)

@@ -128,7 +128,6 @@ class PacketRing:
         )
 
     def release(self) -> None:
-        """Give back the blocks of the last `read`."""
         for _ in range(self._unreleased):
             self._words[self._next * (self._block_bytes // 4) + _BLOCK_STATUS] = 0
             self._next = (self._next + 1) % self._blocks
@@ -139,7 +138,6 @@ class PacketRing:
         return RingStatistics(*struct.unpack("3I", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 12)))
 
     def close(self) -> None:
-        """Close the socket and its ring."""
         self._socket.close()
         self._words.release()
         del self._memory

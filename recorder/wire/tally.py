@@ -75,7 +75,6 @@ class WireTally:
         self._late_before = self._lost_before = 0
 
     def begin(self) -> None:
-        """Restart counting."""
         self.run = RunTally()
         self._rows.clear()
         self._packed.clear()
@@ -93,7 +92,6 @@ class WireTally:
         return self._fragments.lost_trails - self._lost_before
 
     def take_rows(self, run_id: int | None = None) -> MessageRows:
-        """Hand over the messages of a run, or of all runs without readiness probes."""
         self._make_rows(self._ledger.take(run_id))
         rows = message_rows([*self._packed, pack_rows(self._rows)])
         self._rows.clear()
@@ -102,7 +100,6 @@ class WireTally:
         return selected
 
     def add(self, batch: FrameBatch, interface: str, *, is_loopback: bool, wall_to_monotonic_ns: int) -> None:
-        """Count one interface's frames, in the order of their capture."""
         memory = batch.memory.data
         for frame in read_frames(batch, wall_to_monotonic_ns):
             if frame.packet_type != _PACKET_OTHERHOST:
@@ -115,7 +112,6 @@ class WireTally:
             self._make_rows(self._ledger.forget(last_ns))
 
     def _make_rows(self, forgotten: Iterable[tuple[Stream, SentSample]]) -> None:
-        """Make rows of the samples that have our stamp."""
         for stream, sample in forgotten:
             row = message_row(sample, stream.direction)
             if row is not None:

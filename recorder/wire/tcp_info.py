@@ -47,11 +47,7 @@ class TcpConnection:
     """One end of a connection, without addresses, which may identify a device; counters since it opened, or of a run.
 
     Attributes:
-        bytes_sent: payload, repetitions included (`tcpi_bytes_sent`).
-        segments_out, segments_in: acknowledgements included.
-        segment_bytes: the largest that it sends (`tcpi_snd_mss`).
         rtt_us, rtt_variance_us, rtt_min_us: smoothed round-trip time of the kernel, now.
-        congestion_window: segments that may be in flight, now.
     """
 
     local_port: int
@@ -75,7 +71,6 @@ class TcpConnection:
 
 
 def parse_tcp_info(info: bytes, local_port: int, remote_port: int) -> TcpConnection:
-    """Parse a `struct tcp_info`, as sock_diag or `getsockopt(TCP_INFO)` gives it."""
     values = tcp_info_fields(info, _INFO_FIELDS)
     if values["rtt_min_us"] == _NOT_MEASURED:
         values["rtt_min_us"] = 0
@@ -110,7 +105,6 @@ class ClosedConnections:
         self._link.bind((0, _TCP_DESTROYED_GROUP))
 
     def fileno(self) -> int:
-        """Return the descriptor that is readable after an end."""
         return self._link.fileno()
 
     def read(self) -> dict[int, TcpConnection]:
@@ -124,12 +118,10 @@ class ClosedConnections:
         return ended
 
     def close(self) -> None:
-        """Close the socket."""
         self._link.close()
 
 
 def _with_ports(sockets: Iterable[DiagSocket], ports: Sequence[PortRange]) -> dict[int, TcpConnection]:
-    """Return the connections with a port in a range, by cookie."""
     return {
         opened.cookie: parse_tcp_info(opened.attributes.get(INFO, b""), opened.local[1], opened.remote[1])
         for opened in sockets

@@ -72,12 +72,10 @@ class Conclusion:
 
     @property
     def sentences(self) -> list[tuple[PointKind, str]]:
-        """Headline and points, each with its kind."""
         return [*zip(self.kinds, (self.headline, *self.points), strict=True)]
 
 
 def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: Intervals) -> Conclusion:
-    """Derive headline, verdicts and remarks from `analysis.details`."""
     metric = values.default_metric
     topics = topic_sentences(analysis.topics)
     if not groups.groups:
@@ -271,7 +269,6 @@ def _within(row: Mapping[str, Any]) -> str:
 
 
 def way_label(row: Mapping[str, Any], vendors: VendorLabels) -> str:
-    """Name vendor and bridge, as in `Fast DDS, through our built-in bridge`."""
     return f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way_words(row['bridge'])}"
 
 

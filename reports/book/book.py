@@ -39,32 +39,26 @@ class Book:
 
     @cached_property
     def groups(self) -> Groups:
-        """Groups with their series and cells."""
         return groups_info(self.analysis)
 
     @cached_property
     def facets(self) -> Facets:
-        """Dimensions of the groups."""
         return facets_info(self.groups)
 
     @cached_property
     def values(self) -> Values:
-        """Numbers by column and group."""
         return values_info(self.analysis)
 
     @cached_property
     def intervals(self) -> Intervals:
-        """Confidence intervals by metric and group."""
         return intervals_info(self.analysis)
 
     @cached_property
     def curves(self) -> Curves:
-        """Distributions by metric and group."""
         return curves_info(self.analysis)
 
     @cached_property
     def run_times(self) -> tuple[RunTime, ...]:
-        """The runs of `analysis.timeline`."""
         return run_times(self.analysis)
 
     @cached_property
@@ -79,50 +73,40 @@ class Book:
 
     @cached_property
     def own_costs(self) -> tuple[OwnCost, ...]:
-        """Cost of measuring, by vendor and backend."""
         return own_costs(self.analysis)
 
     @cached_property
     def overview(self) -> Overview:
-        """Lines on what was measured."""
         return overview_info(self.analysis, self.groups, self.own_costs, self.run_times)
 
     @cached_property
     def answer(self) -> Conclusion:
-        """Headline, verdicts and remarks."""
         return answer_info(self.analysis, self.groups, self.values, self.intervals)
 
     @cached_property
     def sizes(self) -> SizeTable | None:
-        """Table of sizes by setup, if anything was judged."""
         return size_table(self.analysis, self.groups.vendors)
 
     @cached_property
     def glance(self) -> Glance | None:
-        """Medians of the setups as a picture."""
         return glance_info(self.sizes, self.intervals, self.facets)
 
     @cached_property
     def advice(self) -> Advice | None:
-        """Recommendation in words, if there is a job."""
         return recommendation_info(self.analysis.details.recommendation, self.groups.vendors)
 
     @cached_property
     def findings(self) -> tuple[FindingKind, ...]:
-        """Findings by kind, the most severe first."""
         return findings_info(self.analysis, self.groups, self.values)
 
     @cached_property
     def record_tables(self) -> tuple[RecordTable, ...]:
-        """Tables of the sessions and files."""
         return record_tables(self.analysis)
 
     @cached_property
     def topic_tables(self) -> tuple[TopicTable, ...]:
-        """Tables of the topics that taps heard."""
         return topic_tables(self.analysis)
 
     @cached_property
     def environment(self) -> RecordedEnvironment | None:
-        """How it was recorded, by device and role."""
         return recorded_environment(self.analysis, self.groups)

@@ -42,9 +42,7 @@ class Dimension:
     """One dimension.
 
     Attributes:
-        options: labels, in the order of cells and series.
         index: for each group the option of its value.
-        short: labels at the end of a line.
     """
 
     label: str
@@ -61,20 +59,16 @@ class Facets:
     choices: tuple[Series, ...]
 
     def option(self, key: str, group: int) -> int:
-        """Return the index of a group's value."""
         return self.dimensions[key].index[group]
 
     def label(self, key: str, group: int) -> str:
-        """Return the label of a group's value."""
         return self.dimensions[key].options[self.option(key, group)]
 
     def varies(self, key: str) -> bool:
-        """Return whether groups differ."""
         return len(self.dimensions[key].options) > 1
 
 
 def facets_info(groups: Groups) -> Facets:
-    """List the values of every dimension among the groups."""
     choice_of = [_apart_from_place(series) for series in groups.series]
     choices = tuple(dict.fromkeys(choice_of))
     names = dict(zip(choices, series_labels(choices), strict=True))

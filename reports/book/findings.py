@@ -50,7 +50,6 @@ class FindingKind:
 
     @property
     def severity_word(self) -> str:
-        """Word for the severity."""
         return SEVERITIES[self.severity]
 
     @property
@@ -77,7 +76,6 @@ def worst_first(values: Values) -> tuple[int, ...]:
 
 
 def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[FindingKind, ...]:
-    """Gather the findings by kind, the most severe first."""
     rank = {group: index for index, group in enumerate(worst_first(values))}
     labels = group_labels(groups)
     kinds: dict[tuple[str, str], list[Finding]] = {}

@@ -116,7 +116,6 @@ class VendorLabels:
     labels: Mapping[str, str]
 
     def of(self, vendor: str) -> str:
-        """Return the label of a vendor."""
         return self.labels.get(vendor, printable(vendor))
 
     def of_pair(self, vendor: str, relay_vendor: str | None) -> str:
@@ -131,7 +130,6 @@ class Series:
     """Setup, device pair and link of a group.
 
     Attributes:
-        further: other parameters, as in `name value`.
         vendor_label: names both vendors if ping and relay differ.
     """
 
@@ -157,7 +155,6 @@ class Series:
     vendor_label: str = ""
 
     def values(self, names: Iterable[str]) -> tuple[object, ...]:
-        """Return the values of some parameters, and `further`."""
         return (*(getattr(self, name) for name in names if hasattr(self, name)), self.further)
 
 
@@ -200,15 +197,12 @@ class Groups:
 
     @property
     def in_order(self) -> list[Group]:
-        """The groups by cell, then series."""
         return sorted(self.groups, key=lambda group: (group.cell, group.series))
 
     def cell_of(self, group: Group) -> Cell:
-        """Return the cell of a group."""
         return self.cells[group.cell]
 
     def series_of(self, group: Group) -> Series:
-        """Return the series of a group."""
         return self.series[group.series]
 
 
@@ -233,7 +227,6 @@ def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Group
 
 
 def series_labels(series: Sequence[Series]) -> list[str]:
-    """Label each series by vendor and what differs between any two."""
     parts = (*_LABEL_PARTS, (where_it_helps, _setting_label_of(series)))
     return tell_apart(series, lambda one: one.vendor_label, parts)
 
@@ -256,7 +249,6 @@ def _word(key: str, value: str) -> str:
 
 
 def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> list[str]:
-    """Label settings (values of `SETTING_COLUMNS`) by everything in which any two differ."""
     series = [_series({**dict.fromkeys(SERIES_COLUMNS), **setting}, vendors) for setting in settings]
     parts = (*_LABEL_PARTS, (where_it_varies, _setting_label_of(series)))
     rules = [(where_it_varies if word not in _FOLLOWING else rule, word) for rule, word in parts]
@@ -264,7 +256,6 @@ def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels)
 
 
 def vendor_labels(analysis: Analysis) -> VendorLabels:
-    """Collect the labels of `VENDORS`, and those in the sessions."""
     labels = {session.vendor: session.extra.get("vendor_label") for session in analysis.sessions}
     own = {vendor: printable(label) for vendor, label in labels.items() if isinstance(label, str) and label}
     return VendorLabels({**own, **VENDORS})
@@ -286,19 +277,16 @@ def group_labels(groups: Groups) -> tuple[str, ...]:
 
 
 def data_type_label(data_type: str) -> str:
-    """Return the label of a data type."""
     return DATA_TYPES.get(data_type, printable(data_type))
 
 
 def domain_label(series: Series) -> str:
-    """Name domains and bridge, as in `same domain` or `through our built-in bridge`."""
     if series.domain_mode == "same":
         return "same domain" if series.bridge == "none" else f"same domain {way_words(series.bridge)}"
     return way_words(series.bridge)
 
 
 def way_words(bridge: str) -> str:
-    """Name the way between two domains, as in `through our built-in bridge` or `different domains`."""
     return "different domains" if bridge == "none" else f"through {BRIDGES.get(bridge, printable(bridge))}"
 
 
@@ -313,12 +301,10 @@ def _history_label(series: Series) -> str:
 
 
 def device_label(series: Series) -> str:
-    """Name the devices of a series."""
     return device_pair(series.ping_device, series.relay_device)
 
 
 def device_pair(ping_device: str, relay_device: str | None) -> str:
-    """Name the ping's device, and the relay's if it differs."""
     devices = [printable(device) for device in (ping_device, relay_device) if device is not None]
     return " → ".join(dict.fromkeys(devices))
 
@@ -356,7 +342,6 @@ def in_order_of(values: Iterable[str], order: Iterable[str]) -> list[str]:
 
 
 def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
-    """Join names for a sentence, as in `a, b and c`."""
     *first, last = names
     return f"{comma.join(first)} {word} {last}" if first else last
 

@@ -82,7 +82,6 @@ def _from_size(least: int, largest: int) -> str:
 
 
 def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
-    """Name the setups that lost more than `LOSSY_SHARE` of a message, the worst first."""
     labels = contender_labels(answers, vendors)
     # Device pair -> data type and setup -> smallest size, largest share lost.
     lossy: dict[str, dict[tuple[str, str], tuple[int, float]]] = {}
@@ -192,7 +191,6 @@ def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
 
 
 def by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
-    """Join stretches with the same outcome, the decided and longest first."""
     joined_of: dict[Outcome | None, Stretch] = {}
     for stretch in cut:
         own = joined_of.get(stretch.outcome, Stretch(stretch.outcome, (), ()))
@@ -302,7 +300,6 @@ def factor_words(factors: Sequence[float]) -> str:
 
 
 def bridge_sentence(costs: pl.DataFrame, vendors: VendorLabels) -> str:
-    """Say for each bridge and middleware how many times as long as in the same domain a message takes."""
     facts = bridge_facts(costs, vendors)
     return f"{COMPARED}: {'; '.join(facts)}." if facts else ""
 
@@ -311,7 +308,6 @@ COMPARED = "A message takes, compared with the same domain"
 
 
 def bridge_facts(costs: pl.DataFrame, vendors: VendorLabels) -> tuple[str, ...]:
-    """Return the parts of `bridge_sentence` after `COMPARED`."""
     latencies = costs.filter(metric="latency")
     several = latencies["vendor"].n_unique() > 1
     ways = latencies.group_by("bridge", "vendor", "relay_vendor", maintain_order=True)
@@ -341,7 +337,6 @@ def _cost_words(rows: pl.DataFrame) -> str:
 
 
 def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
-    """Say where this was measured, and whether the machine was busy."""
     links: dict[str, dict[str, None]] = {}
     for series in groups.series:
         pair = device_pair(series.ping_device, series.relay_device)

@@ -30,7 +30,6 @@ class Values:
     """Numbers of `summary`: item i of each tuple is group i's, None without a value.
 
     Attributes:
-        times_ns: metric -> statistic -> time, rounded to whole nanoseconds.
         plain: `PLAIN_COLUMNS`, and `sustained`: replies per second as a share of the requested rate.
     """
 
@@ -38,21 +37,17 @@ class Values:
     plain: Mapping[str, tuple[float | None, ...]]
 
     def has(self, metric: str) -> bool:
-        """Return whether any group has a value of the metric."""
         return any(value is not None for column in self.times_ns[metric].values() for value in column)
 
     def timed(self, group: int) -> bool:
-        """Return whether the group has a time of any metric."""
         return any(columns["max"][group] is not None for columns in self.times_ns.values())
 
     @property
     def default_metric(self) -> str:
-        """Latency, or the next metric that was measured."""
         return next((metric for metric in METRIC_LABELS if self.has(metric)), "latency")
 
 
 def values_info(analysis: Analysis) -> Values:
-    """Collect the numbers of `analysis.summary`."""
     summary = analysis.summary
     return Values(
         times_ns={
@@ -103,7 +98,6 @@ class Intervals:
         return _value(self.low_ns, metric, percentile, group), _value(self.high_ns, metric, percentile, group)
 
     def is_between_runs(self, metric: str, percentile: str, group: int) -> bool:
-        """Return whether an interval comes from the runs."""
         return bool(_value(self.is_between, metric, percentile, group))
 
     def basis(self, metric: str, percentile: str, group: int) -> str:
@@ -154,13 +148,11 @@ class Curves:
 
 
 def any_curve(analysis: Analysis) -> bool:
-    """Return whether any group has two messages, which a curve needs."""
     messages = analysis.distributions.group_by("group", "metric").agg(pl.sum("count"))["count"]
     return any(count > 1 for count in messages)
 
 
 def curves_info(analysis: Analysis) -> Curves:
-    """Read the curves of all groups from `analysis.distributions`."""
     made, groups = curves(analysis.distributions), range(analysis.summary.height)
     values_ns = {metric: tuple(made.get((group, metric), ()) for group in groups) for metric in METRIC_LABELS}
     return Curves(LEVELS, values_ns, planned_shares(analysis.summary))

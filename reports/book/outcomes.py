@@ -36,7 +36,6 @@ class Outcome:
 
     @property
     def is_decided(self) -> bool:
-        """Whether anything is shown."""
         return bool(self.p50 or self.p99 or self.slower)
 
 
@@ -50,7 +49,6 @@ class Stretch:
 
 
 def outcome_of(case: CaseAnswer) -> Outcome:
-    """Return what is shown for one kind of message."""
     if case.leader_p50 or case.leader_p99:
         leaders = {case.leader_p50, case.leader_p99}
         is_lossy = any(one.name in leaders and exceeds_lossy_share(one.lost) for one in case.contenders)
@@ -70,7 +68,6 @@ def outcome_of(case: CaseAnswer) -> Outcome:
 
 
 def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
-    """Cut the answers of one kind of data and device pair into stretches of sizes."""
     by_size: dict[int, list[CaseAnswer]] = {}
     for case in cases:
         if case.clarity is not Clarity.ONLY_ONE:
@@ -84,7 +81,6 @@ def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
 
 
 def answers_by_kind(answers: Iterable[CaseAnswer]) -> list[tuple[tuple[str, str], dict[str, list[CaseAnswer]]]]:
-    """Return domain mode and data type, the same domain first, with the answers on each pair of devices and link."""
     kinds: dict[tuple[str, str], dict[str, list[CaseAnswer]]] = {}
     for answer in answers:
         kinds.setdefault((answer.domain_mode, answer.data_type), {}).setdefault(place_of(answer), []).append(answer)
@@ -92,7 +88,6 @@ def answers_by_kind(answers: Iterable[CaseAnswer]) -> list[tuple[tuple[str, str]
 
 
 def places_alike(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[list[str]]:
-    """Return the places that share an outcome, the outcome of most places first."""
     alike: dict[object, list[str]] = {}
     for place, cases in by_place.items():
         alike.setdefault(tuple((one.outcome, one.sizes) for one in stretches(cases)), []).append(place)
@@ -100,7 +95,6 @@ def places_alike(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[list[str]
 
 
 def shown_case(cases: Sequence[CaseAnswer]) -> CaseAnswer:
-    """Return the largest decided message, else the largest, at the middle rate."""
     usable = [case for case in cases if outcome_of(case).is_decided] or cases
     largest = max(case.payload_bytes for case in usable)
     by_rate = sorted((case for case in usable if case.payload_bytes == largest), key=lambda case: case.rate_hz)
@@ -108,7 +102,6 @@ def shown_case(cases: Sequence[CaseAnswer]) -> CaseAnswer:
 
 
 def _common_outcome(cases: Sequence[CaseAnswer]) -> Outcome | None:
-    """Return what is shown at some rate of a size and contradicted at none."""
     medians, tails = ({case.leader_p50 for case in cases} - {""}, {case.leader_p99 for case in cases} - {""})
     if len(medians) > 1 or len(tails) > 1:
         return None

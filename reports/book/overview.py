@@ -36,7 +36,6 @@ class Overview:
 
     @property
     def brief(self) -> str:
-        """Most important lines joined into one, for a narrow screen."""
         values = {fact.label: fact.value for fact in self.facts}
         if "Messages" in values:
             values["Messages"] = values["Messages"].replace(" in ", " messages in ", 1)

@@ -32,7 +32,6 @@ class Advice:
     """A recommendation as text.
 
     Attributes:
-        job: the job in words, with its deadline.
         rows: one per candidate, columns of `COLUMNS`.
         missing: what would decide the unclear ones, in words; empty where all is decided.
         commands: device and command of the relay and of the ping that record it.
@@ -46,7 +45,6 @@ class Advice:
 
     @property
     def brief_rows(self) -> tuple[tuple[str, str, str], ...]:
-        """Setting, whether it meets the job, and all numbers in one text."""
         return tuple(_brief(*row) for row in self.rows)
 
 
@@ -86,7 +84,6 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
 
 
 def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
-    """Return runs and messages of each that give an interval, or double what there is."""
     unclear = [candidate for candidate in recommendation.candidates if candidate.fit in (Fit.LIKELY, Fit.INCONCLUSIVE)]
     runs = max(MIN_RUNS, *(candidate.runs for candidate in unclear))
     needed = planned_messages(recommendation.job.reliability)
@@ -166,7 +163,6 @@ def _sentence(named: Sequence[tuple[Candidate, str]], deadline: str, *, opens: b
 
 
 def _unseen(candidates: Iterable[Candidate]) -> Iterator[str]:
-    """Yield how likely a kind of run was missed, if something meets the deadline."""
     chances = [(c.runs, c.unseen_ratio) for c in candidates if c.unseen_ratio is not None]
     if chances:
         runs, ratio = min(chances)

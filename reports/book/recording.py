@@ -31,8 +31,6 @@ class RunTime:
 
     Attributes:
         group: the first one if several relays answered.
-        origin_ns: planned send time of its first counted message, ping's monotonic clock.
-        last_ns: publish time of its last message, likewise.
         p50_ns: median of the latency, or of the round trip without a relay's trace.
     """
 
@@ -48,7 +46,6 @@ class RunTime:
 
 
 def run_times(analysis: Analysis) -> tuple[RunTime, ...]:
-    """Collect the runs of `analysis.timeline`, in its order."""
     frame = run_rows(analysis.run_times, analysis.scan_roundtrips())
     rows = {row["run_id"]: row for row in frame.iter_rows(named=True)}
     sessions = {f"{session.session_id:016x}": session for session in analysis.sessions}
@@ -89,7 +86,6 @@ class RecordTable:
 
 
 def record_tables(analysis: Analysis) -> tuple[RecordTable, ...]:
-    """Tabulate the sessions with their environment, and the files."""
     return tuple(table for table in (_sessions(analysis), _sources(analysis)) if table.rows)
 
 
@@ -122,7 +118,6 @@ def _sessions(analysis: Analysis) -> RecordTable:
 
 
 def applied_words(session: Session) -> list[str]:
-    """Describe what the process was seen to use."""
     path = payload_path(session)
     if path is None:
         return []
@@ -292,7 +287,6 @@ class RecordedEnvironment:
 
 
 def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironment | None:
-    """Arrange the sessions' descriptions by device and role."""
     vendors = vendor_labels(analysis)
     described: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
     columns: dict[str, None] = {}

@@ -79,7 +79,6 @@ class Threshold:
 
     @property
     def text(self) -> str:
-        """Outcome and reason."""
         return f"{self.outcome}: {self.why}" if self.why else self.outcome
 
 
@@ -102,7 +101,6 @@ class SizeTable:
     Attributes:
         modes: domain modes and how many columns each has.
         rates: as in `at 10 Hz`.
-        whose: what the times are of: `a typical run` or `all messages`.
     """
 
     modes: tuple[tuple[str, int], ...]
@@ -119,7 +117,6 @@ class SizeTable:
 
     @property
     def has_further(self) -> bool:
-        """Whether other rates than the shown ones were measured."""
         return any(rows.further for rows in self.places)
 
 
@@ -264,7 +261,6 @@ def _late_by_key(analysis: Analysis) -> dict[Key, tuple[int, int, int]]:
 def _threshold(
     cases: Sequence[CaseAnswer], column: tuple[str, str], late: Mapping[Key, tuple[int, int, int]]
 ) -> Threshold | None:
-    """Judge the deadline of one setup, which passes if each message was judged and none is late."""
     mode, name = column
     judged = [
         (case, late[key])

@@ -55,7 +55,6 @@ class TopicTable:
 
 
 def topic_sentences(topics: pl.DataFrame) -> list[str]:
-    """Return a sentence for each topic, those that came over from another device first."""
     rows = sorted(topics.to_dicts(), key=lambda row: row["ping_device"] == row["relay_device"])
     sentences = [_sentence(row) for row in rows[:MOST_SENTENCES]]
     left = len(rows) - len(sentences)

@@ -68,7 +68,6 @@ class DataVerdict:
 
 
 def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[DataVerdict, ...]:
-    """Give one verdict per kind of data, device pair and link with two setups."""
     setups = {setup.name: setup for answer in answers for setup in answer.contenders}
     labels = contender_labels(answers, vendors)
     verdicts = []
@@ -114,12 +113,10 @@ def place_label(ping_device: str, relay_device: str | None, connectivity: str, c
 
 
 def place_of(answer: CaseAnswer | Headline) -> str:
-    """Name the device pair, link and conditions of an answer."""
     return place_label(answer.ping_device, answer.relay_device, answer.connectivity, answer.conditions)
 
 
 def contender_labels(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> dict[str, str]:
-    """Map the name of each setup to vendor and bridge, and more columns where these are equal."""
     settings = {setup.name: setup.setting for answer in answers for setup in answer.contenders}
     parts = [(where_alike, partial(_value, column)) for column in _FURTHER]
     labels = tell_apart(list(settings.values()), partial(_label, vendors), parts)

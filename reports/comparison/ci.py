@@ -58,7 +58,6 @@ def render_annotations(info: ComparisonInfo) -> str:
 
 
 def _data(text: str) -> str:
-    """Escape a text as GitHub's commands need it."""
     return printable(text, MAX_FINDING_CHARACTERS).replace("%", "%25")
 
 
@@ -67,7 +66,6 @@ def _property(text: str) -> str:
 
 
 def render_badge(info: ComparisonInfo) -> str:
-    """Return the outcome as an endpoint of shields.io."""
     words = "no gate" if info.outcome is None else info.outcome.value
     color = "lightgrey" if info.outcome is None else _COLORS.get(info.outcome, "yellow")
     return json.dumps({"schemaVersion": 1, "label": "latency", "message": words, "color": color}) + "\n"

@@ -59,7 +59,6 @@ class ComparedGroup:
 
     @property
     def message(self) -> str:
-        """Data type, size and rate."""
         return Cell(**{name: self.delivery[name] for name in Cell.__dataclass_fields__}).label
 
     @property
@@ -121,7 +120,6 @@ class ComparisonInfo:
 
 
 def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) -> ComparisonInfo:
-    """Put a comparison and the outcomes of its gates into words."""
     frames = (comparison.delivery, comparison.only_base, comparison.only_new)
     labels = _labels(frames)
     shared, only_base, only_new = (tuple(labels[start : start + len(frame)]) for start, frame in _starts(frames))
@@ -283,7 +281,6 @@ def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -
 
 
 def mean_change(groups: Sequence[ComparedGroup], statistic: str) -> float | None:
-    """Return the geometric mean of the ratios of a shown statistic, None without one."""
     rows = [row for group in groups for row in group.shown() if row["statistic"] == statistic]
     ratios = [row["ratio"] for row in rows if row["ratio"] is not None and 0 < row["ratio"] < math.inf]
     return math.exp(sum(map(math.log, ratios)) / len(ratios)) if ratios else None

@@ -75,7 +75,6 @@ def _counted_gates(info: ComparisonInfo) -> list[str]:
 
 
 def _picture(groups: Sequence[ComparedGroup]) -> list[str]:
-    """Return the first statistic of the worst results as bars, preformatted."""
     rows = [(group, group.shown()[0]) for group in groups[:MOST_DRAWN] if group.changes]
     rows = [
         (group, row) for group, row in rows if all(math.isfinite(row[end] or math.inf) for end in ("base_ns", "new_ns"))

@@ -114,7 +114,6 @@ def _levels(row: Row, side: str) -> dict[float, float]:
 
 
 def strip(row: Row) -> Markup:
-    """Draw range, middle half and median of each side."""
     scale = _Scale(row, _MARGIN, STRIP_WIDTH - _MARGIN)
     parts = []
     for side, y in zip(SIDES, (9, 23), strict=True):
@@ -132,7 +131,6 @@ def strip(row: Row) -> Markup:
 
 
 def curve(row: Row) -> Markup:
-    """Draw the share of sent messages that were received within each time."""
     left, bottom, top = 42, CURVE_HEIGHT - 24, 18
     scale = _Scale(row, left, CURVE_WIDTH - _MARGIN)
 
@@ -154,7 +152,6 @@ def curve(row: Row) -> Markup:
 
 
 def _medians(row: Row) -> str:
-    """Describe a drawing to those who do not see it."""
     base, new = (time_words(_levels(row, side).get(0.5)) for side in SIDES)
     return f"distributions of both sides, medians {base} and {new}"
 

@@ -38,7 +38,6 @@ def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
 
 
 def write(info: ComparisonInfo, *, shows_all: bool = False) -> None:
-    """Print the comparison to stdout, in colours if stdout is a terminal."""
     console = plain_console()
     console.print(_report(info, shows_all), width=min(console.width, 120) if console.is_terminal else WIDTH)
 
@@ -59,7 +58,6 @@ def _report(info: ComparisonInfo, shows_all: bool) -> RenderableType:
 
 
 def _tables(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> list[RenderableType]:
-    """Return a row for each result below the name of its setup, and one for the mean of all."""
     statistics = [row["statistic"] for row in groups[0].shown()]
     names = [statistic_words(name) for name in statistics]
     titles = (info.metric, names[0], "change", *names[1:], "verdict")
@@ -85,7 +83,6 @@ def _rows(rows: Sequence[Sequence[Text]]) -> Table:
 
 
 def _cells(group: ComparedGroup) -> list[Text]:
-    """Return the times, the changes, those without a verdict in parentheses, and the verdict with where or how much."""
     rows = group.shown()
     changes = [_change(row["ratio"], is_judged=row["verdict"] in JUDGED) for row in rows]
     verdict = Text(group.verdict, style=_COLORS.get(group.verdict, ""))

@@ -22,12 +22,10 @@ VERDICTS = {"worse": "slower", "better": "faster", "same": "the same", "inconclu
 
 
 def metric_words(metric: str) -> str:
-    """Return the label of a metric, or the metric itself."""
     return ALL_METRIC_LABELS.get(metric, metric)
 
 
 def statistic_words(statistic: str) -> str:
-    """Return the label of a statistic, or the statistic itself."""
     return STATISTIC_LABELS.get(statistic, statistic)
 
 
@@ -46,7 +44,6 @@ def unjudged_words(statistics: Sequence[str]) -> list[str]:
 
 
 def found_from_words(ratio: float | None) -> str:
-    """Format the smallest change that would have been shown."""
     if ratio is None:
         return ""
     return change_words(ratio) if ratio <= MOST_RATIO else WIDE
@@ -63,7 +60,6 @@ def both_words(row: Mapping[str, Any]) -> str:
 
 
 def side_words(row: Mapping[str, Any], side: str) -> str:
-    """Format a side's time with its bursts, a lost one with the time of the received messages."""
     value_ns, received_ns = row[f"{side}_ns"], row[f"{side}_survivors_ns"]
     words = time_words(value_ns)
     if words == LOST and received_ns is not None:
@@ -118,14 +114,12 @@ def change_with_interval(row: Mapping[str, Any]) -> str:
 
 
 def statistic_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str, str]:
-    """Return statistic, both sides, change and interval of a row."""
     name = f"{metric_words(row['metric'])} {statistic_words(row['statistic'])}"
     sides = side_words(row, "base"), side_words(row, "new")
     return name, *sides, change_words(row["ratio"]), interval_words(row)
 
 
 def measured_words(result: GateResult, value: float | None) -> str:
-    """Format a value in the unit of the gate's limit."""
     if value is None:
         return "unknown"
     if result.gate.against is Against.RATIO:
@@ -138,7 +132,6 @@ def measured_words(result: GateResult, value: float | None) -> str:
 
 
 def gate_interval_words(result: GateResult) -> str:
-    """Format the interval of what a gate judges."""
     low, high = result.low, result.high
     is_ratio = result.gate.against is Against.RATIO or (result.gate.statistic and result.gate.against is Against.NEW)
     if is_ratio and low is not None and high is not None and _is_wide(low, high):
@@ -147,7 +140,6 @@ def gate_interval_words(result: GateResult) -> str:
 
 
 def why_words(result: GateResult) -> str:
-    """Return the reason, and the smallest change that could have been found."""
     smallest = ""
     if result.smallest_ratio is not None:
         smallest = f"changes from {change_words(result.smallest_ratio)} on are found with a probability of 80 %"
@@ -167,7 +159,6 @@ class Gated:
 
     @property
     def line(self) -> str:
-        """The outcome in one line."""
         why = why_words(self.result)
         return f"{self.result.outcome.value}: {self.result.gate.text} ({self.where})" + (f": {why}" if why else "")
 
@@ -176,7 +167,6 @@ GATE_COLUMNS = ("Gate", "Result", "Measured", "Interval", "Outcome", "Why")
 
 
 def gate_cells(gates: Sequence[Gated]) -> list[tuple[str, str, str, str, str, str]]:
-    """Return the row of each gate and result, columns of `GATE_COLUMNS`."""
     return [
         (
             gated.result.gate.text,

@@ -39,7 +39,6 @@ class Breakdown(Faceted):
 
 
 def breakdown_info(book: Book) -> Breakdown:
-    """Collect the means of `details.breakdown`."""
     parts: dict[int, list[MeanPart]] = {}
     columns = ("group", "part", "mean_ns", "bound_ns")
     rows = book.analysis.details.breakdown.sort("group", "order").select(columns)
@@ -51,7 +50,6 @@ def breakdown_info(book: Book) -> Breakdown:
 
 
 def breakdown_figure(info: Breakdown) -> Figure | LeftOut:
-    """Draw stacked bars over messages."""
     name, title = "breakdown", "Where the time goes, on average"
     how_to_read = (
         "A whole bar is the mean response from T0 to T2, its parts from the bottom up in the order of time; means are drawn because "

@@ -81,7 +81,6 @@ def cost_of(row: Mapping[str, Any]) -> Cost | None:
 
 
 def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
-    """Draw marks with intervals over messages."""
     name, title = "bridge_cost", "What a bridge costs"
     how_to_read = (
         "Each mark is how many times as long a message takes through a bridge as in the same domain, with its 95 % interval and "

@@ -31,7 +31,6 @@ class OneWay(Faceted):
 
 
 def one_way_info(book: Book) -> OneWay:
-    """Collect the rows of `details.one_way`."""
     rows: dict[int, dict[str, Mapping[str, Any]]] = {}
     for row in book.analysis.details.one_way.iter_rows(named=True):
         rows.setdefault(row["group"], {})[row["metric"]] = row
@@ -49,7 +48,6 @@ def _times(row: Mapping[str, Any]) -> dict[str, int | None]:
 
 
 def one_way_figure(info: OneWay) -> Figure | LeftOut:
-    """Draw two marks over each message."""
     name, title = "one_way", "The way out against the way back"
     how_to_read = (
         "Full marks are the way out, open marks the way back; a bar is how far the clocks of the two devices may be off, and asymmetry "
@@ -74,7 +72,6 @@ class ClockPair:
 
     Attributes:
         elapsed_s: of each mark since the first.
-        offset_ns: relay's clock minus ping's clock minus `first_offset_ns`.
         bound_ns: largest error of each offset.
     """
 
@@ -96,7 +93,6 @@ class Clock:
 
 
 def clock_info(book: Book) -> Clock:
-    """Collect the knots of `details.clock_knots` for pairs with two clocks."""
     fits, knots = book.analysis.details.clock_fits, book.analysis.details.clock_knots
     two = fits.filter(~fits["same_clock"])
     step = max(1, -(-knots.height // KNOTS_IN_PAGE))
@@ -128,7 +124,6 @@ def clock_info(book: Book) -> Clock:
 
 
 def clock_figure(info: Clock) -> Figure | LeftOut:
-    """Draw marks with bounds over time, one panel per pair."""
     name, title = "clock", "Clock offset and drift"
     how_to_read = (
         "Each mark is how far the relay's clock was from the ping's, less the first offset, with its bound; a slope is drift, a jump a "

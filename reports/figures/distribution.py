@@ -28,7 +28,6 @@ class Spread(Faceted):
 
 
 def run_spread_info(book: Book, panels: str = "way", lines: str = "choice") -> Spread:
-    """Collect the two-sided intervals that come from the runs."""
     metric = book.values.default_metric
     rows = book.analysis.details.intervals.filter(metric=metric, basis=Basis.BETWEEN_RUNS.value)
     reaches: dict[str, dict[int, float]] = {percentile.name: {} for percentile in PERCENTILES}
@@ -67,7 +66,6 @@ class DistributionCurves:
 
 
 def distribution_info(book: Book) -> DistributionCurves:
-    """Look for a group with two messages at least."""
     return DistributionCurves(any_curve(book.analysis))
 
 
@@ -87,7 +85,6 @@ def percentile_curve_figure(info: DistributionCurves) -> Figure | LeftOut:
 
 
 def ecdf_figure(info: DistributionCurves) -> Figure | LeftOut:
-    """Draw one empirical distribution function per setup of the selected message."""
     name, title = "ecdf", "Share of messages in time (ECDF)"
     if not info.any_drawn:
         return LeftOut(name, title, _NO_CURVE)

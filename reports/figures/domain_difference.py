@@ -14,12 +14,7 @@ from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, 
 
 @dataclass(frozen=True, slots=True)
 class DomainDifference(Faceted):
-    """Pairs of groups that differ in the domain only.
-
-    Attributes:
-        pairs: (group in the same domain, group across domains).
-        planned: percentiles of lossy groups over the planned messages.
-    """
+    """Pairs of groups that differ in the domain only."""
 
     pairs: tuple[tuple[int, int], ...]
     planned: Planned
@@ -40,7 +35,6 @@ def domain_pairs(groups: Groups) -> tuple[tuple[int, int], ...]:
 def domain_difference_info(
     book: Book, panels: str = "rate", lines: str = "choice", x: str = "size"
 ) -> DomainDifference:
-    """Collect the pairs with a published message on both sides."""
     published = book.values.plain["published"]
     pairs = tuple(pair for pair in domain_pairs(book.groups) if all(published[group] for group in pair))
     paired = {group for pair in pairs for group in pair}
@@ -50,7 +44,6 @@ def domain_difference_info(
 
 
 def domain_difference_figure(info: DomainDifference) -> Figure | LeftOut:
-    """Draw bars side by side."""
     name, title = "domain_difference", "Latency in the same domain against different domains"
     how_to_read = (
         "Full bars stay in one domain, pale bars next to them cross to another through a bridge; bars are over the planned messages: "

@@ -19,7 +19,6 @@ class Dots:
 
 
 def dots_info(book: Book) -> Dots:
-    """Collect all groups with a published message, by cell and series."""
     groups = book.groups.in_order
     if not is_few(book) or not any(book.values.timed(group.index) for group in groups):
         return Dots((), {})
@@ -27,7 +26,6 @@ def dots_info(book: Book) -> Dots:
 
 
 def dots_figure(info: Dots) -> Figure | LeftOut:
-    """Draw a dot and its interval for each group, and its share received."""
     name, title = "dots", "Latency at a glance"
     if not info.groups:
         return LeftOut(name, title, f"no message was received, or there are more than {FEW_GROUPS} results.")

@@ -38,7 +38,6 @@ class FanOut:
 
 
 def fan_out_info(book: Book) -> FanOut:
-    """Collect `details.fan_out`."""
     rows = book.analysis.details.fan_out.sort("receivers", "senders")
     of = "receivers" if rows.is_empty() or rows["receivers"].n_unique() > 1 else "senders"
     lines: dict[str, tuple[Receivers, ...]] = {}
@@ -53,7 +52,6 @@ def fan_out_info(book: Book) -> FanOut:
 
 
 def fan_out_figure(info: FanOut) -> Figure | LeftOut:
-    """Draw bars from the first to the last receiver, and marks of the time until all have matched."""
     name, title = "fan_out", "One message to several relays"
     how_to_read = (
         "Each bar reaches from the first relay that gets a message to the last one (median times); the mark is the last. On "

@@ -23,8 +23,6 @@ class Figure:
     """A figure that can be drawn.
 
     Attributes:
-        name: id in the page and in names of downloads.
-        kind: function of the page's scripts (`KINDS`) that draws it.
         follows: whether it shows the reader's metric and statistic, which then replace the word Latency in the title.
     """
 
@@ -58,7 +56,6 @@ class FigureMaker:
     """One row of the table of figures (`reports.figures.FIGURES`).
 
     Attributes:
-        info: numbers of the figure, from the book.
         opened: whether the page shows it at once (`opened_figures`).
         few: whether it says more about a few groups than the chart of dots, which replaces the others then.
     """
@@ -70,7 +67,6 @@ class FigureMaker:
     few: bool = True
 
     def draw(self, book: Book) -> Figure | LeftOut:
-        """Return the figure of a book, or why there is none."""
         return self.figure(self.info(book))
 
 
@@ -79,7 +75,6 @@ FEW_GROUPS = 12
 
 
 def is_few(book: Book) -> bool:
-    """Return whether the chart of dots replaces other figures."""
     return 0 < len(book.groups.groups) <= FEW_GROUPS
 
 
@@ -140,7 +135,6 @@ def plane_facet(book: Book, panels: str = "choice", lines: str = "") -> Facet:
 
 
 def facet_panels(book: Book, facet: Facet, drawn: Test = lambda _: True, least: int = 1) -> tuple[Panel, ...]:
-    """Spread the groups that are `drawn` over panels with at least `least` positions."""
     facets, groups = book.facets, book.groups
     columns, rows = panel_keys(facet)
     points: dict[tuple[int, ...], dict[int, list[tuple[float, int]]]] = {}
@@ -193,7 +187,6 @@ def _position(book: Book, x: str, group: Group) -> float:
 
 
 def facet_plan(facet: Facet, panels: tuple[Panel, ...], **settings: object) -> dict[str, object]:
-    """Return the plan of a figure of panels."""
     groups = sorted(group for panel in panels for line in panel.lines for group in line.groups)
     return {"facet": facet, "groups": groups, **settings}
 
@@ -203,11 +196,9 @@ class LineFigure:
     """A row of the table of figures whose marks or lines show one value of each group; fields as in `Figure` and `FigureMaker`.
 
     Attributes:
-        x: dimension along the axis (`Facet`).
         value: what the marks show: a key of `VALUES` of the page's scripts and of `reports.plotting`.
         drawn: of a book, whether a group has the value.
         shows: of a book, whether a group shows something; a panel needs one.
-        least: fewest positions of a panel.
     """
 
     name: str
@@ -226,7 +217,6 @@ class LineFigure:
     scope: Scope = Scope.CAMPAIGN
 
     def info(self, book: Book, panels: str = "", lines: str = "choice") -> Faceted:
-        """Spread the groups."""
         facet = Facet(self.x, panels or self.panels, lines)
         shows = self.shows(book)
         shown = (
@@ -237,12 +227,10 @@ class LineFigure:
         return Faceted(facet, tuple(shown))
 
     def figure(self, info: Faceted) -> Figure | LeftOut:
-        """Plan the marks or lines."""
         if not info.panels:
             return LeftOut(self.name, self.title, self.nothing)
         plan = facet_plan(info.facet, info.panels, value=self.value, **self.settings)
         return Figure(self.name, self.title, self.how_to_read, "lines", plan, self.follows)
 
     def draw(self, book: Book) -> Figure | LeftOut:
-        """Return the figure of a book, or why there is none."""
         return self.figure(self.info(book))

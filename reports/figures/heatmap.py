@@ -25,7 +25,6 @@ class Heatmap:
 
 
 def heatmap_info(book: Book) -> Heatmap:
-    """Collect every group as a tile of its series' plane."""
     groups = book.groups
     planes: dict[tuple[str, int], list[tuple[int, float, int]]] = {}
     for group in groups.in_order:
@@ -42,7 +41,6 @@ def heatmap_info(book: Book) -> Heatmap:
 
 
 def heatmap_figure(info: Heatmap) -> Figure | LeftOut:
-    """Draw tiles, with the value inside where there is room."""
     name, title = "heatmap", "Size by rate, a panel for each setup"
     how_to_read = "Each tile is one size (upwards) at one rate (to the right), all panels on one colour scale; an empty tile was not measured."
     if not info.panels:

@@ -19,9 +19,6 @@ class DeviceLoad:
 
     Attributes:
         elapsed_s: time since the planned first message of the run, rounded to 0.1 s.
-        cpu_percent: of the busiest processor.
-        signal_dbm: of the weakest Wi-Fi interface.
-        delay_ms, rate_mbit_s: of an emulated link that a file drives, from then on.
     """
 
     role: str
@@ -41,7 +38,6 @@ class HostLoad:
 
 
 def host_load_info(book: Book) -> HostLoad:
-    """Collect the samples taken during a run, by wall clock."""
     if not book.analysis.details.host_samples.height:
         return HostLoad({}, decimated=False)
     samples = book.analysis.details.host_samples.filter(

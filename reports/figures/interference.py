@@ -18,7 +18,6 @@ class Interference(Faceted):
 
 
 def interference_info(book: Book) -> Interference:
-    """Collect `details.interference`."""
     costs: dict[int, dict[str, Cost]] = {}
     for row in book.analysis.details.interference.iter_rows(named=True):
         if (cost := cost_of(row)) is not None:
@@ -29,7 +28,6 @@ def interference_info(book: Book) -> Interference:
 
 
 def interference_figure(info: Interference) -> Figure | LeftOut:
-    """Draw marks with intervals over messages."""
     name, title = "interference", "What other flows and loads cost"
     how_to_read = (
         "Each mark is how many times as long a message takes with the other flows or the load that its setting names as without, with its "

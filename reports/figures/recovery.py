@@ -18,7 +18,6 @@ class Recovery(Faceted):
 
 
 def recovery_info(book: Book) -> Recovery:
-    """Collect `back_ns` of `details.recoveries`."""
     times: dict[int, list[int]] = {}
     for group, back_ns in (
         book.analysis.details.recoveries.filter(~book.analysis.details.recoveries["never"])
@@ -32,7 +31,6 @@ def recovery_info(book: Book) -> Recovery:
 
 
 def recovery_figure(info: Recovery) -> Figure | LeftOut:
-    """Draw a mark per group over the kinds and lengths of outages."""
     name, title = "recovery", "Coming back"
     how_to_read = (
         "Each mark is the time from the end of an outage, of the kind and length in the setting, to the first reply, median of the runs "

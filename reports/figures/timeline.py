@@ -43,7 +43,6 @@ class Timeline:
 
 
 def timeline_info(book: Book) -> Timeline:
-    """Thin the rows of `analysis.timeline` to the extremes of each slice of time."""
     frame = book.analysis.timeline.sort("group", "elapsed_s", "run_id", "relay_id", "sequence")
     share = max(FEWEST_POINTS, POINTS_IN_PAGE // max(1, book.analysis.summary.height))
     is_back = pl.col("outcome") == "completed"
@@ -69,7 +68,6 @@ def timeline_info(book: Book) -> Timeline:
 
 
 def timeline_figure(info: Timeline) -> Figure | LeftOut:
-    """Draw dots over time, for the setups of the selected message."""
     name, title = "timeline", "Latency over time"
     how_to_read = (
         "Each dot is a received message; crosses on the line at the top are lost messages at the time they were due, so a row of crosses is "
@@ -126,7 +124,6 @@ def _thinned(rows: pl.DataFrame, share: int) -> pl.DataFrame:
 
 
 def _crosses(lost_s: Float64, share: int) -> tuple[tuple[float, ...], tuple[int, ...]]:
-    """Return at most `share` crosses, each at its first loss, with its number of losses."""
     if len(lost_s) <= share:
         return tuple(round(float(at), 4) for at in lost_s), (1,) * len(lost_s)
     _, first, count = np.unique(

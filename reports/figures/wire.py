@@ -46,7 +46,6 @@ class WireCost(Faceted):
 
 
 def wire_cost_info(book: Book) -> WireCost:
-    """Collect the classes of `details.wire_classes`."""
     details = book.analysis.details
     ratios = dict(details.wire.select("group", "bytes_per_payload_byte").drop_nulls().iter_rows())
     shares: dict[int, dict[str, float]] = {}
@@ -64,7 +63,6 @@ def wire_cost_info(book: Book) -> WireCost:
 
 
 def wire_cost_figure(info: WireCost) -> Figure | LeftOut:
-    """Draw stacked bars over messages."""
     name, title = "wire_cost", "What a message costs"
     how_to_read = (
         "A whole bar is the bytes on the wire for each byte of payload, both ways, with all headers; what is above 1 is the price of the "
@@ -105,7 +103,6 @@ class SentAgain:
 
 
 def sent_again_info(book: Book) -> SentAgain:
-    """Collect `details.wire_repeats`."""
     frame = book.analysis.details.wire_repeats
     metric = "latency" if frame["latency_p50_ns"].count() == frame["rtt_p50_ns"].count() else "rtt"
     columns = ("group", "repeats", "messages", f"{metric}_p50_ns", f"{metric}_max_ns")
@@ -117,7 +114,6 @@ def sent_again_info(book: Book) -> SentAgain:
 
 
 def sent_again_figure(info: SentAgain) -> Figure | LeftOut:
-    """Draw times over how often messages were sent again."""
     name, title = "sent_again", "Sent again"
     how_to_read = (
         "Each mark is the median time of the messages that were sent again so often, its bar reaches to the slowest; a step from 0 to 1 is "
@@ -148,7 +144,6 @@ def first_message_info(book: Book) -> FirstMessage:
 
 
 def first_message_figure(info: FirstMessage) -> Figure | LeftOut:
-    """Draw a mark per group over messages."""
     name, title = "first_message", "Time to the first message"
     how_to_read = (
         "Each mark is the time from the first announcement of the ping's participant to the first echo, with a relay that was already "

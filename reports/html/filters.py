@@ -51,7 +51,6 @@ _FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
 
 
 def filters_info(groups: Groups) -> tuple[Filter, ...]:
-    """List the filters with at least two options."""
     filters = []
     for key, label, option_of in _FILTERS:
         options = [option_of(groups.cell_of(group), groups.series_of(group)) for group in groups.groups]

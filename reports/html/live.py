@@ -57,12 +57,10 @@ class SweepStatus:
 
     @property
     def running(self) -> bool:
-        """Whether recordings are still to come."""
         return self.done < self.planned
 
 
 def sweep_status(folder: Path) -> SweepStatus:
-    """Add up the sweeps in and below a folder."""
     total = SweepStatus()
     for path in sorted(folder.rglob(_STATE)):
         try:
@@ -82,7 +80,6 @@ def sweep_status(folder: Path) -> SweepStatus:
 
 
 def without_running(analysis: Analysis) -> Analysis:
-    """Return the analysis without findings about unfinished files of a running sweep."""
     unfinished = {source.path for source in analysis.sources if _PARTS in source.path.split("/")}
     findings = (one for one in analysis.findings if not set(one.where.split(", ")) <= unfinished)
     return replace(analysis, findings=tuple(findings))
@@ -128,7 +125,6 @@ class Watcher:
 
     @property
     def address(self) -> str:
-        """URL of the page."""
         host, port = self._server.server_address[:2]
         name = host if isinstance(host, str) else host.decode()
         return f"http://{f'[{name}]' if ':' in name else name}:{port}/"
@@ -172,12 +168,10 @@ class Watcher:
         return Shown(_encoded(page.replace("<body>", f"<body>\n{notice}", 1)), version)
 
     def status(self) -> str:
-        """Return version of the page and progress of the sweeps, as JSON."""
         return json.dumps({"version": self.shown.version, **asdict(sweep_status(self._options.folder))})
 
     @contextmanager
     def serving(self) -> Iterator[None]:
-        """Answer requests while the block runs."""
         thread = threading.Thread(target=self._server.serve_forever, name="watch", daemon=True)
         thread.start()
         try:
@@ -203,7 +197,6 @@ def _server_class(host: str) -> type[ThreadingHTTPServer]:
         address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
 
         def handle_error(self, _request: object, client_address: object) -> None:
-            """Print one line, but nothing for a closed tab."""
             error = sys.exc_info()[1]
             if not isinstance(error, ConnectionError | TimeoutError):
                 say(f"{client_address}: {type(error).__name__}: {error}")
@@ -265,7 +258,6 @@ def _handler(watcher: Watcher, bound: str) -> type[BaseHTTPRequestHandler]:
 
 
 def _stamp_of(folder: Path, skip: Path) -> Stamp:
-    """Return the stamp of every file that may be part of a trace, except below `skip`."""
     stamps = []
     for path in sorted(folder.rglob("*")):
         if (path.suffix in TRACE_ENDINGS or not path.suffix) and not path.is_relative_to(skip):

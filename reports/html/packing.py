@@ -32,7 +32,6 @@ def _fields(record: DataclassInstance) -> dict[str, object]:
 
 @lru_cache(maxsize=4)  # plotly.js, and scripts of a watched folder
 def packed_script(text: str) -> str:
-    """Return a script as `packed` does."""
     return packed(text)
 
 
@@ -42,10 +41,8 @@ def packed(text: str) -> str:
 
 
 def unpacked(text: str) -> str:
-    """Return what `packed` was given."""
     return gzip.decompress(base64.b64decode(text)).decode("utf-8")
 
 
 def policy_hash(script: str) -> str:
-    """Return the name of a script in a security policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"

@@ -67,22 +67,18 @@ LIVE_SCRIPT = "live.js"
 
 
 def render(book: Book) -> str:
-    """Return the page."""
     return _render(book, SCRIPTS)
 
 
 def render_live(book: Book, version: str) -> str:
-    """Return the page for `dds-analyze watch`, which updates itself."""
     return _render(book, (*SCRIPTS, LIVE_SCRIPT), version)
 
 
 def without_plotly(page: str) -> str:
-    """Return a page for a reader that already has plotly.js."""
     return page.replace(packed_script(get_plotlyjs()), "", 1)
 
 
 def live_script() -> str:
-    """Return the script that looks for a newer page."""
     return _asset(LIVE_SCRIPT)
 
 
@@ -128,7 +124,6 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
 
 
 def write(book: Book, folder: Path) -> Path:
-    """Write the page into `folder` and return its path."""
     path = folder / FILE_NAME
     with replacing(path) as draft:
         draft.write_text(render(book), encoding="utf-8", newline="\n")
@@ -140,7 +135,6 @@ TINTS = (1.05, 1.25, 1.6, 2.5)
 
 
 def _common_unit(table: SizeTable | None) -> str:
-    """Choose the unit in which every median has at most four digits before the point, if there is one, and the least at least one."""
     reached = _medians_ns(table)
     low, high = min(reached, default=1.0), max(reached, default=1.0)
     fitting = [unit for unit, factor in UNIT_NS.items() if high < 10_000 * factor]
@@ -153,7 +147,6 @@ def _medians_ns(table: SizeTable | None) -> list[float]:
 
 
 def _decimals(unit: str, table: SizeTable | None) -> int:
-    """Count the characters of the longest fraction with its point."""
     return max((len(_aligned(unit, median, "")[1]) for median in _medians_ns(table)), default=0)
 
 
@@ -259,7 +252,6 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
 
 
 def _commands(book: Book) -> list[list[str]]:
-    """Return the commands of relay and ping for each series, with the message of one of its groups."""
     rows = book.analysis.summary.to_dicts()
     first = {group.series: group.index for group in reversed(book.groups.groups)}
     made = []

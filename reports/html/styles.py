@@ -81,7 +81,6 @@ def choice_styles(facets: Facets) -> tuple[Style, ...]:
 
 
 def option_styles(count: int) -> tuple[Style, ...]:
-    """Choose styles by order, for sizes, rates and device pairs."""
     return tuple(
         Style(
             *PALETTE[index % len(PALETTE)],
@@ -94,7 +93,6 @@ def option_styles(count: int) -> tuple[Style, ...]:
 
 
 def line_styles(facets: Facets) -> Mapping[str, tuple[Style, ...]]:
-    """Choose the styles of every dimension, one for each option."""
     return {
         key: choice_styles(facets) if key == "choice" else option_styles(len(dimension.options))
         for key, dimension in facets.dimensions.items()

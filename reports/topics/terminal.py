@@ -38,7 +38,6 @@ def strip_text(strip: Sequence[float], *, is_periodic: bool) -> str:
 
 
 def print_topics(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> None:
-    """Print verdict, table and strips of each recording."""
     console = plain_console(width=None if sys.stdout.isatty() else WIDTH)
     for health in report.recordings:
         topics = topics_of(report, health.path)

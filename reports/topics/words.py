@@ -54,7 +54,6 @@ def seconds_words(seconds: float) -> str:
 
 
 def verdict_words(health: RecordingHealth, rows: Sequence[Row]) -> str:
-    """Return the verdict on a recording in one sentence."""
     lacking = [row for row in rows if row["missing_low"]]
     missing = sum(row["missing"] for row in lacking)
     said = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
@@ -69,7 +68,6 @@ def verdict_words(health: RecordingHealth, rows: Sequence[Row]) -> str:
 
 
 def facts_words(health: RecordingHealth, topics: int) -> str:
-    """Return duration, start, messages and chunks of a recording."""
     chunks = f", {counted(health.chunks, 'chunk')}" if health.chunks else ""
     return (
         f"{seconds_words(health.duration_ns / 1e9)} from {utc_words(health.start_ns)}, {health.messages:,} messages, "
@@ -78,7 +76,6 @@ def facts_words(health: RecordingHealth, topics: int) -> str:
 
 
 def pause_lines(health: RecordingHealth) -> Iterator[str]:
-    """Yield a line for each of the longest times in which all topics stopped."""
     longest = sorted(health.pauses, key=lambda pause: -pause[1])[:_MOST_HOLES_SHOWN]
     for start_s, duration_s in sorted(longest):
         yield (
@@ -89,7 +86,6 @@ def pause_lines(health: RecordingHealth) -> Iterator[str]:
 
 
 def hole_lines(row: Row, holes: Sequence[Row]) -> Iterator[str]:
-    """Yield a line for each of a topic's longest holes, and one for the others."""
     period_s = 1 / row["expected_rate_hz"] if row["expected_rate_hz"] else 0.0
     large = sorted(
         (hole for hole in holes if hole["duration_s"] > 1.5 * period_s), key=lambda hole: -hole["duration_s"]
@@ -106,7 +102,6 @@ def hole_lines(row: Row, holes: Sequence[Row]) -> Iterator[str]:
 
 
 def missing_words(row: Row) -> str:
-    """Return how many messages a topic lacks."""
     missing, low, high = row["missing"], row["missing_low"], row["missing_high"]
     if missing is None:
         return "not periodic"
@@ -117,7 +112,6 @@ def missing_words(row: Row) -> str:
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """Return a topic's cells of `COLUMNS`."""
     age = "" if row["age_p50_ns"] is None else f"{format_duration(row['age_p50_ns'])} ({row['age_from']})"
     if age and row["age_bound_ns"] is not None:
         age = f"{format_duration(row['age_p50_ns'])} ± {format_duration(row['age_bound_ns'])}"
@@ -150,7 +144,6 @@ def topic_notes(row: Row) -> Iterator[str]:
 
 
 def topics_of(report: TopicReport, path: str) -> list[tuple[Row, list[Row], tuple[float, ...]]]:
-    """Return row, holes and strip of each topic of a recording."""
     holes: dict[str, list[Row]] = {}
     for hole in report.holes.iter_rows(named=True):
         if hole["recording"] == path:

@@ -38,7 +38,6 @@ _UNSUSPECTED_FILE_BYTES = 256 << 20
 
 
 def most_unpacked_bytes(end: int) -> int:
-    """Return the most bytes that all chunks up to the offset `end` may unpack to."""
     return max(_UNSUSPECTED_FILE_BYTES, LARGEST_FILE_RATIO * end)
 
 
@@ -56,8 +55,6 @@ class Block:
     """Records of neighbouring chunks, or a stretch of records outside of chunks, taken apart.
 
     Attributes:
-        data: the records' bytes, lost when `memory` is used again.
-        scan: the offsets of the records in `data`.
         starts: (position in `data`, offset in the file) of the first byte of each chunk, or of the stretch.
         chunked: whether the records were in chunks, whose unpacked bytes have no offsets in the file.
     """
@@ -77,7 +74,6 @@ class Block:
         return BLOCK_STEPS + CHUNK_STEPS * self.chunks + self.scan.steps
 
     def offset(self, position: int) -> int:
-        """Return the offset in the file of the byte at `position` of `data`, or of its chunk."""
         start, offset = self.starts[bisect(self.starts, position, key=lambda start: start[0]) - 1]
         return offset if self.chunked else offset + position - start
 
@@ -103,7 +99,6 @@ class BlockJobs:
     _chunk_offsets: list[int] | None = None
 
     def take_back(self, block: Block) -> None:
-        """Reuse the memory of `block`, whose `data` is lost."""
         if block.memory and block.memory.size <= _MOST_REUSED_BYTES:
             _FREE.append(block.memory)
 
@@ -148,7 +143,6 @@ class BlockJobs:
             self._at = resumed_at
 
     def _outside(self, header: RecordHeader) -> Iterator[tuple[int, Callable[[], Block]]]:
-        """Yield the job of a block of this record and those that follow outside of chunks."""
         if header.length > MAX_RECORD_BYTES:
             name = record_name(header.opcode)
             self.notes.append(

@@ -41,11 +41,9 @@ class ChannelTable:
         self._channels: dict[int, DeclaredChannel] = {}
 
     def get(self, channel_id: int) -> DeclaredChannel | None:
-        """Return a channel once it is declared."""
         return self._channels.get(channel_id)
 
     def items(self) -> ItemsView[int, DeclaredChannel]:
-        """Return channels with their ids."""
         return self._channels.items()
 
     def declare(self, opcode: int, content: Buffer, offset: int) -> None:

@@ -36,7 +36,6 @@ class PackedChunk:
     """A chunk as its own header describes it.
 
     Attributes:
-        unpacked_bytes: claimed length of the unpacked records.
         crc: CRC-32 of the unpacked records; 0 if the writer made none.
     """
 
@@ -49,7 +48,6 @@ class PackedChunk:
 
     @property
     def end(self) -> int:
-        """Offset after its packed bytes."""
         return self.data_offset + self.packed_bytes
 
     @classmethod
@@ -133,7 +131,6 @@ def unpack_records(compression: str, packed: bytes, unpacked_bytes: int) -> byte
 
 
 def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int, *, is_cut: bool = False) -> None:
-    """Refuse excessive claims and an unknown compression before memory is allocated."""
     if max(unpacked_bytes, packed_bytes) > MAX_RECORD_BYTES:
         raise DamagedChunkError(
             f"it claims {unpacked_bytes} bytes; at most {MAX_RECORD_BYTES} are read at once "
@@ -166,7 +163,6 @@ class UnpackMemory:
 
     @property
     def size(self) -> int:
-        """Number of bytes allocated."""
         return len(self._packed) + len(self._records)
 
 

@@ -49,12 +49,10 @@ class RecordHeader:
 
     @property
     def content(self) -> int:
-        """Offset of the content, which follows opcode and length."""
         return self.offset + RECORD_HEADER.size
 
     @property
     def end(self) -> int:
-        """Offset after the record."""
         return self.content + self.length
 
 
@@ -91,7 +89,6 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
         os.close(self._descriptor)
 
     def read(self, offset: int, size: int) -> bytes:
@@ -105,7 +102,6 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         return bytes(data)
 
     def read_into(self, target: memoryview, offset: int) -> None:
-        """Fill `target` from `offset` on."""
         try:
             done = read_into(self._descriptor, target, offset)
         except OSError as err:
@@ -178,13 +174,11 @@ class Summary:
     records: list[tuple[int, int, int]] = field(default_factory=list)
 
     def declarations(self) -> Iterator[tuple[int, memoryview, int]]:
-        """Yield opcode, content and offset of each schema and channel."""
         for opcode, start, length in self.records:
             if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 yield opcode, memoryview(self.data)[start : start + length], self.data_end + start
 
     def parsed(self, kind: type[R]) -> Iterator[R]:
-        """Yield the undamaged records of a class."""
         for opcode, start, length in self.records:
             if opcode == OPCODES[kind]:
                 try:
@@ -198,7 +192,6 @@ class Summary:
         return None if statistics is None else statistics.channel_message_counts
 
     def chunk_offsets(self) -> list[int]:
-        """Return the offsets of indexed chunks, in order."""
         offsets = {index.chunk_start_offset for index in self.parsed(ChunkIndex)}
         return sorted(offset for offset in offsets if offset < self.data_end)
 

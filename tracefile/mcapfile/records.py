@@ -66,11 +66,9 @@ class RecordContent(ReadDataStream):
 
     @property
     def count(self) -> int:
-        """Bytes read so far."""
         return self._at
 
     def read(self, length: int) -> bytes:
-        """Return the next `length` bytes."""
         end = self._at + length
         if end > len(self._content):
             raise ValueError(f"a field of {counted(length, 'byte')} reaches beyond its record")
@@ -93,7 +91,6 @@ def parse_record(kind: type[R], content: Buffer) -> R:
 
 
 def record_name(opcode: int) -> str:
-    """Return MCAP's name for a kind of record: `ChunkIndex`."""
     try:
         return Opcode(opcode).name.title().replace("_", "")
     except ValueError:

@@ -32,12 +32,7 @@ _FEW_CHANNELS = 6  # ids in so small a range are searched one by one, faster tha
 
 
 class ChannelEvents(NamedTuple):
-    """Events of one channel, copied out of the scanned buffer.
-
-    Attributes:
-        last_number: number in the channel (MCAP's `sequence`) of the last event.
-        events: in file order, an array of `EVENT_DTYPE`.
-    """
+    """Events of one channel, copied out of the scanned buffer."""
 
     channel_id: int
     last_number: int
@@ -52,7 +47,6 @@ class Scan:
         runs: (byte offset, count) of each unbroken stretch of event-shaped records.
         others: (opcode, byte offset of the content, its length) of each other record of a requested kind, in order.
         end: end of the last record: the end of the buffer, or the first byte that begins no record.
-        steps: number of records that were stepped over one by one.
     """
 
     runs: list[tuple[int, int]] = field(default_factory=list)
@@ -61,7 +55,6 @@ class Scan:
     steps: int = 0
 
     def extend(self, following: Scan) -> None:
-        """Append the scan of the bytes that follow directly."""
         joins = (
             self.runs
             and following.runs
@@ -76,7 +69,6 @@ class Scan:
         self.steps += following.steps
 
     def contents(self, data: Buffer, channel_id: int) -> list[tuple[int, int]]:
-        """Return (byte offset, length) of each event-shaped record's content of one channel."""
         length = EVENT_RECORD_BYTES - RECORD_HEADER.size
         offsets: list[tuple[int, int]] = []
         for offset, count in self.runs:
@@ -127,7 +119,6 @@ def scan_records(
 
 
 def split_by_channel(records: Records) -> list[ChannelEvents]:
-    """Return the events of each channel, by channel id."""
     if not len(records):
         return []
     channels = np.ascontiguousarray(records["channel_id"])

@@ -61,17 +61,14 @@ class McapSource:
         self._numbered: dict[int, int] = {}  # channel id -> 1 + number of its last event
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     @property
     def topics(self) -> frozenset[str]:
-        """Topics declared so far, ours or not."""
         return frozenset(channel.topic for _, channel in self._channels.items())
 
     @property
     def written_events(self) -> int:
-        """Events that the recorder had written, those in damaged chunks before the last whole one included."""
         return sum(self._numbered.values())
 
     def expected_events(self) -> dict[Stage, int]:
@@ -189,7 +186,6 @@ class McapSource:
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
 
     def _room_for_events(self) -> int:
-        """Return how many events fit into the chunks, or into the bytes outside of chunks."""
         room, at, chunks = 0, len(MAGIC), 0
         while True:
             try:

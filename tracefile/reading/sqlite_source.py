@@ -83,12 +83,10 @@ class SqliteSource:
         ]
 
     def close(self) -> None:
-        """Close the file."""
         self._database.close()
 
     @property
     def topics(self) -> frozenset[str]:
-        """Topics of the database, ours or not."""
         return frozenset(name for _, name, *_ in self._topics)
 
     @property
@@ -97,12 +95,10 @@ class SqliteSource:
         return 0
 
     def expected_events(self) -> dict[Stage, int]:
-        """Return for every stage the rows that the table can have."""
         last_row = self._last_row if isinstance(self._last_row, int) else 0
         return dict.fromkeys(Stage, max(0, min(self._size, last_row)))
 
     def batches(self) -> Iterator[Batch]:
-        """Yield all messages in stored order, up to the first damaged page."""
         rows_left, bytes_left = _UNSUSPECTED_ROWS + self._size // _ROW_BYTES, max(self._size, _BATCH_BYTES)
         names = {topic_id: name for topic_id, name, *_ in self._topics}
         ours = {topic_id: name for topic_id, name in names.items() if name.startswith(TOPIC_PREFIX)}
@@ -148,7 +144,6 @@ class SqliteSource:
 
 
 def bound_work(database: sqlite3.Connection, size_bytes: int, longest_bytes: int = _LONGEST_VALUE_BYTES) -> None:
-    """Let SQLite give up after a number of steps, and refuse longer values."""
     checks_left = (_UNSUSPECTED_STEPS + _STEPS_A_BYTE * size_bytes) // _STEPS_A_CHECK
 
     def check() -> bool:

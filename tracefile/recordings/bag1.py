@@ -71,7 +71,6 @@ def _file_messages(
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[dict[str, bytes], bytes]]:
-    """Yield the header fields and the data of each record."""
     while head := file.read(_LENGTH.size):
         header = _exactly(file, _LENGTH.unpack(head)[0], _MOST_HEADER_BYTES)
         data = _exactly(file, _LENGTH.unpack(file.read(_LENGTH.size))[0], MAX_RECORD_BYTES)
@@ -99,7 +98,6 @@ def _exactly(file: BinaryIO, size: int, most: int) -> bytes:
 
 
 def _unpacked(fields: dict[str, bytes], packed: bytes) -> tuple[bytes | bytearray, int]:
-    """Return the records of a chunk, and how much their bytes weigh."""
     compression, (size,) = fields["compression"].decode(), _LENGTH.unpack(fields["size"])
     if compression != "bz2":
         return unpack_records("" if compression == "none" else compression, packed, size), 1

@@ -146,7 +146,6 @@ class McapWalk:
             self.damages.append(f"{counted(count, 'message')} of channel {channel_id}, whose declaration is lost")
 
     def _chunk_within(self, chunk: PackedChunk) -> int | None:
-        """Return the offset of the first chunk inside a packed one, whose claimed end bytes are missing before."""
         at = self._resume(self._file, chunk.offset, chunk.end) if chunk.compression else None
         while at is not None and self._file.peek(at, 1)[0] != Opcode.CHUNK:
             at = self._resume(self._file, at, chunk.end)
@@ -218,7 +217,6 @@ class McapWalk:
             return left[0] in _OPCODES and int.from_bytes(left[1:], "little") <= MAX_RECORD_BYTES
 
     def _resume(self, source: RecordFile | _Unpacked, damaged_at: int, stop: int | None = None) -> int | None:
-        """Return the offset of the next bytes after `damaged_at` that are a record."""
         at, stop = damaged_at + 1, source.size if stop is None else stop
         while at < stop and source.size - at >= RECORD_HEADER.size:
             data = source.read(at, min(_SEARCHED_BYTES, source.size - at, stop - at + RECORD_HEADER.size - 1))
@@ -254,7 +252,6 @@ class McapWalk:
         return first_ns - _DAY_NS <= log_ns <= last_ns + _DAY_NS
 
     def _cut_chunk(self, at: int) -> Iterator[Item]:
-        """Yield what a compressed chunk at the end of a cut off file unpacks to."""
         if self._file.size - at < RECORD_HEADER.size or self._file.peek(at, 1)[0] != Opcode.CHUNK:
             return
         try:
@@ -320,7 +317,6 @@ class McapWalk:
         self.damages.append(f"the chunk at byte {chunk.offset} is damaged ({why}); {used}")
 
     def _single(self, source: RecordFile | _Unpacked, header: RecordHeader) -> Iterator[Item]:
-        """Yield what a record outside of whole chunks is."""
         if header.length > MAX_RECORD_BYTES:
             name = record_name(header.opcode)
             self.damages.append(
@@ -387,7 +383,6 @@ _OPCODES = frozenset(map(int, _LEAST_BYTES))
 
 
 def _is_whole(data: memoryview) -> bool:
-    """Return whether all bytes of a chunk without CRC are records that a chunk may have."""
     at = 0
     while len(data) - at >= RECORD_HEADER.size:
         opcode, length = RECORD_HEADER.unpack_from(data, at)

@@ -94,7 +94,6 @@ class _UnpackedBytes:
 
 
 def _reader_of(file: Path) -> Callable[[Path, Condition], Iterator[RawMessage]]:
-    """Choose by content, and by the name where the content is damaged."""
     with file.open("rb") as stream:
         start = stream.read(len(SQLITE_MAGIC))
     for magic, _, reader in _READERS:

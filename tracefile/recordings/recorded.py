@@ -22,7 +22,6 @@ class RecordedTopic:
 
     Attributes:
         definition: text of the message definition in `definition_encoding` (`ros2msg`, `ros1msg`, ...).
-        qos: offered QoS profiles, YAML.
         publisher: who published, where the recording distinguishes (rosbag1).
         type_hash: of the type (REP 2016).
     """

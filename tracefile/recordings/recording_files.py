@@ -71,12 +71,10 @@ _HASHED_BYTES = 4096
 
 
 def content_hash(data: bytes) -> int:
-    """Return a hash, for this process, of the length and both ends of a message."""
     return hash((len(data), bytes(data[:_HASHED_BYTES]), bytes(data[-_HASHED_BYTES:])))
 
 
 def copied_messages(topic: str, copies: int) -> Iterator[str]:
-    """Yield a note if messages are copies of others."""
     if copies:
         yield f"{counted(copies, 'message')} of {topic} {'is' if copies == 1 else 'are'} there twice (same time and bytes): a merged bag?"
 

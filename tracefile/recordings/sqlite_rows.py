@@ -143,7 +143,6 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, RecordedTopic]:
 
 
 def _rows_of_pages(path: Path, budget: Budget) -> Iterator[tuple[int, list[Any]]]:
-    """Yield row id and values of every whole row in a leaf page of any table."""
     with path.open("rb") as file:
         page_bytes, reserved = _PAGE_SIZE.unpack(file.read(_PAGE_SIZE.size).ljust(_PAGE_SIZE.size, b"\0"))
         page_bytes = 65536 if page_bytes == 1 else page_bytes
@@ -174,7 +173,6 @@ class _Pages:
         return self._file.read(self._page_bytes)
 
     def cell(self, page: bytes, at: int) -> tuple[int, bytes]:
-        """Return row id and payload of a cell, with what overflows into other pages."""
         size, at = _varint(page, at)
         row_id, at = _varint(page, at)
         if size > MAX_RECORD_BYTES:

@@ -36,8 +36,6 @@ class RecordingRecovery:
     """What was recovered of a recording.
 
     Attributes:
-        recovered: the new file or folder.
-        doubtful: messages out of damaged chunks, which may be damaged themselves.
         unchecked: messages without a checksum, whose damage cannot be seen.
         damages: what was broken, one line each.
     """
@@ -50,7 +48,6 @@ class RecordingRecovery:
     damages: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
-        """Return the report as lines for a terminal."""
         doubtful = f"; {self.doubtful} of them out of damaged chunks may be damaged themselves" if self.doubtful else ""
         damages = self.damages or ["nothing was damaged"]
         if self.unchecked:
@@ -229,7 +226,6 @@ def _is_text(text: str) -> bool:
 
 
 def _profile(walk: McapWalk) -> str:
-    """Return the profile of the header, or the schemas' where it is lost or damaged."""
     encodings = {schema.encoding for schema in walk.schemas.values()}
     implied = "ros2" if encodings & {"ros2msg", "ros2idl"} else "ros1" if "ros1msg" in encodings else ""
     own = walk.header.profile if walk.header else implied

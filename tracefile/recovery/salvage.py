@@ -69,7 +69,6 @@ class Salvage:
 
     @property
     def tickets(self) -> int:
-        """Events that the recorder had written, including damaged chunks."""
         return sum(self._next_number.values())  # MCAP sequences count the messages of a channel
 
     def __iter__(self) -> Iterator[Slots | SalvagedText | Payload]:
@@ -89,7 +88,6 @@ class Salvage:
             at = header.end
 
     def _check_origin(self, header: RecordHeader) -> None:
-        """Refuse files of other writers, whose other messages would be lost."""
         try:
             library = self._file.parse(Header, header).library
         except TornRecordError:  # a damaged header: the content decides

@@ -20,7 +20,6 @@ class TraceDestination:
     Attributes:
         path: a `.mcap` file; any other name is a rosbag2 folder NAME with NAME/NAME_0.mcap and its metadata.
         fsync: whether file, folder and each chunk are on the disk, not only in the page cache.
-        chunk_seconds: longest time of an event in the ring.
         ring_slots: events (64 bytes each) in the ring before further ones are dropped.
         mode: the most rights of trace, ring and metadata; the umask may reduce them.
     """
@@ -44,7 +43,6 @@ class TraceDestination:
 
     @property
     def trace_path(self) -> Path:
-        """The MCAP file."""
         return self.path / f"{self.path.name}_0.mcap" if self.is_bag else self.path
 
 

@@ -55,7 +55,6 @@ def declarations_of(channels: Sequence[Channel], known: Mapping[int, Schema]) ->
 
 
 def encode_record(record: McapRecord) -> bytes:
-    """Return a record with its opcode and length."""
     builder = RecordBuilder()
     record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]  # mcap leaves it open
@@ -83,14 +82,12 @@ class Chunk:
 
 
 def positions_by_channel(slots: Slots) -> dict[int, Positions]:
-    """Return channel id (the stage's number) -> positions of its events."""
     stages = slots["stage"].copy()
     by_channel = {number: np.flatnonzero(stages == number) for number in range(1, len(Stage) + 1)}
     return {number: positions for number, positions in by_channel.items() if len(positions)}
 
 
 def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
-    """Return events as slots, ordered by monotonic time, then by stage."""
     numbered = [(number, events[stage]) for number, stage in STAGE_NUMBERS.items() if stage in events]
     slots = np.zeros(sum(len(columns) for _, columns in numbered), SLOT_DTYPE)
     end = 0

@@ -51,11 +51,9 @@ class PayloadQueue:
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that wait."""
         return self._put_bytes - self._taken_bytes
 
     def put(self, payload: Payload) -> None:
-        """Add a payload, or count it as left out."""
         if self.waiting_bytes + len(payload.data) > MOST_WAITING_BYTES:
             self.left_out += 1
             return
@@ -63,7 +61,6 @@ class PayloadQueue:
         self._payloads.append(payload)
 
     def first(self) -> list[Payload]:
-        """Return the first ones, together one chunk."""
         batch, size_bytes = list[Payload](), 0
         for payload in islice(self._payloads, len(self._payloads)):
             size_bytes += len(payload.data)
@@ -73,7 +70,6 @@ class PayloadQueue:
         return batch
 
     def remove(self, batch: Sequence[Payload]) -> None:
-        """Remove the first ones."""
         for payload in batch:
             self._payloads.popleft()
             self._taken_bytes += len(payload.data)

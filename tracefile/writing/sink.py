@@ -60,11 +60,9 @@ class TraceSink(EventPacker):
         self._thread.start()
 
     def write_run(self, run: Run) -> None:
-        """Write a run's description after all events before it."""
         self._write(RUN_TOPIC, run.to_json())
 
     def write_json(self, topic: str, value: Mapping[str, object]) -> None:
-        """Write JSON in a `std_msgs/msg/String`, as `write_run` does."""
         self._write(topic, json.dumps(value))
 
     def _write(self, topic: str, text: str) -> None:
@@ -82,7 +80,6 @@ class TraceSink(EventPacker):
 
     @property
     def dropped_events(self) -> int:
-        """Events that could not be stored so far."""
         return self._dropped
 
     @property
@@ -92,7 +89,6 @@ class TraceSink(EventPacker):
 
     @property
     def bytes_written(self) -> int:
-        """Length of the current file in bytes."""
         return self._files.writer.bytes_written
 
     def pause(self) -> None:
@@ -101,7 +97,6 @@ class TraceSink(EventPacker):
             self._is_paused = self._closed is None
 
     def resume(self) -> None:
-        """Write again, first what waits."""
         with self._write_lock:
             self._is_paused = False
             if self._closed is None:
@@ -170,7 +165,6 @@ class TraceSink(EventPacker):
         return closed
 
     def _drain(self) -> None:
-        """Write a chunk every `flush_seconds`, or when a quarter of the ring is used."""
         run_in_background()
         going_on = True
         while going_on:

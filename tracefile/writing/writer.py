@@ -93,17 +93,14 @@ class TraceWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Length of the file, bytes."""
         return self._end
 
     @property
     def events(self) -> int:
-        """Events in the file."""
         return sum(self._counts.get(self._channels[topic].id, 0) for topic in EVENT_TOPICS)
 
     @property
     def topics(self) -> list[TopicCount]:
-        """Topics that have messages."""
         return [
             TopicCount(
                 c.topic,
@@ -157,7 +154,6 @@ class TraceWriter:
         self._write_chunk(payload_chunk(declarations, by_channel, self._counts), is_packed=False)
 
     def finish(self) -> None:
-        """Write summary and footer, close the file."""
         summary_start = self._end + len(encode_record(DataEnd(0)))
         channels = self._used_channels()
         schemas = {channel.schema_id: self._schemas[channel.schema_id] for channel in channels}
@@ -234,7 +230,6 @@ class TraceWriter:
         return [channel for channel in self._channels.values() if channel.id in self._counts]
 
     def _write_chunk(self, chunk: Chunk, *, is_packed: bool = True) -> None:
-        """Append a chunk and its message indexes."""
         compressed = self._compressor.compress(chunk.content) if is_packed else chunk.content
         compression = _COMPRESSION if is_packed else bytes(4)
         size = len(chunk.content)
@@ -294,7 +289,6 @@ class TraceWriter:
         self._end = end
 
     def _check_unchanged(self) -> None:
-        """Raise an `OutputError` if another program deleted, replaced or truncated the file."""
         try:
             number = self._change()
         except OSError as err:
@@ -373,7 +367,6 @@ class TraceFiles:
         return None
 
     def closed(self, head: int, dropped_events: int, error: OutputError | None) -> ClosedTrace:
-        """Return the result, with the events up to ticket `head` that stay in the ring."""
         return ClosedTrace(
             path=self._destination.path,
             events=self.drained,

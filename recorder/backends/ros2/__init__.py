@@ -59,7 +59,6 @@ def _make_node(options: NodeOptions) -> Node:
 
 
 def vendor_of(rmw: str | None) -> str:
-    """Return the vendor of a ROS middleware, by default the environment's."""
     return ros_middleware(rmw or os.environ.get("RMW_IMPLEMENTATION") or WHEELS_RMW).vendor
 
 

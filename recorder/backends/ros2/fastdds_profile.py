@@ -220,7 +220,6 @@ def profile_environment(
 
 @contextmanager
 def written_profile(text: str) -> Iterator[Path]:
-    """Yield a temporary file."""
     with tempfile.NamedTemporaryFile("w", prefix="dds-trace-fastdds-", suffix=".xml") as file:
         file.write(text)
         file.flush()

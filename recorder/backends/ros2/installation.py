@@ -42,7 +42,6 @@ NO_TUNING = (
 
 
 def find_rmws() -> Sequence[str | None]:
-    """Return the ROS middlewares of this machine: `[None]` for wheels, nothing without rclpy."""
     if not has_package("rclpy"):
         return []
     names = {file.name for prefix in _prefixes() for file in Path(prefix, RMW_INDEX).glob("rmw_*")}
@@ -50,7 +49,6 @@ def find_rmws() -> Sequence[str | None]:
 
 
 def missing_rmw(rmw: str) -> str | None:
-    """Return what to do where a ROS middleware is not installed, None for one that is."""
     installed = find_rmws()
     if rmw in installed or (None in installed and rmw == WHEELS_RMW):
         return None
@@ -83,7 +81,6 @@ def check_installed() -> None:
 
 
 def set_discovery_range(discovery: Discovery) -> None:
-    """Set the variables of how far nodes look for others."""
     is_local = discovery is Discovery.LOCALHOST
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST" if is_local else "SUBNET"
     # Iron and later warn of the older variable; Humble knows only that.
@@ -117,7 +114,6 @@ def set_transport(options: NodeOptions, rmw: str) -> None:
 
 
 def check_settings(options: NodeOptions) -> None:
-    """Check the requested ROS middleware's settings."""
     if options.rmw is not None:
         check_vendor(options, options.rmw)
 
@@ -144,7 +140,6 @@ def check_vendor(options: NodeOptions, rmw: str) -> None:
 
 
 def package_version(package: str) -> str | None:
-    """Return a ROS package's version from its wheel, `package.xml`, CMake file or dpkg."""
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(f"ros-{package.replace('_', '-')}")
     for prefix in _prefixes():

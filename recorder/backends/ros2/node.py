@@ -280,7 +280,6 @@ class _Ros2Subscription:
 
 
 def _rclpy() -> Any:
-    """Import the client library, only after `check_installed`."""
     import rclpy
     import rclpy.duration
     import rclpy.exceptions
@@ -294,7 +293,6 @@ def _rclpy() -> Any:
 
 
 def running_rmw() -> str:
-    """Return the ROS middleware's identifier."""
     return str(_rclpy().utilities.get_rmw_implementation_identifier())
 
 
@@ -340,7 +338,6 @@ def _with_info(receive: Receive[Any], *, stamps_reception: bool) -> Callable[...
 
 
 def _of_two_parameters(on_message: Callable[..., None]) -> Callable[..., None]:
-    """Let it require two parameters by its signature, else rclpy does not pass `info`."""
     parameter = inspect.Parameter
     on_message.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [parameter(name, parameter.POSITIONAL_ONLY) for name in ("message", "info")]
@@ -349,7 +346,6 @@ def _of_two_parameters(on_message: Callable[..., None]) -> Callable[..., None]:
 
 
 def _with_sequence(receive: TapReceive, *, stamps_reception: bool) -> Callable[..., None]:
-    """As `_with_info`, with the publication's number."""
     if not hasattr(_rclpy().subscription.Subscription, "CallbackType"):
         return lambda message: receive(message, 0, 0, 0, None)  # Humble
 
@@ -374,7 +370,6 @@ def _events(class_name: str, on_incompatible: Callable[[Any], None]) -> Any:
 
 
 def message_class(type_name: str) -> Any:
-    """Import a message, service or action, such as `std_msgs/msg/String`."""
     package, kind, name = type_name.split("/")
     try:
         return getattr(import_module(f"{package}.{kind}"), name)
@@ -386,7 +381,6 @@ def message_class(type_name: str) -> Any:
 
 
 def qos_profile(qos: Qos) -> Any:
-    """Return rclpy's object of a quality of service."""
     kinds = _rclpy().qos
     try:
         return kinds.QoSProfile(

@@ -35,7 +35,6 @@ class Router:
     process: subprocess.Popen[bytes] | None = None
 
     def close(self) -> None:
-        """End the router that we started."""
         process, self.process = self.process, None
         if process is None:
             return

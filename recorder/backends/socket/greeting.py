@@ -96,7 +96,6 @@ def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:
 
 
 def is_own_address(host: str) -> bool:
-    """Return whether an interface of this machine has the address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as trial:
         try:
             trial.bind((host, 0))

@@ -235,7 +235,6 @@ class TcpLinks:
             self._retry_s[address] = time.monotonic() + RETRY_S
 
     def _has_memory(self, peer: _TcpPeer, size: int) -> bool:
-        """Return whether a frame fits in addition to those under way from other peers."""
         return size + sum(other.frame_bytes for other in self._connected if other is not peer) <= MEMORY_BYTES
 
     def interrupt(self) -> None:

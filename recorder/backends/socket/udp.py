@@ -226,7 +226,6 @@ class UdpLinks:
         peer.greeting, peer.heard_s = greeting, time.monotonic()
 
     def _cookie_of(self, address: Address) -> str:
-        """Return an address's cookie, which only the receiver there can know."""
         return hmac.new(self._secret, repr(address).encode(), "sha256").hexdigest()[:_COOKIE_DIGITS]
 
     def interrupt(self) -> None:

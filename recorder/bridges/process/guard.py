@@ -50,7 +50,6 @@ class BoundedLog:
         self.total_bytes = 0
 
     def write(self, data: bytes) -> None:
-        """Append `data`."""
         self.total_bytes += len(data)
         with contextlib.suppress(OSError):  # a full disk costs the log, not the bridge
             self._look_for_up(data)
@@ -70,7 +69,6 @@ class BoundedLog:
 
 
 def descendants() -> list[int]:
-    """Return the pids of all running processes below this one."""
     children: dict[int, list[int]] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):  # it has ended
@@ -124,7 +122,6 @@ class Drain:
             self._selector.register(source, selectors.EVENT_READ)
 
     def until(self, deadline: float | None, program: subprocess.Popen[bytes]) -> None:
-        """Read until the program ends, or the deadline passes, or, without one, a stop is requested."""
         while program.poll() is None and not (deadline is None and self.stopping):
             left_s = None if deadline is None else deadline - time.monotonic()
             if left_s is not None and left_s <= 0:
@@ -163,7 +160,6 @@ def die_with(guard_pid: int) -> None:
 
 
 def say(line: str) -> None:
-    """Print a line for the recorder, if it still runs."""
     with contextlib.suppress(BrokenPipeError):
         print(line, flush=True)
 

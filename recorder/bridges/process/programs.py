@@ -19,7 +19,6 @@ _WHEELS_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
 def program_on_path(name: str, folder: Path | None = None) -> Path | None:
-    """Find a program in `folder`, by default on the PATH."""
     path = shutil.which(name, path=None if folder is None else str(folder))
     return Path(path) if path else None
 

@@ -66,12 +66,10 @@ class RunningBridge:
         self._stopped = False
 
     def mark_ready(self) -> None:
-        """Note that an echo has come back."""
         self._ready = True
 
     @property
     def state(self) -> BridgeState:
-        """Progress of the bridge."""
         if self.failure is not None:
             return BridgeState.DIED
         if self._stopped:
@@ -91,18 +89,15 @@ class RunningBridge:
         )
 
     def check(self) -> None:
-        """Raise a `BridgeError` if a program has ended by itself."""
         if (failure := self.failure) is not None:
             raise BridgeError(f"{failure}; run `dds-bridge {self.name}` to see its log")
 
     @property
     def parts(self) -> tuple[BridgeOptions, ...]:
-        """Options of each program, in the order of `processes`."""
         return tuple(half.options for half in self._halves)
 
     @property
     def processes(self) -> Mapping[str, int]:
-        """Pid of each program by its label in host samples: `bridge`, or `bridge_ping` and `bridge_relay`."""
         return {half.label: half.program.pid for half in self._halves}
 
     def read_applied(self) -> tuple[Difference, ...]:
@@ -112,7 +107,6 @@ class RunningBridge:
         return tuple(setting for half in self._halves for setting in half.read_back.not_applied)
 
     def describe(self) -> dict[str, Json]:
-        """Return the object `bridge` of a session."""
         return {
             "bridge": self.name,
             "state": self.state.value,
@@ -136,7 +130,6 @@ class RunningBridge:
         }
 
     def sample(self) -> dict[str, Json]:
-        """Return each program's present load, for the trace."""
         return {
             "monotonic_ns": time.monotonic_ns(),
             "bridge": self.name,
@@ -144,7 +137,6 @@ class RunningBridge:
         }
 
     def log_tail(self, half: Half | None = None) -> str:
-        """Return the end of a log: of `half`, else of a failed program, else of the first."""
         default = self._failed_half() or self._halves[0]
         return next((part for part in self._halves if part.half is half), default).program.log_tail()
 

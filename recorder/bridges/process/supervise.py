@@ -96,7 +96,6 @@ class SupervisedProgram:
 
     @property
     def report(self) -> GuardReport | None:
-        """The end of the program, None while it runs."""
         return None if self._guard.poll() is None else self._read_report()
 
     @property
@@ -105,7 +104,6 @@ class SupervisedProgram:
         return self._up_pattern is None or (self._folder / "up").exists()
 
     def log_tail(self) -> str:
-        """Return the log's last lines without colour codes, also after the end."""
         if self._last_log is not None:
             return self._last_log
         content = b""
@@ -116,11 +114,9 @@ class SupervisedProgram:
         return "\n".join(text.splitlines()[-LAST_LINES:])
 
     def last_line(self) -> str:
-        """Return the log's last line."""
         return next((line for line in reversed(self.log_tail().splitlines()) if line.strip()), "it logged nothing")
 
     def load(self) -> ProgramLoad:
-        """Return the present load of the program and its children."""
         loads = []
         for pid in self._pids():
             with contextlib.suppress(psutil.Error):  # it has ended

@@ -56,12 +56,7 @@ def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default
 
 @dataclass(frozen=True, slots=True)
 class PlanAxis(Key):
-    """A key of `[axes]`, of one value or a list.
-
-    Attributes:
-        option: name in the arguments of `dds-record`.
-        row: option with the same choices.
-    """
+    """A key of `[axes]`, of one value or a list."""
 
     takes_list: bool = True
     option: str = ""
@@ -162,7 +157,6 @@ _Class = TypeVar("_Class")
 
 
 def _with_all_axes(cell: type[_Class]) -> type[_Class]:
-    """Make every axis a field."""
     for name, default in DEFAULTS.items():
         cell.__annotations__.setdefault(name, "object")
         setattr(cell, name, default)
@@ -176,7 +170,6 @@ class Cell:
 
     Attributes:
         flow: name of the run's flow, or of one of several `pings` or `topics`; else empty.
-        with_flows: flows that run at the same time.
     """
 
     backend: str = "ros2"
@@ -220,17 +213,14 @@ class Cell:
 
     @property
     def crosses_domains(self) -> bool:
-        """Whether a bridge joins two domains."""
         return self.bridge != "none"
 
     @property
     def payload_bit_s(self) -> float | None:
-        """Payload in bit/s in one direction, None where the data or the middleware decides it."""
         return None if self.size is None or math.isinf(self.rate) else self.size * 8 * self.rate
 
     @property
     def together(self) -> Cell:
-        """A key that is equal for cells that are recorded at the same time."""
         if not self.with_flows:
             return replace(self, flow="") if self.senders > 1 else self
         flows = tuple(sorted((self.flow, *self.with_flows)))
@@ -238,12 +228,10 @@ class Cell:
 
     @property
     def senders(self) -> int:
-        """How many pings run at the same time."""
         return len(self.with_flows) + max(self.pings, self.topics)
 
     @property
     def receivers(self) -> int:
-        """How many relays answer each message."""
         return self.relays * self.hosts
 
     @property
@@ -262,7 +250,6 @@ class Cell:
 
     @property
     def relay_name(self) -> str:
-        """The relay in words, for progress and reasons."""
         return " ".join([_middleware_name(self.relay.backend, self.relay.rmw), *self.relay.changed_axes])
 
     @property

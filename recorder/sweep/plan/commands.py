@@ -27,7 +27,6 @@ AGAINST_LABEL = "against"
 
 
 def relay_arguments(plan: Plan, need: Cell, number: int = 1, place: RelayPlace = ONLY_RELAY) -> list[str]:
-    """Return the arguments of a relay in pass `number`, without `--out`."""
     device = plan.hosts[place.host] if plan.hosts else plan.relay
     flows = plan.flows or [cell.flow for cell in sender_cells(need) if cell.flow]
     is_single = need.receivers == 1
@@ -43,7 +42,6 @@ def relay_arguments(plan: Plan, need: Cell, number: int = 1, place: RelayPlace =
 
 
 def half_arguments(plan: Plan, group: CellGroup) -> list[str]:
-    """Return the arguments of `dds-bridge` for the half next to the relay."""
     assert group.bridge is not None
     need = group.need
     interface = "127.0.0.1" if plan.discovery == "localhost" else "0.0.0.0"  # noqa: S104 - the other device is outside
@@ -122,7 +120,6 @@ def _common_arguments(plan: Plan, device: DeviceSettings, number: int, *, is_sin
 
 
 def _axis_arguments(parameters: Cell, names: Iterable[str]) -> list[str]:
-    """Return the options for values that are not the default."""
     return [
         argument
         for name in names

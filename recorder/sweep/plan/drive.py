@@ -34,7 +34,6 @@ class Drive:
 
     Attributes:
         has_rate: whether the file has a rate; 0 lets nothing pass.
-        sha256: hash of the file.
     """
 
     rows: tuple[Row, ...]
@@ -43,7 +42,6 @@ class Drive:
 
     @property
     def length_s(self) -> float:
-        """Time after which it starts over."""
         return self.rows[-1][0]
 
     def between(self, started_ns: int, first_ns: int, last_ns: int) -> Iterator[tuple[int, Row]]:

@@ -47,7 +47,6 @@ def flow_cells(cell: Cell, flows: Sequence[Flow]) -> Iterator[Cell]:
 
 
 def sender_cells(cell: Cell) -> Iterator[Cell]:
-    """Yield a cell for each of several pings or topics."""
     name, count = ("p", cell.pings) if cell.pings > 1 else ("t", cell.topics)
     for number in range(1, count + 1):
         yield replace(cell, flow=f"{name}{number}") if count > 1 else cell
@@ -64,17 +63,14 @@ ONLY_RELAY = RelayPlace(1, 0)
 
 
 def relay_places(need: Cell) -> list[RelayPlace]:
-    """Return the relays of a cell, host by host."""
     return [RelayPlace(number + 1, number // need.relays) for number in range(need.receivers)]
 
 
 def is_crowded(cell: Cell) -> bool:
-    """Return whether several recorders of one role belong to a cell by its axes."""
     return cell.receivers * cell.pings * cell.topics > 1
 
 
 def fan_out_faults(plan: Plan) -> Iterator[tuple[bool, str]]:
-    """Yield for each rule whether the plan breaks it, and the sentence that says so."""
     crowded = [cell for cell in plan.cells if is_crowded(cell)]
     most, places = max((cell.hosts for cell in plan.cells), default=1), len(plan.hosts)
     alone = next((cell.backend for cell in crowded if cell.relays > 1 and connects_to_relay(cell.backend)), "")
@@ -103,7 +99,6 @@ def fan_out_faults(plan: Plan) -> Iterator[tuple[bool, str]]:
 
 
 def recorded_together(cells: Sequence[Cell]) -> list[list[Cell]]:
-    """Group cells that are recorded at the same time, in the order of their first one."""
     groups: dict[Cell, list[Cell]] = {}
     for cell in cells:
         groups.setdefault(cell.together, []).append(cell)

@@ -68,16 +68,13 @@ class Link:
 
     @property
     def connectivity(self) -> str:
-        """The sessions' `connectivity`."""
         return f"emulated-{self.name}"
 
     @property
     def needs_only_rate(self) -> bool:
-        """Whether a queue discipline for the rate is enough."""
         return not (self.delay_ms or self.jitter_ms or self.loss_percent or self.outage_ms or self.file)
 
     def to_dict(self) -> dict[str, str | float]:
-        """Return the values as written to the trace."""
         values = asdict(self)
         path = values.pop("file")  # a key of later versions
         return values if self.drive is None else {**values, "file": Path(path).name, "sha256": self.drive.sha256}

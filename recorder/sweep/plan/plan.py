@@ -95,13 +95,11 @@ class RunSettings:
     )
 
     def messages_at(self, rate_hz: float, outage_s: float = 0.0) -> int:
-        """Return the messages of a run at this rate, without warm-up."""
         if outage_s:
             return max(1, round((self.outage_after_seconds + outage_s + self.outage_limit_seconds) * rate_hz))
         return self.messages or max(self.min_messages, round(self.seconds * rate_hz))
 
     def planned_seconds(self, rate_hz: float, outage_s: float = 0.0) -> float:
-        """Return the time of a run's schedule, with warm-up."""
         if math.isinf(rate_hz):
             return self.seconds
         return (self.messages_at(rate_hz, outage_s) + self.warmup) / rate_hz
@@ -149,7 +147,6 @@ class DeviceSettings:
 
     @property
     def reached_at(self) -> str | None:
-        """Address at which the other device reaches this one, None if the plan has none."""
         return self.address or (self.ssh.rpartition("@")[2] if self.ssh else None)
 
 
@@ -161,7 +158,6 @@ class Exclusion:
     reason: str = ""
 
     def covers(self, cell: Cell) -> bool:
-        """Return whether the cell is excluded."""
         return all(getattr(cell, axis) in values for axis, values in self.values.items())
 
 
@@ -209,9 +205,6 @@ class Plan:
     """All cells of a sweep, with the settings and devices to record them.
 
     Attributes:
-        name: folder below `--out`.
-        cells: of the first repeat, in the listed order.
-        excluded: excluded cells, with the reason.
         connectivity: the sessions'; None lets each device detect it.
         by_hand: whether a person starts the relay.
         partners: cell without pass -> cell of the other plan that it alternates with.
@@ -239,27 +232,22 @@ class Plan:
 
     @property
     def discovery(self) -> str:
-        """Range of the nodes' discovery: `localhost` or `subnet`."""
         if self.run.discovery is not None:
             return self.run.discovery
         return "subnet" if self.namespaces or self.has_two_devices else "localhost"
 
     @property
     def has_two_devices(self) -> bool:
-        """Whether the relay is on another device."""
         return self.by_hand or self.relay.ssh is not None
 
     def needs_address(self, cell: Cell) -> bool:
-        """Return whether the cell's ping needs the address of the relay's device."""
         return connects_to_relay(cell.backend) or self.runs_halves(cell)
 
     def runs_halves(self, cell: Cell) -> bool:
-        """Return whether half of the cell's bridge runs next to the relay."""
         return self.has_two_devices and cell.crosses_domains and load_bridge(cell.bridge).halves is Halves.ALWAYS
 
     @property
     def digest(self) -> str:
-        """Digest of the settings that change how a cell is recorded, without the list of cells."""
         settings = {
             "run": {
                 name: value
@@ -278,7 +266,6 @@ class Plan:
 
 
 def depth_warnings(plan: Plan) -> list[str]:
-    """Return the warnings about cells whose history is too short for their rate."""
     warned: dict[str, list[str]] = {}
     for cell in plan.cells:
         if (warning := depth_warning(cell)) is not None:
@@ -297,5 +284,4 @@ def depth_warning(cell: Cell) -> str | None:
 
 
 def connects_to_relay(backend: str) -> bool:
-    """Return whether a backend's ping connects to the relay's address."""
     return load_backend(backend).meeting is Meeting.PEERS

@@ -171,7 +171,6 @@ def _connectivity(link: Link | None, namespaces: bool, relay: DeviceSettings, by
 
 
 def check_runs(where: str, cells: int, passes: int) -> None:
-    """Refuse more than `MAX_RUNS` runs."""
     if cells * passes > MAX_RUNS:
         times = f" in {passes:,} repeats" if passes > 1 else ""
         raise OptionError(
@@ -219,7 +218,6 @@ def _apply(exclusions: list[Exclusion], listed: list[Cell]) -> tuple[list[Cell],
 
 
 def _check_names(cells: list[Cell], where: str, passes: int) -> None:
-    """Refuse two cells of one name, and names that are too long."""
     seen: set[str] = set()
     for cell in cells:
         if cell.name in seen:
@@ -239,7 +237,6 @@ def _check_names(cells: list[Cell], where: str, passes: int) -> None:
 
 
 def _check(plan: Plan, where: str) -> None:
-    """Refuse faults of several keys."""
     run, search = plan.run, plan.search
     faults = (
         (

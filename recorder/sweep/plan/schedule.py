@@ -44,13 +44,11 @@ class CellGroup:
 
 
 def schedule(plan: Plan) -> list[CellGroup]:
-    """Return all cells of all passes, grouped by relay, in an order that only depends on the plan."""
     groups = [group for number in range(1, plan.run.repeats + 1) for group in schedule_pass(plan, plan.cells, number)]
     return number_groups(groups)
 
 
 def number_groups(groups: Iterable[CellGroup], first: int = 1) -> list[CellGroup]:
-    """Return the groups with numbers that count from `first`."""
     return [replace(group, number=number) for number, group in enumerate(groups, first)]
 
 
@@ -65,7 +63,6 @@ def _listed(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
 
 
 def _shuffled(groups: list[CellGroup], seed: int, number: int) -> list[CellGroup]:
-    """Shuffle the relays, and the cells of each relay."""
     chance = random.Random(f"{seed} {number}")  # noqa: S311 - an order, not a secret
     chance.shuffle(groups)
     return [replace(group, cells=tuple(chance.sample(group.cells, len(group.cells)))) for group in groups]
@@ -87,7 +84,6 @@ _ORDERS: dict[Order, Callable[[list[CellGroup], int, int], list[CellGroup]]] = {
 
 
 def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
-    """Group cells by relay, in the order of their first appearance."""
     served: dict[tuple[Cell, str | None], list[Cell]] = {}
     for cell in cells:
         half = cell.bridge if plan.runs_halves(cell) else None
@@ -120,7 +116,6 @@ class Estimate:
     _measured_s: list[float] = field(default_factory=list)
 
     def cell_seconds(self, cell: Cell) -> float:
-        """Return the expected time of a run, settling included."""
         overhead_s = RUN_OVERHEAD_S + BRIDGE_OVERHEAD_S * cell.crosses_domains + start_lead_s(cell.senders)
         overhead_s += OWN_COST_S * self.plan.run.measures_own_cost(cell.repeat)
         if self._measured_s:
@@ -128,16 +123,13 @@ class Estimate:
         return self.plan.run.planned_seconds(cell.rate, cell.outage) + overhead_s + self.plan.run.settle_seconds
 
     def measured(self, cell: Cell, seconds: float) -> None:
-        """Add the measured time of a run, from start to end of its ping."""
         self._measured_s.append(max(0.0, seconds - self.plan.run.planned_seconds(cell.rate, cell.outage)))
 
     def remaining(self, cells: list[Cell]) -> Remaining:
-        """Return the expected time of these cells, without restarts of relays."""
         return Remaining(sum(self.cell_seconds(together[0]) for together in recorded_together(cells)))
 
 
 def plan_seconds(plan: Plan, *, passes: int | None = None, relay_starts: int | None = None) -> Remaining:
-    """Return the expected time of the plan."""
     passes = plan.run.repeats if passes is None else passes
     first_s = Estimate(plan).remaining(list(plan.cells)).seconds
     measuring = min(passes, plan.run.own_cost_passes or passes)

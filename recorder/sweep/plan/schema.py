@@ -41,7 +41,6 @@ class Table:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The names of its keys and tables."""
         return (*self.keys, *self.subtables)
 
 
@@ -160,7 +159,6 @@ def plan_schema() -> Schema:
 
 
 def schema_text() -> str:
-    """Return the schema as the text of its file."""
     return json.dumps(plan_schema(), indent=2) + "\n"
 
 
@@ -267,5 +265,4 @@ _RULES: Mapping[str, Schema] = {
 
 
 def plain(text: str) -> str:
-    """Return a meaning without links."""
     return _LINK.sub(r"\1", text)

@@ -73,7 +73,6 @@ def parse_comparisons(text: str) -> list[str]:
 
 
 def check_location(text: str) -> str:
-    """Return where the relay is: `here`, `USER@HOST`, or the name of an emulated link."""
     location = text.strip()
     if location != HERE and location not in PRESETS and "@" not in location:
         raise OptionError(f"{limits.shown(location)}: write {HERE}, USER@HOST, or a link: {', '.join(PRESETS)}")
@@ -82,7 +81,6 @@ def check_location(text: str) -> str:
 
 
 def plan_text(name: str, messages: Sequence[Message], comparisons: Sequence[str], location: str) -> str:
-    """Return a commented plan of these messages and comparisons (words of `COMPARISONS`)."""
     axes = [_line("axes", *COMPARISONS[word]) for word in comparisons]
     blocks = [
         POINTER,

@@ -49,7 +49,6 @@ class TomlTable:
 
     @classmethod
     def parse(cls, text: str, path: str, validators: Mapping[str, Mapping[str, Limit]] | None = None) -> TomlTable:
-        """Return the root table of a TOML text."""
         try:
             return cls(tomllib.loads(text), path, validators=validators or {})
         except RecursionError as err:
@@ -59,11 +58,9 @@ class TomlTable:
 
     @property
     def where(self) -> str:
-        """File and table, for errors."""
         return f"{self.path}: [{self.key}]" if self.key else self.path
 
     def table(self, key: str) -> TomlTable:
-        """Return the table `key` of this one, empty if it is missing."""
         return TomlTable(self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."), self.validators)
 
     def tables(self, key: str) -> list[TomlTable]:
@@ -76,7 +73,6 @@ class TomlTable:
         ]
 
     def take(self, key: str, kind: type[_T], default: _D) -> _T | _D:
-        """Return the checked value of a key, or `default` if it is missing."""
         return self.check(key, self.values[key], kind) if key in self.values else default
 
     def check(self, key: str, value: object, kind: type[_T]) -> _T:
@@ -98,7 +94,6 @@ class TomlTable:
         return value
 
     def allow(self, *keys: str) -> None:
-        """Raise an `OptionError` for any other key."""
         for key in self.values:
             if key not in keys:
                 raise OptionError(f"{self.where}: there is no {limits.shown(key)}; {limits.nearest(key, keys)}")

@@ -89,12 +89,10 @@ class GroupRelay:
 
     @property
     def segment(self) -> str:
-        """The latest segment of the first relay."""
         return self._segments[-len(self._arguments)]
 
     @property
     def further(self) -> tuple[str, ...]:
-        """The segments of the other relays."""
         return tuple(self._segments[len(self._segments) - len(self._arguments) + 1 :])
 
     def kill(self) -> None:
@@ -109,6 +107,5 @@ class GroupRelay:
         self._running.clear()
 
     def stop(self) -> list[str]:
-        """Stop the programs and return the names of all segments."""
         self.end()
         return self._segments

@@ -17,12 +17,10 @@ Middlewares: TypeAlias = "tuple[str, str, str | None, str, str | None, str | Non
 
 
 def middlewares_of(cell: Cell) -> Middlewares:
-    """Return what a cell needs."""
     return cell.environment, cell.backend, cell.rmw, cell.relay.backend, cell.relay.rmw, cell.configuration
 
 
 def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, str]:
-    """Return what of a plan's middlewares is missing here or on the relay's device, with the reason."""
     reasons: dict[tuple[str, str | None, str | None, bool], str | None] = {}
 
     def reason_of(backend: str, rmw: str | None, own: str | None, *, is_remote: bool) -> str | None:

@@ -75,7 +75,6 @@ class Outage:
 
     @contextmanager
     def repaired(self) -> Iterator[None]:
-        """Leave link and addresses as they were, however the run ends."""
         try:
             yield
         finally:

@@ -50,23 +50,19 @@ class PlainProgress(SweepProgress):
         self._cells = self._done = 0
 
     def begin(self, cells: int, done: int) -> None:
-        """Print a line if some cells are complete."""
         self._cells, self._done = cells, done
         if done:
             self.note(f"{done} of {counted(cells, 'recording is', 'recordings are')} there already")
 
     def relay(self, name: str) -> None:
-        """Print the name of the relay."""
         self.note(f"relay: {name}")
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        """Print the outcome with the cell's number."""
         self._done += complete
         total = f"/{self._cells}" if self._cells else ""
         self.note(f"[{self._done}{total}] {name}: {outcome}")
 
     def note(self, text: str) -> None:
-        """Print a line without markup, as it may be a program's."""
         self._console.print(printable(text, MAX_FINDING_CHARACTERS), markup=False, highlight=False, soft_wrap=True)
 
 
@@ -87,25 +83,20 @@ class RichProgress(PlainProgress):
         self._task = self._progress.add_task("sweep", cell="", left="")
 
     def begin(self, cells: int, done: int) -> None:
-        """Show the bar."""
         super().begin(cells, done)
         self._progress.update(self._task, total=cells or None, completed=done)
         self._progress.start()
 
     def cell(self, name: str, remaining: Remaining) -> None:
-        """Show the cell and the time left."""
         self._progress.update(self._task, cell=name, left=f"{remaining} left")
 
     def ended(self, name: str, outcome: str, *, complete: bool) -> None:
-        """Print the line and move the bar."""
         super().ended(name, outcome, complete=complete)
         self._progress.update(self._task, completed=self._done)
 
     def end(self) -> None:
-        """Remove the bar."""
         self._progress.stop()
 
 
 def make_progress(console: Console) -> SweepProgress:
-    """Return a bar for a terminal, else plain lines."""
     return RichProgress(console) if console.is_terminal else PlainProgress(console)

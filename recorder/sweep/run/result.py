@@ -54,7 +54,6 @@ class CellResult:
 
     @property
     def loss_percent(self) -> float:
-        """Percent of the published messages without a reply."""
         return 100.0 * (self.published - self.received) / self.published if self.published else 100.0
 
     def __str__(self) -> str:
@@ -68,7 +67,6 @@ class CellResult:
 
 
 def read_result(path: Path) -> CellResult:
-    """Read a trace with exactly one run, finished."""
     trace = read_trace(path)
     if len(trace.runs) != 1:
         raise TraceFormatError(path, f"has {counted(len(trace.runs), 'run')} where a cell has one")

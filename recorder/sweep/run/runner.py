@@ -58,7 +58,6 @@ ENDED_CODES = (0, RelayLostError.exit_code)
 
 
 def _wait_for_all(programs: Iterable[Program], poll_s: float) -> list[int] | None:
-    """Return the exit codes, None if some program still runs after `poll_s`."""
     codes = [program.wait(poll_s) for program in programs]
     return None if None in codes else [code for code in codes if code is not None]
 
@@ -91,7 +90,6 @@ class Runner:
         self._estimate = Estimate(plan)
 
     def _leave_out(self, cells: Iterable[Cell]) -> None:
-        """Mark cells without a middleware as failed, in one line a reason."""
         if self._is_installed_here:
             self._missing = missing_middlewares(self.plan, self._station.device)
         waiting = {
@@ -105,7 +103,6 @@ class Runner:
             self._progress.note(f"{reason}; {counted(count, 'recording is', 'recordings are')} left out")
 
     def run(self, groups: list[CellGroup]) -> None:
-        """Run every incomplete cell."""
         cells = [cell for group in groups for cell in group.cells]
         done = self.prepare(cells)
         self.state.planned = len(cells)
@@ -134,7 +131,6 @@ class Runner:
         return self.state[name]
 
     def reasons(self, cells: Iterable[Cell]) -> dict[str, str]:
-        """Return incomplete cells by name, with the reason."""
         return {
             cell.name: self.state[cell.name].reason or "the relay's trace is still on its device"
             for cell in cells
@@ -388,11 +384,9 @@ class Runner:
             return {}
 
     def ping_path(self, name: str) -> Path:
-        """Return the path of a cell's ping trace."""
         return self.folder / f"{name}.ping.mcap"
 
     def relay_path(self, name: str, number: int = 1) -> Path:
-        """Return the path of the trace of a cell's relay, of several the one with this number."""
         return self.folder / f"{name}.relay{'' if number == 1 else f'-{number}'}.mcap"
 
     def _segment_names(self, group: CellGroup) -> Iterator[str]:

@@ -63,7 +63,6 @@ def split_relay_trace(segment: Path, parts: list[CellPart]) -> dict[int, int]:
 
 
 def wire_of_run(trace: Trace, run_id: int) -> list[JsonObject]:
-    """Return a run's records, and the relay's counts while it served only that run."""
     name = f"{run_id:016x}"
     return [text for text in trace.wire if name == text.get("run_id") or text.get("run_ids") == [name]]
 

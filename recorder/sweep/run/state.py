@@ -39,12 +39,7 @@ class CellState:
     """One cell's entry in the state file, which has `{}` for None.
 
     Attributes:
-        reason: of the last failure.
         run_id: the run that counts, 16 hex digits.
-        segment: the relay's own trace that still contains this cell's part.
-        result: numbers of the ping's trace.
-        link: report of the emulated link for the run.
-        outage: the outage within the run.
         killed_segment: the trace of the relay that the outage killed, which contains the first part of the run.
         further: the traces of the second relay and those after it, which contain this cell's part.
     """
@@ -61,7 +56,6 @@ class CellState:
     further: tuple[str, ...] = ()
 
     def collected(self, segment: str) -> CellState:
-        """Return the state without a segment that was split, complete after the last one."""
         left = replace(
             self,
             segment="" if self.segment == segment else self.segment,
@@ -72,7 +66,6 @@ class CellState:
 
     @property
     def done(self) -> bool:
-        """Whether no further run is due."""
         return self.status in (Status.COMPLETE, Status.RECORDED)
 
 
@@ -81,7 +74,6 @@ class SweepState:
 
     Attributes:
         planned: number of cells of the sweep, for `dds-analyze watch`; 0 while it is open.
-        left_s: estimate of the time left.
 
     Raises:
         TraceFormatError: the file is not a state of this version.
@@ -106,16 +98,13 @@ class SweepState:
         self._save()
 
     def in_segment(self, segment: str) -> dict[str, CellState]:
-        """Return this segment's cells."""
         return {name: cell for name, cell in self._cells.items() if segment in (cell.segment, *cell.further)}
 
     def killed_in(self, segment: str) -> dict[str, CellState]:
-        """Return the cells whose outage killed the relay of this segment."""
         return {name: cell for name, cell in self._cells.items() if cell.killed_segment == segment}
 
     @property
     def segments(self) -> list[str]:
-        """Relay traces that still contain parts of cells, oldest first."""
         segments = (
             name for cell in self._cells.values() for name in (cell.killed_segment, cell.segment, *cell.further)
         )

@@ -73,5 +73,4 @@ def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[s
 
 
 def _latest(text: str) -> dict[str, str]:
-    """Return the name of each other device -> the latest line about it."""
     return {line.partition(":")[0].split()[-1]: line for line in text.splitlines() if MARK in line}

@@ -56,15 +56,12 @@ class RelayDevice:
         """Check the device, and make a folder for traces there."""
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Start a relay that writes this trace."""
         raise NotImplementedError
 
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Start the half of a bridge next to that relay."""
         raise NotImplementedError
 
     def collect(self, segment: str) -> Path | None:  # noqa: ARG002
-        """Bring a trace to this machine and return its path, if there is one."""
         return None
 
     def discard(self, segment: str) -> None:
@@ -83,21 +80,17 @@ class LocalDevice(RelayDevice):
         self._lock = lock
 
     def rehearse(self, arguments: Sequence[str]) -> str | None:
-        """Rehearse a relay on this machine."""
         return rehearse_program([*self._command, *arguments], self._folder)
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Start a relay on this machine."""
         command = [*self._command, *arguments, "--out", str(self._folder / segment)]
         return Program(command, log_path(self._folder, segment), lock=self._lock)
 
     def collect(self, segment: str) -> Path | None:
-        """Return the path at which the relay wrote its trace."""
         path = self._folder / segment
         return path if path.exists() else None
 
     def discard(self, segment: str) -> None:
-        """Remove trace and log."""
         remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
 
 
@@ -111,33 +104,26 @@ class SpreadDevice(RelayDevice):
         return self.hosts[place_of(segment)[1]]
 
     def check(self) -> None:
-        """Check each host."""
         for host in self.hosts:
             host.check()
 
     def rehearse(self, arguments: Sequence[str]) -> str | None:
-        """Rehearse a relay on each host."""
         return next(filter(None, (host.rehearse(arguments) for host in self.hosts)), None)
 
     def prepare(self) -> None:
-        """Prepare each host."""
         for host in self.hosts:
             host.prepare()
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Start a relay on its host."""
         return self._host(segment).start(arguments, segment)
 
     def collect(self, segment: str) -> Path | None:
-        """Bring a trace from its host."""
         return self._host(segment).collect(segment)
 
     def discard(self, segment: str) -> None:
-        """Remove a trace from its host."""
         self._host(segment).discard(segment)
 
     def clear(self, keep: Collection[str]) -> None:
-        """Remove traces of an interrupted sweep from each host."""
         for host in self.hosts:
             host.clear(keep)
 
@@ -152,20 +138,17 @@ class PrintedDevice(RelayDevice):
         self._is_running = False
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Print the command to start on the device."""
         prefix = "end the relay there (Ctrl-C), then start" if self._is_running else "start on the other device"
         self._is_running = True
         self._show(f"{prefix}: {printed_command(arguments, segment.split('-', maxsplit=1)[0])}")
         return _PrintedProgram()
 
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:  # noqa: ARG002
-        """Print the command to start next to the relay."""
         self._show(f"and next to it: dds-bridge {shlex.join(arguments)}")
         return _PrintedProgram()
 
 
 def printed_command(arguments: Sequence[str], number: int | str) -> str:
-    """Return the command of a group's relay, without the device's defaults."""
     return f"{DEFAULTS_VARIABLE}= dds-record {shlex.join(arguments)} --out relay-{number}.mcap"
 
 

@@ -32,12 +32,10 @@ _TBF_BURST_S = 0.0002
 
 
 def ip(*arguments: str) -> str:
-    """Run `ip` and return its output."""
     return _system("ip", *arguments)
 
 
 def tc(*arguments: str) -> str:
-    """Run `tc` and return its output."""
     return _system("tc", *arguments)
 
 
@@ -54,7 +52,6 @@ def _system(program: str, *arguments: str) -> str:
 
 
 def count_traffic(namespace: str) -> EndCounters:
-    """Return the traffic of one end of the link so far."""
     shown = json.loads(ip("-n", namespace, "-s", "-j", "link", "show", "dev", INTERFACE))
     sent = shown[0]["stats64"]["tx"]
     disciplines = json.loads(tc("-n", namespace, "-s", "-j", "qdisc", "show", "dev", INTERFACE) or "[]")
@@ -100,7 +97,6 @@ def open_tap(name: str, namespace: str) -> int:
 
 
 def start_forwarder(taps: Sequence[int], link: Link) -> subprocess.Popen[str]:
-    """Start `tap_forwarder.py`."""
     program = Path(__file__).with_name("tap_forwarder.py")
     drive = link.drive
     values = {"rows": drive.rows, "has_rate": drive.has_rate} if drive else {"rows": ()}

@@ -111,7 +111,6 @@ class NamespacePair:
         }
 
     def drive(self, *, starts: bool) -> None:
-        """Start the link's file now, or go back to its first row."""
         self._drive_started_ns = time.monotonic_ns() if starts else None
         self._say(f"start {self._drive_started_ns}" if starts else "rest")
 
@@ -135,7 +134,6 @@ class NamespacePair:
             tc("-n", side.namespace, *replaced.split())
 
     def restore(self, by: OutageBy) -> None:
-        """End what `cut` did, with another address of the ping for `ADDRESS`."""
         if by is OutageBy.LOSS:
             self._restore_disciplines()
             return
@@ -144,7 +142,6 @@ class NamespacePair:
         self._bring_up(self.ping)
 
     def repair(self) -> None:
-        """Bring link, queues and address back to what they were at first."""
         self._restore_disciplines()
         self._set_address(self.ping.address)
         self._bring_up(self.ping)
@@ -216,7 +213,6 @@ class NamespacePair:
         self.report()  # the traffic of the setup does not count
 
     def _join(self, sides: Iterable[Side]) -> None:
-        """Put all sides on one bridge, in a namespace of its own, which forwards groups to all as a plain switch does."""
         ip("netns", "add", self._switch)
         ip("-n", self._switch, "link", "add", "bridge0", "type", "bridge", "mcast_snooping", "0")
         ip("-n", self._switch, "link", "set", "bridge0", "up")
@@ -266,7 +262,6 @@ class NamespacePair:
 
 
 def remove_stale() -> list[str]:
-    """Remove the namespaces of killed sweeps, and return their names."""
     removed = []
     for match in map(_NAME.match, ip("netns", "list").splitlines()):
         if match and not Path("/proc", match[1]).exists():

@@ -41,7 +41,6 @@ _REASON = re.compile(r"dds-\w+: ")
 
 
 def local_program(name: str) -> list[str]:
-    """Return the path of a command of this installation."""
     installed = Path(sys.executable).with_name(name)
     return [str(installed if installed.exists() else shutil.which(name) or name)]
 
@@ -96,16 +95,13 @@ class Program:
 
     @property
     def failure(self) -> str | None:
-        """Reason of its end, None while it runs."""
         return None if self.exit_code is None else self.last_words()
 
     @property
     def is_serving(self) -> bool:
-        """Whether a relay has said that it serves its domain."""
         return SERVING in self.log.read_text(errors="replace")
 
     def wait(self, timeout_s: float) -> int | None:
-        """Return the exit code, None if it still runs."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             return self._process.wait(timeout_s)
         return None
@@ -123,7 +119,6 @@ class Program:
         return self._process.wait()
 
     def kill(self) -> None:
-        """End the program and its children at once, as a crash would."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()

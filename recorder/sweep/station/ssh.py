@@ -58,16 +58,13 @@ class SshDevice(RelayDevice):
         self._remote = f'"$HOME"/.cache/dds-trace/{shlex.quote(sweep)}'
 
     def check(self) -> None:
-        """Compare versions."""
         self._compare_versions("")
 
     def rehearse(self, arguments: Sequence[str]) -> str | None:
-        """Rehearse a relay there."""
         name = f"dds-trace-rehearsal-{os.getpid()}.mcap"
         return self._rehearse(f"cd /; dds-record {shlex.join(arguments)} --out {name} --check")
 
     def rehearse_half(self, arguments: Sequence[str]) -> str | None:
-        """Look there for the program of a half."""
         return self._rehearse(f"dds-bridge {shlex.join(arguments)} --check")
 
     def _rehearse(self, command: str) -> str | None:
@@ -78,7 +75,6 @@ class SshDevice(RelayDevice):
         return None
 
     def prepare(self) -> None:
-        """Make the folder there and compare versions."""
         self._compare_versions(f"umask 077; mkdir -p {self._remote} && ")
 
     def _compare_versions(self, prefix: str) -> None:
@@ -91,12 +87,10 @@ class SshDevice(RelayDevice):
             )
 
     def start(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Start a relay there."""
         command = f"dds-record {shlex.join(arguments)} --out {self._remote}/{shlex.quote(segment)}"
         return self._start(command, self._pid_file(segment), log_path(self._folder, segment))
 
     def start_half(self, arguments: Sequence[str], segment: str) -> StartedProgram:
-        """Start a half there."""
         name = f"{segment}.half"
         return self._start(f"dds-bridge {shlex.join(arguments)}", self._pid_file(name), log_path(self._folder, name))
 
@@ -111,7 +105,6 @@ class SshDevice(RelayDevice):
         return Program([*self._ssh, script], log, stops_by_input=True)
 
     def collect(self, segment: str) -> Path | None:
-        """Copy the trace here, and its ring if its relay was killed."""
         # If the connection broke, the relay there may still be closing its trace.
         self._run(_WAIT_FOR_END.format(pid=self._pid_file(segment)))
         fetched = [ending for ending in TRACE_ENDINGS if self._fetch(segment + ending)]
@@ -129,7 +122,6 @@ class SshDevice(RelayDevice):
         return True
 
     def discard(self, segment: str) -> None:
-        """Remove trace and log, here and there."""
         names = (f"{self._remote}/{shlex.quote(segment + ending)}" for ending in TRACE_ENDINGS)
         self._run(f"rm -f {' '.join(names)}")
         remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
@@ -200,7 +192,6 @@ def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int
 
 
 def quoted_path(path: str) -> str:
-    """Quote a path for a shell that expands only `~/` at its start."""
     home, rest = ("~/", path[2:]) if path.startswith("~/") else ("", path)
     return home + (shlex.quote(rest) if rest else "")
 

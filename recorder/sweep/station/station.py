@@ -33,12 +33,10 @@ class Station:
     """Where the two roles of a sweep run.
 
     Attributes:
-        ping_command: `dds-record` on this machine, with the words before it.
         lock: file descriptor of the folder's lock, for the programs to inherit.
         relay_address: address of the relay's device, None on one machine; `further` of the other hosts.
         report_link: `NamespacePair.report`, None without an emulated link.
         drive_link: `NamespacePair.drive`, None for a link without a file.
-        pair: the two namespaces, for outages.
         environments: folder of each other Python environment of the plan -> command of the ping and device of the relay.
     """
 
@@ -54,7 +52,6 @@ class Station:
     further: tuple[str, ...] = ()
 
     def within(self, environment: str) -> Station:
-        """Return this station with the `dds-record` of another Python environment, if one is given."""
         if not environment:
             return self
         ping_command, device = self.environments[environment]

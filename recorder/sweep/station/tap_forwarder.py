@@ -44,7 +44,6 @@ class Replay:
         self.started_ns: int | None = None
 
     def at(self, now_ns: int) -> list[float]:
-        """Return the valid row."""
         if self.started_ns is None:
             return self._rows[0]
         elapsed_ns = (now_ns - self.started_ns) % self._times_ns[-1]
@@ -77,7 +76,6 @@ class Wire:
         self._counts: Counter[str] = Counter()
 
     def take(self) -> None:
-        """Read waiting frames, drop the lost ones, queue the others."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 frame = os.read(self.source, FRAME_BYTES)
@@ -113,7 +111,6 @@ class Wire:
         return (now_ns - self._started_ns) % self._outage_every_ns >= self._outage_every_ns - self._outage_ns
 
     def release(self) -> None:
-        """Write every frame that is due to the other side."""
         while self._in_flight and self._in_flight[0][0] <= time.monotonic_ns():
             due_ns, frame = self._in_flight.popleft()
             try:
@@ -124,7 +121,6 @@ class Wire:
 
     @property
     def due_ns(self) -> int | None:
-        """Time of the next frame."""
         return self._in_flight[0][0] if self._in_flight else None
 
     def report(self) -> dict[str, float | None]:
@@ -152,14 +148,12 @@ def quantile(counts: Counter[int], share: float) -> int | None:
 
 
 def run_ahead_of_others() -> None:
-    """Take real-time priority and no timer slack, if permitted."""
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(WIRE_PRIORITY))
 
 
 def main() -> None:
-    """Carry frames until standard input closes."""
     first, second = int(sys.argv[1]), int(sys.argv[2])
     with open(int(sys.argv[3])) as file:  # noqa: PTH123 - a descriptor
         link = json.load(file)

@@ -87,7 +87,6 @@ class TcpFlows:
         self._next: dict[Hashable, int] = {}
 
     def note(self, flow: Hashable, sequence: int, payload_bytes: int, flags: int) -> tuple[WireClass, int]:
-        """Return a segment's class, and how many bytes of its payload were sent before."""
         if flags & (_SYN | _RST):
             self._next.pop(flow, None)  # its ports are used again
             return WireClass.TCP_CONTROL, 0

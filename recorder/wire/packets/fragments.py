@@ -82,7 +82,6 @@ class FragmentTable(Generic[Owner]):
 
     @staticmethod
     def _walk_seam(datagram: _Datagram[Owner], piece: Piece) -> list[Submessage]:
-        """Read the submessages whose header spans two fragments."""
         head = bytes(piece.memory[piece.begin : min(piece.end, piece.begin + LONGEST_FIELDS_BYTES)])
         seam = datagram.carried + head
         walk = walk_submessages(memoryview(seam), 0, len(seam), datagram.length - datagram.next_at)

@@ -23,7 +23,6 @@ class FrameBatch:
     """Frames in the ring's memory, one row each, in the order of their capture; valid until the ring's `release`.
 
     Attributes:
-        wire_bytes: the frame's length, with its Ethernet header.
         wall_ns: CLOCK_REALTIME at the capture, ns since 1970.
     """
 
@@ -43,12 +42,8 @@ class Headers:
     """Headers of frames, one row each; a field of a header that the frame does not have is 0.
 
     Attributes:
-        ip_id: shared by the fragments of a datagram.
-        transport: index of the first byte after the IP header.
         transport_end: end of the IP packet, captured or not.
-        seen_end: end of what was captured, `transport_end` at most.
         source_port, destination_port: of UDP and TCP; 0 in later fragments.
-        datagram_bytes: of UDP with its header, over all fragments.
     """
 
     protocol: Numbers
@@ -67,7 +62,6 @@ class Headers:
 
 
 def read_headers(batch: FrameBatch) -> Headers:
-    """Return the headers of a batch."""
     begin, captured = batch.position, batch.captured_bytes
     memory = batch.memory
 
@@ -128,7 +122,6 @@ class Frame(NamedTuple):
 
 
 def read_frames(batch: FrameBatch, wall_to_monotonic_ns: int) -> Iterator[Frame]:
-    """Return the frames of a batch as plain numbers, with CLOCK_MONOTONIC times."""
     headers = read_headers(batch)
     columns = [getattr(headers, f.name) for f in fields(Headers)]
     columns += [batch.wire_bytes, batch.wall_ns + wall_to_monotonic_ns, batch.packet_type]

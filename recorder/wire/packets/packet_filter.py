@@ -78,7 +78,6 @@ class _Step(NamedTuple):
 
 
 def attach_filter(target: socket.socket, program: bytes) -> None:
-    """Attach a classic BPF program to a socket."""
     buffer = ctypes.create_string_buffer(program, len(program))
     count = len(program) // 8
     # struct sock_fprog: the native alignment puts the pointer where the kernel looks for it.
@@ -213,7 +212,6 @@ def _follow(number: int) -> list[_Step]:
 
 
 def _assemble(steps: Sequence[_Step]) -> bytes:
-    """Return an array of `struct sock_filter`, jumps resolved."""
     targets: dict[str, int] = {}
     instructions: list[_Step] = []
     for step in steps:

@@ -49,7 +49,6 @@ class Walk(NamedTuple):
     """Submessages of one piece of a packet.
 
     Attributes:
-        submessages: those whose header fields are completely in the piece.
         next_at: index of the first header that is not; `end` if there is none.
     """
 
@@ -146,7 +145,6 @@ def walk_submessages(memory: memoryview, at: int, seen_end: int, end: int) -> Wa
 
 
 def _payload_at(memory: memoryview, at: int, flags: int, length: int, order: _Order) -> int | None:
-    """Return where the serialized payload of a DATA or DATA_FRAG begins, after any inline QoS."""
     position = at + 8 + order.length.unpack_from(memory, at + 6)[0]
     if flags & _INLINE_QOS:
         for _ in range(_MOST_PARAMETERS):

@@ -35,7 +35,6 @@ class Whole:
     what: str
 
     def fault(self, value: object) -> str | None:
-        """See `Limit.fault`."""
         if isinstance(value, int) and not isinstance(value, bool) and self.low <= value <= self.high:
             return None
         return f"{self.what} must be between {self.low} and {self.high}"
@@ -51,7 +50,6 @@ class Real:
     is_above: bool = False
 
     def fault(self, value: object) -> str | None:
-        """See `Limit.fault`."""
         if (
             isinstance(value, int | float)
             and not isinstance(value, bool)
@@ -69,7 +67,6 @@ class RealOrMax(Real):
     """As `Real`, or infinite, which is written `max`."""
 
     def fault(self, value: object) -> str | None:
-        """See `Limit.fault`."""
         fault = Real.fault(self, value)
         return None if fault is None or value == math.inf else f"{fault}, or max"
 
@@ -83,7 +80,6 @@ class Words:
     most: int = 4096
 
     def fault(self, value: object) -> str | None:
-        """See `Limit.fault`."""
         if not isinstance(value, str):
             return f"{self.what} must be text"
         if not is_utf8(value):
@@ -102,7 +98,6 @@ class OneOf:
     choices: tuple[str, ...] | tuple[float, ...]
 
     def fault(self, value: object) -> str | None:
-        """See `Limit.fault`."""
         if not isinstance(value, bool) and value in self.choices:
             return None
         words = [f"{choice:g}" if isinstance(choice, float) else choice for choice in self.choices]
@@ -121,7 +116,6 @@ class FilePath:
     is_input: bool = False
 
     def fault(self, value: object) -> str | None:
-        """See `Limit.fault`."""
         if self.is_input and isinstance(value, str):
             value = value.encode(errors="replace").decode()  # undecodable bytes of a name are lone surrogates
         fault = Words(self.what, most=4095).fault(value)
@@ -139,7 +133,6 @@ class Flag:
     """True or false."""
 
     def fault(self, value: object) -> str | None:
-        """See `Limit.fault`."""
         return None if isinstance(value, bool) else "write true or false"
 
 

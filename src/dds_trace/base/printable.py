@@ -28,7 +28,6 @@ def printable(text: object, most: int = MAX_SHOWN_CHARACTERS) -> str:
 
 
 def is_hidden(character: str) -> bool:
-    """Return whether a character has no glyph."""
     # XML 1.0 forbids U+FFFE and U+FFFF.
     return unicodedata.category(character) in _HIDDEN_CATEGORIES or ord(character) & 0xFFFE == 0xFFFE
 

@@ -54,7 +54,6 @@ class PlainStream:
 
     Attributes:
         failure: why something could not be written, or None.
-        rich_proxied_file: where rich writes to instead of here.
     """
 
     def __init__(self, stream: Any, *, has_escapes: bool = False) -> None:
@@ -74,14 +73,12 @@ class PlainStream:
         return len(text)
 
     def flush(self) -> None:
-        """Write what is buffered."""
         try:
             self._stream.flush()
         except OSError as err:
             self._give_up(err)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Write each text."""
         for line in lines:
             self.write(line)
 
@@ -122,7 +119,6 @@ def plain_streams() -> Iterator[PlainStream]:
 
 
 def say(text: object) -> None:
-    """Print one line to stderr."""
     print(printable(text, MAX_FINDING_CHARACTERS), file=sys.stderr, flush=True)
 
 

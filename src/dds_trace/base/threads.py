@@ -63,11 +63,7 @@ def in_order(
 
 @dataclass(slots=True)
 class _SharedJob(Generic[T]):
-    """A job for the pool, or for the thread that waits for it or an earlier one.
-
-    Attributes:
-        waiting: this job and those after it, in order.
-    """
+    """A job for the pool, or for the thread that waits for it or an earlier one."""
 
     job: Callable[[], T]
     future: Future[T]
@@ -94,7 +90,6 @@ class InlineExecutor(Executor):
     """An executor without threads: `submit` does the job, and raises what it raises."""
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        """Do the job."""
         done: Future[T] = Future()
         done.set_result(fn(*args, **kwargs))
         return done
@@ -133,7 +128,6 @@ class FastLock:
         self.wake = self._released.set
 
     def wait(self) -> None:
-        """Take the token as soon as it is there."""
         with self._queue:
             self.is_awaited = True
             while True:

@@ -63,7 +63,7 @@ class Details:
         deadline_ns: the deadline of `freshness`.
         deadline_metric: its metric.
         recommendation: settings for the `job` of the analysis.
-        requested: False for an analysis with `details=False`, whose frames are empty.
+        requested: False for an analysis with `details=False`: its frames are empty.
     """
 
     intervals: pl.DataFrame

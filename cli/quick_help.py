@@ -24,7 +24,7 @@ WIDEST_NAME = 30
 
 
 class QuickHelpCommand(DefaultedCommand):
-    """A command whose help has a section for each panel of options."""
+    """A command with a section of its help for each panel of options."""
 
     commands: Mapping[str, str] = {}
 

@@ -42,6 +42,6 @@ class LossesError(TraceError):
 
 
 class BridgeError(TraceError):
-    """Bridge whose program ended, did not come up, or cannot start; the text has the program's last line."""
+    """A bridge's program ended, did not come up, or cannot start; the text has the program's last line."""
 
     exit_code = 9

@@ -102,7 +102,7 @@ _ROLES = {
     Panel.FILES: (Role.RELAY, Role.TAP, Role.BEACON),
     Panel.TAP: (Role.TAP,),
 }
-"""Panels whose options only some roles take."""
+"""Panels with options that only some roles take."""
 
 OUTSIDE_OF_KEY = {"in_key": False}
 """Metadata of a field that is no option and no setting."""

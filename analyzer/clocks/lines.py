@@ -1,6 +1,6 @@
 """All straight lines that agree with the messages of a window, for many windows at once.
 
-The geometry of `fit.py`, in floats whose origin was subtracted in int64. Rows of every matrix are windows.
+The geometry of `fit.py`, in floats from an origin that was subtracted in int64. Rows of every matrix are windows.
 """
 
 from __future__ import annotations

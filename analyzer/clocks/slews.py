@@ -36,7 +36,7 @@ _NEARLY = 0.95
 """Share of the fastest rate that is the same slew: its start and end are between two knots."""
 
 _MOST_KNOTS = 1000
-"""Evenly chosen knots whose pairs are all compared."""
+"""Evenly chosen knots; all their pairs are compared."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """A Dask cluster as an `Engine`: one worker reads a trace, one worker processes a batch.
 
-Events stay with the workers that read them, and go to the worker whose batch needs them; the scheduler recomputes what
+Events stay with the workers that read them, and go to the worker that needs them for its batch; the scheduler recomputes what
 is lost with a worker.
 """
 

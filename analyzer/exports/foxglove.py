@@ -56,7 +56,7 @@ PLOTTED_TOPICS = 12
 class DerivedTrace:
     """The written MCAP and Foxglove layout and their content.
 
-    Times of runs `without_wall_clock`, whose ping has no clock anchor, count from the device's boot.
+    Times of runs `without_wall_clock` (their ping has no clock anchor) count from the device's boot.
     """
 
     path: Path

@@ -65,7 +65,7 @@ _TUNED_ALREADY = "it has the buffers of --tuned already, so a lower rate or size
 def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
     """A host lost IP fragments while messages were under way.
 
-    The kernel counts for all programs of a network namespace, so only results whose messages were cut are named.
+    The kernel counts for all programs of a network namespace, so only results with cut messages are named.
     """
     captured = set(evidence.details.wire["group"])
     cut = evidence.groups_by_session(may_be_cut)

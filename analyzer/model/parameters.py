@@ -107,7 +107,7 @@ def parameters_of(run: Run, ping: Session, relay: Session | None, *, relays: int
         relay_backend=relay.backend if relay else None,
         ping_domain_id=ping.domain_id,
         relay_domain_id=relay_domain_id,
-        # Of a bridge whose far side is unknown, too, the domains differ.
+        # With a bridge to an unknown far side the domains differ, too.
         domain_mode="same" if relay_domain_id == ping.domain_id else "different",
         data_type=run.data_type,
         payload_bytes=run.payload_bytes,

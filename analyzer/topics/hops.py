@@ -58,7 +58,7 @@ def _path_to(number: int, sources: Mapping[int, int]) -> list[int]:
 
 
 def stamper(number: int, deliveries: Sequence[Delivery], sources: Mapping[int, int]) -> Machine:
-    """Return the machine whose clock stamped the messages of a delivery: the one at which its chain begins."""
+    """Return the machine that stamped the messages of a delivery by its clock: the one at which its chain begins."""
     first = deliveries[_path_to(number, sources)[0]]
     return first.heard.machine if first.origin is None else first.origin
 

@@ -55,7 +55,7 @@ class GateOutcome(Enum):
 
     @property
     def exit_code(self) -> int:
-        """Exit code of a command whose gates have this outcome."""
+        """Exit code of a command if its gates have this outcome."""
         return _EXIT_CODES[self]
 
 

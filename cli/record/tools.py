@@ -37,7 +37,7 @@ def check_start(options: RecordOptions) -> None:
 
 
 class _Notes:
-    """A `Watch` whose notes go to stderr."""
+    """A `Watch` with notes on stderr."""
 
     def note(self, text: str) -> None:
         say(text)

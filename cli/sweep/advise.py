@@ -42,7 +42,7 @@ _INCOMPLETE = "not everything was recorded"
 
 
 def check_advisable(plan: Plan) -> None:
-    """Refuse a plan whose results no file of one vendor decides."""
+    """Refuse a plan if no file of one vendor decides its results."""
     faults = {
         "another device": plan.has_two_devices,
         "[[flows]]": bool(plan.flows),

@@ -35,7 +35,7 @@ app = command_app(completes=True)
 
 
 class Printed(str, Enum):
-    """Role whose commands `--print` shows."""
+    """Role of the commands that `--print` shows."""
 
     RELAY = "relay"
 

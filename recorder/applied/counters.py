@@ -103,7 +103,7 @@ def _ipv4_groups(path: Path) -> list[MulticastGroup]:
         if not line[:1].isspace():
             interface = words[1].rstrip(":")
         elif words:
-            # Printed as one number, whose bytes in memory are the address in network order.
+            # Printed as one number: its bytes in memory are the address in network order.
             address = socket.inet_ntop(socket.AF_INET, struct.pack("=I", int(words[0], 16)))
             groups.append(MulticastGroup(interface, address))
     return groups

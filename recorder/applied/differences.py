@@ -213,7 +213,7 @@ def _memory_namespace(requested: Asked, applied: Applied, traffic: Traffic | Non
         )
     # Fast DDS sends to a receiver of this host through the receiver's port in /dev/shm, and creates a missing port.
     # Nobody serves that one: the receiver serves the file of that name in its own mount namespace. Ports from 7000 on
-    # belong to all domains of a machine, so only the domain's own count. A segment whose owner has died may be the
+    # belong to all domains of a machine, so only the domain's own count. A segment of a dead owner may be the
     # receiver's.
     in_vain = traffic is not None and traffic.sent > 0 and traffic.received == 0
     ports = domain_port_range(requested.domain_id)

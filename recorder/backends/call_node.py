@@ -1,4 +1,4 @@
-"""`CallNode`: a node whose data topics are calls of typed messages."""
+"""`CallNode`: a node with calls of typed messages as its data topics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class CallMessage:
 
 @runtime_checkable
 class CallNode(Protocol):
-    """A node whose topics are calls of typed messages: a publisher calls, a subscription serves, and a relay's publisher responds."""
+    """A node with calls of typed messages as topics: a publisher calls, a subscription serves, and a relay's publisher responds."""
 
     def create_caller(self, topic: str, qos: Qos) -> Publisher[CallMessage]:
         """Create a client, or the responding end of a relay."""

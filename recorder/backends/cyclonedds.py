@@ -55,9 +55,9 @@ TYPE_CONSISTENCY = 24
 """DDS_TYPE_CONSISTENCY_ENFORCEMENT_QOS_POLICY_ID of `dds_public_qosdefs.h`."""
 
 SUPPORTED = re.compile(r"(0\.10|11)\.")
-"""Versions of the Python package whose functions are used here."""
+"""Versions of the Python package that have the functions used here."""
 
-_MAKING_TOPIC = threading.Lock()  # the package spoils a type whose first topics two threads make at once
+_MAKING_TOPIC = threading.Lock()  # the package spoils a type if two threads make its first topics at once
 
 
 class CycloneNode(ThreadedNode):
@@ -204,7 +204,7 @@ class CycloneNode(ThreadedNode):
         return TopicView(topic, publishers, subscriptions, tuple(pairs), tuple(sorted(self._unassignable(topic))))
 
     def _unassignable(self, topic: str) -> set[str]:
-        """Return a line for each side of a topic whose type differs: a QoS mismatch in the policy of type consistency."""
+        """Return a line for each side of a topic with another type: a QoS mismatch in the policy of type consistency."""
         from cyclonedds.core import DDSException
 
         if _is_old():  # it has no such status

@@ -203,7 +203,7 @@ class TopicView:
 
     Attributes:
         incompatible: one line for each pair that can never match.
-        unassignable: one line for each endpoint whose message type has our name but another definition.
+        unassignable: one line for each endpoint with a message type of our name but another definition.
     """
 
     topic: str
@@ -288,7 +288,7 @@ class TapNode(Protocol):
     """A node that can listen to other programs."""
 
     def list_publications(self, matches: TopicPatterns) -> list[Publication]:
-        """Return the publishers of other nodes on topics whose name `matches`."""
+        """Return the publishers of other nodes on topics with a name that `matches`."""
 
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
         """Subscribe to serialized messages of any type.
@@ -433,7 +433,7 @@ class NodeSubscription:
 
 @runtime_checkable
 class ObjectNode(Protocol):
-    """A node whose client library has message objects (ROS 2)."""
+    """A node of a client library with message objects (ROS 2)."""
 
     def create_object_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RosMessage]:
         """See `Node.create_publisher`."""

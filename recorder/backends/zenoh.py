@@ -216,7 +216,7 @@ class ZenohNode(Node):
 
 
 class ZenohCallNode(ZenohNode):
-    """A session whose publishers call queryables, as its subscriptions are; the way back of a topic is their replies."""
+    """A session in which publishers call and subscriptions are queryables; the way back of a topic is their replies."""
 
     def __init__(self, options: NodeOptions) -> None:
         super().__init__(options)

@@ -246,7 +246,7 @@ def parse_note(message: RawMessage) -> ClockNote | None:
 
 
 class NotingSink:
-    """A `TraceSink` as a ping uses it, whose T1 and T2 the exchanges get as well."""
+    """A `TraceSink` as a ping uses it; the exchanges get its T1 and T2 as well."""
 
     def __init__(self, sink: TraceSink, exchanges: Exchanges) -> None:
         self._sink = sink

@@ -184,7 +184,7 @@ class _Stamper:
 
 
 def _store_of_ros2(ros1: Typestore) -> Typestore:
-    """Return a ROS 1 bag's types as in ROS 2, whose header has no `seq`."""
+    """Return a ROS 1 bag's types as in ROS 2: its header has no `seq`."""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - only bags need it
 
     types = dict(ros1.fielddefs)

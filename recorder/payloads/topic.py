@@ -100,7 +100,7 @@ class LiveFeed:
         return None
 
     def payload(self, deadline_s: float, stop: threading.Event, source: str) -> Payload:
-        """Wait for the topic's rate; return the payload, whose one message is for probes."""
+        """Wait for the topic's rate; return the payload; its one message is for probes."""
         first_s: float | None = None
         while not stop.is_set() and time.monotonic() < deadline_s and self._error is None:
             arrivals = len(self._sent_ns)

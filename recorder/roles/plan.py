@@ -134,7 +134,7 @@ def count_messages(messages: int | None, duration_s: float | None, rate_hz: floa
 
 def check_rate(ping: PingOptions, *, is_live: bool) -> None:
     if is_live and ping.rate_hz is not None:
-        raise OptionError("--rate cannot be given with topic:/NAME, whose messages are the schedule")
+        raise OptionError("--rate cannot be given with topic:/NAME: its messages are the schedule")
 
 
 def check_serialization(data_types: Iterable[DataType], serialization: Serialization) -> None:

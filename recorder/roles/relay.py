@@ -36,7 +36,7 @@ RECENT_RUNS = 1000
 
 
 class Relay:
-    """The relay of `data_types` on a node, whose thread does all the work.
+    """The relay of `data_types` on a node; its thread does all the work.
 
     `relay_id`, not 0, is in every reply; `on_probe` is called after the reply to each readiness probe, `on_relayed` with run,
     sequence, T3 and T4 after any other. Messages that are `is_own` by run and sequence, or want none, get none.

@@ -137,7 +137,7 @@ def make_keys(path: Path, level: Security) -> None:
 
 
 class _Authority:
-    """A certificate authority whose key is never written."""
+    """A certificate authority; its key is never written."""
 
     def __init__(self) -> None:
         now = datetime.now(timezone.utc)

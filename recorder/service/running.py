@@ -1,6 +1,6 @@
 """The recordings on this machine: for each a file in a runtime folder, locked by its process.
 
-An entry without a lock was left by a killed process, and names the file whose events wait in the ring.
+An entry without a lock was left by a killed process, and names the file of the ring in which events wait.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ def _read_entry(path: Path) -> Listed | None:
 
 
 def _waiting_trace(path: Path, session_id: int) -> Path | None:
-    """Return the file whose ring was left: the entry's, or one after its last update."""
+    """Return the file of the ring that was left: the entry's, or one after its last update."""
     return next((file for file in (path, *later_files(path, session_id)) if ring_path(file).exists()), None)
 
 

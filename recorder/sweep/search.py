@@ -48,7 +48,7 @@ class RateAnswer(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MaxRate:
-    """The answer of a search for one cell, whose `rate` is the answer.
+    """The answer of a search for one cell: its `rate`.
 
     Attributes:
         failing_hz: the lowest rate that was not sustained.

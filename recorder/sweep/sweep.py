@@ -35,7 +35,7 @@ TOO_WIDE_EXIT_CODE = 11
 """Exit code of `dds-sweep --until`: all is recorded, but some cells are too wide after the last pass."""
 
 DEFAULT_MAX_PASSES = 40
-"""Runs whose statistic spreads by 10 % (standard deviation) need about 33 repeats for +-5 %."""
+"""Runs with a statistic that spreads by 10 % (standard deviation) need about 33 repeats for +-5 %."""
 
 _TARGET = re.compile(r"\s*(\w+)\s*:\s*([0-9.]+)\s*%\s*")
 

@@ -95,7 +95,7 @@ class _Topic:
 
 
 class Tap:
-    """The tap of `patterns` on a node, whose thread stamps arrivals; `look` joins topics and finds those that stopped.
+    """The tap of `patterns` on a node; its thread stamps arrivals; `look` joins topics and finds those that stopped.
 
     With `has_worker` another thread does the rest, so that a message does not wait for the hash of the one before it.
 

@@ -108,7 +108,7 @@ class WireCapture:
 
     def __init__(self, options: WireOptions) -> None:
         if not hasattr(socket, "AF_PACKET"):
-            raise OptionError("--wire needs Linux, whose packet sockets (AF_PACKET) this system does not have")
+            raise OptionError("--wire needs Linux: this system does not have its packet sockets (AF_PACKET)")
         self._process = subprocess.Popen(
             [sys.executable, "-m", _PROCESS, json.dumps(to_json(options))],
             stdin=subprocess.PIPE,

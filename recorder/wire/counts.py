@@ -183,7 +183,7 @@ class WireCounts:
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
         first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
             the first message with our stamp (probes included), the first that a relay has sent back.
-        unseen_headers: packets with a submessage whose header was not captured; its kind is missing in `classes`, its
+        unseen_headers: packets with a submessage but not its header; its kind is missing in `classes`, its
             bytes count for the packet's class.
         unfollowed_datagrams: datagrams with an IP fragment missing or out of order, so that later headers were not
             found; on the receiving side of a lossy link that is the link's loss.

@@ -144,7 +144,7 @@ class SendLedger(Generic[Stream]):
                 yield key, self._drop(stream, sequence)
 
     def take(self, run_id: int | None) -> Iterator[tuple[Stream, SentSample]]:
-        """Forget the samples whose stamp names this run, or any if None; yield them."""
+        """Forget the samples with a stamp of this run, or any if None; yield them."""
         for key, stream in self._streams.items():
             for sequence, sample in list(stream.samples.items()):
                 if sample.stamp is not None and run_id in (None, sample.stamp.run_id):

@@ -1,4 +1,4 @@
-"""The outcome of gates for CI: JUnit XML, whose classes stay the same whatever else is compared, annotations of a GitHub job, a badge."""
+"""The outcome of gates for CI: JUnit XML (its classes stay the same whatever else is compared), annotations of a GitHub job, a badge."""
 
 from __future__ import annotations
 

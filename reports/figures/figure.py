@@ -94,7 +94,7 @@ class Facet:
     Attributes:
         x: `size` in bytes, `rate` in Hz, `load` (their product), `plane` (rank of the message, with panels by data type), `cell`
             (without) or another dimension of `book.facets`.
-        panels: dimension whose values are side by side; the others follow below.
+        panels: dimension with its values side by side; the others follow below.
         lines: dimension with a line for each value; empty for one line a panel.
     """
 

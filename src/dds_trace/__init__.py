@@ -35,7 +35,7 @@ Traces:
 - `find_traces`: find every trace in a folder.
 - `read_trace`: read a trace, or what is left of one.
 - `iter_event_batches`: read the events of a trace in batches that fit into memory.
-- `recover`: write a whole trace from one whose recorder was killed.
+- `recover`: write a whole trace from what a killed recorder left.
 - `Trace`: the sessions, runs and events of one trace.
 - `EventColumns`: events as numpy columns.
 - `Stage`: T1 to T4, where a message was stamped.

@@ -220,7 +220,7 @@ def read_ring(path: Path, events_in_trace: int) -> RingContents | None:
 
 
 def salvage_ring(path: Path, events_in_trace: int, session: Session | None) -> RingContents | None:
-    """Read what is whole of a ring that `read_ring` refuses: one that was cut off, or whose description is damaged.
+    """Read what is whole of a ring that `read_ring` refuses: one that was cut off, or with a damaged description.
 
     `session` is the trace's, for a ring that has none. Return None if that or the offset of the slots is unknown.
 

@@ -28,7 +28,7 @@ _thread_local = threading.local()
 
 
 class DamagedChunkError(Exception):
-    """A chunk whose records cannot be unpacked, or are not those that were written."""
+    """A chunk with records that cannot be unpacked, or are not those that were written."""
 
 
 @dataclass(frozen=True, slots=True)

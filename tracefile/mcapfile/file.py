@@ -118,7 +118,7 @@ class RecordFile(AbstractContextManager["RecordFile"]):
         return self._ahead[at : at + size]
 
     def header_at(self, offset: int, opcodes: Container[int] | None = None) -> RecordHeader:
-        """Return the header of the record at `offset`, or of the first after it whose opcode is in `opcodes`.
+        """Return the header of the record at `offset`, or of the first after it with an opcode of `opcodes`.
 
         Raises:
             TornRecordError: no record begins there, or the file ends before the record.

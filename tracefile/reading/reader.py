@@ -164,10 +164,10 @@ def read_trace(path: str | os.PathLike[str]) -> Trace:
 
 
 def read_trace_in_pieces(path: Path, take: Callable[[Mapping[Stage, EventColumns]], object]) -> Trace:
-    """Read a trace whose events are not all in memory at once, and return it without them; errors as for `read_trace`.
+    """Read a trace without all its events in memory at once, and return it without them; errors as for `read_trace`.
 
     `take` is called at least once, in file order, with up to `PIECE_EVENTS` events of all stages (a stage may be
-    empty), whose memory is reused when nothing refers to it.
+    empty), and its memory is reused when nothing refers to it.
     """
     return _read(path, take, PIECE_EVENTS)
 

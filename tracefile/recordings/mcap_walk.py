@@ -1,6 +1,6 @@
 """Every whole message of any MCAP file: damage is stepped over up to the next bytes that are a record again.
 
-A chunk whose CRC matches is believed. In any other each record must fit what follows it, and its messages are `doubtful`.
+A chunk with a CRC that matches is believed. In any other each record must fit what follows it, and its messages are `doubtful`.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ class McapWalk:
                     self._check_end(header.end)
                 at = header.end
         for channel_id, count in self._undeclared.items():
-            self.damages.append(f"{counted(count, 'message')} of channel {channel_id}, whose declaration is lost")
+            self.damages.append(f"{counted(count, 'message')} of channel {channel_id}: its declaration is lost")
 
     def _chunk_within(self, chunk: PackedChunk) -> int | None:
         at = self._resume(self._file, chunk.offset, chunk.end) if chunk.compression else None

@@ -36,7 +36,7 @@ class RecordingRecovery:
     """What was recovered of a recording.
 
     Attributes:
-        unchecked: messages without a checksum, whose damage cannot be seen.
+        unchecked: messages without a checksum: their damage cannot be seen.
         damages: what was broken, one line each.
     """
 

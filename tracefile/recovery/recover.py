@@ -38,7 +38,7 @@ class RecoveryReport:
         file_events, ring_events: events in the file's complete chunks, and those that only the ring had.
         missing_events: events in neither, after a power failure or on a bad disk.
         torn_bytes: bytes at the file's end that were no complete record.
-        damaged_chunks: chunks whose content is not what was written.
+        damaged_chunks: chunks with other content than was written.
         ring_fault: the damage of a ring from which only whole slots were used, or None.
     """
 

@@ -47,7 +47,7 @@ class Salvage:
     Attributes, final after the last item:
         closed: whether the file has its footer.
         torn_bytes: bytes at the end that are no complete record.
-        damaged_chunks: chunks whose content is not what was written.
+        damaged_chunks: chunks with other content than was written.
 
     Raises:
         TraceFormatError: by the iteration: another program wrote the file, or it contradicts itself.

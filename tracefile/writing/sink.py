@@ -92,7 +92,7 @@ class TraceSink(EventPacker):
         return self._files.writer.bytes_written
 
     def pause(self) -> None:
-        """Write nothing until `resume`: events wait in the ring, whose disk space is reserved; when it is full, new ones are dropped."""
+        """Write nothing until `resume`: events wait in the ring (its disk space is reserved); when it is full, new ones are dropped."""
         with self._write_lock:
             self._is_paused = self._closed is None
 

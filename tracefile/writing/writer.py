@@ -330,7 +330,7 @@ class TraceFiles:
         try:
             self.writer.write_text(SESSION_TOPIC, session.to_json(), time_ns)
             self.ring = Ring(ring_path(trace), destination.ring_slots, session, mode=destination.mode)
-            if destination.fsync:  # content of a file whose name is not on the disk is lost
+            if destination.fsync:  # content of a file without a name on the disk is lost
                 flush_to_disk(trace.parent)
         except (OutputError, OSError) as err:
             self.writer.abandon()

@@ -38,10 +38,10 @@ _PROBE = "dt1:" + 16 * "0"
 
 
 class Ros2CallNode(Ros2Node):
-    """A node whose data topics are services or actions, a `CallNode`."""
+    """A `CallNode` with services or actions as its data topics."""
 
     _response: _Response
-    """Of the latest way back, whose server is created next."""
+    """Of the latest way back; its server is created next."""
     _take_response: Receive[CallMessage]
 
     def create_caller(self, topic: str, qos: Qos) -> Publisher[CallMessage]:

@@ -91,7 +91,7 @@ def set_discovery_range(discovery: Discovery) -> None:
 
 
 def set_security(options: NodeOptions) -> None:
-    """Set the variables of ROS 2's security (SROS 2), whose keystore has the layout of our keys."""
+    """Set the variables of ROS 2's security (SROS 2); its keystore has the layout of our keys."""
     if options.keys is not None:
         own = enclave(options.keys, listens=options.listens)
         os.environ |= {

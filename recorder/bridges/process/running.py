@@ -56,7 +56,7 @@ class _RunningHalf:
 
 
 class RunningBridge:
-    """A bridge whose programs run; `mark_ready` follows the first echo."""
+    """A bridge with its programs running; `mark_ready` follows the first echo."""
 
     def __init__(self, bridge: Bridge, options: BridgeOptions, halves: tuple[_RunningHalf, ...]) -> None:
         self.name = bridge.name

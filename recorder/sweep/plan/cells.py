@@ -96,7 +96,7 @@ AXES: Mapping[str, PlanAxis] = {
     ),
     "relay_rmw": PlanAxis("ROS middleware of the relay", limits.RMW, default_words="the ping's", option="--rmw"),
     "environment": PlanAxis(
-        "folder of the Python environment whose `dds-record` runs; both sides on this machine",
+        "folder of the Python environment that has the `dds-record` to run; both sides on this machine",
         default_words="this environment",
         for_relay=True,
         default="",

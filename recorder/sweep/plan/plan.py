@@ -152,7 +152,7 @@ class DeviceSettings:
 
 @dataclass(frozen=True, slots=True)
 class Exclusion:
-    """A rule that excludes cells whose named axes all have one of its values."""
+    """A rule that excludes a cell if each named axis has one of its values there."""
 
     values: Mapping[str, tuple[object, ...]]
     reason: str = ""

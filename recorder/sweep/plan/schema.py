@@ -225,7 +225,7 @@ def _rate(key: Key) -> Schema:
 
 
 _SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"rate": _rate, "data": _data}
-"""Axes whose values are not described by type and limit."""
+"""Axes with values that type and limit do not describe."""
 
 
 def _words(limit: limits.Words) -> Schema:

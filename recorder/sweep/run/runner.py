@@ -54,7 +54,7 @@ START_POLL_S = 0.01
 """Polling period until the first message, with which a link's file starts."""
 
 ENDED_CODES = (0, RelayLostError.exit_code)
-"""Exit codes of a ping whose trace counts: while the relay runs, silence is the loss that the cell measures."""
+"""Exit codes of a ping with a trace that counts: while the relay runs, silence is the loss that the cell measures."""
 
 
 def _wait_for_all(programs: Iterable[Program], poll_s: float) -> list[int] | None:
@@ -73,7 +73,7 @@ def _check_programs(programs: Iterable[Program]) -> None:
 class Runner:
     """One sweep in its locked folder; cells without their middleware are not started.
 
-    `is_installed_here` is False where other software than this `dds-record` runs, whose middlewares are unknown.
+    `is_installed_here` is False where other software than this `dds-record` runs: its middlewares are unknown.
     """
 
     def __init__(

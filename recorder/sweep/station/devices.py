@@ -72,7 +72,7 @@ class RelayDevice:
 
 
 class LocalDevice(RelayDevice):
-    """This machine, whose pings run both halves of a bridge."""
+    """This machine: its pings run both halves of a bridge."""
 
     def __init__(self, folder: Path, command: Sequence[str], lock: int | None = None) -> None:
         self._folder = folder
@@ -129,7 +129,7 @@ class SpreadDevice(RelayDevice):
 
 
 class PrintedDevice(RelayDevice):
-    """A device whose person starts each relay by a printed command."""
+    """A device where a person starts each relay by a printed command."""
 
     keeps_traces = True
 

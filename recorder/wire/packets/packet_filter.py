@@ -20,7 +20,7 @@ LAST_HEADER_BYTES = 104
 """Captured from the last submessage's header on: DATA_FRAG's 36 bytes, and 62 of the payload for our stamp."""
 TCP_HEADERS_BYTES = 14 + 60 + 60
 FOLLOWED_SUBMESSAGES = 32
-"""Submessages whose lengths the program follows; a packet with more is captured whole."""
+"""Submessages that the program follows by their lengths; a packet with more is captured whole."""
 
 _ETHERNET, _IPV4_BYTES, _UDP_BYTES, _RTPS_BYTES = 14, 20, 8, 20
 _RTPS_MAGIC = int.from_bytes(b"RTPS", "big")
@@ -168,7 +168,7 @@ def _ports_match(ports: Sequence[PortRange], target: str) -> list[_Step]:
 
 
 def _follow(number: int) -> list[_Step]:
-    """Read the submessage whose header position is in A, and put the next one's there; `done` at the packet's end."""
+    """Read the submessage with its header at position A, and put the next one's there; `done` at the packet's end."""
     little, zero, advance, inside = (f"{name}_{number}" for name in ("little", "zero", "advance", "inside"))
     have, skip, at_end = (f"{name}_{number}" for name in ("have", "skip", "end"))
     return [

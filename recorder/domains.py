@@ -1,6 +1,6 @@
-"""Ports of a DDS domain, and the participants on this machine that use them.
+"""Ports of a DDS domain, and the participants on this machine that use them (DDSI-RTPS 2.5, section 9.6.2.3).
 
-Discovery of a participant: 7400 + 250 * domain + 10 + 2 * participant (DDSI-RTPS 2.5, section 9.6.2.3).
+Domain d: 7400 + 250 d + {0, 1} for multicast, + {10 + 2 i, 11 + 2 i} for participant i.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dds_trace.base.errors import OptionError
 
 PARTICIPANTS_PER_DOMAIN = 120
 _PORT_BASE, _DOMAIN_GAIN, _FIRST_PARTICIPANT = 7400, 250, 10
+_PORTS_END = 65_536
 _PROC = Path("/proc")
 
 
@@ -26,23 +27,34 @@ def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
         OptionError: there is no such domain, or no port left in it.
     """
     check_domain_id(domain_id)
-    ports = bound_udp_ports(proc)
-    if len(participants_in(domain_id, ports)) >= PARTICIPANTS_PER_DOMAIN:
+    bound = bound_udp_ports(proc)
+    ports, room = domain_port_range(domain_id), participants_that_fit(domain_id)
+    if len(participants_in(domain_id, bound)) >= room:
+        beyond = f"ports of domain {domain_id + 1}" if domain_id < limits.LAST_DOMAIN else "ports above 65535"
         raise OptionError(
-            f"--domain {domain_id}: {PARTICIPANTS_PER_DOMAIN} participants of this machine are in it already, and "
-            f"the next one would use ports of domain {domain_id + 1}; stop some of them or choose another domain"
+            f"--domain {domain_id}: {room} participants of this machine are in it already, and the next one would use "
+            f"{beyond}; stop some of them or choose another domain"
         )
     warnings = []
-    if domain_id > 0 and len(participants_in(domain_id - 1, ports)) >= PARTICIPANTS_PER_DOMAIN:
+    if domain_id > 0 and len(participants_in(domain_id - 1, bound)) >= PARTICIPANTS_PER_DOMAIN:
         warnings.append(
             f"domain {domain_id - 1} is full on this machine: its next participants use ports of domain {domain_id}"
         )
-    last_port = domain_port_range(domain_id)[-1]
-    ephemeral = first_ephemeral_port(proc)
-    if ephemeral is not None and last_port >= ephemeral:
+    if room < PARTICIPANTS_PER_DOMAIN:
         warnings.append(
-            f"the ports of domain {domain_id} ({first_port(domain_id)} to {last_port}) reach into those that the "
-            f"kernel gives to any program (from {ephemeral}); a domain up to 101 is safe on a stock Linux"
+            f"domain {domain_id} has ports for {room} participants on a machine (other domains: "
+            f"{PARTICIPANTS_PER_DOMAIN}), as ports end at {ports[-1]}"
+        )
+    ephemeral = ephemeral_ports(proc)
+    if ports[0] < ephemeral.stop and ephemeral.start <= ports[-1]:
+        last_below = (ephemeral.start - _PORT_BASE) // _DOMAIN_GAIN - 1
+        first_above = -((_PORT_BASE - ephemeral.stop) // _DOMAIN_GAIN)
+        clear = [f"up to {last_below}"] * (last_below >= 0)
+        clear += [f"from {first_above} to {limits.LAST_DOMAIN}"] * (first_above <= limits.LAST_DOMAIN)
+        warnings.append(
+            f"the ports of domain {domain_id} ({ports[0]} to {ports[-1]}) overlap those that the kernel gives to any "
+            f"program ({ephemeral[0]} to {ephemeral[-1]}), so a participant may find its port taken"
+            + (f"; domains {' and '.join(clear)} do not" if clear else "")
         )
     return warnings
 
@@ -52,13 +64,18 @@ def first_port(domain_id: int) -> int:
 
 
 def domain_port_range(domain_id: int) -> range:
-    """Return the 250 ports of a domain."""
-    return range(first_port(domain_id), first_port(domain_id + 1))
+    """Return the 250 ports of a domain, or those up to 65535 of the last one."""
+    return range(first_port(domain_id), min(first_port(domain_id + 1), _PORTS_END))
+
+
+def participants_that_fit(domain_id: int) -> int:
+    """Return how many participants of one machine have both their ports in the domain."""
+    return (len(domain_port_range(domain_id)) - _FIRST_PARTICIPANT) // 2
 
 
 def participants_in(domain_id: int, ports: set[int]) -> list[int]:
     first = first_port(domain_id) + _FIRST_PARTICIPANT
-    return [number for number in range(PARTICIPANTS_PER_DOMAIN) if first + 2 * number in ports]
+    return [number for number in range(participants_that_fit(domain_id)) if first + 2 * number in ports]
 
 
 def bound_udp_ports(proc: Path = _PROC) -> set[int]:
@@ -72,9 +89,10 @@ def bound_udp_ports(proc: Path = _PROC) -> set[int]:
     return ports
 
 
-def first_ephemeral_port(proc: Path = _PROC) -> int | None:
-    """Return the lowest ephemeral port, if the kernel reports it."""
+def ephemeral_ports(proc: Path = _PROC) -> range:
+    """Return the ports that the kernel gives to any program; none if it does not report them."""
     try:
-        return int((proc / "sys/net/ipv4/ip_local_port_range").read_text().split()[0])
-    except (OSError, ValueError, IndexError):
-        return None
+        first, last = (proc / "sys/net/ipv4/ip_local_port_range").read_text().split()
+        return range(int(first), int(last) + 1)
+    except (OSError, ValueError):
+        return range(0)

@@ -8,6 +8,7 @@ import os
 import shutil
 import tempfile
 import uuid
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,15 +41,20 @@ class DomainLease:
     def take(self) -> int:
         """A domain id of our own until `release`."""
         for domain_id in range(FIRST_DOMAIN, LAST_DOMAIN + 1):
-            descriptor = os.open(self._folder / str(domain_id), os.O_CREAT | os.O_RDWR)
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                os.close(descriptor)
-            else:
-                self._held.append(descriptor)
-                return domain_id
+            with suppress(BlockingIOError):
+                return self.wait_for(domain_id, fcntl.LOCK_NB)
         raise RuntimeError("all test domains are in use on this machine")
+
+    def wait_for(self, domain_id: int, flags: int = 0) -> int:
+        """This domain id until `release`, as soon as no other test has it."""
+        descriptor = os.open(self._folder / str(domain_id), os.O_CREAT | os.O_RDWR)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | flags)
+        except BlockingIOError:
+            os.close(descriptor)
+            raise
+        self._held.append(descriptor)
+        return domain_id
 
     def release(self) -> None:
         """Give all domains back."""

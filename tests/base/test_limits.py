@@ -38,11 +38,11 @@ def test_no_value_makes_a_validator_raise_anything_but_its_own_error(name):
 
 
 def test_bounds_themselves_are_allowed_or_left_out_as_they_say(sentences):
-    assert limits.DOMAIN_ID.fault(0) is limits.DOMAIN_ID.fault(231) is None
+    assert limits.DOMAIN_ID.fault(0) is limits.DOMAIN_ID.fault(232) is None
     assert limits.LENGTH_S.fault(0.1) is limits.LENGTH_S.fault(limits.YEAR_S) is None
     assert limits.WAIT_S.fault(0) is None
-    faults = limits.DOMAIN_ID.fault(232), limits.LENGTH_S.fault(0), limits.WAIT_S.fault(-1)
-    assert [numbers(fault) for fault in faults] == [[0, 231], [0, 31_622_400], [0, 31_622_400]]
+    faults = limits.DOMAIN_ID.fault(233), limits.LENGTH_S.fault(0), limits.WAIT_S.fault(-1)
+    assert [numbers(fault) for fault in faults] == [[0, 232], [0, 31_622_400], [0, 31_622_400]]
     sentences(*faults)
     assert limits.PORT.fault(True) is not None
     assert limits.FILE_NAME.fault("..") is not None

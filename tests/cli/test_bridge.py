@@ -78,7 +78,7 @@ def test_an_unknown_bridge_names_the_known_ones():
     [
         ((), "name a bridge"),
         (("builtin", "--from", "5", "--to", "5"), "a bridge joins two domains"),
-        (("builtin", "--to", "232"), "there is no domain 232"),
+        (("builtin", "--to", "233"), "there is no domain 233"),
         (("builtin", "--peer", "pi1:7447"), "has no halves"),
         (("builtin-zenoh", "--half", "relay"), "would never meet the other one"),
         (("builtin-zenoh", "--peer", "pi1"), "write HOST:PORT"),

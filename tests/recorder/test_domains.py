@@ -5,7 +5,14 @@ from __future__ import annotations
 import pytest
 
 from dds_trace.base.errors import OptionError
-from dds_trace.recorder.domains import bound_udp_ports, check_domain, domain_port_range, first_port, participants_in
+from dds_trace.recorder.domains import (
+    bound_udp_ports,
+    check_domain,
+    domain_port_range,
+    first_port,
+    participants_in,
+    participants_that_fit,
+)
 
 HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
 
@@ -29,13 +36,13 @@ def discovery_ports(domain_id, count):
     return [7400 + 250 * domain_id + 10 + 2 * number for number in range(count)]
 
 
-@pytest.mark.parametrize("domain_id", [-1, 232, 1000])
+@pytest.mark.parametrize("domain_id", [-1, 233, 1000])
 def test_domain_ids_out_of_range_are_refused(proc, domain_id):
-    with pytest.raises(OptionError, match=f"--domain {domain_id}: a DDS domain id must be between 0 and 231"):
+    with pytest.raises(OptionError, match=f"--domain {domain_id}: a DDS domain id must be between 0 and 232"):
         check_domain(domain_id, proc())
 
 
-@pytest.mark.parametrize("domain_id", [0, 10, 100])
+@pytest.mark.parametrize("domain_id", [0, 10, 100, 215, 220, 231])
 def test_an_empty_domain_gives_no_warning(proc, domain_id):
     assert check_domain(domain_id, proc()) == []
 
@@ -44,6 +51,16 @@ def test_the_119th_neighbour_still_fits_and_the_120th_does_not(proc):
     assert check_domain(5, proc(*discovery_ports(5, 119))) == []
     with pytest.raises(OptionError, match=r"120 participants .* would use ports of domain 6"):
         check_domain(5, proc(*discovery_ports(5, 120)))
+
+
+def test_the_last_domain_has_ports_for_fewer_participants(proc, sentences):
+    assert (domain_port_range(232)[0], domain_port_range(232)[-1]) == (65_400, 65_535)
+    assert [participants_that_fit(domain_id) for domain_id in (0, 231, 232)] == [120, 120, 63]
+    assert participants_in(232, {65_410 + 2 * 62, 65_410 + 2 * 63}) == [62]
+    (warning,) = check_domain(232, proc(*discovery_ports(232, 62)))
+    with pytest.raises(OptionError) as refused:
+        check_domain(232, proc(*discovery_ports(232, 63)))
+    sentences(warning, str(refused.value))
 
 
 def test_a_full_neighbour_domain_gives_a_warning(proc, sentences):
@@ -62,7 +79,15 @@ def test_ports_among_the_ephemeral_ones_give_a_warning(proc):
     assert check_domain(100, proc()) == []  # 32400 to 32649
     (warning,) = check_domain(101, proc())  # 32650 to 32899: its last ports only
     assert "(32650 to 32899)" in warning
-    assert "from 32768" in warning
+    assert "(32768 to 60999)" in warning
+    (first_ports,) = check_domain(214, proc())  # 60900 to 61149
+    assert "up to 100 and from 215 to 232" in first_ports
+
+
+def test_no_domain_is_proposed_where_the_kernel_gives_all_ports(proc):
+    folder = proc()
+    (folder / "sys/net/ipv4/ip_local_port_range").write_text("1024\t65535\n")
+    assert "; " not in check_domain(10, folder)[0]
 
 
 def test_a_system_without_proc_gives_no_warning(tmp_path):

@@ -180,8 +180,8 @@ def is_utf8(text: str) -> bool:
 
 
 YEAR_S = 366 * 86_400
-LAST_DOMAIN = 231
-"""Highest domain id: ports of domain 232 are above 65535 (DDSI-RTPS 2.5, 9.6.2.3)."""
+LAST_DOMAIN = 232
+"""Highest domain id with a port up to 65535: domain d starts at 7400 + 250 d (DDSI-RTPS 2.5, 9.6.2.3)."""
 MAX_PAYLOAD_BYTES = 1 << 30
 """Largest payload: it is in memory while it is sent, and a small board has 2 GB."""
 MAX_MESSAGES = 100_000_000

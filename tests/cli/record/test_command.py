@@ -175,7 +175,7 @@ def test_wrong_value_is_refused(parsed, arguments, role, message):
 @pytest.mark.parametrize(
     ("arguments", "role", "message"),
     [
-        (["--domain", "232"], "relay", "--domain 232: a DDS domain id must be between 0 and 231"),
+        (["--domain", "233"], "relay", "--domain 233: a DDS domain id must be between 0 and 232"),
         (["--rate", "0"], "ping", "--rate 0"),
         (["--messages", "0"], "ping", "--messages 0"),
         (["--warmup", "-1"], "ping", "--warmup -1"),

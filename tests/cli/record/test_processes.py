@@ -295,7 +295,7 @@ def test_a_bridge_joins_two_domains(domains, tmp_path):
     ("arguments", "status", "line"),
     [
         (("--size", "3KQ"), 2, "dds-record: --size '3KQ' is not understood"),
-        (("--domain", 232), 2, "dds-record: --domain 232: a DDS domain id must be between 0 and 231"),
+        (("--domain", 233), 2, "dds-record: --domain 233: a DDS domain id must be between 0 and 232"),
         (("--bridge", "wormhole"), 2, "wormhole"),
     ],
 )

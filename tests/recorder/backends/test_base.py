@@ -33,7 +33,7 @@ def test_relays_of_two_backends_share_no_port():
 @pytest.mark.parametrize(
     ("more", "is_known", "line"),
     [
-        ({"domain_id": 232}, lambda _: False, "--domain 232: a DDS domain id must be between 0 and 231"),
+        ({"domain_id": 233}, lambda _: False, "--domain 233: a DDS domain id must be between 0 and 232"),
         ({"rmw": "rmw_x"}, lambda backend: backend.has_ros, "--rmw rmw_x: the backend {} has no ROS middleware"),
         ({"executor": ExecutorKind.SINGLE}, lambda backend: backend.has_ros, "--executor single: the backend {}"),
         (

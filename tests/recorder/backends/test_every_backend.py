@@ -11,6 +11,7 @@ import pytest
 from processes import PATIENCE_S, ping, relay, running
 from waiting import wait_until
 
+from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import load_backend
 from dds_trace.recorder.backends.node import NodeOptions
@@ -98,6 +99,19 @@ def test_without_its_package_it_says_how_to_get_it(backend, line):
     assert line in done.stdout
     assert f"pip install 'dds-trace[{backend}]'" in done.stdout
     assert ("setup.bash" in done.stdout) is (backend == "ros2")
+
+
+@pytest.mark.parametrize("backend", ["ros2", "cyclonedds"])
+def test_a_ping_and_a_relay_meet_in_the_last_domain(backend, domains, tmp_path):
+    skip_if_missing(backend)
+    last = domains.wait_for(limits.LAST_DOMAIN)
+    options = ("--backend", backend, "--depth", 1000)
+    with relay(last, tmp_path / "relay.mcap", *options) as command:
+        done = ping(last, tmp_path / "ping.mcap", *options, "--messages", 20, "--warmup", 2, "--rate", 50)
+        command.stop()
+    assert done.status == 0, done.stderr
+    assert "ports for 63 participants" in done.stderr
+    assert "received 20, lost 0" in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("backend", ["zenoh", "socket"])

@@ -125,7 +125,7 @@ def test_what_is_wrong_is_named_with_what_to_write(tmp_path, sentences):
         *("[run]\nmessages = 1000000000000\n", f"[run]\nmessages = 1{'0' * 400}\n"),
         "[run]\nseconds = 1e7\n[axes]\nrate = 1000\n",
         "[run]\nmessages = 100000000\n[axes]\nrate = 1\n",
-        *("[run]\ndomain = 232\n", "[search]\nresolution = 1\n", "[link]\ndelay_ms = nan\n"),
+        *("[run]\ndomain = 233\n", "[search]\nresolution = 1\n", "[link]\ndelay_ms = nan\n"),
         *("[devices.relay]\nbridge_port = 99999\n", "name = '../x'\n", "x = " + "[" * 100_000),
     ]
     sentences(*(check_plan(tmp_path, text).replace(str(tmp_path), "FOLDER") for text in texts))

@@ -213,7 +213,7 @@ class Analysis:
                 `sustainable`, `transfer_by_size`, `transfer_by_rate` or `transfer_rate`.
             panels: dimension of the panels: `size`, `rate`, `device`, `link`, `middleware` or `bridge`; None as in the report.
             metric: `latency`, `rtt`, `intermediate` or `response`; None for the report's. For figures of times.
-            statistic: `mean`, `min`, `p50`, `p90`, `p95`, `p99`, `p99_9` or `max`. For figures of times and their spread.
+            statistic: `mean`, `min`, `max` or a percentile such as `p99_9`. For figures of times and their spread.
 
         Raises:
             OptionError: there is no such figure, dimension, metric or statistic, or nothing to draw.

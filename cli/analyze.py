@@ -5,13 +5,13 @@ from __future__ import annotations
 import glob
 import os
 import sys
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from dds_trace.analyzer.engines.gc_tuning import tune_gc
+from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.base import limits
 from dds_trace.base.errors import MissingEventsError, OptionError
 from dds_trace.base.streams import say
@@ -21,11 +21,13 @@ from dds_trace.reports.reporters import REPORT_MODULES
 from . import compare, watch
 from .analysis_bar import AnalysisBar
 from .program import ask_about_folder, run_program
-from .quick_help import Version, argument, command_app, declare_command, option
+from .quick_help import Version, argument, command_app, declare_command, option, starting
 from .vector_sorts import avoid_slow_sorts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+
+    from typer.models import OptionInfo
 
     from dds_trace.analyzer.analysis import Analysis
     from dds_trace.analyzer.verdicts.gate import Gate
@@ -68,21 +70,16 @@ HTML, TERMINAL = "html", "terminal"
 """Kinds of report: `--open` opens a page, and the answer is always printed."""
 
 
-class ExportKind(str, Enum):
-    """Kinds of export, keys of `EXPORT_KINDS`."""
+def _kinds_of(table: Mapping[str, object], name: str, help_: str) -> OptionInfo:
+    """Return an option of keys of a table."""
 
-    CSV = "csv"
-    ARROW = "arrow"
-    OPENMETRICS = "openmetrics"
-    HDR = "hdr"
-    PERFETTO = "perfetto"
+    def check(kinds: list[str] | None) -> list[str] | None:
+        for kind in kinds or ():
+            if kind not in table:
+                raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, table))}.")
+        return kinds
 
-
-def _check_kinds(kinds: list[str] | None) -> list[str] | None:
-    for kind in kinds or ():
-        if kind not in REPORT_MODULES:
-            raise typer.BadParameter(f"{kind!r} is not one of {', '.join(map(repr, REPORT_MODULES))}.")
-    return kinds
+    return option(name, f"{help_}: {', '.join(table)}; repeatable.", callback=check, autocompletion=starting(table))
 
 
 def _complete_commands(incomplete: str) -> list[str]:
@@ -121,12 +118,7 @@ def main_command(
         ),
     ],
     report: Annotated[
-        list[str] | None,
-        option(
-            "--report KIND",
-            f"Report to write in addition to the answer: {', '.join(REPORT_MODULES)}; repeatable.",
-            callback=_check_kinds,
-        ),
+        list[str] | None, _kinds_of(REPORT_MODULES, "--report KIND", "Report to write in addition to the answer")
     ] = None,
     shows_all: Annotated[
         bool, option("--all", "Print findings and tables of all results, too, and the answer last.")
@@ -174,12 +166,7 @@ def main_command(
         bool, option("--trust-order", "Compare setups that were recorded one after the other, too.")
     ] = False,
     export: Annotated[
-        list[ExportKind] | None,
-        option(
-            "--export KIND",
-            "Write csv or arrow in addition to Parquet, openmetrics (text for dashboards), hdr (a log of HdrHistograms) or "
-            "perfetto (one timeline of all devices, with the extra perfetto); repeatable.",
-        ),
+        list[str] | None, _kinds_of(EXPORT_KINDS, "--export KIND", "Further file to write in addition to Parquet")
     ] = None,
     derived_mcap: Annotated[
         bool, option("--derived-mcap", "Write the latency of every message as MCAP, and a layout for Foxglove.")
@@ -253,9 +240,7 @@ def main_command(
     least_lead = 0.05 if margin is None else parse_percentage("--margin", margin)
     kinds = list(dict.fromkeys([*(report or []), *([HTML] if open_it else [])]))
     if topics:
-        _report_topics(
-            traces, target, kinds, [kind.value for kind in export or []], fail_if or [], clock, open_it=open_it
-        )
+        _report_topics(traces, target, kinds, export or [], fail_if or [], clock, open_it=open_it)
         return
     if clock is not None:
         raise OptionError("--clock is for recordings of other tools: dds-analyze bag/ --topics --clock runs/")
@@ -265,7 +250,7 @@ def main_command(
     def write_more(analysis: Analysis, folder: Path) -> None:
         bar.step(WRITING, 0.0)
         reports = write_reports(analysis, [kind for kind in kinds if kind != TERMINAL], folder)
-        exported = [path for kind in export or [] for path in write_export(analysis, kind.value, folder)]
+        exported = [path for kind in export or [] for path in write_export(analysis, kind, folder)]
         derived = _write_derived(analysis, folder) if derived_mcap else []
         cards = _write_card(analysis, folder) if card else []
         written.extend(target / path.name for path in (*reports, *exported, *derived, *cards) if path is not None)

@@ -22,8 +22,6 @@ from ..model.metrics import TOPIC_METRICS
 from ..model.names import name_groups
 from ..statistics.histogram import histogram_of
 
-FILE_NAME = "latency.hlog"
-
 _DIGITS = 3
 _HALF_BITS = 10
 """A bucket's linear half has 1024 steps: three digits."""

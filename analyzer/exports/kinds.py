@@ -1,4 +1,7 @@
-"""Kinds of `--export`, each with the function that writes it into a folder; rows and summary as CSV or Arrow are here."""
+"""Kinds of `--export`, each with the function that writes it into a folder; rows and summary as CSV or Arrow are here.
+
+The command lists the kinds in its help, so polars and what a kind needs are imported at use.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,17 @@ import io
 import os
 from collections.abc import Callable, Mapping
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-
-import polars as pl
-import pyarrow.parquet as pq
-from polars import selectors
+from typing import TYPE_CHECKING, Any
 
 from dds_trace.base.errors import OutputError
 from dds_trace.base.files import replacing
 
-from ..analysis import Analysis
-from ..pairing.parquet import summary_table
-from . import hdr_log, openmetrics, perfetto
+if TYPE_CHECKING:
+    import polars as pl
+
+    from ..analysis import Analysis
 
 _FORMULA = r"^([=+\-@\t\r]|::)"
 _HIDDEN = r"[\p{Cc}\p{Cf}\p{Co}\p{Zl}\p{Zp}]"
@@ -25,6 +27,8 @@ _HIDDEN = r"[\p{Cc}\p{Cf}\p{Co}\p{Zl}\p{Zp}]"
 
 def _inert(rows: pl.LazyFrame) -> pl.LazyFrame:
     """Return rows whose texts a spreadsheet does not compute (an apostrophe precedes them) and that hide nothing."""
+    from polars import selectors
+
     texts = selectors.string(include_categorical=True).cast(str)
     return rows.with_columns(texts.str.replace(_FORMULA, "'$0").str.replace_all(_HIDDEN, "\ufffd"))
 
@@ -41,11 +45,13 @@ def write_file(path: Path, write: Callable[[Path], object]) -> Path:
     Raises:
         OutputError: the file cannot be written.
     """
+    from polars.exceptions import PolarsError
+
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as draft:
             write(draft)
-    except (OSError, pl.exceptions.PolarsError) as err:
+    except (OSError, PolarsError) as err:
         raise OutputError(f"{path} cannot be written ({err}); give another folder with --out") from err
     return path
 
@@ -69,19 +75,29 @@ def export_tables(analysis: Analysis, kind: str, folder: str | os.PathLike[str])
 
 def summary_parquet(analysis: Analysis) -> bytes:
     """Return `summary.parquet` for the page, with units and meanings in the metadata of its fields: 100 KB for 500 groups."""
+    import pyarrow.parquet as pq
+
+    from ..pairing.parquet import summary_table
+
     file = io.BytesIO()
     table = summary_table(analysis.summary)
     pq.write_table(table, file, compression="zstd", compression_level=19, write_statistics=False)
     return file.getvalue()
 
 
+def _module(name: str) -> Any:
+    return import_module(f".{name}", __package__)
+
+
 EXPORT_KINDS: Mapping[str, Callable[[Analysis, Path], list[Path]]] = {
     **{kind: lambda analysis, folder, kind=kind: export_tables(analysis, kind, folder) for kind in EXPORTERS},  # type: ignore[misc]
     "openmetrics": lambda one, folder: [
-        write_text_file(folder / openmetrics.FILE_NAME, openmetrics.openmetrics_text(one))
+        write_text_file(folder / "openmetrics.txt", _module("openmetrics").openmetrics_text(one))
     ],
-    "hdr": lambda one, folder: [write_text_file(folder / hdr_log.FILE_NAME, hdr_log.hdr_log(one))],
-    "perfetto": lambda one, folder: [write_file(folder / perfetto.FILE_NAME, partial(perfetto.write_perfetto, one))],
+    "hdr": lambda one, folder: [write_text_file(folder / "latency.hlog", _module("hdr_log").hdr_log(one))],
+    "perfetto": lambda one, folder: [
+        write_file(folder / "timeline.pftrace", partial(_module("perfetto").write_perfetto, one))
+    ],
 }
 
 

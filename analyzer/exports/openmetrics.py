@@ -12,9 +12,6 @@ from ..statistics.percentiles import PERCENTILES
 
 Rows = Sequence[Mapping[str, object]]
 
-
-FILE_NAME = "openmetrics.txt"
-
 _PREFIX = "dds_trace"
 _COUNTS = {
     "published": "messages that were sent",

@@ -20,8 +20,6 @@ from ..analysis import Analysis
 from ..clocks.boots import ping_wall_offsets
 from ..clocks.fit import Int64
 
-FILE_NAME = "timeline.pftrace"
-
 MOST_SLICES = 100_000
 """More messages are thinned evenly."""
 

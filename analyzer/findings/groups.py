@@ -146,7 +146,7 @@ def few_samples(evidence: Evidence) -> Iterator[Observation]:
     for (groups, together), percentiles in lacking.items():
         counts = sorted(int(samples[metric][group]) for metric in together for group in groups)
         few = f"{counts[0]} to " if counts[0] != counts[-1] else ""
-        first, *further = (f"{p.name.replace('_', '.')} needs {p.needs:,}" for p in percentiles)
+        first, *further = (f"{p.label} needs {p.needs:,}" for p in percentiles)
         needs = ", ".join([f"{first} messages", *further])
         everywhere = len(groups) == len(names) and len(groups) > 1
         yield Observation(

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES
 
+_DECADES = 1 + round(math.log10(PERCENTILES[-1].needs))
 LEVELS = (
     *(0.0, 0.001, 0.003, 0.01, 0.02, 0.03),
     *(step / 20 for step in range(1, 18)),
-    *(round(1 - 10 ** (-step / 8), 6) for step in range(7, 33)),
+    *(round(1 - 10 ** (-step / 8), 6) for step in range(7, 8 * _DECADES + 1)),
 )
-"""Shares of messages at which a curve has a point: steps of 5 %, and eight steps per decade of the tail up to p99.99."""
+"""Shares of messages at which a curve has a point: steps of 5 %, and eight steps per decade of the tail, to one beyond the rarest percentile."""
 
 
 def curves(distributions: pl.DataFrame) -> dict[tuple[int, str], tuple[int, ...]]:

@@ -86,6 +86,15 @@ class Percentile:
     quantile: float
     needs: int
 
+    @property
+    def label(self) -> str:
+        return self.name.replace("_", ".")
+
+    @property
+    def is_decade(self) -> bool:
+        """Whether it is of the series p50, p90, p99, p99.9, each ten times as rare as the preceding; p95 is not."""
+        return math.log10(self.needs).is_integer()
+
 
 PERCENTILES = tuple(
     Percentile(name, quantile, minimum_messages(quantile))

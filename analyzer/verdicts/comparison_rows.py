@@ -22,7 +22,7 @@ class ChangeRow:
 
     Attributes:
         metric: metric that is compared.
-        statistic: mean, p50, p90, p95, p99 or p99_9.
+        statistic: mean or a percentile such as p99_9.
         base_messages: messages of the base that have the metric.
         new_messages: messages of the new side that have it.
         base_ns: the statistic with lost messages infinitely late, ns.

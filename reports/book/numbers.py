@@ -75,7 +75,7 @@ def whole_ns(value_ns: float | None) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """95 % intervals: metric -> percentile (`p50` to `p99_9`) -> value per group, None without one.
+    """95 % intervals: metric -> percentile -> value per group, None without one.
 
     Attributes:
         episodes: bursts beyond each percentile.

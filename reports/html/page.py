@@ -203,7 +203,16 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             {"label": label, "domain": series.domain_mode, "commands": commands}
             for label, series, commands in zip(groups.labels, groups.series, _commands(book), strict=True)
         ],
-        "needed": {p.name: planned_messages(p.quantile) for p in PERCENTILES if p.name in STATISTIC_LABELS},
+        "percentiles": [
+            {
+                "key": p.name,
+                "label": p.label,
+                "share": p.quantile,
+                "messages": planned_messages(p.quantile),
+                "is_decade": p.is_decade,
+            }
+            for p in PERCENTILES
+        ],
         "facets": {"made_of": MADE_OF, "atoms": ATOMS, "most_lines": MOST_LINES},
         "dimensions": {
             key: {

@@ -24,6 +24,7 @@ import dds_trace.analyzer.pairing.rows
 from dds_trace.analyzer.clocks.boots import ping_wall_offsets
 from dds_trace.analyzer.groups.freshness import OUTAGE_SCHEMA
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
 from dds_trace.analyzer.verdicts.compare import CompareOptions
@@ -62,11 +63,14 @@ def test_intervals_repeat_the_summary_and_are_null_where_the_sample_is_too_small
     write_pair(tmp_path, drawn())
     analysis = analyze(tmp_path)
     latency = analysis.details.intervals.filter(metric="latency")
-    assert latency["percentile"].to_list() == ["p50", "p90", "p95", "p99", "p99_9"]
-    assert latency["estimate_ns"].to_list() == [2.5 * MS] * 4 + [None]
-    assert latency["high_ns"].to_list() == [2.5 * MS] * 3 + [None, None]  # 200 messages end below p99's upper end
-    assert latency["method"].to_list() == ["order_statistics"] * 3 + [None, None]
-    assert latency["messages"].to_list() == [200] * 5
+    assert latency["percentile"].to_list() == [percentile.name for percentile in PERCENTILES]
+    rows = {row["percentile"]: row for row in latency.to_dicts()}
+    assert {row["messages"] for row in rows.values()} == {200}
+    for name in ("p50", "p90", "p95"):
+        assert (rows[name]["estimate_ns"], rows[name]["high_ns"]) == (2.5 * MS, 2.5 * MS)
+        assert rows[name]["method"] == "order_statistics"
+    for name, estimate_ns in (("p99", 2.5 * MS), ("p99_9", None)):  # 200 messages end below p99's upper end
+        assert (rows[name]["estimate_ns"], rows[name]["high_ns"], rows[name]["method"]) == (estimate_ns, None, None)
     for name in ("p50", "p90", "p95", "p99"):
         assert analysis.summary[f"latency_{name}_ns"][0] == 2.5 * MS
 
@@ -234,7 +238,7 @@ def test_comparisons_are_those_of_all_rows_though_a_kind_of_message_is_read_at_a
         ("same", 33_000, 2),
         ("same", 502_000, 1),
     ]
-    options = CompareOptions(metrics=("latency",), statistics=("p50", "p90", "p95", "p99", "p99_9"))
+    options = CompareOptions(metrics=("latency",), statistics=tuple(percentile.name for percentile in PERCENTILES))
     assert_frame_equal(details.bridge_costs, bridge_cost(rows, options), check_exact=True)
     costs = details.bridge_costs.filter(statistic="p50").select("bridge", "payload_bytes", "difference_ns")
     assert costs.rows() == [

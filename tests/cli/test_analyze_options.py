@@ -10,9 +10,8 @@ import pytest
 from commands import run_main
 from trace_files import Message, run, write_pair
 
-from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
+from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, write_file
 from dds_trace.analyzer.model.metrics import METRICS
-from dds_trace.cli.analyze import ExportKind
 from dds_trace.tracefile.reading.reader import read_trace
 
 MS = 1_000_000
@@ -37,7 +36,17 @@ def test_exports_hold_the_same_rows(runs, capsys):
     assert pl.read_csv(folder / "roundtrips.csv")["latency_ns"].to_list() == expected == [MS] * 120
     assert pl.read_ipc(folder / "roundtrips.arrow")["latency_ns"].to_list() == expected
     assert pl.read_csv(folder / "summary.csv").height == 1
-    assert {kind.value for kind in ExportKind} == set(EXPORT_KINDS)
+
+
+def test_an_export_kind_is_one_row(runs, monkeypatch, capsys):
+    run_main("--help")
+    assert ", ".join(EXPORT_KINDS) in " ".join(capsys.readouterr().out.split())
+    assert run_main(runs, "--export", "toy") == 2
+    assert f"'toy' is not one of {', '.join(map(repr, EXPORT_KINDS))}" in capsys.readouterr().err
+    row = lambda one, folder: [write_file(folder / "toy.ndjson", one.summary.write_ndjson)]  # noqa: E731
+    monkeypatch.setitem(EXPORT_KINDS, "toy", row)
+    assert run_main(runs, "--export", "toy") == 0
+    assert pl.read_ndjson(runs / "analysis" / "toy.ndjson").height == 1
 
 
 @pytest.mark.parametrize(("is_terminal", "answer", "code"), [(False, "", 0), (True, "y\n", 0), (True, "n\n", 2)])

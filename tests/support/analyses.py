@@ -31,6 +31,7 @@ from dds_trace.analyzer.pairing.rows import RowStore
 from dds_trace.analyzer.run_statistics.between_runs import interval_of_runs
 from dds_trace.analyzer.run_statistics.runs import Run as Series
 from dds_trace.analyzer.run_statistics.runs import Statistic
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.answers import find_answers
 from dds_trace.analyzer.verdicts.bridge_cost import bridge_cost
 from dds_trace.analyzer.verdicts.compare import CompareOptions
@@ -42,8 +43,8 @@ if TYPE_CHECKING:
 
 MS = 1_000_000
 WALL_START_NS = 1_790_000_000 * 10**9  # 2026-09-21 14:13:20 UTC
-QUANTILES = {"p50": 0.5, "p90": 0.9, "p95": 0.95, "p99": 0.99, "p99_9": 0.999}
-NEEDED = {"p50": 1, "p90": 10, "p95": 20, "p99": 100, "p99_9": 1000}
+QUANTILES = {percentile.name: percentile.quantile for percentile in PERCENTILES}
+NEEDED = {percentile.name: percentile.needs for percentile in PERCENTILES}
 RECORDER_COST = {"timer_ns": 60, "record_median_ns": 900, "record_p99_ns": 2000, "record_max_ns": 30_000}
 CLOCK_BOUND_NS = 50_000
 LOSSES = ("lost_outbound", "lost_in_relay", "lost_return", "lost_unknown")
@@ -217,8 +218,7 @@ def _details(ordered: Sequence[Measured], roundtrips: pl.DataFrame, watched: Wat
         clock_knots=_clock_knots(ordered, watched.knot_s),
         host_samples=_host_samples(ordered, watched.sample_s),
         bridge_costs=bridge_cost(
-            _three_runs(roundtrips),
-            CompareOptions(metrics=("latency",), statistics=("p50", "p90", "p95", "p99", "p99_9")),
+            _three_runs(roundtrips), CompareOptions(metrics=("latency",), statistics=tuple(QUANTILES))
         ),
         interference=find_interference(rows_by_group(_three_runs(roundtrips))),
         head_of_line=find_head_of_line(rows_by_group(_three_runs(roundtrips))),

@@ -1,9 +1,9 @@
 "use strict";
 // "Does it fit my job?": ranks what was measured for a message and a deadline, by the numbers of the page alone.
 // Nothing is guessed: what was not measured is not known, and a command would decide it.
-const JOB_SHARES = { p50: 0.5, p90: 0.9, p95: 0.95, p99: 0.99, p99_9: 0.999 };
 const JOB_METRIC = "response"; // from planned send to reply, so that a late sender does not look fast
 const JOB_RUNS = 3; // fewest runs of a verdict
+const percentileOf = (key) => DATA.percentiles.find((one) => one.key === key);
 const FITS = ["meets", "likely", "unclear", "misses", "not known"];
 const TYPED_UNITS = {
   ...{ B: 1, KB: 1e3, MB: 1e6, GB: 1e9, KiB: 1024, MiB: 1048576 },
@@ -46,7 +46,7 @@ function isForJob(group, job) {
 /** Time within which the share of planned messages was answered: Infinity if too many were lost, null if unknown. */
 function timeOfJob(group, share) {
   const received = DATA.curves.shares[group];
-  const level = JOB_SHARES[share];
+  const level = percentileOf(share).share;
   if (received === null || received < level) return received === null ? null : Infinity;
   if (received === 1) return DATA.values.times_ns[JOB_METRIC][share][group];
   const at = DATA.curves.levels.findIndex((one) => one >= level / received - 1e-12);
@@ -77,7 +77,7 @@ function fitOf(group, job) {
   return rated("meets");
 }
 
-const percentText = (share) => `${digits(100 * JOB_SHARES[share])} %`;
+const percentText = (share) => `${percent(percentileOf(share).share)} %`;
 
 /** Results for the job, best first. */
 function ranked(job) {
@@ -96,7 +96,7 @@ function decidingCommands(series, job) {
   const { kind } = DATA.cells.find(({ data }) => data === job.data);
   const size = job.bytes % 1000 ? `${job.bytes}` : inUnits(job.bytes, BYTE_UNITS).replace(" ", "");
   const message = [`--data ${kind}`, ...(kind === "imu" ? [] : [`--size ${size}`]), `--rate ${digits(job.hz)}`];
-  const count = `--messages ${DATA.needed[job.share]}`;
+  const count = `--messages ${percentileOf(job.share).messages}`;
   return [relay, ping.replace(/--data .*--messages \d+/, () => [...message, count].join(" "))];
 }
 
@@ -165,7 +165,7 @@ function buildJob() {
     entry("size", "Size ", cell.size, unique(DATA.cells.map(({ size }) => size)).map(([text]) => text)),
     entry("rate", "Rate ", cell.rate, unique(DATA.cells.map(({ rate }) => rate)).map(([text]) => text)),
     entry("deadline", "Deadline ", "50 ms", []),
-    choice("share", "for ", Object.keys(JOB_SHARES).slice(1).map((key) => [key, percentText(key)])),
+    choice("share", "for ", DATA.percentiles.slice(1).map(({ key }) => [key, percentText(key)])),
     choice("domain", "Domains ", [["", "any"], ["same", "same"], ["different", "different"]]),
     choice("link", "Link ", [["", "any"], ...unique(DATA.dimensions.link.options.map(({ label }) => label))]),
   );

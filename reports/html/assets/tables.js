@@ -165,7 +165,7 @@ function foundRows(columns, rows, search) {
 /** The table of the groups that pass the filters and the search; returns what it shows. */
 function showGroups({ most = MOST_ROWS } = {}) {
   const { times_ns: times, plain: values } = DATA.values;
-  const shown = ["p50", "p90", "p99", "p99_9", "max"].filter((key) => DATA.statistics.some((one) => one.key === key));
+  const shown = [...DATA.percentiles.filter((one) => one.is_decade).map(({ key }) => key), "max"];
   const rested = (key) => key !== "max" && Boolean(DATA.intervals.low_ns[view.metric]?.[key]);
   const bounded = (key) => ["p50", "p99"].includes(key) && Boolean(DATA.intervals.low_ns[view.metric]?.[key]);
   const columns = [

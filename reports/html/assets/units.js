@@ -23,6 +23,9 @@ function digits(value) {
   return shown.includes(".") ? shown.replace(/0+$/, "").replace(/\.$/, "") : shown;
 }
 
+/** A share in percent, without what binary fractions add. */
+const percent = (share) => Math.round(share * 1e8) / 1e6;
+
 function unitFor(value, units) {
   return units.find(([factor]) => Math.abs(value) >= 0.9995 * factor) || units[units.length - 1];
 }

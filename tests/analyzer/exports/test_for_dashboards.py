@@ -11,11 +11,10 @@ from analyses import empty_folder, hostile, make_analysis, one_message, ping_wit
 from tap_traces import FAR_NS, LAPTOP, ROBOT, Hearing, arrivals, camera, write_beacon, write_tap
 
 from dds_trace.analyzer.exports.hdr_log import encode_histogram, hdr_log
-from dds_trace.analyzer.exports.kinds import EXPORT_KINDS, export
+from dds_trace.analyzer.exports.kinds import export
 from dds_trace.analyzer.exports.openmetrics import openmetrics_text
 from dds_trace.analyzer.exports.perfetto import timeline_slices, write_perfetto
 from dds_trace.analyzer.pipeline import analyze
-from dds_trace.cli.analyze import ExportKind
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +30,6 @@ def with_topics(tmp_path_factory):
 
 def all_analyses(with_topics):
     return [with_topics, make_analysis(), empty_folder(), one_message(), ping_without_relay(), hostile()]
-
-
-def test_the_command_offers_every_kind():
-    assert [kind.value for kind in ExportKind] == list(EXPORT_KINDS)
 
 
 def test_openmetrics_is_read_by_the_parser_of_prometheus(with_topics):

@@ -100,7 +100,7 @@ def test_rows_are_the_statistics_of_the_runs_that_a_group_has(runs, messages):
         expected = interval_of_runs(parts, Statistic(percentile.quantile))
         assert (row["group"], row["metric"], row["runs"], row["messages"]) == (7, "latency", runs, messages)
         assert (row["low_ns"], row["high_ns"], row["typical_ns"]) == (*expected.range, expected.value)
-        is_supported = messages >= {"p99": 100, "p99_9": 1000}.get(percentile.name, 1)
+        is_supported = messages >= percentile.needs
         estimate_ns = pytest.approx(np.quantile(values, percentile.quantile)) if is_supported else None
         assert row["estimate_ns"] == estimate_ns
     # Rows that are not in the order of T1 are the same, and so are those between which others were lost.

@@ -27,15 +27,14 @@ def summarize(values):
 
 def test_ten_values_by_hand():
     found = summarize([50, 10, 30, 20, 40, 60, 100, 80, 90, 70])
+    rarer = {percentile.name for percentile in PERCENTILES if percentile.needs > 10}
+    assert {found.pop(name) for name in rarer} == {None}
     assert found == {
         "mean": 55.0,
         "std": pytest.approx(math.sqrt(8250 / 9)),
         "min": 10.0,
         "p50": 55.0,  # between the 5th and the 6th: 50 + 0.5 * 10
         "p90": pytest.approx(91.0),  # position 0.9 * 9 = 8.1: 90 + 0.1 * 10
-        "p95": None,
-        "p99": None,
-        "p99_9": None,
         "max": 100.0,
     }
 
@@ -45,6 +44,11 @@ def test_nothing_and_one():
     one = summarize([7])
     assert (one["mean"], one["min"], one["p50"], one["max"]) == (7.0, 7.0, 7.0, 7.0)
     assert (one["std"], one["p90"]) == (None, None)
+
+
+def test_labels_and_the_series_of_decades():
+    labels = {percentile.label: percentile.is_decade for percentile in PERCENTILES}
+    assert labels.items() >= {"p50": True, "p90": True, "p95": False, "p99": True, "p99.9": True}.items()
 
 
 @pytest.mark.parametrize(("name", "needs"), [("p90", 10), ("p95", 20), ("p99", 100), ("p99_9", 1000)])

@@ -7,6 +7,7 @@ import math
 import pytest
 from roundtrip_frames import MS, roundtrips
 
+from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.analyzer.verdicts.compare import CompareOptions
 from dds_trace.analyzer.verdicts.false_alarms import MOST_DEALS, check_statistic, count_false_alarms, half_widths
 from dds_trace.base.errors import OptionError
@@ -59,7 +60,7 @@ def test_by_default_passes_are_compared_as_pairs():
     assert count_false_alarms(base, new, passes(5), unpaired).measured == 0
     by_default = count_false_alarms(base, new, passes(5))
     assert by_default.measured > 0
-    assert by_default.measured_verdicts == 12  # latency and rtt by mean and five percentiles
+    assert by_default.measured_verdicts == 2 * (1 + len(PERCENTILES))  # latency and rtt by mean and percentiles
 
 
 def test_of_many_passes_some_ways_to_deal_them_are_drawn():

@@ -256,17 +256,14 @@ Object.assign(KINDS, {
   },
 });
 
+/** One message in how many is beyond a share. */
+const rarity = (share) => 1 / (1 - share);
+
 /** The named percentiles of a group's curve with their intervals, where the sample supports them. */
 function namedPercentiles(group) {
   const times = DATA.values.times_ns[view.metric];
-  return [
-    ["p50", 2],
-    ["p90", 10],
-    ["p95", 20],
-    ["p99", 100],
-    ["p99_9", 1000],
-  ]
-    .map(([name, at]) => ({ name, at, value: times[name][group], ends: intervalOf(group, name) }))
+  return DATA.percentiles
+    .map((one) => ({ ...one, at: rarity(one.share), value: times[one.key][group], ends: intervalOf(group, one.key) }))
     .filter((one) => one.value !== null && one.ends.some((end) => end !== null));
 }
 
@@ -281,9 +278,9 @@ function percentileMarks(group) {
     hover: (one) =>
       groupHover(
         group,
-        `${one.name.replace("_", ".")}: ${formatNs(one.value)}`,
+        `${one.label}: ${formatNs(one.value)}`,
         `95 %: ${formatNs(one.ends[0])} to ${formatNs(one.ends[1])}`,
-        restsOn(group, one.name),
+        restsOn(group, one.key),
       ),
   });
   trace.error_y = errorBars(
@@ -336,19 +333,14 @@ function distribution(width, byRarity, all) {
     foot: groups.some(isLossy) ? "Faded curves are results that lost more than 1 % of their messages." : "",
   };
   if (byRarity) {
-    const rarities = [
-      [2, "p50"],
-      [10, "p90"],
-      [100, "p99"],
-      [1000, "p99.9"],
-      [10000, "p99.99"],
-    ];
-    const deepest = Math.max(...groups.map((group) => 1 / (1 - levels[curves[group].length - 1])));
+    const isTick = (level) => level >= 0.5 && (level === 0.5 || Number.isInteger(Math.log10(Math.round(rarity(level)))));
+    const ticks = levels.filter(isTick);
+    const deepest = Math.max(...groups.map((group) => rarity(levels[curves[group].length - 1])));
     const panel = {
       title: cellTitle(),
       y: timeAxis(values),
       traces: lines(
-        (point) => 1 / (1 - point.level),
+        (point) => rarity(point.level),
         (point) => point.value * S,
         (point) => `p${digits(100 * point.level)}: ${formatNs(point.value)}`,
       ).concat(groups.flatMap((group) => percentileMarks(group))),
@@ -356,8 +348,8 @@ function distribution(width, byRarity, all) {
         type: "log",
         range: [0, Math.log10(Math.max(deepest, 10)) + 0.05],
         tickmode: "array",
-        tickvals: rarities.map(([x]) => x),
-        ticktext: rarities.map(([, name]) => name),
+        tickvals: ticks.map(rarity),
+        ticktext: ticks.map((level) => `p${percent(level)}`),
         title: axisTitle("Percentile of the received messages"),
       }),
     };
@@ -370,7 +362,7 @@ function distribution(width, byRarity, all) {
         { label: labelOf("metric"), unit: "ns", format: formatNs },
       ],
       rows: groups.flatMap((group) =>
-        pointsOf(group).map(({ value, level }) => groupRow(group, Math.round(level * 1e8) / 1e6, value)),
+        pointsOf(group).map(({ value, level }) => groupRow(group, percent(level), value)),
       ),
     };
   }
@@ -388,7 +380,6 @@ function distribution(width, byRarity, all) {
   });
   const panels = [byShare("Planned messages", (group) => shares[group])];
   if (groups.some((group) => shares[group] < 1)) panels.push(byShare("Received messages", () => 1));
-  const percent = (value) => Math.round(value * 1e8) / 1e6;
   return {
     ...gridOf(groups.length ? panels : [], width, { yTitle: "Messages", minWidth: 240, height: 210, below: 46, all }),
     ...common,

@@ -10,17 +10,18 @@ from pathlib import Path
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 
+from .kernel.counters import PROC, bound_udp_ports, ephemeral_ports
+
 PARTICIPANTS_PER_DOMAIN = 120
 _PORT_BASE, _DOMAIN_GAIN, _FIRST_PARTICIPANT = 7400, 250, 10
 _PORTS_END = 65_536
-_PROC = Path("/proc")
 
 
 def check_domain_id(domain_id: int) -> None:
     limits.check(limits.DOMAIN_ID, domain_id, "--domain")
 
 
-def check_domain(domain_id: int, proc: Path = _PROC) -> list[str]:
+def check_domain(domain_id: int, proc: Path = PROC) -> list[str]:
     """Return warnings about joining a domain now.
 
     Raises:
@@ -76,23 +77,3 @@ def participants_that_fit(domain_id: int) -> int:
 def participants_in(domain_id: int, ports: set[int]) -> list[int]:
     first = first_port(domain_id) + _FIRST_PARTICIPANT
     return [number for number in range(participants_that_fit(domain_id)) if first + 2 * number in ports]
-
-
-def bound_udp_ports(proc: Path = _PROC) -> set[int]:
-    ports: set[int] = set()
-    for name in ("net/udp", "net/udp6"):
-        try:
-            lines = (proc / name).read_text().splitlines()[1:]
-        except OSError:  # no such protocol here
-            continue
-        ports.update(int(line.split()[1].rpartition(":")[2], 16) for line in lines)
-    return ports
-
-
-def ephemeral_ports(proc: Path = _PROC) -> range:
-    """Return the ports that the kernel gives to any program; none if it does not report them."""
-    try:
-        first, last = (proc / "sys/net/ipv4/ip_local_port_range").read_text().split()
-        return range(int(first), int(last) + 1)
-    except (OSError, ValueError):
-        return range(0)

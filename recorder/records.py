@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 if TYPE_CHECKING:
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import Json
 
 Record = TypeVar("Record")
+Counters = TypeVar("Counters", bound="DataclassInstance")
 
 
 def to_json(record: DataclassInstance) -> dict[str, Json]:
@@ -28,6 +29,14 @@ def _json(value: object) -> Json:
         return [_json(item) for item in value]
     assert value is None or isinstance(value, bool | int | float | str), value
     return value
+
+
+def since(record: Counters, before: Counters | None, *counters: str) -> Counters:
+    """Return the record with its counters (all fields if none is named) since `before`; itself if there was none before."""
+    if before is None:
+        return record
+    names = counters or tuple(field.name for field in fields(record))
+    return replace(record, **{name: getattr(record, name) - getattr(before, name) for name in names})
 
 
 def from_json(kind: type[Record], data: Mapping[str, Any]) -> Record:

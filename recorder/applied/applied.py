@@ -8,10 +8,17 @@ from dataclasses import dataclass, field, replace
 
 from dds_trace.tracefile.format.json_fields import JsonObject
 
+from ..kernel.counters import (
+    InterfaceCounters,
+    MulticastGroup,
+    read_groups,
+    read_interfaces,
+    read_kernel_counters,
+    read_limits,
+)
+from ..kernel.sockets import Socket, read_sockets
 from ..records import to_json
-from .counters import InterfaceCounters, MulticastGroup, read_groups, read_interfaces, read_kernel_counters, read_limits
 from .memory import Library, SharedMemory, read_libraries, read_memory
-from .sockets import Socket, read_sockets
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from ..kernel.counters import InterfaceCounters
+from ..records import since
 from .applied import Applied, Snapshot
-from .counters import InterfaceCounters
 
 SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 LOOPBACK = "lo"
@@ -69,8 +70,7 @@ def interface_deltas(applied: Applied) -> dict[str, InterfaceCounters]:
     if applied.end is None:
         return {}
     return {
-        name: counters.since(applied.begin.interfaces.get(name, InterfaceCounters()))
-        for name, counters in applied.end.interfaces.items()
+        name: since(counters, applied.begin.interfaces.get(name)) for name, counters in applied.end.interfaces.items()
     }
 
 

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import JsonObject
 
+    from ..kernel.sockets import Socket
     from .applied import Applied
     from .asked import Asked
     from .memory import SharedMemory
-    from .sockets import Socket
 
 KERNELS_PORT = 32_768
 """First port that Linux chooses itself, unless `net.ipv4.ip_local_port_range` says otherwise."""

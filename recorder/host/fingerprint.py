@@ -17,7 +17,7 @@ import psutil
 
 from dds_trace.tracefile.format.json_fields import Json
 
-from ..applied.counters import read_limits
+from ..kernel.counters import read_limits
 from .environment import MiddlewareEnvironment
 
 _SOCKET_BUFFERS = ("rmem_default", "rmem_max", "wmem_default", "wmem_max", "optmem_max", "netdev_max_backlog")

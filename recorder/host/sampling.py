@@ -12,6 +12,7 @@ import psutil
 
 from dds_trace.base.threads import run_in_background
 
+from ..kernel.counters import read_kernel_counters
 from .clock import read_monotonic_pair
 from .fingerprint import read_mhz, read_text, wifi_signals
 
@@ -23,10 +24,7 @@ if TYPE_CHECKING:
 
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
-_DROP_COUNTERS = {
-    "Udp:": ("InErrors", "RcvbufErrors", "SndbufErrors"),
-    "Ip:": ("ReasmFails", "ReasmTimeout", "FragFails"),
-}
+_DROP_COUNTERS = ("InErrors", "RcvbufErrors", "SndbufErrors", "ReasmFails", "ReasmTimeout", "FragFails")
 """Dropped datagrams, the usual cause of loss and of late large messages."""
 
 
@@ -75,7 +73,7 @@ class HostSampler:
             "monotonic_raw_ns": monotonic_raw_ns,
             "host": _host_load(),
             "network": _network_totals(),
-            "udp": _kernel_totals(),
+            "udp": {name: total for name, total in read_kernel_counters().items() if name in _DROP_COUNTERS},
             "wifi": wifi_signals(),
             "processes": self._process_loads(),
             "sampling_cpu_ns": self._sampling_cpu_ns,
@@ -152,14 +150,3 @@ def _network_totals() -> dict[str, dict[str, int]]:
         }
         for interface, total in totals.items()
     }
-
-
-def _kernel_totals() -> dict[str, int]:
-    """Read `/proc/net/snmp`: for each protocol a line of names and a line of values."""
-    lines = [line.split() for line in (read_text("/proc/net/snmp") or "").splitlines()]
-    totals: dict[str, int] = {}
-    for names, values in zip(lines[::2], lines[1::2], strict=False):
-        counters = _DROP_COUNTERS.get(names[0], ())
-        pairs = zip(names[1:], values[1:], strict=False)
-        totals |= {name: int(value) for name, value in pairs if name in counters}
-    return totals

@@ -10,7 +10,6 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.json_fields import JsonObject
 
 from ..applied.carried import LOOPBACK
-from ..applied.counters import read_interfaces
 from ..backends import load_backend, load_backends
 from ..backends.node import Node
 from ..backends.strangers import Strangers
@@ -18,6 +17,7 @@ from ..choices import Discovery
 from ..host.clock import ClockAnchor
 from ..host.environment import join_environments
 from ..host.fingerprint import host_fingerprint, read_boot_id
+from ..kernel.counters import read_interfaces
 
 
 def describe_session(

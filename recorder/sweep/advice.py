@@ -7,10 +7,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from ..applied.counters import read_limits
 from ..applied.vendors import BUFFER_BYTES
 from ..backends import load_backend
 from ..backends.ros2.installation import package_version
+from ..kernel.counters import read_limits
 from .folder import replace_text
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.units import parse_size
 
-from ..applied.counters import read_limits
 from ..applied.vendors import ros_middleware
 from ..backends import BACKEND_MODULES, load_backend
 from ..choices import Load, Transport
 from ..host.load import DMA_LATENCY
+from ..kernel.counters import read_limits
 from .plan.cells import DEFAULTS, Cell
 from .plan.plan import Order
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass, field, fields
-from pathlib import Path
+from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from ..applied import counters
+from ..kernel.sockets import TcpConnection
 from ..records import to_json
 from .messages import RepeatCount
 from .packets.classes import DISCOVERY, WireClass
-from .tcp_info import TcpConnection
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping
 
     from dds_trace.tracefile.format.wire import Direction
 
@@ -121,7 +119,7 @@ _IP_FIELDS = {
 
 @dataclass(frozen=True, slots=True)
 class IpCounts:
-    """Kernel counters of a run, or since boot; of all programs in the network namespace."""
+    """Kernel counters of a run, of all programs in the network namespace."""
 
     reassembly_requested: int = 0
     reassembly_ok: int = 0
@@ -133,14 +131,10 @@ class IpCounts:
     udp_receive_buffer_full: int = 0
     udp_in_errors: int = 0
 
-    def since(self, before: IpCounts) -> IpCounts:
-        return IpCounts(*(getattr(self, f.name) - getattr(before, f.name) for f in fields(self)))
 
-
-def read_ip_counts(root: Path = Path("/proc")) -> IpCounts:
-    """Return this network namespace's counters since boot; 0 for one that this kernel lacks."""
-    totals = counters.read_kernel_counters(root)
-    return IpCounts(**{name: totals.get(kernel_name, 0) for name, kernel_name in _IP_FIELDS.items()})
+def ip_counts(totals: Mapping[str, int], before: Mapping[str, int]) -> IpCounts:
+    """Return the kernel's counters since `before`; 0 for one that it lacks."""
+    return IpCounts(**{field: totals.get(name, 0) - before.get(name, 0) for field, name in _IP_FIELDS.items()})
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,27 +146,6 @@ class InterfaceCount:
     sent_packets: int = 0
     received_bytes: int = 0
     received_packets: int = 0
-
-    def since(self, before: InterfaceCount | None) -> InterfaceCount:
-        names = ("sent_bytes", "sent_packets", "received_bytes", "received_packets")
-        grown = (getattr(self, name) - (getattr(before, name) if before else 0) for name in names)
-        return InterfaceCount(self.name, *grown)
-
-
-def read_interfaces(names: Sequence[str], root: Path = Path("/proc")) -> tuple[InterfaceCount, ...]:
-    """Return the named interfaces' counters since boot."""
-    totals = counters.read_interfaces(root)
-    return tuple(
-        InterfaceCount(
-            name,
-            totals[name].sent_bytes,
-            totals[name].sent_packets,
-            totals[name].received_bytes,
-            totals[name].received_packets,
-        )
-        for name in names
-        if name in totals
-    )
 
 
 @dataclass(frozen=True, slots=True)

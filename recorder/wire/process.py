@@ -23,14 +23,15 @@ from typing import Any
 from dds_trace.base.errors import TraceError
 from dds_trace.tracefile.format.wire import MessageRows
 
-from ..records import from_json
+from ..kernel.counters import InterfaceCounters, read_interfaces, read_kernel_counters
+from ..kernel.sockets import TCP_COUNTERS, ClosedConnections, TcpConnection, read_connections
+from ..records import from_json, since
 from .capture import WireOptions
-from .counts import ClassCount, InterfaceCount, IpCounts, WireCounts, read_interfaces, read_ip_counts
+from .counts import ClassCount, InterfaceCount, WireCounts, ip_counts
 from .messages import count_repeats
 from .packets.packet_filter import wire_program
 from .ring import PacketRing, RingStatistics
 from .tally import WireTally
-from .tcp_info import ClosedConnections, TcpConnection, read_connections
 
 NICENESS = 5
 """The capture yields to the roles, as does SCHED_BATCH; much nicer, it would starve for longer than the ring lasts."""
@@ -46,8 +47,8 @@ class _Before:
     run_id: str
     begin_ns: int
     cpu_s: float
-    ip: IpCounts
-    interfaces: Mapping[str, InterfaceCount]
+    kernel: Mapping[str, int]
+    interfaces: Mapping[str, InterfaceCounters]
     tcp: dict[int, TcpConnection]
 
 
@@ -112,10 +113,17 @@ class Capture:
             first_spdp_ns=beginnings.spdp_ns,
             first_data_ns=beginnings.data_ns,
             first_reply_ns=beginnings.reply_ns,
-            ip=now.ip.since(before.ip),
-            tcp=tuple(connection.since(before.tcp.get(cookie)) for cookie, connection in sorted(self._tcp.items())),
+            ip=ip_counts(now.kernel, before.kernel),
+            tcp=tuple(
+                since(connection, before.tcp.get(cookie), *TCP_COUNTERS)
+                for cookie, connection in sorted(self._tcp.items())
+            ),
             tcp_again_bytes=run.tcp_again_bytes,
-            interface_counts=tuple(count.since(before.interfaces.get(name)) for name, count in now.interfaces.items()),
+            interface_counts=tuple(
+                InterfaceCount(name, **asdict(since(now.interfaces[name], before.interfaces.get(name))))
+                for name in self._options.interfaces
+                if name in now.interfaces
+            ),
             foreign_packets=run.foreign_packets,
             unseen_headers=run.unseen_headers,
             unfollowed_datagrams=self._tally.unfollowed_datagrams,
@@ -191,12 +199,7 @@ class Capture:
 
     def _now(self, run_id: str) -> _Before:
         return _Before(
-            run_id,
-            time.monotonic_ns(),
-            time.process_time(),
-            read_ip_counts(),
-            {count.name: count for count in read_interfaces(self._options.interfaces)},
-            dict(self._tcp),
+            run_id, time.monotonic_ns(), time.process_time(), read_kernel_counters(), read_interfaces(), dict(self._tcp)
         )
 
 

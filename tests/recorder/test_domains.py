@@ -6,13 +6,13 @@ import pytest
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.domains import (
-    bound_udp_ports,
     check_domain,
     domain_port_range,
     first_port,
     participants_in,
     participants_that_fit,
 )
+from dds_trace.recorder.kernel.counters import bound_udp_ports
 
 HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
 

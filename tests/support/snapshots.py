@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dds_trace.recorder.applied.applied import Applied, Snapshot
-from dds_trace.recorder.applied.counters import InterfaceCounters
 from dds_trace.recorder.applied.memory import SharedMemory
-from dds_trace.recorder.applied.sockets import Socket, TcpState
 from dds_trace.recorder.applied.vendors import PORT, SEGMENT
+from dds_trace.recorder.kernel.counters import InterfaceCounters
+from dds_trace.recorder.kernel.sockets import Socket, TcpState
 
 DEFAULT_BUFFER_BYTES = 212_992
 

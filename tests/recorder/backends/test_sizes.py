@@ -10,7 +10,6 @@ from dds_trace.recorder.applied.applied import Applied, Snapshot
 from dds_trace.recorder.applied.asked import asked_settings
 from dds_trace.recorder.applied.differences import Setting, differences
 from dds_trace.recorder.applied.memory import SharedMemory
-from dds_trace.recorder.applied.sockets import Socket
 from dds_trace.recorder.backends import load_backend, open_node
 from dds_trace.recorder.backends.cyclone_settings import cyclone_settings
 from dds_trace.recorder.backends.node import NodeOptions
@@ -18,6 +17,7 @@ from dds_trace.recorder.backends.ros2.fastdds_profile import requested_profile
 from dds_trace.recorder.backends.sizes import Sizes
 from dds_trace.recorder.backends.zenoh import zenoh_configuration
 from dds_trace.recorder.choices import Discovery, Transport
+from dds_trace.recorder.kernel.sockets import Socket
 
 SIZES = Sizes(100_000, 300_000, 1_400)
 BUFFER, FRAGMENT = "<receiveBufferSize>100000<", "<maxMessageSize>1400<"

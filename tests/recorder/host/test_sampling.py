@@ -9,14 +9,6 @@ import sys
 from dds_trace.recorder.host import sampling
 from dds_trace.recorder.host.sampling import HostSampler
 
-# Linux 6: a line of names, then a line of values for each protocol.
-SNMP = """\
-Ip: Forwarding ReasmFails ReasmTimeout FragFails
-Ip: 1 3 2 0
-Udp: InDatagrams NoPorts InErrors OutDatagrams RcvbufErrors SndbufErrors
-Udp: 100 0 7 90 6 0
-"""
-
 
 def test_samples_of_host_and_own_process_arrive_until_stopped():
     samples = queue.Queue()
@@ -49,28 +41,6 @@ def test_named_process_is_followed_until_it_ends():
 
 
 def test_dropped_datagrams_are_read_from_the_kernel(monkeypatch):
-    monkeypatch.setattr(sampling, "read_text", {"/proc/net/snmp": SNMP}.get)
-    assert HostSampler(lambda _sample: None).sample()["udp"] == {
-        "ReasmFails": 3,
-        "ReasmTimeout": 2,
-        "FragFails": 0,
-        "InErrors": 7,
-        "RcvbufErrors": 6,
-        "SndbufErrors": 0,
-    }
-
-
-def test_pressure_and_stolen_time_are_totals_since_boot(monkeypatch):
-    pressure = "some avg10=75.08 avg60=81.32 avg300=89.07 total=7022655707\nfull avg10=0.00 total=3\n"
-    monkeypatch.setattr(sampling, "read_text", {"/proc/pressure/cpu": pressure, "/proc/pressure/io": "odd"}.get)
-    monkeypatch.setattr(sampling.psutil, "cpu_percent", lambda **_options: [0.0])
-    monkeypatch.setattr(sampling.psutil, "cpu_times", lambda: type("Times", (), {"steal": 26.82}))
-    host = HostSampler(lambda _sample: None).sample()["host"]
-    assert (host["pressure_us"], host["steal_ns"]) == ({"cpu": 7_022_655_707}, 26_820_000_000)
-
-
-def test_no_file_under_proc_or_sys_is_needed(monkeypatch):
-    monkeypatch.setattr(sampling, "read_text", lambda _path: None)
-    sample = HostSampler(lambda _sample: None).sample()
-    assert sample["udp"] == {}
-    assert sample["host"]["temperature_c"] is None
+    counters = {"ReasmFails": 3, "ReasmTimeout": 2, "FragFails": 0, "InErrors": 7, "RcvbufErrors": 6, "SndbufErrors": 0}
+    monkeypatch.setattr(sampling, "read_kernel_counters", lambda: counters | {"ReasmOKs": 9, "MemErrors": 1})
+    assert HostSampler(lambda _sample: None).sample()["udp"] == counters

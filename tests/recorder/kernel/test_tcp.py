@@ -7,9 +7,16 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dds_trace.recorder.kernel.sockets import (
+    TCP_COUNTERS,
+    ClosedConnections,
+    TcpConnection,
+    parse_tcp_info,
+    read_connections,
+)
+from dds_trace.recorder.records import since
 from dds_trace.recorder.wire.packets.classes import TcpFlows, WireClass
 from dds_trace.recorder.wire.packets.packet_filter import PortRange
-from dds_trace.recorder.wire.tcp_info import ClosedConnections, TcpConnection, parse_tcp_info, read_connections
 
 ACK, SYN = 0x10, 0x02
 
@@ -97,7 +104,7 @@ def test_the_kernel_says_the_same_of_a_connection_by_either_door():
 def test_counters_are_those_since_and_the_rest_is_of_now():
     before = TcpConnection(1, 2, 3, 300, 1000, 10, 9, 1448, 50, 5, 40, 10)
     now = TcpConnection(1, 2, 5, 500, 3000, 30, 19, 1448, 60, 6, 30, 20)
-    assert now.since(before) == TcpConnection(1, 2, 2, 200, 2000, 20, 10, 1448, 60, 6, 30, 20)
+    assert since(now, before, *TCP_COUNTERS) == TcpConnection(1, 2, 2, 200, 2000, 20, 10, 1448, 60, 6, 30, 20)
 
 
 def test_a_connection_that_ends_says_its_last_word():

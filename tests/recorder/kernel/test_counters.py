@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from dds_trace.recorder.applied.counters import (
+from dds_trace.recorder.kernel.counters import (
     InterfaceCounters,
     MulticastGroup,
     read_groups,
@@ -15,6 +15,7 @@ from dds_trace.recorder.applied.counters import (
     read_kernel_counters,
     read_limits,
 )
+from dds_trace.recorder.records import since
 
 DEV = """\
 Inter-|   Receive                                                |  Transmit
@@ -79,7 +80,8 @@ def test_interfaces_have_bytes_and_packets_both_ways(root):
 
 
 def test_what_was_added_since_the_beginning():
-    assert InterfaceCounters(10, 20, 3, 4).since(InterfaceCounters(1, 5, 1, 4)) == InterfaceCounters(9, 15, 2, 0)
+    assert since(InterfaceCounters(10, 20, 3, 4), InterfaceCounters(1, 5, 1, 4)) == InterfaceCounters(9, 15, 2, 0)
+    assert since(InterfaceCounters(1, 1, 1, 1), None) == InterfaceCounters(1, 1, 1, 1)
 
 
 def test_lost_fragments_and_datagrams_come_from_the_lines_of_ip_and_udp(root):

@@ -1,6 +1,6 @@
-"""Counters of the kernel at one instant: bytes and packets by interface, lost fragments, multicast groups, limits.
+"""Counters, limits, multicast groups and bound ports of a network namespace, read from /proc.
 
-They belong to a network namespace: other programs' traffic is counted as well.
+Other programs' traffic is counted as well.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
+PROC = Path("/proc")
 _KERNEL_JOINS = ("224.0.0.1", "ff01::1", "ff02::1")
 """Groups that the kernel joins on every interface."""
 
@@ -38,14 +39,6 @@ class InterfaceCounters:
     sent_packets: int = 0
     received_packets: int = 0
 
-    def since(self, begin: InterfaceCounters) -> InterfaceCounters:
-        return InterfaceCounters(
-            self.sent_bytes - begin.sent_bytes,
-            self.received_bytes - begin.received_bytes,
-            self.sent_packets - begin.sent_packets,
-            self.received_packets - begin.received_packets,
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class MulticastGroup:
@@ -55,7 +48,7 @@ class MulticastGroup:
     address: str
 
 
-def read_interfaces(root: Path = Path("/proc")) -> dict[str, InterfaceCounters]:
+def read_interfaces(root: Path = PROC) -> dict[str, InterfaceCounters]:
     counters = {}
     for line in _lines(root / "self/net/dev")[2:]:
         name, _, rest = line.partition(":")
@@ -65,7 +58,7 @@ def read_interfaces(root: Path = Path("/proc")) -> dict[str, InterfaceCounters]:
     return counters
 
 
-def read_kernel_counters(root: Path = Path("/proc")) -> dict[str, int]:
+def read_kernel_counters(root: Path = PROC) -> dict[str, int]:
     """Return lost fragments and datagrams (`ReasmFails`, `RcvbufErrors`), from `/proc/net/snmp`.
 
     UDP's names also occur in lines of other protocols, so each is taken from its own line.
@@ -80,7 +73,7 @@ def read_kernel_counters(root: Path = Path("/proc")) -> dict[str, int]:
     return counters
 
 
-def read_limits(root: Path = Path("/proc")) -> dict[str, int]:
+def read_limits(root: Path = PROC) -> dict[str, int]:
     """Return the kernel settings that bound buffers, reassembly and ports.
 
     In bytes, except `net.ipv4.ipfrag_time` (seconds), `ipfrag_max_dist` (fragments) and the first port that the kernel chooses.
@@ -89,7 +82,7 @@ def read_limits(root: Path = Path("/proc")) -> dict[str, int]:
     return {name: int(values[0]) for name, values in words.items() if values and values[0].isdigit()}
 
 
-def read_groups(root: Path = Path("/proc")) -> tuple[MulticastGroup, ...]:
+def read_groups(root: Path = PROC) -> tuple[MulticastGroup, ...]:
     """Return this network namespace's multicast groups by interface, from `/proc/net/igmp` and `igmp6`."""
     groups = {*_ipv4_groups(root / "self/net/igmp"), *_ipv6_groups(root / "self/net/igmp6")}
     joined = [group for group in groups if group.address not in _KERNEL_JOINS]
@@ -116,8 +109,19 @@ def _ipv6_groups(path: Path) -> list[MulticastGroup]:
     ]
 
 
+def bound_udp_ports(root: Path = PROC) -> set[int]:
+    rows = [line.split() for name in ("udp", "udp6") for line in _lines(root / "net" / name)[1:]]
+    return {int(row[1].rpartition(":")[2], 16) for row in rows}
+
+
+def ephemeral_ports(root: Path = PROC) -> range:
+    """Return the ports that the kernel gives to any program; none if it does not report them."""
+    numbers = " ".join(_lines(root / "sys/net/ipv4/ip_local_port_range")).split()
+    return range(int(numbers[0]), int(numbers[1]) + 1) if len(numbers) > 1 else range(0)
+
+
 def _lines(path: Path) -> list[str]:
     try:
         return path.read_text().splitlines()
-    except OSError:
+    except OSError:  # another system, or no such protocol here
         return []

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from dds_trace.recorder.applied import sockets
-from dds_trace.recorder.applied.diag import DiagError, dump_sockets
-from dds_trace.recorder.applied.sockets import read_sockets
+from dds_trace.recorder.kernel import sockets
+from dds_trace.recorder.kernel.sockets import DiagError, dump_sockets, read_sockets
 
 
 def found(opened):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 from dds_trace.base.files import expand_home, open_regular
+from dds_trace.base.printable import printable
 from dds_trace.base.units import parse_size
 
 from ...choices import Security
@@ -337,7 +338,7 @@ def _link(table: TomlTable) -> Link | None:
         try:
             read_drive(link.file)
         except OptionError as err:
-            raise OptionError(f"{table.where}: {err}") from err
+            raise OptionError(f"{table.where}: {printable(err, 1000)}") from err  # a path may have line breaks
     return link
 
 
@@ -366,4 +367,6 @@ def _axis_value(table: TomlTable, name: str, value: object) -> AxisValue:
         raise OptionError(f"{table.where}: {err}") from err
     if choices := axis_choices(name):
         return table.choose(name, value, choices)
+    if name == "rate" and value == math.inf:  # JSON has no infinity, so a schema cannot take it
+        raise OptionError(f"{table.where}: rate is inf; write 'max'")
     return table.check(name, value, axis.kind)

@@ -8,10 +8,10 @@ from pathlib import Path
 import polars as pl
 import pytest
 from plain_analysis import METRICS, analyze_plain
+from trace_files import SAMPLE_NAMES, SAMPLES
 
 from dds_trace.analyzer.pipeline import analyze
 
-SAMPLES = Path(__file__).parents[2] / "sample_traces"
 NAMES = sorted(path.name.removesuffix(".expected.json") for path in SAMPLES.glob("*.expected.json"))
 STATISTICS = ("mean", "min", "max", "p50", "p90", "p95", "p99", "p99_9")
 
@@ -21,8 +21,10 @@ def expected(name: str) -> dict:
 
 
 def test_the_samples_are_there_and_small() -> None:
-    assert NAMES == ["different_domains", "losses", "same_domain"]
-    assert sum(path.stat().st_size for path in SAMPLES.rglob("*") if path.is_file()) < 2_000_000
+    assert NAMES == SAMPLE_NAMES
+    paths = [path for name in NAMES for path in (SAMPLES / name).iterdir() if path.is_file()]
+    assert {path.suffix for path in paths} == {".mcap"}
+    assert sum(path.stat().st_size for path in paths) < 2_000_000
 
 
 @pytest.mark.parametrize("name", NAMES)

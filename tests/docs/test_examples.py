@@ -16,10 +16,10 @@ import pytest
 from bags import points, write_bag2
 from doc_examples import DOCS, PAGES, command_lines, examples
 from processes import RunningCommand
+from trace_files import SAMPLES, copy_sample
 
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 
-SAMPLES = DOCS.parent / "sample_traces"
 SMALL_PLAN = """
 [run]
 messages = 5
@@ -75,12 +75,12 @@ def desk(tmp_path_factory):
     words = {word for line in LINES for word in shlex.split(line)}
     for name in ("runs", "base", "new", *(word for word in words if word.startswith(("runs/", "again/")))):
         if not Path(name).suffix:
-            shutil.copytree(SAMPLES / "losses", folder / name, dirs_exist_ok=True)
+            copy_sample("losses", folder / name)
     for plan in (word for word in words if word.endswith(".toml")):
         (folder / plan).parent.mkdir(exist_ok=True)
         (folder / plan).write_text(SMALL_PLAN.format(domain=10))
     shutil.copy(SAMPLES / "losses" / "binary_600KB_20Hz.mcap", folder / "runs" / "ping.mcap")
-    shutil.copytree(SAMPLES / "same_domain", folder / "runs" / "two-sizes")
+    copy_sample("same_domain", folder / "runs" / "two-sizes")
     (folder / "photos").mkdir()
     (folder / "photos" / "one.jpg").write_bytes(b"jpeg")
     with tarfile.open(DOCS / "results" / "two-machines" / "traces.tar.xz") as archive:

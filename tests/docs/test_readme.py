@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from processes import RunningCommand
+from trace_files import copy_sample
 
 from dds_trace.recorder.sweep.plan.plan_file import read_plan
 
@@ -22,7 +23,6 @@ LINE = re.compile(
     r"^ {4}(?P<block>(?:dds-|pip|just).+)$|`(?P<inline>(?:dds-trace |pipx? |just )[^`\n]+)`", re.MULTILINE
 )
 LINES = [re.sub(r"\s{2,}#.*$", "", found["block"] or found["inline"]) for found in LINE.finditer(README)]
-SAMPLES = ROOT / "sample_traces"
 
 TOOLS = 'pip install --target .tools uv rust-just && PATH="$PWD/.tools/bin:$PATH"'
 
@@ -62,7 +62,7 @@ def test_every_command_line_of_the_readme_runs(tmp_path, monkeypatch, domain_id,
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
     for side in ("base", "new"):  # recorded before, on the reader's side
-        shutil.copytree(SAMPLES / "losses", side)
+        copy_sample("losses", side)
     with ExitStack() as stack:
         relay = None
         for line in (line for line in LINES if line not in NOT_RUN):

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from event_cdr import pack_event
@@ -29,9 +31,11 @@ from dds_trace.tracefile.format.events import (
 )
 from dds_trace.tracefile.format.wire import WIRE_TOPIC
 
+SAMPLES = Path(__file__).parents[2] / "sample_traces"
+SAMPLE_NAMES = ["different_domains", "losses", "same_domain"]
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
 
 PING_SESSION_ID = 0x00000000000000A1
 RELAY_SESSION_ID = 0x00000000000000B2
@@ -329,3 +333,8 @@ def _in_time_order(events: Mapping[Stage, Sequence[Event]]) -> list[tuple[Stage,
             latest = fields[2] if latest is None else max(latest, fields[2])
             tagged.append((latest, stage, fields))
     return [(stage, fields) for _, stage, fields in sorted(tagged, key=lambda item: item[0])]
+
+
+def copy_sample(name: str, folder: Path) -> None:
+    """Copy the traces of a sample, without what a person analyzed there."""
+    shutil.copytree(SAMPLES / name, folder, ignore=shutil.ignore_patterns("analysis"), dirs_exist_ok=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 
 import polars as pl
 import pytest
 from analyses import EVERY_ANALYSIS
+from trace_files import SAMPLE_NAMES, SAMPLES, copy_sample
 
 from dds_trace.analyzer.analysis import DETAIL_FRAMES, Details, load_analysis
 from dds_trace.analyzer.pipeline import analyze
@@ -18,7 +18,6 @@ from dds_trace.analyzer.verdicts.job import parse_job
 from dds_trace.base.errors import OutputError, OutputExistsError, TraceError, TraceFormatError
 from dds_trace.reports.reporters import REPORT_MODULES, render_report
 
-SAMPLES = Path(__file__).parents[3] / "sample_traces"
 JOB = parse_job("data=binary size=33KB rate=20 deadline=50ms reliability=0.9")
 WAYS = {
     "plain": {},
@@ -28,12 +27,8 @@ WAYS = {
 }
 
 
-def folders_of_samples():
-    return sorted(path.name for path in SAMPLES.iterdir() if path.is_dir())
-
-
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("name", folders_of_samples())
+@pytest.mark.parametrize("name", SAMPLE_NAMES)
 def test_every_report_of_a_loaded_analysis_equals_that_of_the_fresh_one(tmp_path, name, way):
     fresh = analyze(SAMPLES / name, out=tmp_path / "out", **WAYS[way])
     fresh.save(tmp_path / "saved")
@@ -223,7 +218,7 @@ def test_a_folder_without_a_saved_analysis_says_how_to_write_one(tmp_path):
 def test_the_example_of_the_documentation_runs(tmp_path, monkeypatch):
     text = (SAMPLES.parent / "docs" / "how-to" / "analyze.md").read_text(encoding="utf-8")
     example = text.partition("### Save and load\n\n```python\n")[2].partition("```")[0]
-    shutil.copytree(SAMPLES / "losses", tmp_path / "runs")
+    copy_sample("losses", tmp_path / "runs")
     monkeypatch.chdir(tmp_path)
     exec(example, {})
     assert {path.name for path in Path("runs/analysis").iterdir()} == {"saved", "report.html", "report.md"}

@@ -8,15 +8,7 @@ from collections.abc import Iterator
 from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
 
-from ..model.applied import (
-    interface_bytes,
-    is_tuned,
-    kernel_counts,
-    kernel_limits,
-    may_be_cut,
-    socket_drops,
-    words_not_applied,
-)
+from ..model.applied import interface_bytes, kernel_counts, kernel_limits, may_be_cut, words_not_applied
 from ..model.finding import Severity, Subject
 from .evidence import SMALLER_DATAGRAMS, Evidence, Observation, check
 
@@ -37,23 +29,6 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
     for group, by_words in sorted(roles.items()):
         listed = "; ".join(f"{' and '.join(sorted(sides))}: {words}" for words, sides in by_words.items())
         yield evidence.result(group, f"What was requested is not what was measured. {listed[0].upper()}{listed[1:]}.")
-
-
-@check("udp_buffer_overflow", Severity.WARNING, Subject.RECORDING, "Expect losses and late large messages: {cure}.")
-def dropped_datagrams(evidence: Evidence) -> Iterator[Observation]:
-    """The recording's own sockets ran out of receive buffer."""
-    for session in evidence.campaign.sessions.values():
-        if count := socket_drops(session):
-            yield Observation(
-                evidence.session_name(session),
-                f"The kernel dropped {counted(count, 'datagram')} at its own sockets, whose receive buffer was full.",
-                evidence.groups_of_sessions.get(session.session_id, ()),
-                blanks={"cure": _TUNED_ALREADY if is_tuned(session) else _UNTUNED},
-            )
-
-
-_UNTUNED = "raise net.core.rmem_max and net.core.rmem_default, or record with --tuned"
-_TUNED_ALREADY = "it has the buffers of --tuned already, so a lower rate or size may help"
 
 
 @check(

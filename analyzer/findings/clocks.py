@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import polars as pl
 
@@ -13,63 +12,19 @@ from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Severity, Subject
 from ..model.foreign import number_of, object_of
 from .evidence import Evidence, Observation, check
+from .rows import Row, Rows, frame_of
 
 _SHORTEST_SLEEP_NS = 1_000_000_000
 """Shortest time in which a device goes to sleep and wakes."""
 
 
-class _Step(NamedTuple):
-    ping_device: str
-    relay_device: str
-    before_ns: int
-    size_ns: int
-    bound_ns: int
-    asleep: str | None
-
-
-@check(
-    "suspend",
-    Severity.WARNING,
-    Subject.DEVICE,
-    "Repeat the runs about that time with suspending switched off: messages were lost or late for it. If the stamps are not of "
-    "CLOCK_MONOTONIC, that clock was set.",
-)
-def suspends(evidence: Evidence) -> Iterator[Observation]:
-    """A device was suspended."""
-    for step in _steps(evidence):
-        if step.asleep is not None:
-            yield Observation(
-                f"{step.asleep} ({step.relay_device} against {step.ping_device})",
-                f"Its clock stood still for {format_duration(abs(step.size_ns))} (within {format_duration(step.bound_ns)}) before "
-                f"{step.before_ns / 1e9:.1f} s of the ping's clock, and the relay ran on: the device, or its virtual machine, "
-                "was suspended.",
-            )
-
-
-@check(
-    "clock_step",
-    Severity.WARNING,
-    Subject.DEVICE,
-    "One-way times are fitted separately before and after; a message under way at the jump has a wrong round trip. Do not "
-    "restart devices while recording.",
-)
-def clock_steps(evidence: Evidence) -> Iterator[Observation]:
-    """A clock jumped against the other device's."""
-    for step in _steps(evidence):
-        if step.asleep is None:
-            yield Observation(
-                f"{step.relay_device} against {step.ping_device}",
-                f"The clock jumped by {format_duration(step.size_ns)} (within {format_duration(step.bound_ns)}) "
-                f"before {step.before_ns / 1e9:.1f} s of the ping's clock.",
-            )
-
-
-def _steps(evidence: Evidence) -> Iterator[_Step]:
-    """Yield the steps in `clock_fits` that no slew made.
+def _steps(evidence: Evidence) -> pl.DataFrame:
+    """List the steps in `clock_fits` that no slew made.
 
     While its device is up, a monotonic clock can only stand still. So a step of a second or more during one relay process
     is sleep: the relay's if its clock fell back, the ping's if it got ahead.
     """
+    rows = []
     for pair in evidence.device_pairs:
         slewed = {index for slew in pair.slews for index in range(slew.first, slew.after)}
         at_ns, relay_id = pair.knots["at_ns"], pair.knots["relay_id"]
@@ -81,8 +36,24 @@ def _steps(evidence: Evidence) -> Iterator[_Step]:
             went_on = 0 < after < len(at_ns) and relay_id[after - 1] == relay_id[after]
             slept = went_on and abs(size_ns) - bound_ns >= _SHORTEST_SLEEP_NS
             asleep = fit["relay_device"] if size_ns < 0 else fit["ping_device"]
-            devices = fit["ping_device"], fit["relay_device"]
-            yield _Step(*devices, fit["start_ns"], size_ns, bound_ns, asleep if slept else None)
+            rows.append(
+                {
+                    "devices": f"{fit['relay_device']} against {fit['ping_device']}",
+                    "asleep": asleep if slept else None,
+                    "before_s": fit["start_ns"] / 1e9,
+                    "size_ns": size_ns,
+                    "lasted_ns": abs(size_ns),
+                    "bound_ns": bound_ns,
+                }
+            )
+    return frame_of(rows)
+
+
+def _in_step(_evidence: Evidence, row: Row) -> tuple[str, tuple[int, ...]]:
+    return f"{row['asleep']} ({row['devices']})" if row["asleep"] else row["devices"], ()
+
+
+STEPS = Rows(Subject.DEVICE, _steps, _in_step)
 
 
 @check(

@@ -84,8 +84,15 @@ class Evidence:
         rows = zip(self.exchanges_by_group(), self._counts, strict=True)
         return ((exchange, group, row) for (exchange, group), row in rows)
 
-    def counts_by_run(self) -> dict[int, tuple[Exchange, dict[str, int]]]:
-        return {exchange.run.run_id: (exchange, row) for exchange, _, row in self.counts_by_exchange()}
+    @cached_property
+    def _frames(self) -> dict[Callable[[Evidence], pl.DataFrame], pl.DataFrame]:
+        return {}
+
+    def frame(self, make: Callable[[Evidence], pl.DataFrame]) -> pl.DataFrame:
+        """Make a frame of the evidence once."""
+        if make not in self._frames:
+            self._frames[make] = make(self)
+        return self._frames[make]
 
     @cached_property
     def group_names(self) -> list[str]:

@@ -14,14 +14,6 @@ from ..statistics.percentiles import PERCENTILES, Percentile
 from .evidence import Evidence, Observation, check, exchange_name, some
 
 
-@check("nothing_counted", Severity.WARNING, Subject.RESULT, "Record more messages than warm-up messages.")
-def unmeasured_groups(evidence: Evidence) -> Iterator[Observation]:
-    """All messages were warm-up."""
-    for group, row in evidence.rows_by_group("published"):
-        if not row["published"]:
-            yield evidence.result(group, "All messages were warm-up; nothing is counted.")
-
-
 @check("duplicates", Severity.WARNING, Subject.RESULT, "Look for a second bridge or route between the two sides.")
 def duplicates(evidence: Evidence) -> Iterator[Observation]:
     """Replies came more than once."""
@@ -38,23 +30,6 @@ def duplicates(evidence: Evidence) -> Iterator[Observation]:
             "many; the first one counts.",
             min(several / max(received[group], 1), 1.0),
         )
-
-
-@check(
-    "reordering",
-    Severity.WARNING,
-    Subject.RESULT,
-    "With reliable QoS on one topic this should not happen: look for several routes or relays.",
-)
-def reordering(evidence: Evidence) -> Iterator[Observation]:
-    """Replies overtook each other."""
-    for group, row in evidence.rows_by_group("reordered", "received"):
-        if count := row["reordered"]:
-            yield evidence.result(
-                group,
-                f"{count} of {counted(row['received'], 'reply', 'replies')} came after the reply to a later message.",
-                count / row["received"],
-            )
 
 
 @check(

@@ -15,6 +15,7 @@ from ..model.finding import Severity, Subject
 from ..pairing.exchanges import Exchange
 from ..pairing.pair import Outcome
 from .evidence import Evidence, Observation, check, exchange_name, percent
+from .rows import Row, Rows, in_result
 
 _LOST = {
     Outcome.LOST_OUTBOUND.value: "on the way out",
@@ -23,6 +24,27 @@ _LOST = {
     Outcome.LOST_UNKNOWN.value: "at an unknown point",
 }
 """Outcome -> where the message was lost, in words."""
+
+
+def _outages(evidence: Evidence) -> pl.DataFrame:
+    durations_ns = pl.col("duration_ns")
+    by_group = evidence.details.outages.group_by("group", maintain_order=True).agg(
+        pl.len().alias("times"),
+        pl.col("messages").sum().alias("lost"),
+        durations_ns.max().alias("longest_ns"),
+        durations_ns.null_count().alias("endless"),
+    )
+    return by_group.with_columns(evidence.summary.frame["published"].gather(by_group["group"]))
+
+
+OUTAGES = Rows(Subject.RESULT, _outages, in_result)
+
+
+def _place_of_run(evidence: Evidence, row: Row) -> tuple[str, tuple[int, ...]]:
+    return evidence.run_name(row["run_id"]), (row["group"],)
+
+
+RECOVERIES = Rows(Subject.RUN, lambda evidence: evidence.details.recoveries, _place_of_run)
 
 
 def _lost_where(row: Mapping[str, int]) -> str:
@@ -121,50 +143,6 @@ def _dropped_by_zenoh(members: Sequence[_Member], _row: Mapping[str, int]) -> _C
 
 _CAUSES = (_outlived_lifespan, _dropped_by_zenoh, _outlived_history)
 """The first one that the trace shows is named."""
-
-
-@check(
-    "outage",
-    Severity.WARNING,
-    Subject.RESULT,
-    "Look at the timeline: a link that drops out, a relay that pauses, a full buffer; `loss` names what the trace shows.",
-)
-def outages(evidence: Evidence) -> Iterator[Observation]:
-    """Several messages in a row were lost."""
-    published = evidence.summary.frame["published"].to_list()
-    for (key,), rows in evidence.details.outages.group_by(["group"], maintain_order=True):
-        group = int(str(key))
-        lost = rows["messages"].sum()
-        durations_ns = rows["duration_ns"].drop_nulls().to_list()
-        longest = f"; the longest lasted {format_duration(max(durations_ns))}" if durations_ns else ""
-        endless = rows.height - len(durations_ns)
-        end = f"; {endless} lasted to the end of the run." if endless else "."
-        yield evidence.result(
-            group,
-            f"{counted(rows.height, 'time')} several messages in a row were lost, {lost} in all{longest}{end}",
-            lost / published[group],
-        )
-
-
-@check(
-    "never_came_back",
-    Severity.WARNING,
-    Subject.RUN,
-    "Starting one side again after such an outage, or a setup that comes back, may help; a larger outage_limit_seconds separates slow "
-    "from never.",
-)
-def lost_connections(evidence: Evidence) -> Iterator[Observation]:
-    """Nothing came back after an outage that the sweep made."""
-    for row in evidence.details.recoveries.filter(pl.col("never")).iter_rows(named=True):
-        reached = (
-            "" if row["out_ns"] is None else f", though the relay received one after {format_duration(row['out_ns'])}"
-        )
-        yield evidence.run(
-            row["run_id"],
-            f"After an outage of {format_duration(row['outage_ns'])} ({row['by']}) no reply came within "
-            f"{format_duration(row['limit_ns'])}{reached}.",
-            (row["group"],),
-        )
 
 
 @check(

@@ -6,29 +6,57 @@ import json
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
-from dds_trace.base.units import counted, format_duration
+from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Session
 
 from ..loading.campaign import part_of
+from ..model.applied import is_tuned, socket_drops
 from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Severity, Subject
+from ..model.foreign import number_of
 from .evidence import Evidence, Observation, check, some
+from .rows import Rows, frame_of, in_recording
+
+if TYPE_CHECKING:
+    import polars as pl
+
+UNSAVED_NS = 1_000_000_000
+"""With `--fsync` a power loss takes less than this (`chunk_seconds` of the recorder's destination)."""
+
+_ERROR_CHARACTERS = 400
+"""Longest part of an error that a finding repeats."""
 
 
-@check(
-    "recorder_drops",
-    Severity.ERROR,
-    Subject.RECORDING,
-    "Do not trust losses here; a faster disk, a lower rate or a larger ring may help.",
-)
-def recorder_drops(evidence: Evidence) -> Iterator[Observation]:
-    """The recorder dropped events."""
-    for session in evidence.campaign.sessions.values():
-        if session.dropped_events:
-            events = counted(session.dropped_events, "event")
-            yield evidence.recording(session, f"The recorder dropped {events}; messages that it dropped count as lost.")
+def _sessions(evidence: Evidence) -> pl.DataFrame:
+    return frame_of(
+        [
+            {
+                "session_id": session.session_id,
+                "state": session.state,
+                "dropped_events": session.dropped_events,
+                "error": None if _failed_bridge(session) else _reason(session, "error"),
+                "stopped": _reason(session, "stopped"),
+                "longest_unsaved_ns": number_of(session.extra.get("longest_unsaved_ns")),
+                "dropped_datagrams": socket_drops(session),
+                "cure": _TUNED_ALREADY if is_tuned(session) else _UNTUNED,
+            }
+            for session in evidence.campaign.sessions.values()
+        ]
+    )
 
+
+_UNTUNED = "raise net.core.rmem_max and net.core.rmem_default, or record with --tuned"
+_TUNED_ALREADY = "it has the buffers of --tuned already, so a lower rate or size may help"
+
+
+def _reason(session: Session, name: str) -> str | None:
+    reason = session.extra.get(name)
+    return reason[:_ERROR_CHARACTERS].rstrip(".") if isinstance(reason, str) and reason else None
+
+
+RECORDINGS = Rows(Subject.RECORDING, _sessions, in_recording)
 
 _BRIDGE_FAILURES = {"died": "ended by itself", "never_ready": "never carried a message"}
 
@@ -63,34 +91,6 @@ def _last_words(bridge: Mapping[str, object]) -> str:
     return "; ".join(line[:200].rstrip(".") for line in lines) or "none"
 
 
-@check("ended_by_error", Severity.ERROR, Subject.RECORDING, "Messages after the failure count as lost: repeat the run.")
-def failed_recordings(evidence: Evidence) -> Iterator[Observation]:
-    """An error ended a run before its plan."""
-    for session in evidence.campaign.sessions.values():
-        error = session.extra.get("error")
-        if isinstance(error, str) and error and not _failed_bridge(session):
-            yield evidence.recording(
-                session, f"The run ended before its plan, or with nobody left to answer: {_shortened(error)}."
-            )
-
-
-@check(
-    "recording_stopped",
-    Severity.ERROR,
-    Subject.RECORDING,
-    "Messages of that time have no T3 and T4, and count as lost on the way out if they did not come back: make room and record "
-    "again.",
-)
-def stopped_recordings(evidence: Evidence) -> Iterator[Observation]:
-    """A relay could not record all that it sent back."""
-    for session in evidence.campaign.sessions.values():
-        reason = session.extra.get("stopped")
-        if isinstance(reason, str) and reason:
-            yield evidence.recording(
-                session, f"The relay could not record all that it sent back: {_shortened(reason)}."
-            )
-
-
 @check(
     "strangers",
     Severity.WARNING,
@@ -104,14 +104,6 @@ def strangers(evidence: Evidence) -> Iterator[Observation]:
         if isinstance(counts, dict) and counts:
             kinds = some((f"{counts[kind]} x {str(kind)[:100]}" for kind in sorted(counts, key=str)), 8)
             yield evidence.recording(session, f"Others sent what was not accepted: {kinds}.")
-
-
-_ERROR_CHARACTERS = 400
-"""Longest part of an error that a finding repeats."""
-
-
-def _shortened(error: str) -> str:
-    return error[:_ERROR_CHARACTERS].rstrip(".")
 
 
 @check(
@@ -145,45 +137,6 @@ def _missing_numbers(parts: Sequence[int]) -> Iterator[str]:
         first, last = previous + 1, following - 1
         if first <= last:
             yield str(first) if first == last else f"{first} to {last}"
-
-
-@check(
-    "unclosed_session",
-    Severity.WARNING,
-    Subject.RECORDING,
-    "Stop recordings with Ctrl-C or --duration and analyze again.",
-)
-def unclosed_sessions(evidence: Evidence) -> Iterator[Observation]:
-    """A recording has no clean end."""
-    for session in evidence.campaign.sessions.values():
-        if session.state != "closed":
-            yield evidence.recording(
-                session,
-                "The recording has no clean end: it was killed, lost power, or still goes on; how many events it dropped is "
-                "unknown.",
-            )
-
-
-_UNSAVED_NS = 1_000_000_000
-"""With `--fsync` a power loss takes less than this (`chunk_seconds` of the recorder's destination)."""
-
-
-@check(
-    "slow_to_disk",
-    Severity.INFO,
-    Subject.RECORDING,
-    "Nothing is missing here; a faster disk or less load on the machine may help the next time.",
-)
-def slow_disks(evidence: Evidence) -> Iterator[Observation]:
-    """Events waited longer for the disk than --fsync promises."""
-    for session in evidence.campaign.sessions.values():
-        unsaved_ns = session.extra.get("longest_unsaved_ns")
-        if isinstance(unsaved_ns, int) and unsaved_ns > _UNSAVED_NS:
-            yield evidence.recording(
-                session,
-                f"For {format_duration(unsaved_ns)} events were not on the disk, though --fsync was given: a power loss "
-                "then would have taken more than the last second.",
-            )
 
 
 @check("doubtful_session", Severity.WARNING, Subject.RECORDING, "Keep each recording in its own file.")

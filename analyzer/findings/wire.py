@@ -3,78 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from dds_trace.base.units import counted, format_duration, three_digits
 
 from ..model.applied import may_be_cut
 from ..model.finding import Severity, Subject
 from .evidence import SMALLER_DATAGRAMS, Evidence, Observation, check, percent
+from .rows import Row, Rows, in_result
 
-_Row = dict[str, Any]
-
-
-def _rows(evidence: Evidence) -> Iterator[_Row]:
-    return evidence.details.wire.iter_rows(named=True)
+WIRE = Rows(Subject.RESULT, lambda evidence: evidence.details.wire, in_result)
 
 
-def _complete_rows(evidence: Evidence) -> Iterator[_Row]:
-    return (row for row in _rows(evidence) if row["complete"])
-
-
-@check(
-    "wire_incomplete",
-    Severity.WARNING,
-    Subject.RESULT,
-    "Fewer bytes a second, or a machine with a processor to spare, may help.",
-)
-def incomplete_captures(evidence: Evidence) -> Iterator[Observation]:
-    """The capture of the wire missed packets."""
-    for row in _rows(evidence):
-        if not row["complete"]:
-            failed = row["reassembly_failed"]
-            fragments = f" The kernel counted {_not_joined(failed)}." if failed else ""
-            yield evidence.result(
-                row["group"],
-                f"The capture of the wire missed {counted(row['kernel_drops'], 'packet')} that the kernel dropped: its "
-                f"counts are lower bounds, and prove nothing about repeats.{fragments}",
-            )
-
-
-@check(
-    "wire_counts_shared",
-    Severity.INFO,
-    Subject.RESULT,
-    "Two seconds without a message between runs, or a relay for each run, may help.",
-)
-def shared_counts(evidence: Evidence) -> Iterator[Observation]:
-    """Counts of the relay's capture are of several results."""
-    for row in _rows(evidence):
-        if count := row["shared_counts"]:
-            yield evidence.result(
-                row["group"],
-                f"{counted(count, 'count')} of the relay's capture {'is' if count == 1 else 'are'} of runs of other results, "
-                "too: the relay's requests and lost datagrams are left out here.",
-            )
-
-
-@check(
-    "carried_twice",
-    Severity.WARNING,
-    Subject.RESULT,
-    "The slower of the two takes part of every message: one interface on both sides (NetworkInterface in CYCLONEDDS_URI, "
-    "interfaceWhiteList in a Fast DDS profile), or the other one switched off, may help.",
-)
-def messages_carried_twice(evidence: Evidence) -> Iterator[Observation]:
-    """Messages left on two interfaces at once."""
-    for row in _rows(evidence):
-        if row["carried_twice"]:
-            share = percent(row["carried_twice"], row["messages"])
-            yield evidence.result(
-                row["group"],
-                f"{row['carried_twice']} of {counted(row['messages'], 'message')} ({share}), or their replies, left on more than one interface.",
-                row["carried_twice"] / row["messages"],
-            )
+def _complete_rows(evidence: Evidence) -> Iterator[Row]:
+    return evidence.details.wire.filter("complete").iter_rows(named=True)
 
 
 @check(
@@ -136,7 +77,7 @@ def retransmission_storms(evidence: Evidence) -> Iterator[Observation]:
             )
 
 
-def _remedy(row: _Row) -> str:
+def _remedy(row: Row) -> str:
     if row["udp_receive_buffer_full"]:
         return (
             f"{counted(row['udp_receive_buffer_full'], 'datagram')} met a full receive buffer, so give the sockets larger "

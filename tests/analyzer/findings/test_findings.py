@@ -60,10 +60,10 @@ def test_a_sound_recording_has_no_finding(tmp_path):
     assert analyze(tmp_path).findings == ()
 
 
-def test_every_check_is_in_the_table():
+def test_every_check_that_is_a_function_is_in_the_table():
     modules = [import_module(f"{rooms.__name__}.{module.name}") for module in iter_modules(rooms.__path__)]
     checks = {value for module in modules for value in vars(module).values() if isinstance(value, Check)}
-    assert checks == set(CHECKS)
+    assert checks == {check for check in CHECKS if check.observe.__module__ != f"{rooms.__name__}.rows"}
 
 
 def test_the_most_severe_come_first(tmp_path):

@@ -1,4 +1,4 @@
-"""A finding is a function with its record, and a row of the table: a toy one reaches every report through these alone."""
+"""A finding is a rule, a row of the table, or a function and its name there: a toy of each reaches every report."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ import re
 from importlib import import_module
 from pathlib import Path
 
+import polars as pl
 import pytest
 from trace_files import Message, write_pair
 
 from dds_trace.analyzer.findings import table
 from dds_trace.analyzer.findings.evidence import check
+from dds_trace.analyzer.findings.rows import RESULTS
 from dds_trace.analyzer.model.finding import Severity, Subject
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.reports.reporters import REPORT_MODULES, render_report
@@ -25,9 +27,19 @@ def odd_counts(evidence):
             yield evidence.result(group, f"{published} messages cannot be halved.", more="one")
 
 
+few_sent = RESULTS.note(
+    "few_sent",
+    "A result has fewer than ten messages",
+    pl.col("published") < 10,
+    "{published:# message was|messages were} sent, {received:share of {published}} received[, {lost_return} lost].",
+    "Send {rate_hz:.0f} a second.",
+    effect=1 / pl.col("published"),
+)
+
+
 @pytest.fixture
 def analysis(tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "CHECKS", (*table.CHECKS, odd_counts))
+    monkeypatch.setattr(table, "CHECKS", (*table.CHECKS, odd_counts, few_sent))
     write_pair(tmp_path, [Message(s, t0=s, t1=s, t3=s + 10, t4=s + 20, t2=s + 30) for s in range(3)])
     return analyze(tmp_path)
 
@@ -37,11 +49,18 @@ def test_a_toy_finding_is_in_the_analysis(analysis):
     assert (finding.what, finding.groups) == ("3 messages cannot be halved.", (0,))
 
 
+def test_a_toy_rule_is_in_the_analysis(analysis):
+    (finding,) = [finding for finding in analysis.findings if finding.code == "few_sent"]
+    assert finding.what == "3 messages were sent, 100 % received."
+    assert (finding.action, finding.groups, finding.effect) == ("Send 10 a second.", (0,), 1 / 3)
+
+
 @pytest.mark.parametrize("kind", REPORT_MODULES)
 def test_a_toy_finding_is_in_every_report(analysis, kind):
     report = render_report(analysis, kind)
     assert "messages cannot be halved" in report
     assert "Send one message more" in report
+    assert "messages were sent" in report
     if kind == "json":
         (finding,) = [f for f in json.loads(report)["findings"] if f["code"] == "odd_count"]
         assert (finding["severity"], finding["groups"]) == ("warning", [0])

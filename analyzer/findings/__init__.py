@@ -1,1 +1,1 @@
-"""Findings: `table` lists the checks, `evidence` has their record and what they look at."""
+"""Findings: `table` lists them, `evidence` is what they look at."""

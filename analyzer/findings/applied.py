@@ -1,4 +1,4 @@
-"""Checks of settings that were not applied, and of datagrams that the kernel lost."""
+"""Settings not applied, and datagrams that the kernel lost."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 from dds_trace.base.units import counted
-from dds_trace.tracefile.format.descriptions import Session
 
 from ..model.applied import interface_bytes, kernel_counts, kernel_limits, may_be_cut, words_not_applied
 from ..model.finding import Severity, Subject
@@ -40,7 +39,7 @@ def settings_not_applied(evidence: Evidence) -> Iterator[Observation]:
 def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
     """A host lost IP fragments while messages were under way.
 
-    The kernel counts for all programs of a network namespace, so only results with cut messages are named.
+    The kernel counts for a whole network namespace: only results with cut messages are named.
     """
     captured = set(evidence.details.wire["group"])
     cut = evidence.groups_by_session(may_be_cut)
@@ -50,13 +49,20 @@ def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
             continue
         rises = kernel_counts(session)
         failed, late = rises.get("ReasmFails", 0), rises.get("ReasmTimeout", 0)
+        limits = kernel_limits(session)
+        time_s, thresh = limits.get("net.ipv4.ipfrag_time"), limits.get("net.ipv4.ipfrag_high_thresh")
+        has_limits = time_s is not None and thresh is not None
         if failed:
             yield Observation(
                 evidence.session_name(session),
                 f"In its network namespace, all programs together, {counted(failed, 'datagram')} could not be put together from "
                 f"IP fragments ({late} of them for a fragment that never came).",
                 groups,
-                blanks={"limits": _limits(session)},
+                blanks={
+                    "limits": f", whose other fragments wait for {time_s} s in at most {thresh:,} B"
+                    if has_limits
+                    else ""
+                },
             )
 
 
@@ -81,7 +87,7 @@ def unsent_fragments(evidence: Evidence) -> Iterator[Observation]:
 
 
 _SENT_SHARE, _LEAST_PAYLOAD_BYTES = 0.9, 2_000_000
-"""Share of the payload that an interface which carried it has sent, and payload larger than discovery."""
+"""Share of the payload that a carrying interface sends, and payload larger than discovery."""
 
 
 @check(
@@ -93,7 +99,7 @@ _SENT_SHARE, _LEAST_PAYLOAD_BYTES = 0.9, 2_000_000
 def several_networks(evidence: Evidence) -> Iterator[Observation]:
     """Messages went over several networks at once.
 
-    Interfaces that are part of each other (a bridge, a bond) count alike.
+    Interfaces within each other (bridge, bond) count alike.
     """
     payload_bytes: dict[int, dict[int, int]] = defaultdict(dict)
     for exchange, _, counts in evidence.counts_by_exchange():
@@ -108,11 +114,3 @@ def several_networks(evidence: Evidence) -> Iterator[Observation]:
             yield evidence.recording(
                 session, f"Each of {' and '.join(names)} sent as many bytes as all its messages have ({payload:,} B)."
             )
-
-
-def _limits(session: Session) -> str:
-    limits = kernel_limits(session)
-    time_s, thresh = limits.get("net.ipv4.ipfrag_time"), limits.get("net.ipv4.ipfrag_high_thresh")
-    if time_s is None or thresh is None:
-        return ""
-    return f", whose other fragments wait for {time_s} s in at most {thresh:,} B"

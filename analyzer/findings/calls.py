@@ -1,4 +1,4 @@
-"""Checks of calls: services and actions."""
+"""Calls of services and actions."""
 
 from __future__ import annotations
 

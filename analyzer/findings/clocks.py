@@ -1,4 +1,4 @@
-"""Checks of a device's time: busy processors, and clocks that step, sleep, drift or are slewed."""
+"""Busy processors, and clocks that step, sleep, drift or are slewed."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Severity, Subject
 from ..model.foreign import number_of, object_of
 from .evidence import Evidence, Observation, check
-from .rows import Row, Rows, frame_of
+from .rows import Rows, frame_of, named
 
 _SHORTEST_SLEEP_NS = 1_000_000_000
-"""Shortest time in which a device goes to sleep and wakes."""
+"""Shortest sleep of a device."""
 
 
 def _steps(evidence: Evidence) -> pl.DataFrame:
-    """List the steps in `clock_fits` that no slew made.
+    """List the steps that no slew made.
 
-    While its device is up, a monotonic clock can only stand still. So a step of a second or more during one relay process
-    is sleep: the relay's if its clock fell back, the ping's if it got ahead.
+    A running device's monotonic clock can only stand still, so a step of a second or more during one relay process
+    is sleep: the relay's if its clock fell back, else the ping's.
     """
     rows = []
     for pair in evidence.device_pairs:
@@ -36,10 +36,11 @@ def _steps(evidence: Evidence) -> pl.DataFrame:
             went_on = 0 < after < len(at_ns) and relay_id[after - 1] == relay_id[after]
             slept = went_on and abs(size_ns) - bound_ns >= _SHORTEST_SLEEP_NS
             asleep = fit["relay_device"] if size_ns < 0 else fit["ping_device"]
+            devices = f"{fit['relay_device']} against {fit['ping_device']}"
             rows.append(
                 {
-                    "devices": f"{fit['relay_device']} against {fit['ping_device']}",
-                    "asleep": asleep if slept else None,
+                    "where": f"{asleep} ({devices})" if slept else devices,
+                    "slept": slept,
                     "before_s": fit["start_ns"] / 1e9,
                     "size_ns": size_ns,
                     "lasted_ns": abs(size_ns),
@@ -49,11 +50,7 @@ def _steps(evidence: Evidence) -> pl.DataFrame:
     return frame_of(rows)
 
 
-def _in_step(_evidence: Evidence, row: Row) -> tuple[str, tuple[int, ...]]:
-    return f"{row['asleep']} ({row['devices']})" if row["asleep"] else row["devices"], ()
-
-
-STEPS = Rows(Subject.DEVICE, _steps, _in_step)
+STEPS = Rows(Subject.DEVICE, _steps, named)
 
 
 @check(
@@ -120,16 +117,16 @@ def clock_drifts(evidence: Evidence) -> Iterator[Observation]:
 
 
 _FREE_PROCESSORS = 0.5
-"""Free processors below which a woken thread often gets none."""
+"""Below this a woken thread often gets no processor."""
 
 _FULL_PERCENT = 95.0
-"""Share of one processor at which the recording process, which Python runs on one, is full."""
+"""Share of one processor, on which Python runs, at which the recording process is full."""
 
 _SATURATED_SHARE = 0.1
-"""Share of seconds above which saturation shows in percentiles, though in no median."""
+"""Share of seconds above which percentiles, though no median, show saturation."""
 
 _SATURATED_SECONDS = 2
-"""Least saturated seconds: the first one of a recording is its start."""
+"""One is the start of a recording."""
 
 
 @check(
@@ -159,7 +156,7 @@ def cpu_saturation(evidence: Evidence) -> Iterator[Observation]:
 
 
 _COARSE_STEPS = 20
-"""Steps of a clock in the median round trip below which it is known to no better than 5 %."""
+"""With fewer clock steps, a median round trip is known to no better than 5 %."""
 
 
 @check(

@@ -1,4 +1,4 @@
-"""What checks look at, the names of its parts, and the record of a check."""
+"""What checks look at, and the record of a check."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 SMALLER_DATAGRAMS = "smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize) or a larger net.ipv4.ipfrag_high_thresh may help"
 
 _MOST_FILES = 2
-"""Files listed in a recording's name, as a long sweep would fill a screen."""
+"""Files in a recording's name: a long sweep would fill a screen."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a check saw in one place; `blanks` are values for the `{names}` in the action of the check."""
+    """What a check saw; `blanks` are for the `{names}` in its action."""
 
     where: str
     what: str
@@ -46,7 +46,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The results of every step of one analysis; `stale_rows` is a file of an earlier one that this one does not replace."""
+    """The results of an analysis; `stale_rows` is an earlier one's file that stays."""
 
     campaign: Campaign
     exchanges: Exchanges
@@ -89,7 +89,6 @@ class Evidence:
         return {}
 
     def frame(self, make: Callable[[Evidence], pl.DataFrame]) -> pl.DataFrame:
-        """Make a frame of the evidence once."""
         if make not in self._frames:
             self._frames[make] = make(self)
         return self._frames[make]
@@ -140,7 +139,7 @@ def some(names: Iterable[str], at_most: int = 3) -> str:
 
 
 def percent(part: float, whole: float) -> str:
-    """Print a share with enough digits to differ from 0 and from 100 %."""
+    """Print a share that differs from 0 and from 100 %."""
     share = 100 * part / whole
     return f"{share:.3g} %" if share < 99 else f"{share:.6g} %"
 
@@ -150,7 +149,7 @@ Observe = Callable[["Evidence"], Iterator["Observation"]]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One kind of finding; calling it yields its findings. Observations fill the `{names}` in its action."""
+    """One kind of finding; calling it yields its findings."""
 
     code: str
     severity: Severity
@@ -167,7 +166,7 @@ class Check:
 
 
 def check(code: str, severity: Severity, subject: Subject, action: str) -> Callable[[Observe], Check]:
-    """Make a `Check` of the function below; the first line of its docstring is the title."""
+    """Make a `Check` of a function; its docstring's first line is the title."""
 
     def decorate(observe: Observe) -> Check:
         title = (observe.__doc__ or code).partition("\n")[0].rstrip(".")

@@ -1,4 +1,4 @@
-"""Checks of flows that ran together, of messages to several relays, and of results under a load."""
+"""Flows that ran together, messages to several relays, results under a load."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FAN_OUT = Rows(Subject.RESULT, lambda evidence: evidence.details.fan_out, in_res
 HEAD_OF_LINE = Rows(Subject.RESULT, lambda evidence: evidence.details.head_of_line, in_result)
 
 SLOW_MATCH_NS = 2 * SECOND_NS
-"""Above what the fastest discovery of 20 participants took on a busy machine; a robot's start waits for it."""
+"""More than the fastest discovery of 20 participants took on a busy machine."""
 
 
 @check(

@@ -1,4 +1,4 @@
-"""Checks of results: order, impossible times, too few samples."""
+"""Results: order, impossible times, too few samples."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def few_samples(evidence: Evidence) -> Iterator[Observation]:
     for percentile in PERCENTILES:
         metrics_of: dict[tuple[int, ...], list[str]] = defaultdict(list)
         for metric in METRICS:
-            # Without any sample, another finding says why (a loss, a missing relay trace).
+            # Without any sample another finding says why.
             groups = tuple(
                 group for group, count in enumerate(samples[metric].tolist()) if 0 < count < percentile.needs
             )
@@ -135,7 +135,7 @@ def few_samples(evidence: Evidence) -> Iterator[Observation]:
 _DELIVERIES = {"relay_delivery_ns": "relay", "ping_delivery_ns": "ping"}
 
 _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
-"""Wait of the slowest hundredth, in periods and at least in ns, that no busy processor explains."""
+"""Wait of the slowest hundredth that no busy processor explains: periods, and at least ns."""
 
 
 @check(
@@ -147,7 +147,7 @@ _TAIL_PERIODS, _TAIL_NS = 2, 20_000_000
 def waits_in_readers(evidence: Evidence) -> Iterator[Observation]:
     """Messages wait for the program that reads them.
 
-    A reader that has fallen back takes each message when a later one arrives: the latency is a multiple of the period.
+    A reader that fell back takes a message when a later one arrives: latency is a multiple of the period.
     """
     rates = evidence.summary.frame["rate_hz"].to_list()
     parts = evidence.details.breakdown.select("group", "part", "p50_ns", "p99_ns").iter_rows()

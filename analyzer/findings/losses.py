@@ -1,4 +1,4 @@
-"""Checks of lost messages: where they were lost, and the causes that traces show."""
+"""Lost messages: where, and the causes that traces show."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..model.finding import Severity, Subject
 from ..pairing.exchanges import Exchange
 from ..pairing.pair import Outcome
 from .evidence import Evidence, Observation, check, exchange_name, percent
-from .rows import Row, Rows, in_result
+from .rows import Rows, in_result
 
 _LOST = {
     Outcome.LOST_OUTBOUND.value: "on the way out",
@@ -40,11 +40,11 @@ def _outages(evidence: Evidence) -> pl.DataFrame:
 OUTAGES = Rows(Subject.RESULT, _outages, in_result)
 
 
-def _place_of_run(evidence: Evidence, row: Row) -> tuple[str, tuple[int, ...]]:
-    return evidence.run_name(row["run_id"]), (row["group"],)
-
-
-RECOVERIES = Rows(Subject.RUN, lambda evidence: evidence.details.recoveries, _place_of_run)
+RECOVERIES = Rows(
+    Subject.RUN,
+    lambda evidence: evidence.details.recoveries,
+    lambda evidence, row: (evidence.run_name(row["run_id"]), (row["group"],)),
+)
 
 
 def _lost_where(row: Mapping[str, int]) -> str:
@@ -116,7 +116,7 @@ def _outlived_history(members: Sequence[_Member], _row: Mapping[str, int]) -> _C
 
 
 _OLD_SHARE = 0.5
-"""Longest latency of the received messages, in lifespans, from which on others were too old: both ways share it."""
+"""Longest latency in lifespans from which on others were too old: both ways share one."""
 
 
 def _outlived_lifespan(members: Sequence[_Member], row: Mapping[str, int]) -> _Cause | None:

@@ -1,4 +1,4 @@
-"""Findings of severity info, and the checks of what an analysis leaves out because of a campaign's size, or of `--sketch`."""
+"""Findings of severity info; functions here: what an analysis leaves out."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ Place = Callable[[Evidence, Row], tuple[str, tuple[int, ...]]]
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A frame made of the evidence, and what its rows are about."""
+    """A frame of the evidence, and what its rows are about."""
 
     subject: Subject
     frame: Callable[[Evidence], pl.DataFrame]
@@ -44,7 +44,7 @@ class Rows:
         action: str,
         effect: pl.Expr | float = 1.0,
     ) -> Check:
-        """Make the check that reports each row for which `when` is true; `what` and `action` name columns."""
+        """Make the check that reports each row for which `when` is true."""
 
         def observe(evidence: Evidence) -> Iterator[Observation]:
             frame = evidence.frame(self.frame)
@@ -102,8 +102,8 @@ def _encodable(text: str) -> str:
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
-def in_file(_evidence: Evidence, row: Row) -> tuple[str, tuple[int, ...]]:
-    return row["path"], ()
+def named(_evidence: Evidence, row: Row) -> tuple[str, tuple[int, ...]]:
+    return row["where"], ()
 
 
 def in_result(evidence: Evidence, row: Row) -> tuple[str, tuple[int, ...]]:

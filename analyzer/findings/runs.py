@@ -14,16 +14,16 @@ from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
 from ..pairing.exchanges import Exchange, Unplaced
 from .evidence import Evidence, Observation, check, exchange_name, some
-from .rows import Rows, frame_of, in_file, in_run
+from .rows import Rows, frame_of, in_run, named
 
 
 def _exchanges(evidence: Evidence) -> pl.DataFrame:
-    """Each exchange: fields of its run (`state` to `relay_domain`) and of its relay, and its counts."""
+    """Each exchange with fields of its run and relay, and its counts."""
     rows = [
         {
             "run_id": exchange.run.run_id,
             "group": group,
-            "name": exchange_name(exchange),
+            "where": exchange_name(exchange),
             "state": exchange.run.state,
             "handed_over": exchange.run.published,
             "planned_messages": exchange.run.planned_messages,
@@ -40,7 +40,7 @@ def _exchanges(evidence: Evidence) -> pl.DataFrame:
     return pl.concat([frame_of(rows), evidence.summary.exchange_counts], how="horizontal")
 
 
-EXCHANGES = Rows(Subject.RUN, _exchanges, lambda _, row: (row["name"], (row["group"],)))
+EXCHANGES = Rows(Subject.RUN, _exchanges, lambda _, row: (row["where"], (row["group"],)))
 
 
 def _runs(evidence: Evidence) -> pl.DataFrame:
@@ -90,7 +90,7 @@ def _unplaced(evidence: Evidence) -> pl.DataFrame:
         [
             {
                 "reason": reason,
-                "path": evidence.campaign.names(traces) + (f", relay {relay_id:08x}" if relay_id else ""),
+                "where": evidence.campaign.names(traces) + (f", relay {relay_id:08x}" if relay_id else ""),
                 "events": sum(unplaced.events for unplaced in parts),
                 "runs": ("run " if len(parts) == 1 else "runs ")
                 + some(f"{unplaced.run_id:016x}" for unplaced in parts),
@@ -100,7 +100,7 @@ def _unplaced(evidence: Evidence) -> pl.DataFrame:
     )
 
 
-UNPLACED = Rows(Subject.FILE, _unplaced, in_file)
+UNPLACED = Rows(Subject.FILE, _unplaced, named)
 
 
 @check("no_schedule", Severity.INFO, Subject.RUN, "Record T0 (scheduled_ns of T1) to see what a late sender hides.")
@@ -135,7 +135,7 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
         relay = exchange.relay
         if relay is None or not exchange.relay_recorded:
             continue
-        # A relay stores T3 and T4 before a reply leaves, so its whole trace has both of every reply.
+        # A relay stores T3 and T4 before a reply leaves: a whole trace has both.
         foreign = counts["relay_gaps"] if _is_whole(evidence, relay) else 0
         early = counts["early"] if share_boot(exchange.ping, relay) else counts["negative_latency"]
         if foreign or early:
@@ -169,21 +169,19 @@ def _is_whole(evidence: Evidence, session: Session) -> bool:
 def restarted_relays(evidence: Evidence) -> Iterator[Observation]:
     """A relay was restarted during a run.
 
-    Relays that all answered at one time are counted in the setting of their result instead.
+    Relays that answered together are in the setting of their result.
     """
     relays: dict[tuple[int, str], list[Exchange]] = defaultdict(list)
     for exchange in evidence.grouping.exchanges:
         if exchange.took_part and exchange.relay is not None:
             relays[exchange.run.run_id, exchange.relay.device].append(exchange)
     for (run_id, device), exchanges in relays.items():
-        if len(exchanges) > 1 and not _answered_together(exchanges):
+        spans = [exchange.replied_ns for exchange in exchanges if exchange.replied_ns is not None]
+        all_replied = len(spans) == len(exchanges)
+        at_one_time = all_replied and max(first for first, _ in spans) < min(last for _, last in spans)
+        if len(exchanges) > 1 and not at_one_time:
             listed = some(f"{exchange.relay_id:08x}" for exchange in exchanges)
             yield evidence.run(
                 run_id,
                 f"{len(exchanges)} relays on {device} took part ({listed}), but never all at once: the relay was restarted.",
             )
-
-
-def _answered_together(exchanges: list[Exchange]) -> bool:
-    spans = [exchange.replied_ns for exchange in exchanges if exchange.replied_ns is not None]
-    return len(spans) == len(exchanges) and max(first for first, _ in spans) < min(last for _, last in spans)

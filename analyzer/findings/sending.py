@@ -1,4 +1,4 @@
-"""Checks of the sender: schedules that were not kept, and messages that left late."""
+"""Schedules that were not kept, and messages that left late."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..model.finding import Severity, Subject
 from .evidence import Evidence, Observation, check, percent
 
 _RATE_TOLERANCE = 0.02
-"""Share by which the rate may be below the requested one: a slower run measured another load."""
+"""Share that may lack of the requested rate: a slower run measured another load."""
 
 _LAG_NS = 10_000_000
 """Least lag of a run: two late sends (`sending.LATE_NS`), which no short run loses by its timers."""
@@ -50,7 +50,7 @@ _LATE_SHARE = 0.01
 """Late messages that decide the p99 of the response; no simulated run sent 0.1 ms late has as many."""
 
 _LATE_MESSAGES = 3
-"""Late messages at least: one hiccup of a short run is no habit."""
+"""One hiccup of a short run is no habit."""
 
 
 @check(
@@ -80,7 +80,7 @@ def late_sends(evidence: Evidence) -> Iterator[Observation]:
 
 
 _SAMPLES_NS = 2_000_000_000
-"""Time without a sample, taken once a second, that shows that the sampling thread stood still."""
+"""Time without a sample (one a second) in which the sampling thread stood still."""
 
 
 @check(
@@ -112,7 +112,7 @@ def stand_stills(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: int) -> str:
-    """Describe the machine while a ping stood still; empty without samples before and after."""
+    """Describe the machine meanwhile; empty without samples before and after."""
     timed = samples.drop_nulls("monotonic_ns").sort("monotonic_ns")
     own = timed.filter(session_id=ping_id)
     before = own.filter(pl.col("monotonic_ns") <= end_ns - still_ns).tail(1).to_dicts()

@@ -1,4 +1,4 @@
-"""Checks of the recording processes: events they dropped, how they ended, the environments they ran in."""
+"""Recording processes: events they dropped, how they ended, their environments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..loading.campaign import part_of
 from ..model.applied import is_tuned, socket_drops
 from ..model.environment import FLEETING, flat_fields
 from ..model.finding import Severity, Subject
-from ..model.foreign import number_of
+from ..model.foreign import number_of, objects_of
 from .evidence import Evidence, Observation, check, some
 from .rows import Rows, frame_of, in_recording
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     import polars as pl
 
 UNSAVED_NS = 1_000_000_000
-"""With `--fsync` a power loss takes less than this (`chunk_seconds` of the recorder's destination)."""
+"""With `--fsync` a power loss takes less (`chunk_seconds`)."""
 
 _ERROR_CHARACTERS = 400
-"""Longest part of an error that a finding repeats."""
+"""Longest part of an error that is repeated."""
 
 
 def _sessions(evidence: Evidence) -> pl.DataFrame:
@@ -78,17 +78,12 @@ def failed_bridges(evidence: Evidence) -> Iterator[Observation]:
         if bridge := _failed_bridge(session):
             failure = str(bridge.get("failure") or "it said nothing").rstrip(".")
             state = _BRIDGE_FAILURES[str(bridge["state"])]
+            tails = [str(log.get("log_tail") or "") for log in (bridge, *objects_of(bridge.get("programs")))]
+            lines = [line.strip() for tail in tails for line in tail.splitlines()[-1:] if line.strip()]
+            words = "; ".join(line[:200].rstrip(".") for line in lines) or "none"
             yield evidence.recording(
-                session, f"The bridge {bridge.get('bridge')} {state}: {failure}. Its last words: {_last_words(bridge)}."
+                session, f"The bridge {bridge.get('bridge')} {state}: {failure}. Its last words: {words}."
             )
-
-
-def _last_words(bridge: Mapping[str, object]) -> str:
-    programs = bridge.get("programs")
-    logs = [bridge, *(programs if isinstance(programs, list) else ())]
-    tails = [str(log.get("log_tail") or "") for log in logs if isinstance(log, dict)]
-    lines = [line.strip() for tail in tails for line in tail.splitlines()[-1:] if line.strip()]
-    return "; ".join(line[:200].rstrip(".") for line in lines) or "none"
 
 
 @check(
@@ -132,7 +127,7 @@ def missing_files(evidence: Evidence) -> Iterator[Observation]:
 
 
 def _missing_numbers(parts: Sequence[int]) -> Iterator[str]:
-    """Yield the numbers from 1 on that are not among `parts` (ascending), a range as `2 to 5`: a number may be huge."""
+    """Yield the numbers from 1 on that ascending `parts` lack, a range as `2 to 5`: one may be huge."""
     for previous, following in pairwise((0, *parts)):
         first, last = previous + 1, following - 1
         if first <= last:
@@ -152,7 +147,7 @@ def doubtful_sessions(evidence: Evidence) -> Iterator[Observation]:
 
 
 _MIDDLEWARE_PARTS = ("versions", "configuration", "settings")
-"""Parts of the fingerprint that every middleware has differently; they are compared within one vendor."""
+"""Parts of the fingerprint that are compared within one vendor only."""
 
 
 @check(
@@ -171,17 +166,13 @@ def unlike_environments(evidence: Evidence) -> Iterator[Observation]:
             by_role[f"{session.role} sessions"].append(session)
             by_vendor[f"{session.vendor} {session.role} sessions"].append(session)
     for where, sessions in sorted(by_role.items()):
-        yield from _differences(where, [(s, _machine(s)) for s in sessions])
+        parts = ({k: v for k, v in s.host.items() if k not in (*_MIDDLEWARE_PARTS, *FLEETING)} for s in sessions)
+        yield from _differences(where, [(s, dict(flat_fields(part))) for s, part in zip(sessions, parts, strict=True)])
     for where, sessions in sorted(by_vendor.items()):
         described = [(s, _middleware(s)) for s in sessions]
         names = {name for _, fields in described for name in fields}
-        # A setting that one device lacks is a difference; an interface that one device lacks is none.
+        # A setting that one device lacks is a difference; an interface is none.
         yield from _differences(where, [(s, dict.fromkeys(names) | fields) for s, fields in described])
-
-
-def _machine(session: Session) -> dict[str, object]:
-    parts = {k: v for k, v in session.host.items() if k not in (*_MIDDLEWARE_PARTS, *FLEETING)}
-    return dict(flat_fields(parts))
 
 
 def _middleware(session: Session) -> dict[str, object]:

@@ -1,7 +1,7 @@
-"""Checks of the latency over the time of a run and over the size of messages.
+"""Latency over the time of a run and over the size of messages.
 
-A result is reported if at least half of its runs show the same: with the false alarms of a run below, at most 3 of
-10,000 results of five sound runs (10 p^3 for three of five).
+At least half of the runs of a result must show the same: with the false alarms of a run below, at most 3 of 10,000
+results of five sound runs are reported (10 p^3 for three of five).
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from ..statistics.intervals import MIN_RUNS
 from .evidence import Evidence, Observation, check
 
 _HALF = 2
-"""A result is reported if one in this many of its runs, or more, show the same."""
 
 
 @check("short_warm_up", Severity.WARNING, Subject.RESULT, "Record with --warmup {messages}, which leaves them out.")
@@ -114,10 +113,10 @@ def _median(shapes: pl.DataFrame, column: str) -> float:
 
 
 _SEGMENT_BYTES = 512 * 1024
-"""Fast DDS's shared-memory segment on one host: a message that does not fit goes another way (eProsima, SHM transport)."""
+"""Fast DDS's shared-memory segment; a larger message goes another way (eProsima, SHM transport)."""
 
 _JUMP = 2.0
-"""Growth of the latency over growth of the size that no cost in proportion to the size explains."""
+"""Growth of latency over growth of size that no proportional cost explains."""
 
 
 @check(
@@ -151,7 +150,7 @@ def jumps_with_size(evidence: Evidence) -> Iterator[Observation]:
 
 
 class _Sizes(NamedTuple):
-    """Two neighbouring sizes of equal other parameters, with the interval of each p50 latency."""
+    """Two neighbouring sizes, with the intervals of their p50 latency."""
 
     small_bytes: int
     small: dict[str, float]

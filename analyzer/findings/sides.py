@@ -1,4 +1,4 @@
-"""Checks of both sides of a run, and of runs of one device at the same time."""
+"""Both sides of a run, and simultaneous runs of one device."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from dds_trace.tracefile.format.descriptions import Session
 from ..clocks.boots import share_boot
 from ..model.finding import Severity, Subject
 from ..model.parameters import CASE_COLUMNS
-from ..pairing.exchanges import Exchange
 from ..pairing.flows import Overlap, find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
 from ..verdicts.interference import flows_of
@@ -28,7 +27,7 @@ from .evidence import Evidence, Observation, check, percent, some
 def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
     """Runs went on at the same time on one machine.
 
-    Flows, runs of one result in the middle of each other or the `[[flows]]` of a plan, are in their setting instead.
+    Flows (runs of one result in the middle of each other, `[[flows]]` of a plan) are in their setting instead.
     """
     settings = evidence.grouping.parameters["setting"].to_list()
     group_of_run: dict[int, int] = {}
@@ -37,7 +36,9 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
     shared: dict[tuple[int, int], list[Overlap]] = defaultdict(list)
     for overlap in find_overlaps(exchange.span() for exchange in evidence.grouping.exchanges):
         one, other = sorted((group_of_run[overlap.one], group_of_run[overlap.other]))
-        if (one != other or not overlap.is_mutual) and not _is_planned(*map(settings.__getitem__, (one, other))):
+        (flow, own_with), (other_flow, other_with) = flows_of(settings[one]), flows_of(settings[other])
+        is_planned = flow in other_with and other_flow in own_with
+        if (one != other or not overlap.is_mutual) and not is_planned:
             shared[one, other].append(overlap)
     for pair, overlaps in sorted(shared.items()):
         groups = tuple(dict.fromkeys(pair))
@@ -51,11 +52,6 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
             groups,
             worst.share,
         )
-
-
-def _is_planned(one: str, other: str) -> bool:
-    (flow, own_with), (other_flow, other_with) = flows_of(one), flows_of(other)
-    return flow in other_with and other_flow in own_with
 
 
 @check(
@@ -129,18 +125,15 @@ def wireless_on_one_machine(evidence: Evidence) -> Iterator[Observation]:
     one_clock = set(fits.select("ping_device", "relay_device").iter_rows())
     devices: dict[int, str] = {}
     for exchange, group in evidence.exchanges_by_group():
-        if exchange.ping.connectivity == "wireless" and _on_one_machine(exchange, one_clock):
+        if exchange.ping.connectivity != "wireless" or exchange.relay is None:
+            continue
+        is_shared = share_boot(exchange.ping, exchange.relay)
+        if is_shared is None:  # without boot ids, one clock (`ClockFit.same_clock`)
+            is_shared = (exchange.ping.device, exchange.relay.device) in one_clock
+        if is_shared:
             devices[group] = exchange.ping.device
     for group, device in devices.items():
         yield evidence.result(
             group,
             f"The link is called wireless, but the ping and the relay ran on one machine ({device}): no message was on the air.",
         )
-
-
-def _on_one_machine(exchange: Exchange, one_clock: set[tuple[str, str]]) -> bool:
-    """Return whether both sides share a boot; without boot ids, one clock (`ClockFit.same_clock`)."""
-    if exchange.relay is None:
-        return False
-    shared = share_boot(exchange.ping, exchange.relay)
-    return (exchange.ping.device, exchange.relay.device) in one_clock if shared is None else shared

@@ -1,4 +1,4 @@
-"""Checks of the files: what was skipped, cut, copied or recovered."""
+"""Files that were skipped, cut, copied or recovered."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ..model.finding import Severity, Subject
 from .evidence import Evidence, Observation, check, some
-from .rows import Rows, frame_of, in_file
+from .rows import Rows, frame_of, named
 
 if TYPE_CHECKING:
     import polars as pl
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
 
 def _sources(evidence: Evidence) -> pl.DataFrame:
     sources = evidence.campaign.sources
-    return frame_of([{"path": one.path, "status": one.status, "detail": one.detail} for one in sources])
+    return frame_of([{"where": one.path, "status": one.status, "detail": one.detail} for one in sources])
 
 
-SOURCES = Rows(Subject.FILE, _sources, in_file)
+SOURCES = Rows(Subject.FILE, _sources, named)
 
 
 def _traces(evidence: Evidence) -> pl.DataFrame:
     return frame_of(
         [
             {
-                "path": evidence.campaign.name(index),
+                "where": evidence.campaign.name(index),
                 "truncated": trace.truncated,
                 "unreadable_messages": trace.unreadable_messages,
                 "ring_events": trace.ring_events,
@@ -36,8 +36,8 @@ def _traces(evidence: Evidence) -> pl.DataFrame:
     )
 
 
-TRACES = Rows(Subject.FILE, _traces, in_file)
-NOTES_OF_READERS = Rows(Subject.FILE, lambda evidence: evidence.frame(_traces).explode("notes"), in_file)
+TRACES = Rows(Subject.FILE, _traces, named)
+NOTES_OF_READERS = Rows(Subject.FILE, lambda evidence: evidence.frame(_traces).explode("notes"), named)
 
 
 @check("skipped_file", Severity.INFO, Subject.FILE, "Nothing to do, unless one of them should be a trace.")

@@ -1,4 +1,4 @@
-"""What surrounds a recording on purpose: a load of its machine, a link that replays a file."""
+"""Loads of a machine, and links that replay a file."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     import polars as pl
 
 _LEAST_BUSY = {"cpu": 0.5, "memory": 0.3, "network": 0.01, "awake": 0.01}
-"""Processors that a load uses at least where it is the one that was requested."""
+"""Processors that a working load uses at least."""
 
 
 def _loads(evidence: Evidence) -> pl.DataFrame:
-    """Each session that made a load; a second one of the same machine waits for its end."""
+    """Sessions that made a load; a second one of the same machine only waits."""
     rows = []
     for session in evidence.campaign.sessions.values():
         load = object_of(session.extra.get("load"))
@@ -44,11 +44,11 @@ LOADS = Rows(Subject.RECORDING, _loads, in_recording)
 
 
 LATE_SHARE = 0.01
-"""Lateness of half of the frames, as a share of the least delay, up to which delays are as the file says."""
+"""Median lateness, as a share of the least delay, up to which delays are as the file says."""
 
 
 def _links(evidence: Evidence) -> pl.DataFrame:
-    """Each session whose emulated link replayed a file; `late_ns` is the median lateness of its worst run."""
+    """Links that replayed a file; `late_ns` is the median lateness of the worst run."""
     names: dict[int, str] = {}
     late_ns: dict[int, float] = defaultdict(float)
     values: dict[int, list[tuple[float, float, float]]] = defaultdict(list)

@@ -292,7 +292,7 @@ CHECKS: tuple[Check, ...] = (
     clocks.STEPS.warning(
         "suspend",
         "A device was suspended",
-        pl.col("asleep").is_not_null(),
+        pl.col("slept"),
         "Its clock stood still for {lasted_ns:duration} (within {bound_ns:duration}) before {before_s:.1f} s of the ping's clock, and "
         "the relay ran on: the device, or its virtual machine, was suspended.",
         "Repeat the runs about that time with suspending switched off: messages were lost or late for it. If the stamps are not of "
@@ -301,7 +301,7 @@ CHECKS: tuple[Check, ...] = (
     clocks.STEPS.warning(
         "clock_step",
         "A clock jumped against the other device's",
-        pl.col("asleep").is_null(),
+        ~pl.col("slept"),
         "The clock jumped by {size_ns:duration} (within {bound_ns:duration}) before {before_s:.1f} s of the ping's clock.",
         "One-way times are fitted separately before and after; a message under way at the jump has a wrong round trip. Do not restart "
         "devices while recording.",
@@ -344,7 +344,7 @@ CHECKS: tuple[Check, ...] = (
     sources.SOURCES.warning(
         "skipped_file",
         "An .mcap file was not used",
-        (pl.col("status") == "skipped") & pl.col("path").str.ends_with(".mcap"),
+        (pl.col("status") == "skipped") & pl.col("where").str.ends_with(".mcap"),
         "Not used: {detail}.",
         "If this should be a trace, look at it with `mcap doctor`; else move it elsewhere.",
     ),
@@ -365,12 +365,12 @@ CHECKS: tuple[Check, ...] = (
     ),
     *NOTES,
 )
-"""All checks; findings of equal severity and effect are listed in this order."""
+"""In the order of findings of equal severity and effect."""
 
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 _MOST_LISTED = 20
-"""Findings of one severity and code that are listed one by one."""
+"""Findings of one severity and code that are listed singly."""
 
 
 def find_findings(evidence: Evidence) -> tuple[Finding, ...]:

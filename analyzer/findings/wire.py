@@ -1,4 +1,4 @@
-"""Checks of the traffic on the wire."""
+"""Traffic on the wire."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ STORM_SHARE = 0.2
 """Share of repeats in the bytes on the wire: a link four fifths full without them is full."""
 
 AGAIN_SHARE = 0.1
-"""Share of repeated messages above which p90 and all percentiles above it are latencies of repeats."""
+"""Share of repeated messages above which p90 is the latency of a repeat."""
 
 FEWEST_AGAIN = 5
-"""Repeated messages that have a median, and more than the first ones after a match."""
+"""Enough for a median, and more than the first ones after a match."""
 
 
 @check(
@@ -92,7 +92,7 @@ def _remedy(row: Row) -> str:
 
 
 HEARTBEATS_WAITED = 2
-"""Heartbeat periods after which a repeat came because of the heartbeat, not of a request."""
+"""Heartbeat periods after which a heartbeat, no request, caused the repeat."""
 
 
 @check(
@@ -118,8 +118,8 @@ def heartbeat_bound_recoveries(evidence: Evidence) -> Iterator[Observation]:
 
 
 DISCOVERY_SHARE, DISCOVERY_BYTES = 0.25, 100_000
-"""Share of discovery in the bytes on the wire or in the payload, whichever is more (payload may be in shared memory), and bytes
-a minute that no link feels: 13 kbit/s. A pair of Fast DDS on one machine announces itself with 64 KB."""
+"""Share of discovery in the larger of wire bytes and payload (which may be in shared memory), and bytes a minute that no
+link feels: 13 kbit/s; two Fast DDS participants on one machine announce themselves with 64 KB."""
 
 
 @check(

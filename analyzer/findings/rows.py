@@ -1,6 +1,6 @@
 """Findings of one filter and one sentence: rules over the rows of a frame.
 
-A sentence names columns. Besides Python's formats it takes `{late_ns:duration}`, `{rate_hz:rate}`, `{periods:digits}`,
+A sentence names columns. Besides Python's formats it takes `{late_ns:duration}`, `{busy:digits}`,
 `{gaps:share of {received}}`, a number with its noun `{received:# reply|replies}` and a word without it `{missing:has|have}`.
 A part in brackets is left out where one of its values is null or 0.
 """

@@ -1,1 +1,1 @@
-"""Words that every part of the analyzer shares: parameters, metrics, columns, names of groups."""
+"""What all of the analyzer shares: parameters, metrics, columns, names."""

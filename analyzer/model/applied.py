@@ -1,4 +1,4 @@
-"""The settings that a recording process used, as far as its session has them."""
+"""Settings that a recording process used, by its session."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ SHARED_MEMORY, UNKNOWN = "shm", "unknown"
 """Values of `payload_path` that are no interfaces."""
 
 _HEADERS_BYTES = 512
-"""Bytes around a payload in its datagrams, at most: IP, UDP, RTPS submessages, our stamped header."""
+"""Most bytes around a payload: IP, UDP, RTPS submessages, our stamped header."""
 
 _LARGEST_PACKET_BYTES = 65_535
-"""Largest IP packet (RFC 791): an interface with that MTU, such as `lo`, cuts none."""
+"""Largest IP packet (RFC 791): `lo`, with that MTU, cuts none."""
 
 
 def words_not_applied(session: Session) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ def maps_memory(session: Session) -> bool:
 
 
 def udp_receive_buffer_bytes(session: Session) -> int | None:
-    """Return the largest receive buffer of the UDP sockets; sockets that only send keep a small default."""
+    """Return the largest of the UDP sockets: those that only send keep a small default."""
     sockets = objects_of(_instant(session, "begin").get("sockets"))
     sizes = [_integer(socket, "receive_buffer_bytes") for socket in sockets if socket.get("protocol") == "udp"]
     return max((size for size in sizes if size is not None), default=None)
@@ -49,7 +49,7 @@ def congestion_controls(session: Session) -> tuple[str, ...]:
 
 
 def socket_drops(session: Session) -> int | None:
-    """Return the datagrams dropped at the process's own UDP sockets; None where unknown."""
+    """Return the datagrams dropped at own UDP sockets; None where unknown."""
     begin, end = (_instant(session, name) for name in ("begin", "end"))
     if not isinstance(begin.get("sockets"), list) or not isinstance(end.get("sockets"), list):
         return None
@@ -67,7 +67,7 @@ def is_tuned(session: Session) -> bool:
 
 
 def interface_bytes(session: Session) -> dict[str, int]:
-    """Return the bytes that each interface but loopback has sent during the recording."""
+    """Return the bytes that each interface but loopback sent."""
     begin, end = (object_of(_instant(session, name).get("interfaces")) for name in ("begin", "end"))
     sent = {
         name: [_integer(object_of(totals.get(name)), "sent_bytes") for totals in (begin, end)]
@@ -78,7 +78,7 @@ def interface_bytes(session: Session) -> dict[str, int]:
 
 
 def kernel_counts(session: Session) -> dict[str, int]:
-    """Return the rise of each kernel counter of the host, such as `ReasmFails`."""
+    """Return the rise of each kernel counter (`ReasmFails`)."""
     begin, end = (object_of(_instant(session, name).get("counters")) for name in ("begin", "end"))
     rises = {name: (_integer(begin, name), _integer(end, name)) for name in end}
     return {
@@ -87,7 +87,7 @@ def kernel_counts(session: Session) -> dict[str, int]:
 
 
 def may_be_cut(session: Session, payload_bytes: int) -> bool:
-    """Return whether the kernel may have cut datagrams of such a message into IP fragments."""
+    """Return whether the kernel may have cut such a message into IP fragments."""
     path = payload_path(session)
     if path == SHARED_MEMORY:
         return False
@@ -96,7 +96,7 @@ def may_be_cut(session: Session, payload_bytes: int) -> bool:
 
 
 def kernel_limits(session: Session) -> dict[str, int]:
-    """Return the kernel's limits of buffers and reassembly (such as `net.ipv4.ipfrag_time`)."""
+    """Return limits of buffers and reassembly (`net.ipv4.ipfrag_time`)."""
     limits = object_of(_instant(session, "begin").get("limits"))
     return {name: value for name in limits if (value := _integer(limits, name)) is not None}
 

@@ -1,4 +1,4 @@
-"""The columns of `roundtrips.parquet` and `summary.parquet`: name, type, unit, meaning; frames, files and docs follow."""
+"""The columns of `roundtrips.parquet` and `summary.parquet`; frames, files and docs follow."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ UTC_COLUMNS = (
     Column("publish_utc", _UTC, "UTC", f"T1 (publish_ns) {_BY_ANCHOR}; the ping's device"),
     Column("relay_in_utc", _UTC, "UTC", f"T3 (relay_in_ns) {_BY_ANCHOR}; the relay's device"),
 )
-"""Columns to find a message in other logs, one for each clock."""
+"""To find a message in other logs, one for each clock."""
 
 _FIRST_PARAMETERS = 20
-"""Parameters of the first version of the contract; later columns are appended."""
+"""Of the first version of the contract; later columns are appended."""
 
 _PARAMETERS_BEFORE_RUNS = 21
-"""Parameters when the summary got `RUN_COLUMNS` and `OWN_COLUMNS`, and the rows `UTC_COLUMNS`."""
+"""When the summary got `RUN_COLUMNS` and `OWN_COLUMNS`, the rows `UTC_COLUMNS`."""
 
 ROUNDTRIP_COLUMNS = (
     KEY_COLUMNS
@@ -117,7 +117,7 @@ SENT_COLUMNS = (
 )
 
 STATISTICS = ("mean", "std", "min", *(p.name for p in PERCENTILES), "max")
-"""Statistics of a metric in the summary, in column order: `<metric>_<statistic>_ns`."""
+"""In column order: `<metric>_<statistic>_ns`."""
 
 
 def _meaning_of(metric: Metric, statistic: str) -> str:

@@ -1,4 +1,4 @@
-"""The environment of an exchange: lasting properties of both devices, as a short digest."""
+"""Environments: a digest of the lasting properties of both devices."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 FLEETING = ("wifi",)
-"""Parts of the fingerprint that change from one minute to the next on the same device."""
+"""Parts of the fingerprint that change from minute to minute."""
 
 
 def flat_fields(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
@@ -29,17 +29,17 @@ def flat_fields(host: Mapping[str, object], prefix: str = "") -> Iterator[tuple[
 
 
 _NOT_LASTING = (*FLEETING, "middleware", "configuration")
-"""Parts of the fingerprint that change from minute to minute, or follow from the settings."""
+"""Fleeting parts, and what follows from the settings."""
 
 _BY_BOOT = "udp_mem"
-"""The kernel computes these limits at boot from free memory."""
+"""Limits that the kernel computes at boot from free memory."""
 
 
 def lasting_parts(session: Session) -> dict[str, object]:
-    """Return the lasting parts of a session's fingerprint: dotted name -> value."""
+    """Return dotted name -> value."""
     host = {name: value for name, value in session.host.items() if name not in _NOT_LASTING}
     if isinstance(mtus := host.pop("mtu", None), dict):
-        # Interfaces come and go with containers; the sizes of packets that are possible last.
+        # Interfaces come and go with containers; possible sizes of packets last.
         host["mtu"] = sorted({mtu for mtu in mtus.values() if isinstance(mtu, int)})
     return {name: value for name, value in flat_fields(host) if _BY_BOOT not in name}
 

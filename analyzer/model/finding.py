@@ -1,4 +1,4 @@
-"""Findings, and the files that an analysis looked at."""
+"""Findings, and files that were looked at."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Source:
 
 
 class Severity(Enum):
-    """How much a finding should change a reader's trust in the numbers."""
+    """What a finding means for the numbers."""
 
-    ERROR = "error"  # numbers named here are wrong or missing
-    WARNING = "warning"  # numbers named here are doubtful
+    ERROR = "error"  # they are wrong or missing
+    WARNING = "warning"  # they are doubtful
     INFO = "info"  # worth knowing
 
 
@@ -46,8 +46,8 @@ class Finding:
 
     Attributes:
         code: a stable name such as `loss`, for scripts.
-        groups: rows of `summary` that it is about, or that its recording took part in.
-        count: number of findings in it; more than one only for the last of very many.
+        groups: rows of `summary` that it, or its recording, is about.
+        count: findings in it; more than one only for the last of very many.
         effect: share of the messages or of the value that it affects, 0 to 1.
         subject: what `where` names.
     """

@@ -1,4 +1,4 @@
-"""The metrics of a round trip, from its five time stamps; columns, statistics, gates and reports follow from a row."""
+"""The metrics of a round trip; columns, statistics, gates and reports follow from a row."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Column:
 
 
 def schema_of(columns: Iterable[Column]) -> dict[str, type[pl.DataType] | pl.DataType]:
-    """Map column names to polars types, in order."""
+    """Map names to types, in order."""
     return {column.name: column.dtype for column in columns}
 
 
@@ -27,7 +27,7 @@ _DTYPES = {"bool": pl.Boolean, "f64": pl.Float64, "i64": pl.Int64, "str": pl.Str
 
 
 def frame_schema(columns: str) -> dict[str, type[pl.DataType]]:
-    """Return the schema of a frame from `name:dtype ...`, as in `group:u32 p50_ns:f64`."""
+    """Return the schema of `group:u32 p50_ns:f64 ...`."""
     pairs = (column.split(":") for column in columns.split())
     return {name: _DTYPES[dtype] for name, dtype in pairs}
 
@@ -36,8 +36,8 @@ def frame_schema(columns: str) -> dict[str, type[pl.DataType]]:
 class Metric:
     """A time of every message, in ns.
 
-    `name` is as in columns (`<name>_ns`, `<name>_<statistic>_ns`) and gates. The formula is null where a stamp is missing, and
-    each difference in it is on one clock. `tail` says what its largest values must not be taken for.
+    `name` is as in columns and gates. The formula is null where a stamp is missing, and each difference in it is on one
+    clock. `tail` says what its largest values must not be taken for.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Metric:
 
     @property
     def column(self) -> Column:
-        """The column of each message."""
+        """Its column."""
         return Column(f"{self.name}_ns", pl.Int64, "ns", f"{self.meaning}; null where an input is missing")
 
 
@@ -71,13 +71,13 @@ METRICS: Mapping[str, Metric] = {
         Metric("response", "Response", _t2 - _t0, "T2 - T0"),
     )
 }
-"""Name -> metric, in the order of their columns."""
+"""By name, in the order of columns."""
 
 
 TOPIC_METRICS: Mapping[str, str] = {"one_way": "One way", "age": "Age"}
-"""Times of a message of a topic, name -> label: publishing to reception, and its header's stamp to reception."""
+"""Name -> label: publishing to reception, and header's stamp to reception."""
 
 
 def with_metrics(stamps: pl.DataFrame) -> pl.DataFrame:
-    """Append the column of every metric to stamps (i64 ns, null if missing)."""
+    """Append every metric to stamps (i64 ns, null if missing)."""
     return stamps.with_columns(metric.formula.alias(metric.column.name) for metric in METRICS.values())

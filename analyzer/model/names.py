@@ -1,4 +1,4 @@
-"""Distinct names of groups, setups and lines, each with as few words as possible: a base and words that rules choose."""
+"""Distinct short names of groups, setups and lines: a base, and words that rules choose."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 Rule = Callable[[Sequence[str], Sequence[str]], "Iterable[int]"]
-"""Indices of the names that get a word, from the names so far and the words."""
+"""Names so far and words -> indices of the names that get their word."""
 
 
 def where_it_varies(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
@@ -37,7 +37,7 @@ def where_alike(names: Sequence[str], words: Sequence[str]) -> Iterable[int]:
 def tell_apart(
     items: Sequence[Item], base: Callable[[Item], str], parts: Iterable[tuple[Rule, Callable[[Item], str]]]
 ) -> list[str]:
-    """Name items: a base, and the word of each part whose rule chooses the name."""
+    """Name items by a base and the words that rules choose."""
     names = [base(item) for item in items]
     for rule, word in parts:
         words = [word(item) for item in items]
@@ -54,7 +54,7 @@ _PLAIN = frozenset({"vendor", "backend", "reliability", "durability", "connectiv
 def name_groups(parameters: pl.DataFrame) -> list[str]:
     """Name each group, as in `binary 33000 B at 10 Hz, fastdds, bridge builtin`.
 
-    Left out are settings that are the same everywhere or follow from others, as domains from the bridge, RMW from the vendor.
+    Left out are settings that are the same everywhere or follow from others (domains from the bridge).
     """
     groups = parameters.to_dicts()
     others = dict.fromkeys(("domain_mode", *SERIES_COLUMNS))
@@ -62,7 +62,7 @@ def name_groups(parameters: pl.DataFrame) -> list[str]:
         *((where_it_varies, partial(_word, name)) for name in _FIRST),
         *((where_it_helps, partial(_word, name)) for name in others if name not in _FIRST),
     ]
-    # Groups that differ in size or rate get the settings in which they differ, too.
+    # Groups of different size or rate get their settings, too.
     settings = tell_apart(groups, lambda _: "", parts)
     return [f"{_sent(group)}{setting}" for group, setting in zip(groups, settings, strict=True)]
 
@@ -93,7 +93,7 @@ def varying_parameters(groups: pl.DataFrame, columns: Iterable[str]) -> list[str
 
 
 def group_words(group: Mapping[str, ParameterValue], columns: Iterable[str]) -> str:
-    """Write columns of a group as `vendor=fastdds payload_bytes=33000 ...`; a topic has no size and rate of its own."""
+    """Write `vendor=fastdds payload_bytes=33000 ...`; a topic has no size and rate."""
     left_out = CELL_COLUMNS[1:] if is_topic(group.get(CELL_COLUMNS[0])) else ()
     values = ((name, group[name]) for name in columns if name not in left_out)
     return " ".join(f"{n}={v:g}" if isinstance(v, float) else f"{n}={v}" for n, v in values)

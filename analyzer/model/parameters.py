@@ -1,4 +1,4 @@
-"""The key of a group: all parameters of an exchange."""
+"""Parameters of an exchange: the key of its group."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ParameterValue = str | int | float | None
 
 
 class KeyPart(Enum):
-    """The part of the key that a parameter belongs to."""
+    """Part of the key of a group."""
 
     MIDDLEWARE = auto()
     DOMAIN_IDS = auto()  # only same or different matters to a measurement
@@ -32,7 +32,7 @@ class KeyPart(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ParameterSpec:
-    """Part of the key, and dtype, meaning and unit of the column of a parameter."""
+    """Part of the key, and the column, of a parameter."""
 
     part: KeyPart
     dtype: type[pl.DataType]
@@ -45,7 +45,7 @@ _SETTING_MEANING = "all other settings: key=value,... sorted, defaults left out;
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """The parameters of one run and relay; those that agree in all are one group."""
+    """Parameters of a run and relay; equal ones are one group."""
 
     vendor: Annotated[str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "middleware of the ping")]
     backend: Annotated[str, ParameterSpec(KeyPart.MIDDLEWARE, pl.String, "API that carried the messages of the ping")]
@@ -87,16 +87,16 @@ class Parameters:
     setting: Annotated[str, ParameterSpec(KeyPart.SETTINGS, pl.String, _SETTING_MEANING)]
 
     def values(self) -> tuple[ParameterValue, ...]:
-        """Return the values in the order of `PARAMETER_COLUMNS`."""
+        """In the order of `PARAMETER_COLUMNS`."""
         return tuple(getattr(self, name) for name in PARAMETER_NAMES)
 
     def order(self) -> tuple[tuple[bool, object], ...]:
-        """Return the key by which groups are sorted: column by column, null last."""
+        """Return the key that sorts groups: column by column, null last."""
         return tuple((value is None, by_number(value) if isinstance(value, str) else value) for value in self.values())
 
 
 def parameters_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1) -> Parameters:
-    """Return the key of the group of a run and one of its relays (None without its trace)."""
+    """Return the key of a run and a relay (None without its trace)."""
     relay_domain_id = relay_domain_of(run, ping, relay)
     return Parameters(
         vendor=ping.vendor,
@@ -142,7 +142,7 @@ PARAMETER_NAMES = tuple(field.name for field in fields(Parameters))
 
 
 def names_of(*parts: KeyPart) -> tuple[str, ...]:
-    """Return the names of the parameters of some parts, in the order of their columns."""
+    """In the order of columns."""
     return tuple(name for name, row in _SPECS.items() if row.part in parts)
 
 
@@ -151,7 +151,7 @@ CELL_COLUMNS = names_of(KeyPart.MESSAGE)
 SERIES_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in CELL_COLUMNS)
 
 CONTENDER_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS)
-"""Parameters of a setup, which a user can choose for a message."""
+"""A setup: what a user can choose for a message."""
 
 # Times of different devices or links are never pooled: each verdict is within one pair of devices and one link (E. H. Simpson,
 # 1951, for what pooling does).
@@ -159,25 +159,25 @@ CONTENDER_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTING
 SETTING_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.SETTINGS, KeyPart.DOMAIN_MODE, KeyPart.LINK, KeyPart.DEVICES
 )
-"""Parameters of a recommendation: the setup, and the domains, link and devices for which it holds."""
+"""A recommendation: the setup, and for which domains, link and devices it holds."""
 
 SITE_COLUMNS = names_of(KeyPart.DEVICES, KeyPart.LINK)
-"""Parameters of where something was measured; setups measured elsewhere are no alternatives."""
+"""Where something was measured; setups elsewhere are no alternatives."""
 
 CASE_COLUMNS = (*names_of(KeyPart.LINK), *names_of(KeyPart.DOMAIN_MODE), *CELL_COLUMNS, *names_of(KeyPart.DEVICES))
-"""Parameters that compared setups have in common, in the order of answers."""
+"""What compared setups have in common, in the order of answers."""
 
 MATCH_COLUMNS = tuple(name for name in PARAMETER_NAMES if name not in names_of(KeyPart.DOMAIN_IDS))
-"""Parameters that compared groups have in common: all but the domains' numbers."""
+"""What compared groups have in common: all but the domains' numbers."""
 
 BRIDGE_MATCH_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES)
-"""Parameters that a group in one domain and a group through a bridge have in common."""
+"""What groups in one domain and through a bridge have in common."""
 
 BRIDGED_COLUMNS = names_of(
     KeyPart.MIDDLEWARE, KeyPart.BRIDGE, KeyPart.MESSAGE, KeyPart.SETTINGS, KeyPart.LINK, KeyPart.DEVICES
 )
 
 SAME_SIDES_COLUMNS = names_of(KeyPart.MIDDLEWARE, KeyPart.SETTINGS, KeyPart.DEVICES, KeyPart.LINK)
-"""Parameters that groups with different domains and bridges have in common, message by message."""
+"""What groups of different domains and bridges have in common."""
 
 SIZE_LINE_COLUMNS = tuple(name for name in PARAMETER_NAMES if name != "payload_bytes")

@@ -1,4 +1,4 @@
-"""What shows an analysis: the reports, which this room does not import."""
+"""The reports show an analysis; this room does not import them."""
 
 from __future__ import annotations
 

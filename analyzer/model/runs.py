@@ -1,4 +1,4 @@
-"""The runs of a frame of round trips, losses included: what verdicts rest on."""
+"""Runs of a frame of round trips, losses included."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ..run_statistics.change import Passes
 from ..run_statistics.runs import Run
 from .unsent import UNSENT
 
-PASS_LABEL = "pass"  # noqa: S105 - no password: the pass of a sweep
-"""Label of a run with the number of its pass of the sweep."""
+PASS_LABEL = "pass"  # noqa: S105 - no password
+"""Label with the number of a sweep's pass."""
 
 _TWICE_AT_MOST = {"latency": "rtt_ns"}
 
@@ -33,7 +33,7 @@ class RunRows:
     def delivered(self, metric: str) -> Run:
         """Return a metric of every message in ns, infinite for a lost one.
 
-        A reply without the relay's stamps counts with half of its round trip, as leaving it out would favour losses.
+        A reply without the relay's stamps counts with half of its round trip: leaving it out would favour losses.
         """
         at_most = self._floats(f"{metric}_ns")
         if self.received.all() and not self.rows[f"{metric}_ns"].null_count():
@@ -71,14 +71,11 @@ class RunRows:
 
 
 MOST_BLOCKS, LEAST_OF_A_BLOCK = 10, 200
-"""Blocks of a recording of a topic, and messages of each."""
+"""Of a recording of a topic; messages."""
 
 
 def topics_in_blocks(rows: pl.DataFrame) -> pl.DataFrame:
-    """Cut recordings of topics into blocks of time with run ids of their own: a limit of one recording rests on its parts.
-
-    Other runs stay as they are.
-    """
+    """Cut recordings of topics into blocks with run ids of their own: a limit of one recording rests on its parts."""
     blocks = (pl.len() // LEAST_OF_A_BLOCK).clip(1, MOST_BLOCKS).cast(pl.UInt64)
     number = pl.col("publish_ns").rank("ordinal").cast(pl.UInt64) - 1
     block = (number * blocks // pl.len().cast(pl.UInt64)).over("run_id")
@@ -89,7 +86,7 @@ def topics_in_blocks(rows: pl.DataFrame) -> pl.DataFrame:
 
 def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
     parts = rows.partition_by("run_id", maintain_order=True)
-    # Only the rows of several relays are not in the order of T1.
+    # Rows of several relays are not in the order of T1.
     return tuple(
         RunRows(
             int(part["run_id"][0]),
@@ -100,7 +97,7 @@ def split_runs(rows: pl.DataFrame) -> tuple[RunRows, ...]:
 
 
 def delivered_runs(runs: Sequence[RunRows], metric: str) -> list[Run]:
-    """Return a metric of each run with losses infinitely late; no run has a value if no reply has the metric."""
+    """Return a metric of each run, a loss infinitely late; no values if no reply has the metric."""
     has_metric = any(run.rows[f"{metric}_ns"].null_count() < len(run.rows) for run in runs)
     if has_metric or all(run.is_lost for run in runs):
         return [run.delivered(metric) for run in runs]
@@ -114,7 +111,7 @@ def pass_numbers(runs: Iterable[RunDescription]) -> dict[int, int]:
 
 
 def passes_of(base: Sequence[RunRows], new: Sequence[RunRows], passes: Mapping[int, int]) -> Passes | None:
-    """Return the passes of both sides; None unless every run has one and each pass has one run a side."""
+    """Return both sides' passes; None unless every run has one of its own on its side."""
     sides = tuple([passes.get(run.run_id) for run in side] for side in (base, new))
     if any(number is None for side in sides for number in side) or any(len(set(s)) < len(s) for s in sides):
         return None

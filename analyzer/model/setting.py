@@ -1,6 +1,6 @@
-"""The parameter `setting`: all requested options without a column of their own, as one canonical text.
+"""The parameter `setting`: requested options without a column, as one canonical text.
 
-They are in `settings` of sessions and runs; in older traces in `host.middleware` and the run.
+They are in `settings` of sessions and runs, in older traces in `host.middleware`.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from dds_trace.tracefile.format.json_fields import Json, JsonObject
 
 LOAD = "load"
 FLOW, WITH, FLOWS = "flow", "with", "flows"
-"""A run's flow, the flows of its plan that ran with it (joined by +), and the number of runs of its machine."""
+"""A run's flow, the flows that ran with it (joined by +), and the runs of its machine."""
 
 _CONDITIONS = "link relays hosts pings topics data outage outage_by queue clients response_bytes"
 CONDITIONS = frozenset((*_CONDITIONS.split(), LOAD, FLOW, WITH, FLOWS))
-"""Keys that nobody chooses: groups that differ in these are no alternatives."""
+"""Keys that nobody chooses: other values are no alternatives."""
 
 _OLD: Mapping[str, Callable[[str], str | None]] = {
     "transport": lambda text: None if text == "default" else text,
     "tuned": lambda text: None if text == "false" else "true",  # or a sentence: there was nothing to tune
     "executor": lambda text: "single" if text == "single" else None,
 }
-"""Settings in `host.middleware` of older recorders -> what that text requested, None for the default."""
+"""Of `host.middleware` of older recorders -> what the text requested, None for the default."""
 
 _BOTH_SIDES = ("reliability", "durability", "history", "depth", "serialization")
-"""Settings that the run has for the ping, and only the session for the relay."""
+"""The run has the ping's, only the session the relay's."""
 
 
 def setting_of(run: Run, ping: Session, relay: Session | None, *, relays: int = 1, flows: int = 1) -> str:
-    """Return the setting of an exchange: `key=value,...`, sorted by key, defaults left out.
+    """Return `key=value,...`, sorted by key, defaults left out.
 
-    Settings of the relay that differ from the ping's are `relay.key=value`, `default` for one that only the ping has.
+    Where the relay's differs it is `relay.key=value`, `default` for one that only the ping has.
     """
     ping_settings = _side(ping)
     values = {key: value for key, value in ping_settings.items() if key not in _BOTH_SIDES}
@@ -130,7 +130,7 @@ def _text(value: Json) -> str:
 
 
 _PART = re.compile(r"[^,()]*(?:\([^()]*\)[^,()]*)*")
-"""A value with commas within parentheses only, these in pairs and not nested."""
+"""Commas within parentheses only, in pairs and not nested."""
 
 
 def _quoted(text: str, further: str = "") -> str:

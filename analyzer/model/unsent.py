@@ -1,4 +1,4 @@
-"""Messages that were due and never left, as rows, so that verdicts count them as lost."""
+"""Messages that were due and never left, as rows that verdicts count as lost."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from collections.abc import Mapping
 import polars as pl
 
 MOST_MESSAGES = 1 << 53
-"""Largest count taken from a description: sums of many stay within an int64."""
+"""Largest count of a description: sums stay within an int64."""
 
 UNSENT = "unsent"
-"""No row of `roundtrips.parquet` has this outcome."""
+"""Outcome that `roundtrips.parquet` never has."""
 
 MOST_ROWS = 1_000_000
-"""Most rows for the unsent messages of one run, which is lost either way."""
+"""For one run, which is lost either way."""
 
 
 def with_unsent(roundtrips: pl.DataFrame, unsent: Mapping[int, int]) -> pl.DataFrame:
-    """Append a row of outcome `UNSENT` for each message that never left (run_id -> how many).
+    """Append a row `UNSENT` for each message that never left (by run_id).
 
-    It has `publish_ns` of the last row of its run and relay; other times are null.
+    `publish_ns` is that of the last row of the run and relay; other times are null.
     """
     last = roundtrips.filter(pl.col("run_id").is_in(list(unsent))) if unsent else roundtrips.head(0)
     if last.is_empty():

@@ -16,7 +16,7 @@ _POWER_STEPS = 2000
 
 
 def student_cdf(t: float, degrees: float) -> float:
-    """Return the probability that Student's t is at most `t`; infinite degrees of freedom give the normal distribution.
+    """Return the probability of at most `t`; infinite degrees of freedom give the normal distribution.
 
     By the regularized incomplete beta function (M. Abramowitz and I. Stegun, 1964, 26.7.1).
     """
@@ -30,14 +30,14 @@ def student_cdf(t: float, degrees: float) -> float:
 
 @lru_cache(maxsize=4096)
 def student_quantile(probability: float, degrees: float) -> float:
-    """Return the quantile of Student's t; relative error below 1e-9."""
-    _check_probability(probability)
+    """Relative error below 1e-9."""
+    if not 0 < probability < 1:
+        raise ValueError("a probability must be between 0 and 1, both excluded")
     if math.isinf(degrees):
         return _NORMAL.inv_cdf(probability)
     if probability < 0.5:
         return -student_quantile(1 - probability, degrees)
-    # Newton's method on the tail, which keeps its digits: every step from the normal's quantile stays on this side of
-    # the root.
+    # Newton's method on the tail, which keeps its digits: steps from the normal's quantile stay on this side of the root.
     tail, t = 1 - probability, _NORMAL.inv_cdf(probability)
     for _ in range(_MOST_TERMS):
         step = (student_cdf(-t, degrees) - tail) / _student_density(t, degrees)
@@ -54,13 +54,13 @@ def _student_density(t: float, degrees: float) -> float:
 
 @lru_cache(maxsize=4096)
 def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8) -> float:
-    """Return how many standard errors a true difference takes to be detected by a two-sided t test with a probability of `power`.
+    """Return the standard errors that a two-sided t test detects with a probability of `power`.
 
-    The power is the mean of `Phi(shift - t u)` over `u**2`, a chi-square variable divided by its degrees of freedom (the noncentral t
-    of N. L. Johnson and B. L. Welch, 1940; the far side is left out).
+    The power is the mean of `Phi(shift - t u)` over `u**2`, a chi-square variable over its degrees of freedom (noncentral t,
+    N. L. Johnson and B. L. Welch, 1940; the far side is left out).
     """
     threshold = student_quantile((1 + confidence) / 2, degrees)
-    # log(chi-square) on a grid wide enough that the rest has a probability below 1e-9.
+    # log(chi-square) on a grid beyond which the probability is below 1e-9.
     spread = 8 * math.sqrt(2 / degrees) + 8 / degrees
     logs = np.linspace(-3 * spread, spread, _POWER_STEPS)
     log_density = degrees / 2 * (logs - np.exp(logs))
@@ -80,7 +80,7 @@ def shift_for_power(degrees: float, confidence: float = 0.95, power: float = 0.8
 
 @lru_cache(maxsize=1024)
 def poisson_limits(count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the exact limits of a Poisson mean after `count` events, each wrong at most half of the time (F. Garwood, 1936)."""
+    """Return exact limits of a Poisson mean after `count` events, each with half of the error (F. Garwood, 1936)."""
     tail = (1 - confidence) / 2
     high = count + 10 * math.sqrt(count + 1) - math.log(tail)
     upper = _root(lambda mean: tail - poisson_cdf(count, mean), float(count), high)
@@ -96,7 +96,7 @@ def poisson_cdf(count: int, mean: float) -> float:
 
 
 def chi_square_cdf(value: float, degrees: float) -> float:
-    """Return the probability that a chi-square variable is at most `value`, by the series of NIST DLMF 8.7.1."""
+    """Return the probability of at most `value` (NIST DLMF 8.7.1)."""
     if value <= 0:
         return 0.0
     if value > degrees + 20 * math.sqrt(2 * degrees) + 100:  # beyond it is below 1e-20, and the series overflows
@@ -112,7 +112,7 @@ def chi_square_cdf(value: float, degrees: float) -> float:
 
 
 def incomplete_beta(x: float, a: float, b: float) -> float:
-    """Return the regularized incomplete beta function `I_x(a, b)` (NIST DLMF 8.17.22, by Lentz's method)."""
+    """Return the regularized `I_x(a, b)` (NIST DLMF 8.17.22, by Lentz's method)."""
     if x <= 0 or x >= 1:
         return 0.0 if x <= 0 else 1.0
     if x > (a + 1) / (a + b + 2):  # where the continued fraction of the other tail converges faster
@@ -149,8 +149,3 @@ def _root(rising: Callable[[float], float], low: float, high: float, halvings: i
         else:
             high = middle
     return (low + high) / 2
-
-
-def _check_probability(probability: float) -> None:
-    if not 0 < probability < 1:
-        raise ValueError("a probability must be between 0 and 1, both excluded")

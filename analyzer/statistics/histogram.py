@@ -1,4 +1,4 @@
-"""Histograms of log-linear buckets, which merge by addition of their counts."""
+"""Histograms of log-linear buckets, which merge by addition."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 MANTISSA_BITS = 10
-"""Exponent and first mantissa bits of a float64 number `2**MANTISSA_BITS` equal steps in every octave, as HdrHistogram's buckets."""
+"""Exponent and first mantissa bits of a float64 number `2**MANTISSA_BITS` steps an octave, as in HdrHistogram."""
 
 RELATIVE_ERROR = 2.0 ** -(MANTISSA_BITS + 1)
-"""Largest error of a value that is read from a histogram, as a share of the value: half a bucket, 0.05 %."""
+"""Largest error of a value, as a share of it: half a bucket, 0.05 %."""
 
 _SHIFT = 52 - MANTISSA_BITS
 _BUCKET_OF_ONE = 1023 << MANTISSA_BITS
@@ -19,14 +19,14 @@ _BUCKET_OF_ONE = 1023 << MANTISSA_BITS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histogram:
-    """Counts of values in log-linear buckets, by the ascending centres of those that are not empty."""
+    """Counts by the ascending centres of buckets that are not empty."""
 
     value_ns: NDArray[np.float64]
     count: NDArray[np.uint64]
 
 
 def histogram_of(ordered_ns: NDArray[np.int64]) -> Histogram:
-    """Count ascending values in buckets; negative ones (a clock fault) mirror positive ones."""
+    """Count ascending values; negative ones (a clock fault) mirror positive ones."""
     zero, positive = np.searchsorted(ordered_ns, [0, 1]).tolist()
     below = _positive_histogram(-ordered_ns[:zero][::-1])
     above = _positive_histogram(ordered_ns[positive:])
@@ -44,12 +44,9 @@ def _positive_histogram(ordered_ns: NDArray[np.int64]) -> Histogram:
     buckets >>= _SHIFT
     first = np.append(0, np.flatnonzero(buckets[1:] != buckets[:-1]) + 1)
     count = np.diff(first, append=len(buckets)).astype(np.uint64)
-    return Histogram(_centres(buckets[first] - _BUCKET_OF_ONE), count)
-
-
-def _centres(buckets: NDArray[np.int64]) -> NDArray[np.float64]:
-    octave = np.ldexp(1.0, buckets >> MANTISSA_BITS)
+    filled = buckets[first] - _BUCKET_OF_ONE
+    octave = np.ldexp(1.0, filled >> MANTISSA_BITS)
     width = octave / (1 << MANTISSA_BITS)
-    low = octave + width * (buckets & ((1 << MANTISSA_BITS) - 1))
+    low = octave + width * (filled & ((1 << MANTISSA_BITS) - 1))
     # A bucket narrower than 1 holds the one integer at its lower end.
-    return np.asarray(low + np.maximum(width - 1, 0) / 2, np.float64)
+    return Histogram(np.asarray(low + np.maximum(width - 1, 0) / 2, np.float64), count)

@@ -1,4 +1,4 @@
-"""An estimate with its confidence interval, and what the interval rests on."""
+"""Estimates with confidence intervals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 def mean_and_variance(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Return `mean` and `var(ddof=1)` of at least two finite values, faster."""
+    """Return `mean` and `var(ddof=1)` of two or more finite values, faster."""
     count = len(values)
     mean = np.add.reduce(values) / count
     apart = values - mean
@@ -19,36 +19,35 @@ def mean_and_variance(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 MIN_RUNS = 3
-"""Runs from which on an interval comes from the runs: with two, Student's t is 12.7."""
+"""Least runs of an interval between runs: with two, Student's t is 12.7."""
 
 MIN_EPISODES = 10
-"""Episodes that an end beyond a tail needs: the spread of fewer is uncertain by a factor of two."""
+"""Least episodes of an end beyond a tail: the spread of fewer is uncertain by a factor of two."""
 
 
 Range = tuple[float | None, float | None]
-"""Lower and upper end; an end that is None excludes nothing."""
+"""Lower and upper end; None excludes nothing."""
 
 
 class Basis(Enum):
     """What an interval has seen vary."""
 
     BETWEEN_RUNS = "between runs"  # holds for another run of the same kind
-    WITHIN_RUN = "within one run"  # holds for this run only; no verdict follows from it
+    WITHIN_RUN = "within one run"  # no verdict follows from it
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """An estimate with its confidence interval; what the sample does not support is None.
+    """An estimate with its interval; what the sample does not support is None.
 
     Attributes:
         lower: None where the interval is open.
         upper: likewise; infinite if lost messages reach up to it.
         confidence: probability that an interval with both ends contains the truth; one end is wrong with half of the rest.
-        independent: independent messages that would give an interval of this width within one run.
-        basis: what the interval has seen vary.
+        independent: independent messages that give this width within one run.
         units: runs, or groups of neighbouring runs, that the interval was computed from; 0 within one run.
-        episodes: bursts that the messages beyond a quantile came in, as many of equal size as vary as much; of a received ratio
-            the bursts of losses (of replies, where they are rarer). None for a mean, and where no value is beyond a quantile.
+        episodes: bursts of the messages beyond a quantile, as many of equal size as vary as much; of a received ratio those of
+            losses (or of rarer replies). None for a mean, and where no value is beyond a quantile.
         unit_spread: standard deviation of the logarithms of the units; None within one run or without a finite logarithm.
     """
 
@@ -82,7 +81,7 @@ def ranges_overlap(one: Range, other: Range) -> bool:
 def without_open_end(
     lower: float | None, upper: float | None, quantile: float, episodes: int | None
 ) -> tuple[float | None, float | None]:
-    """Return the ends of a quantile's interval without the one beyond a tail of too few episodes (None: of no message)."""
+    """Leave out the end beyond a tail of too few episodes (None: of no message)."""
     if episodes is None or episodes >= MIN_EPISODES or lower == math.inf:
         return lower, upper
     return (lower, None) if quantile >= 0.5 else (None, upper)

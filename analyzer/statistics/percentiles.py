@@ -1,8 +1,7 @@
-"""Percentiles of a sample: which ones exist, how they are computed, and how many messages each of them takes.
+"""Percentiles: which ones exist, how they are computed, how many messages they take.
 
-A two-sided interval for the q-quantile by order statistics exists once the sample is unlikely to be wholly on one side
-of it: `q**n <= (1 - confidence) / 2`, and the same for `1 - q` (H. A. David and H. N. Nagaraja, "Order Statistics", 3rd
-ed. 2003, section 7.1).
+A two-sided interval of the q-quantile exists once the sample is unlikely to be wholly on one side of it:
+`q**n <= (1 - confidence) / 2`, the same for `1 - q` (H. A. David and H. N. Nagaraja, "Order Statistics", 2003, section 7.1).
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ Float64 = NDArray[np.float64]
 
 @lru_cache(maxsize=4096)
 def order_statistic_ranks(n: int, quantile: float, confidence: float = 0.95) -> tuple[int | None, int | None]:
-    """Return the ranks (1-based) of the two sorted values that enclose a quantile of n independent ones; None outside the sample.
+    """Return the ranks (1-based) of the values that enclose a quantile of n independent ones; None outside the sample.
 
     Each end misses the quantile with probability at most `a = (1 - confidence) / 2`: the lower is the largest rank l with
     `P(B < l) <= a`, the upper the smallest rank u with `P(B >= u) <= a`, where B is binomial(n, quantile).
@@ -53,12 +52,12 @@ def _binomial_cdf(n: int, p: float) -> tuple[int, Float64]:
 
 
 Values = NDArray[np.int64 | np.float64]
-"""A sample; in float64 a lost message may be infinity."""
+"""In float64 a lost message may be infinity."""
 
 
 @lru_cache(maxsize=256)
 def minimum_messages(quantile: float) -> int:
-    """Return the sample size below which a quantile has no estimate: one over the share beyond it, 100 for p99."""
+    """Return the least sample of an estimate: one over the share beyond, 100 for p99."""
     _check(quantile, 0.5)
     if quantile <= 0.5:
         return 1
@@ -67,7 +66,7 @@ def minimum_messages(quantile: float) -> int:
 
 
 def planned_messages(quantile: float, confidence: float = 0.95, inflation: float = 1.0) -> int:
-    """Return the number of messages from which a two-sided interval exists; `inflation` of them count as one."""
+    """Return the least messages of a two-sided interval; `inflation` of them count as one."""
     _check(quantile, confidence)
     independent = math.log((1 - confidence) / 2) / math.log(max(quantile, 1 - quantile))
     return math.ceil(round(independent * max(inflation, 1.0), 9))
@@ -80,7 +79,7 @@ def _check(quantile: float, confidence: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Percentile:
-    """A percentile of the summary; with fewer than `needs` messages it would interpolate towards the maximum and is null."""
+    """Null for fewer than `needs` messages, where it would interpolate towards the maximum."""
 
     name: str
     quantile: float
@@ -103,7 +102,7 @@ PERCENTILES = tuple(
 
 
 def quantile_of(ordered: Values, quantile: float) -> float:
-    """Return a quantile of ascending values by linear interpolation; infinite if one of the two order statistics is.
+    """Return a quantile of ascending values, interpolated; infinite if an order statistic of it is.
 
     Definition 7 of R. Hyndman and Y. Fan, American Statistician 50, 1996.
     """
@@ -115,7 +114,7 @@ def quantile_of(ordered: Values, quantile: float) -> float:
 
 
 def summarize_values(ordered_ns: NDArray[np.int64]) -> dict[str, float | None]:
-    """Return mean, standard deviation (n - 1), extremes and exact percentiles of ascending values in ns; None for a small sample."""
+    """Return mean, standard deviation (n - 1), extremes and exact percentiles of ascending values; None for a small sample."""
     n = len(ordered_ns)
     statistics: dict[str, float | None] = {"mean": None, "std": None, "min": None, "max": None}
     statistics |= {p.name: quantile_of(ordered_ns, p.quantile) if n >= p.needs else None for p in PERCENTILES}

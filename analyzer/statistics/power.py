@@ -1,4 +1,4 @@
-"""What an experiment can detect, how much more it takes to decide, and p values of many tests."""
+"""What an experiment can detect, what it takes to decide, and p values of many tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Float64 = NDArray[np.float64]
 
 
 def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:
-    """Return p values that bound the probability of a single false alarm in the whole family, in the order of the tests.
+    """Bound the probability of a single false alarm in the family; in the order of the tests.
 
     The i-th smallest of m becomes the largest `(m - j + 1) p_j` up to it (S. Holm, Scandinavian Journal of Statistics 6, 1979).
     """
@@ -27,10 +27,10 @@ def holm_adjusted(p_values: Sequence[float] | Float64) -> Float64:
 
 
 def hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
-    """Return p values that bound the same as Holm's, in the order of the tests.
+    """Bound the same as Holm's; in the order of the tests.
 
-    The i-th smallest of m becomes the smallest `(m - j + 1) p_j` from it on (Y. Hochberg, Biometrika 75, 1988), for tests that are
-    independent or positively dependent; none is larger than Holm's.
+    The i-th smallest of m becomes the smallest `(m - j + 1) p_j` from it on (Y. Hochberg, Biometrika 75, 1988), for independent
+    or positively dependent tests; none is larger than Holm's.
     """
     values = np.asarray(p_values, np.float64)
     order = np.argsort(values, kind="stable")
@@ -40,10 +40,10 @@ def hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
 
 
 def benjamini_hochberg_adjusted(p_values: Sequence[float] | Float64) -> Float64:
-    """Return p values that bound the expected share of false alarms among all alarms, in the order of the tests.
+    """Bound the expected share of false alarms among alarms; in the order of the tests.
 
-    The i-th smallest of m becomes the smallest `m p_j / j` from it on (Y. Benjamini and Y. Hochberg, JRSS B 57, 1995), for tests that
-    are independent or positively dependent.
+    The i-th smallest of m becomes the smallest `m p_j / j` from it on (Y. Benjamini and Y. Hochberg, JRSS B 57, 1995), for
+    independent or positively dependent tests.
     """
     values = np.asarray(p_values, np.float64)
     m = len(values)
@@ -60,20 +60,20 @@ def _in_order(sorted_values: Float64, order: NDArray[np.intp]) -> Float64:
 
 
 POCOCK_LEVELS = (0.05, 0.0294, 0.0221, 0.0182, 0.0158, 0.0142, 0.0130, 0.0120, 0.0112, 0.0106)
-"""Level of each of 1 to 10 looks at data that grow by equal parts, for 5 % over all of them (S. J. Pocock, Biometrika 64, 1977).
+"""Level of each of 1 to 10 looks at equally growing data, for 5 % over all (S. J. Pocock, Biometrika 64, 1977).
 
-The spending function is `0.05 log(1 + (e - 1) t)` of the share t of the data (K. Lan and D. DeMets, Biometrika 70, 1983).
+It spends `0.05 log(1 + (e - 1) t)` by the share t of the data (K. Lan and D. DeMets, Biometrika 70, 1983).
 """
 
 
 def confidence_at_each(looks: int) -> float:
-    """Return the confidence of each of up to ten looks that keeps 95 % over all of them."""
+    """Return the confidence of a look that keeps 95 % over all, up to ten."""
     return 1 - POCOCK_LEVELS[looks - 1]
 
 
 POWER = 0.8
 MOST_RUNS = 1000
-"""Runs a side beyond which no number is given."""
+"""Runs a side; beyond, no number is given."""
 
 
 def smallest_shift(error: float, degrees: float, confidence: float = 0.95, power: float = POWER) -> float:
@@ -84,10 +84,9 @@ def smallest_shift(error: float, degrees: float, confidence: float = 0.95, power
 def runs_to_decide(
     distance: float, base_spread: float, new_spread: float, confidence: float = 0.95, power: float = POWER
 ) -> int | None:
-    """Return the runs a side, from 3 to `MOST_RUNS`, after which an interval is wholly on one side of a limit with a probability of `power`.
+    """Return the runs a side (3 to `MOST_RUNS`) after which an interval is on one side of a limit with a probability of `power`.
 
-    `distance` is `log(ratio / limit)`, the spreads are standard deviations of the logarithms of each side's runs; 0 for a limit on
-    one side.
+    `distance` is `log(ratio / limit)`, a spread the standard deviation of the logarithms of a side's runs; 0 for a limit there.
     """
     variance = base_spread**2 + new_spread**2
     # Welch's degrees of freedom for equal numbers of runs are (runs - 1) times this.
@@ -111,7 +110,7 @@ def _fewest(is_enough: Callable[[int], bool]) -> int | None:
 
 
 def messages_to_close(interval: Interval, quantile: float) -> int | None:
-    """Return how many more messages it takes until the interval of a quantile has both ends; None without an episode to go by."""
+    """Return the further messages until a quantile's interval has both ends; None without an episode to go by."""
     if interval.is_two_sided:
         return 0
     if not interval.samples or interval.episodes == 0:

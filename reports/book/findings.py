@@ -1,4 +1,4 @@
-"""Findings by kind, as every report shows them."""
+"""Findings by kind, for every report."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _TITLES = {
     "few_samples": "Too few messages for a percentile",
     "not_applied": "Requested and not applied",
 }
-"""Names where the words of the code are not enough."""
+"""Where the words of the code are not enough."""
 
 _MOST_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
 class OneFinding:
-    """One finding; `groups` has the names of its groups if `where` only has their number, `worst_first` their indices."""
+    """`groups` are names, if `where` only has their number; `worst_first` their indices."""
 
     where: str
     what: str
@@ -40,7 +40,7 @@ class OneFinding:
 
 @dataclass(frozen=True, slots=True)
 class FindingKind:
-    """Findings of one severity and code; `count` includes those that are not listed."""
+    """Of one severity and code; `count` includes those not listed."""
 
     severity: str
     code: str
@@ -54,18 +54,18 @@ class FindingKind:
 
     @property
     def heading(self) -> str:
-        """Title with the count if it exceeds one, as in `Loss (12)`."""
+        """As in `Loss (12)`."""
         return self.title if self.count == 1 else f"{self.title} ({self.count})"
 
     @property
     def common_action(self) -> str:
-        """Action of all listed findings; empty if they differ."""
+        """Empty if they differ."""
         actions = {one.action for one in self.listed}
         return self.listed[0].action if len(actions) == 1 else ""
 
 
 def worst_first(values: Values) -> tuple[int, ...]:
-    """Sort the groups: most losses first, then the slowest medians."""
+    """Most losses first, then the slowest medians."""
     received, times = values.plain["received_ratio"], values.times_ns[values.default_metric]["p50"]
     return tuple(
         sorted(

@@ -108,6 +108,19 @@ class Batch:
         return list(dict.fromkeys(key for exchange in self.exchanges for key in exchange.event_keys()))
 
 
+def described_exchanges(batch: Batch) -> pl.DataFrame:
+    """Return a row per exchange: its index `exchange`, `group`, `run_id` and `relay_id`."""
+    exchanges = batch.exchanges
+    return pl.DataFrame(
+        {
+            "exchange": np.arange(len(exchanges), dtype=np.uint32),
+            "group": batch.group_of_exchange,
+            "run_id": pl.Series([exchange.run.run_id for exchange in exchanges], dtype=pl.UInt64),
+            "relay_id": pl.Series([exchange.relay_id for exchange in exchanges], dtype=pl.UInt32),
+        }
+    )
+
+
 def exchanges_by_group(batch: Batch) -> Iterator[tuple[int, range]]:
     if not batch.whole:
         return

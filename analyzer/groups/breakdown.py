@@ -10,7 +10,6 @@ it is received (`received <= T3`), nor stamped before it is handed over (`source
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -188,10 +187,10 @@ def _parts(messages: _Messages, deliveries: _Deliveries | None) -> Iterator[tupl
         yield "ping_delivery_ns", deliveries.ping_ns, deliveries.bound_ns
 
 
-def _percentiles(values_ns: Int64, prefix: str = "") -> dict[str, float | None]:
+def _percentiles(values_ns: Int64) -> dict[str, float | None]:
     ordered = np.sort(values_ns)
     p99_ns = quantile_of(ordered, 0.99) if len(ordered) >= minimum_messages(0.99) else None
-    return {f"{prefix}p50_ns": quantile_of(ordered, 0.5), f"{prefix}p99_ns": p99_ns}
+    return {"p50_ns": quantile_of(ordered, 0.5), "p99_ns": p99_ns}
 
 
 def _deliveries(messages: _Messages, exchanges: Iterable[_ExchangeRows]) -> _Deliveries | None:
@@ -264,30 +263,27 @@ def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
     A sender that waits hides the waiting in round trips ("coordinated omission", G. Tene, 2013). `late_ratio` were sent
     more than a tenth of the period after T0; `hidden_*_ns` = response - rtt; p99 needs 100 messages.
     """
+    if not batch.whole:
+        return pl.DataFrame(schema=RESPONSE_SCHEMA)
     names = ("scheduled_ns", "publish_ns", "response_ns", "rtt_ns")
-    columns = {name: filled(roundtrips.column(name)) for name in names}
-    came = is_present(roundtrips.column("response_ns"))
-    rates_hz = roundtrips.described["rate_hz"].to_list()
-    rows: list[dict[str, object]] = []
-    for group, numbers in exchanges_by_group(batch):
-        here = slice(*roundtrips.bounds[[numbers.start, numbers.stop]].tolist())
-        scheduled_ns, publish_ns, response_ns, rtt_ns = (
-            chosen_of(came[here], values[here]) for values in columns.values()
+    waiting_ns, period_ns = pl.col("publish_ns") - pl.col("scheduled_ns"), 1e9 / pl.col("rate_hz").first()
+    times = {name: pl.col(f"{name}_ns") for name in ("rtt", "response")}
+    enough = pl.len() >= minimum_messages(0.99)
+    responses = (
+        pl.DataFrame([roundtrips.column(name) for name in names])
+        .with_columns(
+            pl.Series("group", roundtrips.per_row(batch.group_of_exchange)),
+            roundtrips.described["rate_hz"].gather(roundtrips.exchange_of_row()),
         )
-        if len(response_ns):
-            waiting_ns = publish_ns - scheduled_ns
-            rate_hz = rates_hz[numbers.start]
-            late = waiting_ns > (0.1 * 1e9 / rate_hz if rate_hz else math.inf)
-            times = _percentiles(rtt_ns, "rtt_") | _percentiles(response_ns, "response_")
-            rows.append(
-                {
-                    "group": group,
-                    "messages": len(response_ns),
-                    "late_ratio": np.count_nonzero(late) / len(late),
-                    "waiting_max_ns": int(waiting_ns.max()),
-                    **times,
-                }
-            )
-    return pl.DataFrame(rows, schema=RESPONSE_SCHEMA).with_columns(
-        (pl.col(f"response_{name}_ns") - pl.col(f"rtt_{name}_ns")).alias(f"hidden_{name}_ns") for name in ("p50", "p99")
+        .drop_nulls("response_ns")
+        .group_by("group", maintain_order=True)
+        .agg(
+            messages=pl.len(),
+            late_ratio=(waiting_ns > 0.1 * period_ns).fill_null(False).mean(),
+            waiting_max_ns=waiting_ns.max(),
+            **{f"{name}_p50_ns": time.median() for name, time in times.items()},
+            **{f"{name}_p99_ns": pl.when(enough).then(time.quantile(0.99, "linear")) for name, time in times.items()},
+        )
     )
+    hidden = {f"hidden_{p}_ns": pl.col(f"response_{p}_ns") - pl.col(f"rtt_{p}_ns") for p in ("p50", "p99")}
+    return responses.with_columns(**hidden).select(pl.col(n).cast(kind) for n, kind in RESPONSE_SCHEMA.items())

@@ -2,87 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 import polars as pl
-from numpy.typing import NDArray
+
+from dds_trace.base.units import SECOND_NS
 
 from ..model.metrics import frame_schema
-from ..pairing.pair import LOSSES, OUTCOMES, Outcome, chosen_of
+from ..pairing.pair import LOSSES, OUTCOMES, Outcome
 from ..pairing.roundtrips import RoundTrips
-from .batch import Batch, filled, first_known, is_present
-
-Int64 = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class AgeOfInformation:
-    """Age of the newest information at a receiver from the first update to the last: mean over time, and its peaks."""
-
-    mean_ns: float
-    peak_mean_ns: float
-    peak_max_ns: int
-    updates: int
-
-
-def age_of_information(generated: Int64, received: Int64) -> AgeOfInformation | None:
-    """Compute the age of information from the times (ns) at which received messages were made and received, on one clock.
-
-    It rises from `r[k] - g[k]` at update k to the peak `r[k+1] - g[k]`; an older message that comes late changes nothing.
-    """
-    if not (_is_ascending(received) and _is_ascending(generated)):
-        generated, received = _updates(generated, received)
-    if len(received) < 2:
-        return None
-    peaks = received[1:] - generated[:-1]
-    # In place, as a long run's arrays are large.
-    area, fallen = peaks.astype(np.float64), (received - generated)[:-1].astype(np.float64)
-    peak_mean_ns = float(area.mean())
-    area *= area
-    fallen *= fallen
-    area -= fallen
-    area /= 2
-    return AgeOfInformation(
-        mean_ns=float(area.sum() / float(received[-1] - received[0])),
-        peak_mean_ns=peak_mean_ns,
-        peak_max_ns=int(peaks.max()),
-        updates=len(received),
-    )
-
-
-def _is_ascending(times: Int64) -> bool:
-    return bool((times[1:] > times[:-1]).all())
-
-
-def _updates(generated: Int64, received: Int64) -> tuple[Int64, Int64]:
-    order = np.lexsort((generated, received))
-    generated, received = generated[order], received[order]
-    newer = np.ones(len(generated), np.bool_)
-    newer[1:] = generated[1:] > np.maximum.accumulate(generated)[:-1]
-    generated, received = chosen_of(newer, generated), chosen_of(newer, received)
-    # Of several updates at one instant the last one counts: the others were never the newest.
-    last = np.ones(len(received), np.bool_)
-    last[:-1] = received[1:] != received[:-1]
-    return chosen_of(last, generated), chosen_of(last, received)
-
-
-def late_by(received: Int64, period_ns: int) -> tuple[Int64, int]:
-    """Return by how much each message after the first came later than one period after the newest before it, ns, and the empty periods.
-
-    A control loop of that period which begins at the first message has nothing new in an empty period. `received` are the times
-    of reception on one clock in the order of sending; a message that an older one overtook changes nothing.
-    """
-    newest = np.maximum.accumulate(received)
-    gaps = np.diff(newest[np.concatenate([[True], received[1:] >= newest[:-1]])]) if len(received) else received
-    if not len(gaps):
-        return gaps, 0
-    ticks = (np.cumsum(np.concatenate([[0], gaps])) + period_ns // 2) // period_ns
-    return np.maximum(gaps - period_ns, 0), int(ticks[-1] + 1 - len(np.unique(ticks)))
-
+from .batch import Batch, described_exchanges
 
 OUTAGE_MESSAGES = 3
 """Lost messages in a row that make an outage: single losses are loss, not an outage."""
@@ -90,54 +17,10 @@ OUTAGE_MESSAGES = 3
 RECOVERED_MESSAGES = 5
 """Messages in a row in time that end the recovery from an outage."""
 
-
-def longest_run(happened: Bools) -> int:
-    return max((stop - start for start, stop in runs_of(happened)), default=0)
-
-
-def runs_of(happened: Bools) -> list[tuple[int, int]]:
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], happened, [False]]).astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in changes.reshape(-1, 2)]
-
-
-@dataclass(frozen=True, slots=True)
-class Outage:
-    """A run of lost messages, from T0 (else T1) of the first one to the next reception; None for a time that the run does not reach."""
-
-    first_sequence: int
-    messages: int
-    start_ns: int
-    end_ns: int | None
-    recovery_ns: int | None
-
-    @property
-    def duration_ns(self) -> int | None:
-        """Time without a new message at the receiver; None if the run ended first."""
-        return None if self.end_ns is None else self.end_ns - self.start_ns
-
-
-def find_outages(
-    sequence: NDArray[np.uint64], planned_ns: Int64, receive_ns: Int64, lost: Bools, in_time: Bools
-) -> list[Outage]:
-    outages = []
-    good = in_time & ~lost
-    for start, stop in runs_of(lost):
-        if stop - start < OUTAGE_MESSAGES:
-            continue
-        end = int(receive_ns[stop]) if stop < len(lost) else None
-        recovery = None
-        if end is not None:
-            steady = (s for s, e in runs_of(good[stop:]) if e - s >= RECOVERED_MESSAGES)
-            first = next(steady, None)
-            recovery = None if first is None else max(0, int(receive_ns[stop + first]) - end)
-        outages.append(Outage(int(sequence[start]), stop - start, int(planned_ns[start]), end, recovery))
-    return outages
-
-
-ONE_WAY = ("outbound_ns", "return_ns")
+ONE_WAY = ("outbound", "return")
 """Metrics that are wrong by at most `clock_bound_ns`."""
 
-_NEVER = {"outbound_ns": (Outcome.LOST_OUTBOUND,)}
+_NEVER = {"outbound": (Outcome.LOST_OUTBOUND.value,)}
 """Outcomes of messages that surely never arrived; for other metrics all losses."""
 
 FRESHNESS_SCHEMA = frame_schema(
@@ -152,6 +35,9 @@ OUTAGE_SCHEMA = frame_schema(
     "group:u32 run_id:u64 relay_id:u32 first_sequence:u64 messages:u64 start_ns:i64 end_ns:i64 "
     "duration_ns:i64 recovery_ns:i64"
 )
+"""A run of lost messages, from T0 (else T1) of the first one to the next reception; null for a time that the run does not reach."""
+
+_KEYS = ("group", "run_id", "relay_id")
 
 
 def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
@@ -166,198 +52,225 @@ def freshness_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
         at the relay, wrong by at most `clock_bound_ns`; `late_by_*` of the messages at the relay (without its trace: of the
         replies), `empty_periods` of a control loop there (`late_by`).
     """
-    unsent = roundtrips.counts["unsent"].to_list()
-    rows: list[dict[str, object]] = []
-    for number, run in _runs(batch, roundtrips):
-        outages = _outages(run)
-        rows.append(
-            {
-                **_names(batch, number),
-                "messages": len(run.lost),
-                **_deadline(run, unsent[number]),
-                **_ages(run),
-                **_late_by(run, batch.exchanges[number].run.rate_hz),
-                "outages": len(outages),
-                "outage_longest_ns": max((o.duration_ns for o in outages if o.duration_ns is not None), default=None),
-                "recovery_longest_ns": max((o.recovery_ns for o in outages if o.recovery_ns is not None), default=None),
-            }
+    rows = _rows(batch, roundtrips)
+    back, there = age_of_information(rows, "receive_ns"), age_of_information(rows, "arrived_ns")
+    outages = (
+        find_outages(rows)
+        .group_by("exchange")
+        .agg(
+            outages=pl.len(),
+            outage_longest_ns=pl.col("duration_ns").max(),
+            recovery_longest_ns=pl.col("recovery_ns").max(),
         )
-    return pl.DataFrame(rows, schema=FRESHNESS_SCHEMA)
+    )
+    frame = (
+        described_exchanges(batch)
+        .lazy()
+        .with_columns(roundtrips.counts["unsent"])
+        .join(
+            rows.lazy().group_by("exchange").agg(pl.len().alias("messages"), pl.col("clock_bound_ns").max()),
+            on="exchange",
+        )
+        .join(_misses(rows, batch.options.deadline_ns), on="exchange", how="left")
+        .join(back.select("exchange", pl.exclude("exchange").name.prefix("age_")), on="exchange", how="left")
+        .join(there.select("exchange", pl.exclude("exchange").name.prefix("relay_age_")), on="exchange", how="left")
+        .join(_late(rows, batch), on="exchange", how="left")
+        .join(outages, on="exchange", how="left")
+        .with_columns(
+            pl.col("outages").fill_null(0),
+            pl.when(pl.col("relay_age_mean_ns").is_not_null()).then("clock_bound_ns").alias("clock_bound_ns"),
+            # Unsent messages were due after the last sent one.
+            pl.col("judged", "missed") + pl.col("unsent"),
+            longest_missed=pl.max_horizontal(
+                "longest_missed", pl.when(pl.col("unsent") > 0).then(pl.col("last_missed") + pl.col("unsent"))
+            ),
+        )
+        .with_columns(missed_ratio=pl.when(pl.col("judged") > 0).then(pl.col("missed") / pl.col("judged")))
+        .sort(_KEYS)
+        .select(pl.col(name).cast(kind) for name, kind in FRESHNESS_SCHEMA.items())
+    )
+    return frame.collect()
 
 
 def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """List the outages: columns of `OUTAGE_SCHEMA`, the fields of `Outage`, by group, run and relay."""
+    """List the outages: columns of `OUTAGE_SCHEMA`, by group, run and relay."""
     lost = roundtrips.counts.select(pl.sum_horizontal(LOSSES)).to_series()
     if not (lost >= OUTAGE_MESSAGES).any():
         return pl.DataFrame(schema=OUTAGE_SCHEMA)
-    rows = [
-        {
-            **_names(batch, number),
-            "first_sequence": outage.first_sequence,
-            "messages": outage.messages,
-            "start_ns": outage.start_ns,
-            "end_ns": outage.end_ns,
-            "duration_ns": outage.duration_ns,
-            "recovery_ns": outage.recovery_ns,
-        }
-        for number, run in _runs(batch, roundtrips)
-        for outage in _outages(run)
-    ]
-    return pl.DataFrame(rows, schema=OUTAGE_SCHEMA)
+    outages = described_exchanges(batch).lazy().join(find_outages(_rows(batch, roundtrips)), on="exchange")
+    return outages.sort(*_KEYS, "row").select(pl.col(name).cast(kind) for name, kind in OUTAGE_SCHEMA.items()).collect()
 
 
-def _names(batch: Batch, number: int) -> dict[str, object]:
-    exchange = batch.exchanges[number]
-    return {"group": int(batch.group_of_exchange[number]), "run_id": exchange.run.run_id, "relay_id": exchange.relay_id}
+def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
+    """Return the messages, with `arrived_ns` at the relay on the ping's clock, and how the deadline judges each.
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """The metric of a deadline for each message, its error bound, and whether it surely never arrived."""
-
-    deadline_ns: int
-    value_ns: Int64
-    bound_ns: Int64
-    has_value: Bools
-    never: Bools
-
-    def late(self) -> Bools:
-        return self.has_value & (self.value_ns - self.bound_ns > self.deadline_ns)
-
-    def in_time(self) -> Bools:
-        return self.has_value & (self.value_ns + self.bound_ns <= self.deadline_ns)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Run:
-    """One run and relay as arrays by sequence number; `seen`: whether `outbound_ns` and `bound_ns` have a value."""
-
-    sequence: NDArray[np.uint64]
-    planned_ns: Int64
-    publish_ns: Int64
-    receive_ns: Int64
-    outbound_ns: Int64
-    bound_ns: Int64
-    relay_in_ns: Int64
-    lost: Bools
-    seen: Bools
-    relayed: Bools
-    judged: _Judged | None
-
-
-def _runs(batch: Batch, roundtrips: RoundTrips) -> Iterator[tuple[int, _Run]]:
-    measured = roundtrips.measured
-    columns = {
-        **{name: measured[name].to_numpy() for name in ("sequence", "publish_ns")},
-        "planned_ns": filled(first_known(measured, "scheduled_ns", "publish_ns")),
-        "receive_ns": filled(measured["receive_ns"]),
-        "outbound_ns": filled(measured["outbound_ns"]),
-        "bound_ns": filled(measured["clock_bound_ns"]),
-        "lost": roundtrips.outcome != OUTCOMES.index(Outcome.COMPLETED),
-        "seen": is_present(measured["clock_bound_ns"]),
-        "relay_in_ns": filled(measured["relay_in_ns"]),
-        "relayed": is_present(measured["relay_in_ns"]),
-    }
-    deadline_ns = batch.options.deadline_ns
-    judged = {} if deadline_ns is None else _judged_columns(roundtrips, f"{batch.options.deadline_metric}_ns")
-    bounds = roundtrips.bounds.tolist()
-
-    def order(number: int) -> tuple[int, int, int]:
-        exchange = batch.exchanges[number]
-        return int(batch.group_of_exchange[number]), exchange.run.run_id, exchange.relay_id
-
-    for number in sorted(range(len(batch.exchanges)), key=order):
-        here = slice(bounds[number], bounds[number + 1])
-        if here.start < here.stop:
-            judged_run = None
-            if deadline_ns is not None:
-                judged_run = _Judged(deadline_ns, **{name: values[here] for name, values in judged.items()})
-            yield number, _Run(judged=judged_run, **{name: values[here] for name, values in columns.items()})
-
-
-def _judged_columns(roundtrips: RoundTrips, metric: str) -> dict[str, NDArray[Any]]:
-    measured = roundtrips.measured
+    `missed` and `in_time` are both false where nothing is sure. Without a deadline no message is missed; those are in time that took
+    as long as 90 % of the run's messages.
+    """
+    deadline_ns, metric = batch.options.deadline_ns, batch.options.deadline_metric
+    planned = pl.coalesce("scheduled_ns", "publish_ns")
     # A message without a schedule responds from T1 on.
-    values = first_known(measured, metric, "rtt_ns") if metric == "response_ns" else measured[metric]
-    never = [OUTCOMES.index(outcome) for outcome in _NEVER.get(metric, map(Outcome, LOSSES))]
-    return {
-        "value_ns": filled(values),
-        "bound_ns": filled(measured["clock_bound_ns"]) if metric in ONE_WAY else np.zeros(measured.height, np.int64),
-        "has_value": is_present(measured["clock_bound_ns"] if metric in ONE_WAY else values),
-        "never": np.isin(roundtrips.outcome, never),
-    }
+    value = pl.coalesce("response_ns", "rtt_ns") if metric == "response" else pl.col(f"{metric}_ns")
+    bound = pl.col("clock_bound_ns") if metric in ONE_WAY else 0
+    never = [OUTCOMES.index(Outcome(outcome)) for outcome in _NEVER.get(metric, LOSSES)]
+    usual = pl.col("receive_ns") - planned
+    in_time = usual <= usual.quantile(0.9, "linear").over("exchange")
+    missed = pl.lit(False)
+    if deadline_ns is not None:
+        in_time = value + bound <= deadline_ns
+        missed = pl.col("code").is_in(never) | (value - bound > deadline_ns).fill_null(False)
+    return roundtrips.measured.with_columns(
+        pl.Series("exchange", roundtrips.exchange_of_row()), pl.Series("code", roundtrips.outcome)
+    ).select(
+        "exchange",
+        "sequence",
+        "receive_ns",
+        "relay_in_ns",
+        "clock_bound_ns",
+        planned_ns=planned,
+        arrived_ns=pl.when(pl.col("clock_bound_ns").is_not_null()).then(pl.col("publish_ns") + pl.col("outbound_ns")),
+        lost=pl.col("code") != OUTCOMES.index(Outcome.COMPLETED),
+        missed=missed,
+        in_time=in_time.fill_null(False),
+    )
 
 
-def _outages(run: _Run) -> list[Outage]:
-    if not run.lost.any():
-        return []
-    return find_outages(run.sequence, run.planned_ns, run.receive_ns, run.lost, _in_time(run))
+def runs_of(rows: pl.DataFrame, happened: pl.Expr) -> pl.LazyFrame:
+    """Return the runs of messages of one exchange for which something happened: the first message's row, with
+
+    `row` its index, `messages` in a row, `end_row` the index after the last of them, `next_planned_ns` and `end_ns` when the message
+    after them was due and received, null at the end of the exchange.
+    """
+    keys = ("exchange", "happened")
+    return (
+        rows.lazy()
+        .with_columns(happened=happened)
+        .with_row_index("row")
+        .filter(pl.any_horizontal((pl.col(key) != pl.col(key).shift()).fill_null(True) for key in keys))
+        .with_columns(end_row=pl.col("row").shift(-1, fill_value=rows.height))
+        .with_columns(
+            messages=pl.col("end_row") - pl.col("row"),
+            next_planned_ns=pl.col("planned_ns").shift(-1).over("exchange"),
+            end_ns=pl.col("receive_ns").shift(-1).over("exchange"),
+        )
+        .filter("happened")
+    )
 
 
-def _in_time(run: _Run) -> Bools:
-    """Return which messages came within the deadline; without one, within the time of 90 % of the run's messages."""
-    if run.judged is not None:
-        return run.judged.in_time()
-    usual = run.receive_ns - run.planned_ns
-    arrived = usual[~run.lost]
-    return ~run.lost & (usual <= (np.quantile(arrived, 0.9) if len(arrived) else 0))
+def _misses(rows: pl.DataFrame, deadline_ns: int | None) -> pl.LazyFrame:
+    """Judge each exchange; all null without a deadline. `last_missed` messages in a row are its last ones."""
+    last = pl.col("end_row") == pl.col("end_row").max()
+    until_ns = pl.coalesce("next_planned_ns", pl.lit(rows["planned_ns"]).gather(pl.col("end_row") - 1))
+    runs = runs_of(rows, pl.col("missed")).with_columns(lasted_ns=until_ns - pl.col("planned_ns"))
+    longest = runs.group_by("exchange").agg(
+        longest_missed=pl.col("messages").max(),
+        longest_missed_ns=pl.col("lasted_ns").max(),
+        last_missed=pl.col("messages").filter(last & pl.col("next_planned_ns").is_null()).first(),
+    )
+    sure = pl.col("missed") | pl.col("in_time")
+    return (
+        rows.lazy()
+        .group_by("exchange")
+        .agg(judged=sure.sum(), unsure=(~sure).sum(), missed=pl.col("missed").sum())
+        .join(longest, on="exchange", how="left")
+        .select(
+            "exchange",
+            pl.when(pl.lit(deadline_ns is not None)).then(pl.exclude("exchange").fill_null(0)),
+            deadline_ns=pl.lit(deadline_ns, pl.Int64),
+        )
+    )
 
 
-def _deadline(run: _Run, unsent: int) -> dict[str, object]:
-    if run.judged is None:
-        return {"deadline_ns": None}
-    missed = run.judged.never | run.judged.late()
-    judged = missed | run.judged.in_time()
-    lengths_ns = []
-    for start, stop in runs_of(missed):
-        end_ns = run.planned_ns[stop] if stop < len(missed) else run.planned_ns[stop - 1]
-        lengths_ns.append(int(end_ns - run.planned_ns[start]))
-    # Unsent messages were due after the last sent one.
-    ending = len(missed) - int(np.flatnonzero(~missed)[-1]) - 1 if not missed.all() else len(missed)
-    all_judged, all_missed = int(judged.sum()) + unsent, int(missed.sum()) + unsent
-    return {
-        "deadline_ns": run.judged.deadline_ns,
-        "judged": all_judged,
-        "unsure": int((~judged).sum()),
-        "missed": all_missed,
-        "missed_ratio": all_missed / all_judged if all_judged else None,
-        "longest_missed": max(longest_run(missed), ending + unsent if unsent else 0),
-        "longest_missed_ns": max(lengths_ns, default=0),
-    }
+def age_of_information(rows: pl.DataFrame, received: str) -> pl.LazyFrame:
+    """Return the age of the newest information at a receiver, ns, of each exchange with two updates.
+
+    `planned_ns` and `received` are the times at which received messages were made and received, g and r, on one clock. The age rises
+    from `r[k] - g[k]` at update k to the peak `r[k+1] - g[k]`; an older message that comes late changes nothing.
+
+    Returns:
+        `updates`, `mean_ns` over the time from the first to the last, `peak_mean_ns`, `peak_max_ns`.
+    """
+    made, came = pl.col("planned_ns"), pl.col(received)
+    updates = rows.lazy().select("exchange", "planned_ns", received).drop_nulls(received)
+    peak, fallen = came.shift(-1) - made, (came - made).filter(came.shift(-1).is_not_null())
+    area = peak.drop_nulls().cast(pl.Float64) ** 2 - fallen.cast(pl.Float64) ** 2
+    return (
+        updates.sort("exchange", received, "planned_ns")
+        .filter((made > made.cum_max().shift()).fill_null(True).over("exchange"))
+        # Of several updates at one instant the last one counts: the others were never the newest.
+        .filter((came != came.shift(-1)).fill_null(True).over("exchange"))
+        .group_by("exchange")
+        .agg(
+            updates=pl.len(),
+            mean_ns=(area / 2).sum() / (came.last() - came.first()),
+            peak_mean_ns=peak.mean(),
+            peak_max_ns=peak.max(),
+        )
+        .filter(pl.col("updates") > 1)
+    )
 
 
-def _ages(run: _Run) -> dict[str, object]:
-    ages: dict[str, object] = {}
-    came = ~run.lost
-    back = age_of_information(chosen_of(came, run.planned_ns), chosen_of(came, run.receive_ns))
-    if back is not None:
-        ages |= {
-            "age_mean_ns": back.mean_ns,
-            "age_peak_mean_ns": back.peak_mean_ns,
-            "age_peak_max_ns": back.peak_max_ns,
-        }
-    seen = run.seen
-    there = age_of_information(chosen_of(seen, run.planned_ns), chosen_of(seen, run.publish_ns + run.outbound_ns))
-    if there is not None:
-        ages |= {
-            "relay_age_mean_ns": there.mean_ns,
-            "relay_age_peak_max_ns": there.peak_max_ns,
-            "clock_bound_ns": int(run.bound_ns[seen].max()),
-        }
-    return ages
+def late_by(rows: pl.LazyFrame) -> pl.LazyFrame:
+    """Return by how much messages came later than one `period_ns` after the newest before them, ns, and the empty periods.
+
+    A control loop of that period which begins at the first message has nothing new in an empty period. `received_ns` are the times
+    of reception on one clock in the order of sending; a message that an older one overtook changes nothing.
+
+    Returns:
+        `late_by_p50_ns`, `late_by_p99_ns`, `late_by_max_ns` and `empty_periods` of each exchange with two such messages.
+    """
+    received, period_ns = pl.col("received_ns"), pl.col("period_ns")
+    late_ns = (received.diff().drop_nulls() - period_ns.first()).clip(0)
+    ticks = (received - received.first() + period_ns // 2) // period_ns
+    return (
+        rows.filter(received == received.cum_max().over("exchange"))
+        .group_by("exchange")
+        .agg(
+            period_ns.first(),
+            received=pl.len(),
+            late_by_p50_ns=late_ns.quantile(0.5, "linear"),
+            late_by_p99_ns=late_ns.quantile(0.99, "linear"),
+            late_by_max_ns=late_ns.max(),
+            empty_periods=ticks.last() + 1 - ticks.n_unique(),
+        )
+        .filter(pl.col("received") > 1)  # else one message, or all later ones overtaken
+    )
 
 
-def _late_by(run: _Run, rate_hz: float) -> dict[str, object]:
-    period_ns = round(1e9 / rate_hz) if rate_hz > 0 else 0
-    times = (run.relay_in_ns, run.relayed) if run.relayed.any() else (run.receive_ns, ~run.lost)
-    received = chosen_of(times[1], times[0])
-    late_ns, empty = late_by(received, period_ns) if period_ns else (received[:0], 0)
-    if not len(late_ns):  # one message, or all later ones overtaken
-        return {}
-    return {
-        "period_ns": period_ns,
-        "late_by_p50_ns": float(np.quantile(late_ns, 0.5)),
-        "late_by_p99_ns": float(np.quantile(late_ns, 0.99)),
-        "late_by_max_ns": int(late_ns.max()),
-        "empty_periods": empty,
-    }
+def _late(rows: pl.DataFrame, batch: Batch) -> pl.LazyFrame:
+    rates_hz = [exchange.run.rate_hz for exchange in batch.exchanges]
+    periods_ns = [round(SECOND_NS / rate_hz) if rate_hz > 0 else 0 for rate_hz in rates_hz]
+    is_relayed = pl.col("relay_in_ns").is_not_null().any().over("exchange")
+    received = rows.lazy().select(
+        "exchange",
+        received_ns=pl.when(is_relayed).then("relay_in_ns").otherwise("receive_ns"),
+        period_ns=pl.lit(pl.Series(periods_ns, dtype=pl.Int64)).gather("exchange"),
+    )
+    return late_by(received.filter(pl.col("received_ns").is_not_null(), pl.col("period_ns") > 0))
+
+
+def find_outages(rows: pl.DataFrame) -> pl.LazyFrame:
+    """Return the outages of each exchange: its index, that of the first lost message's `row`, and columns of `OUTAGE_SCHEMA`."""
+    steady = runs_of(rows, pl.col("in_time") & ~pl.col("lost")).filter(pl.col("messages") >= RECOVERED_MESSAGES)
+    return (
+        runs_of(rows, pl.col("lost"))
+        .filter(pl.col("messages") >= OUTAGE_MESSAGES)
+        .join_asof(
+            steady.select("exchange", "row", steady_ns="receive_ns"),
+            left_on="end_row",
+            right_on="row",
+            by="exchange",
+            strategy="forward",
+            check_sortedness=False,  # it is by exchange, which polars cannot check
+        )
+        .select(
+            "exchange",
+            "row",
+            "messages",
+            "end_ns",
+            first_sequence="sequence",
+            start_ns="planned_ns",
+            duration_ns=pl.col("end_ns") - pl.col("planned_ns"),
+            recovery_ns=(pl.col("steady_ns") - pl.col("end_ns")).clip(0),
+        )
+    )

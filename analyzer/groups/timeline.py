@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import polars as pl
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..model.metrics import frame_schema
 from ..pairing.pair import OUTCOMES, Outcome
 from ..pairing.roundtrips import RoundTrips
-from .batch import Batch, filled, first_known, present
+from .batch import Batch, described_exchanges, filled
 
 ROWS_AT_ONCE = 4_000_000
 
@@ -27,11 +27,9 @@ def run_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     `origin_ns` is the first T0 (else T1), `last_ns` the last T1; counts are times the relays; times are latencies, round trips
     without the relay's stamps.
     """
-    run_ids = [exchange.run.run_id for exchange in batch.exchanges]
-    keys = list(zip(batch.group_of_exchange.tolist(), run_ids, strict=True))
-    first = [number for number, key in enumerate(keys) if number == 0 or key != keys[number - 1]]
-    bounds = roundtrips.bounds[[*first, len(keys)]].tolist()
-    return _summarize(roundtrips.measured, [keys[number] for number in first], bounds)
+    exchange = roundtrips.exchange_of_row()
+    names = (described_exchanges(batch)[name].gather(exchange) for name in ("group", "run_id"))
+    return _summarize(roundtrips.measured.select(_READ).with_columns(names))
 
 
 def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
@@ -39,10 +37,8 @@ def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
     is_whole = pl.col("run_id").is_unique()
     parts = [run_times.filter(is_whole)]
     for runs in _runs_at_once(run_times.filter(~is_whole)):
-        is_read = pl.col("run_id").is_in(runs["run_id"].implode())
-        rows = roundtrips.filter(is_read).select("run_id", *_READ).collect().sort("run_id")
-        bounds = [0, *rows.group_by("run_id", maintain_order=True).len()["len"].cum_sum()]
-        parts.append(_summarize(rows, [(0, run_id) for run_id in runs["run_id"]], bounds))
+        rows = roundtrips.filter(pl.col("run_id").is_in(runs["run_id"].implode()))
+        parts.append(_summarize(rows.select(pl.lit(0).alias("group"), "run_id", *_READ).collect()))
     return pl.concat(parts).drop("group").sort("run_id")
 
 
@@ -52,35 +48,17 @@ def _runs_at_once(run_times: pl.DataFrame) -> Iterator[pl.DataFrame]:
     yield from (part for _, part in runs.group_by(rows_before // ROWS_AT_ONCE, maintain_order=True))
 
 
-def _summarize(roundtrips: pl.DataFrame, keys: Sequence[tuple[int, int]], bounds: Sequence[int]) -> pl.DataFrame:
-    """Return columns of `RUN_SCHEMA` for runs with these groups and run_ids, run i in rows `bounds[i]` to `bounds[i + 1]`."""
-    sent_ns, is_back = roundtrips["publish_ns"].to_numpy(), (roundtrips["outcome"] == "completed").to_numpy()
-    planned_ns = first_known(roundtrips, "scheduled_ns", "publish_ns").to_numpy()
-    times = first_known(roundtrips, "latency_ns", "rtt_ns")
-    rows = []
-    for (group, run_id), first, after in zip(keys, bounds, bounds[1:], strict=False):
-        if first == after:
-            continue
-        here = slice(first, after)
-        ordered_ns = np.sort(present(times[here]))
-        count = len(ordered_ns)
-        middle_ns, max_ns = None, None
-        if count:
-            middle_ns = (int(ordered_ns[(count - 1) // 2]) + int(ordered_ns[count // 2])) / 2
-            max_ns = int(ordered_ns[-1])
-        rows.append(
-            (
-                group,
-                run_id,
-                int(planned_ns[here].min()),
-                int(sent_ns[here].max()),
-                after - first,
-                int(np.count_nonzero(is_back[here])),
-                middle_ns,
-                max_ns,
-            )
-        )
-    return pl.DataFrame(rows, schema=RUN_SCHEMA, orient="row")
+def _summarize(rows: pl.DataFrame) -> pl.DataFrame:
+    time_ns = pl.coalesce("latency_ns", "rtt_ns")
+    runs = rows.group_by("group", "run_id", maintain_order=True).agg(
+        origin_ns=pl.coalesce("scheduled_ns", "publish_ns").min(),
+        last_ns=pl.col("publish_ns").max(),
+        published=pl.len(),
+        received=(pl.col("outcome") == "completed").sum(),
+        p50_ns=time_ns.median(),
+        max_ns=time_ns.max(),
+    )
+    return runs.select(pl.col(name).cast(kind) for name, kind in RUN_SCHEMA.items())
 
 
 _ALL_POINTS = 100_000

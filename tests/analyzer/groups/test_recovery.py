@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
+import polars as pl
 import pytest
 from trace_files import RUN_ID, Message, ping_events, ping_session, relay_events, relay_session, run, write_trace
 
@@ -83,14 +83,16 @@ def test_a_reply_beyond_the_limit_is_never(tmp_path):
     assert row["back_ns"] == MS * 2  # the message that left at the very end
 
 
+def lateness(*received_ns):
+    rows = pl.LazyFrame({"exchange": 0, "received_ns": received_ns, "period_ns": 10})
+    return late_by(rows).select("late_by_p50_ns", "late_by_p99_ns", "late_by_max_ns", "empty_periods").collect().rows()
+
+
 def test_messages_are_late_by_what_their_gap_exceeds_the_period():
-    received = np.array([0, 10, 20, 45, 50, 60], np.int64)
-    late, empty = late_by(received, 10)
-    assert late.tolist() == [0, 0, 15, 0, 0]
-    # Loops at 0, 10 ... 60 find nothing new at 30; the message of 45 counts for the one at 50, as that of 50 does.
-    assert empty == 2
-    assert late_by(np.array([5], np.int64), 10)[1] == 0
-    assert late_by(np.array([0, 30, 20, 40], np.int64), 10)[0].tolist() == [20, 0]  # the third was overtaken
+    # By 0, 0, 15, 0, 0. Loops at 0, 10 ... 60 find nothing new at 30; the message of 45 counts for the one at 50, as that of 50 does.
+    assert lateness(0, 10, 20, 45, 50, 60) == [(0, pytest.approx(0.96 * 15), 15, 2)]
+    assert lateness(5) == []
+    assert lateness(0, 30, 20, 40) == [(10, pytest.approx(19.8), 20, 2)]  # by 20 and 0: the third was overtaken
 
 
 def test_freshness_has_the_periods_of_a_control_loop_at_the_relay(tmp_path):

@@ -27,7 +27,7 @@ from .model.runs import pass_numbers
 from .pairing.one_way import fit_devices, segment_table
 from .pairing.roundtrips import pair_exchanges
 from .pairing.rows import RowStore
-from .verdicts.answers import Mapper, find_answers
+from .verdicts.answers import find_answers
 from .verdicts.bridge_cost import find_bridge_costs
 from .verdicts.cases import GroupRows
 from .verdicts.interference import find_head_of_line, find_interference
@@ -45,11 +45,10 @@ def collect_details(
     in_parts: Sequence[int],
     options: AnalysisOptions,
     judged: GroupRows,
-    mapper: Mapper,
 ) -> Details:
     """Make the details of a campaign, empty ones if they are not requested.
 
-    `judged` are the messages by which groups are compared; `mapper` maps a function over them, perhaps in other processes.
+    `judged` are the messages by which groups are compared.
     """
     if not options.details:
         return details_not_requested()
@@ -64,12 +63,11 @@ def collect_details(
         "intervals": _by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
         "one_way": _by_group(frames["one_way"], pl.DataFrame(one_way, ONE_WAY_SCHEMA)),
     }
-    with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:  # while `mapper` may use other processes
+    with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:
         clock_fits = pool.submit(lambda: segment_table(fit_devices(frames["clock_knots"], boots)))
         answers = find_answers(
             judged,
             passes=passes,
-            mapper=mapper,
             wall_offsets_ns=ping_wall_offsets(campaign.sessions.values(), campaign.runs.values()),
             options=options.ranking,
         )

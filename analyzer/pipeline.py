@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 
 import polars as pl
@@ -13,11 +13,10 @@ from dds_trace.base.errors import OutputError
 from dds_trace.tracefile.format.descriptions import Run
 
 from .analysis import Analysis
-from .cache.event_index import total_copies
 from .details import collect_details
 from .engines.batches import groups_in_parts, plan_batches
 from .engines.cluster import ClusterEngine
-from .engines.local import Engine, LocalEngine
+from .engines.local import Engine
 from .engines.merge import merge_results
 from .engines.process import BatchOutput, BatchResult
 from .findings.evidence import Evidence
@@ -25,6 +24,8 @@ from .findings.table import find_findings
 from .groups.batch import DEADLINE_METRIC, AnalysisOptions, group_exchanges
 from .groups.shapes import SHAPE_SCHEMA
 from .loading.campaign import Campaign, Paths, Place, Progress
+from .loading.event_index import total_copies
+from .loading.traces import TraceSpool
 from .pairing.exchanges import Exchanges, find_exchanges
 from .pairing.parquet import write_summary
 from .pairing.provenance import provenance
@@ -53,7 +54,6 @@ def analyze(
     out: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     step: Step | None = None,
-    cache: bool = False,
     cluster: str | None = None,
     sketch: bool = False,
     details: bool = True,
@@ -63,6 +63,7 @@ def analyze(
     margin: float = 0.05,
     trust_order: bool = False,
     write_more: Callable[[Analysis, Path], object] | None = None,
+    spool: TraceSpool | None = None,
 ) -> Analysis:
     """Analyze every trace in a folder.
 
@@ -70,17 +71,14 @@ def analyze(
         a = analyze("runs/")
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 
-    From 300 traces or some 8 M events on, worker processes do most of it; a script needs no
-    `if __name__ == "__main__"` for them.
+    From 300 traces on, worker processes do most of it; a script needs no `if __name__ == "__main__"` for them.
 
     Args:
         path: a folder (with all folders in it), one trace file, or one rosbag2 folder; or a list of such.
         out: folder for `roundtrips.parquet` and `summary.parquet`; None writes nothing. Traces in it are not read. Earlier
             files are replaced together.
-        cache: keep the events of every trace in the user's cache (`$XDG_CACHE_HOME/dds-trace`), so that the next
-            analysis reads only new ones.
         cluster: address of a Dask scheduler (`tcp://host:8786`); its workers read the traces, so `path` must be the same for
-            them, or in object storage (`s3://...`). Uses no cache.
+            them, or in object storage (`s3://...`).
         sketch: percentiles from histograms, off by at most `histogram.RELATIVE_ERROR`, no rows and no comparison of groups.
         details: one-way times, `Analysis.details` and their findings; without, a large campaign takes a fraction of the time.
         deadline_ns: judge every message against it (`Analysis.details.freshness`).
@@ -89,6 +87,7 @@ def analyze(
         margin: the least lead of a setup that is called fastest; 0.05 means that the next takes 5 % longer.
         trust_order: compare setups that were recorded one after the other, too.
         write_more: writes further files into the folder of drafts, to be replaced with the tables.
+        spool: keeps loaded traces between analyses of a growing folder.
         progress: called before each trace is read: number done, number of all, path.
         step: called after the reading, with one of `STEPS` and the share of it that is done.
 
@@ -109,9 +108,9 @@ def analyze(
         job=job,
         ranking=RankingOptions(margin, trust_order),
     )
-    engine: Engine = ClusterEngine(cluster) if cluster is not None else LocalEngine(cache=cache)
+    engine = Engine(spool) if cluster is None else ClusterEngine(cluster)
     with ExitStack() as stack:
-        with closing(engine):
+        with engine:
             campaign = engine.load(location, location.own_folders | ({target} if target else set()), progress)
             drafts = stack.enter_context(replacing_results(target)) if target else None
             analysis = _analyze(engine, campaign, location, target, drafts, options, step or _no_step)
@@ -150,10 +149,8 @@ def _analyze(
     campaign = campaign.with_copies(total_copies([*exchanges.copies, *merged.copies]))
     in_parts = groups_in_parts(batches)
     unsent = merged.summary.unsent_by_run(grouping)
-    is_sent = rows.file is not None and engine.has_workers_with(rows.file)
-    judged = UnbarredRows(rows.in_file() if is_sent else rows, grouping.not_applied(), unsent)
-    mapper = engine.map if is_sent else map
-    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, options, judged, mapper)
+    judged = UnbarredRows(rows, grouping.not_applied(), unsent)
+    details = collect_details(campaign, grouping, merged.frames, rows, in_parts, options, judged)
     evidence = Evidence(
         campaign=campaign,
         exchanges=exchanges,

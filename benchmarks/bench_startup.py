@@ -61,7 +61,7 @@ def commands(folder: Path) -> dict[str, tuple[list[str], float | None]]:
             f"{name} --help": ([str(BIN / name.split()[0]), *name.split()[1:], "--help"], HELP_S)
             for name in subcommands
         },
-        ANALYSIS: ([str(BIN / "dds-analyze"), str(SAMPLE), "--no-cache", "--out", str(folder / "out")], ANALYSIS_S),
+        ANALYSIS: ([str(BIN / "dds-analyze"), str(SAMPLE), "--out", str(folder / "out")], ANALYSIS_S),
     }
 
 

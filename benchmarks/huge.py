@@ -87,7 +87,7 @@ def analyze_folder(folder: Path, out: Path) -> Ran:
         SystemExit: it failed.
     """
     program = str(Path(sys.executable).with_name("dds-analyze"))
-    options = ["--out", str(out), "--report", "json", "--no-cache"]
+    options = ["--out", str(out), "--report", "json"]
     return run_command([program, str(folder), *options], {"TMPDIR": str(out.parent)})
 
 

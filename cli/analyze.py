@@ -139,9 +139,6 @@ def main_command(
         bool,
         option("--sketch", "Compute percentiles from histograms (error at most 0.05 %); write no roundtrips.parquet."),
     ] = False,
-    no_cache: Annotated[
-        bool, option("--no-cache", "Read every trace again, and cache nothing for the next analysis.")
-    ] = False,
     deadline: Annotated[
         str | None,
         option(
@@ -262,7 +259,6 @@ def main_command(
             out=target,
             progress=bar.reading,
             step=bar.step,
-            cache=not no_cache,
             cluster=cluster,
             sketch=sketch,
             deadline_ns=deadline_ns,

@@ -35,7 +35,6 @@ def watch_command(
     out: Annotated[
         Path | None, option("--out FOLDER", "Folder for all files. Default: analysis/ in the folder of the traces")
     ] = None,
-    no_cache: Annotated[bool, option("--no-cache", "Read every trace again each time, and write no files.")] = False,
 ) -> None:
     """Show the report of a folder in a browser while a sweep writes into it; Ctrl-C ends.
 
@@ -48,7 +47,7 @@ def watch_command(
     limits.check(limits.HOST, host, "--host")
     limits.check(limits.LOOK_S, every, "--every")
     limits.check(limits.FOLDER, None if out is None else str(out), "--out")
-    watcher = Watcher(WatchOptions(folder, out, cache=not no_cache), host, port)
+    watcher = Watcher(WatchOptions(folder, out), host, port)
     with _CtrlC() as ctrl_c, watcher.serving():
         print(f"Serving {watcher.address}", flush=True)
         while not ctrl_c.pressed:

@@ -15,10 +15,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..cache.event_index import Copies, EventKey
 from ..groups.batch import Grouping
 from ..groups.frames import Frames, concatenate_frames
 from ..groups.summary import Statistics, Summary, measure_groups, summarize_groups
+from ..loading.event_index import Copies, EventKey
 from ..model.metrics import METRICS
 from ..statistics.percentiles import PERCENTILES
 from .process import BatchResult

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..cache.event_index import EventKey
+from ..loading.event_index import EventKey
 from ..model.applied import words_not_applied
 from ..model.metrics import METRICS, schema_of
 from ..model.parameters import PARAMETER_COLUMNS, Parameters

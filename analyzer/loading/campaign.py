@@ -12,18 +12,14 @@ from dds_trace.base.errors import MissingEventsError, OptionError, TraceFormatEr
 from dds_trace.base.units import counted
 from dds_trace.tracefile.reading.trace import FOREIGN_HINT, Trace
 
-from ..cache.event_index import Copies, EventIndex, index_events
-from ..cache.remote import find_anywhere, is_remote
-from ..cache.traces import TraceLoader
 from ..model.finding import Source
+from .event_index import Copies, EventIndex, index_events
+from .remote import find_anywhere, is_remote
 
 if TYPE_CHECKING:
     from dds_trace.tracefile.format.descriptions import Run, Session
 
-    from ..cache.loaded import LoadedTrace
-
-    LoadAll = Callable[[Sequence[Path]], Iterator[LoadedTrace | TraceFormatError]]
-    """Yields each trace at its index among traces, or why a file is none."""
+    from .traces import LoadAll, LoadedTrace
 
 PathText: TypeAlias = str | os.PathLike[str]
 Paths: TypeAlias = PathText | Sequence[PathText]
@@ -130,24 +126,17 @@ class Campaign:
 
 
 def load_campaign(
-    location: Path | Place,
-    *,
-    skip: Collection[Path] = (),
-    progress: Progress | None = None,
-    load_all: LoadAll | None = None,
+    location: Place, load_all: LoadAll, *, skip: Collection[Path] = (), progress: Progress | None = None
 ) -> Campaign:
-    """Read every trace of a location.
-
-    Folders of results are in `skip`; without `load_all`, events are in memory and in temporary files.
+    """Read every trace of a location; folders of results are in `skip`.
 
     Raises:
         MissingEventsError: there is nothing at a path, or no trace in it.
         TraceFormatError: the only file or rosbag2 folder is not a trace.
     """
-    location = location if isinstance(location, Place) else Place.of(location)
     path = location.folder
     candidates = sorted({trace for part in location.parts for trace in find_anywhere(part, skip)})
-    results = (load_all or TraceLoader().load_all)(candidates)
+    results = load_all(candidates)
     loaded: list[LoadedTrace] = []
     skipped: list[Source] = []
     for number, candidate in enumerate(candidates):
@@ -155,7 +144,7 @@ def load_campaign(
             progress(number, len(candidates), candidate)
         trace = next(results)
         if not isinstance(trace, TraceFormatError):
-            loaded.append(trace)
+            loaded.append(trace.at(len(loaded)))
         elif candidates == [path]:
             raise trace
         else:

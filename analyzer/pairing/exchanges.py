@@ -11,9 +11,9 @@ from dds_trace.base.units import counted
 from dds_trace.tracefile.format.descriptions import Run, Session
 from dds_trace.tracefile.format.events import Stage
 
-from ..cache.event_index import Copies, EventIndex, EventKey, EventPart, merge_parts
 from ..clocks.boots import machine_of, session_of_run
 from ..loading.campaign import Campaign
+from ..loading.event_index import Copies, EventIndex, EventKey, EventPart, merge_parts
 from ..model.environment import environment_of
 from ..model.finding import Source
 from ..model.parameters import Parameters, parameters_of

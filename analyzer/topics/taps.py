@@ -13,8 +13,8 @@ from dds_trace.tracefile.format.descriptions import Session
 from dds_trace.tracefile.format.events import Stage, TapColumns
 from dds_trace.tracefile.format.json_fields import JsonObject
 
-from ..cache.event_index import EventPart, merge_parts
 from ..loading.campaign import Campaign
+from ..loading.event_index import EventPart, merge_parts
 from ..model.foreign import object_of
 from .device_clocks import Machine, machine_of_session
 

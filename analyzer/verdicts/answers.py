@@ -8,12 +8,12 @@ advises against because of its losses, never leads.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from operator import attrgetter
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import polars as pl
 
@@ -36,9 +36,6 @@ from .cases import (
 )
 from .matching import MatchedGroup
 from .ranking import Kind, Ranking, RankingOptions, SetupRuns, find_losers, rank_setups
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 _ROW_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")
 
@@ -97,18 +94,10 @@ class CaseAnswer:
     drift_ratio: float | None = None
 
 
-class Mapper(Protocol):
-    """`map` over one sequence, perhaps in other processes."""
-
-    def __call__(self, function: Callable[[T], R], items: Sequence[T], /) -> Iterable[R]:
-        """Return the function's results in the order of the items."""
-
-
 def find_answers(
     rows: GroupRows,
     confidence: float = 0.95,
     passes: Mapping[int, int] | None = None,
-    mapper: Mapper = map,
     *,
     wall_offsets_ns: Mapping[int, int] | None = None,
     options: RankingOptions = RankingOptions(),  # noqa: B008 - frozen
@@ -116,8 +105,7 @@ def find_answers(
     """Answer each kind of message of at most `cases.MOST_COMPARED_ROWS` round trips, sorted by `CASE_COLUMNS`.
 
     `confidence` is of the intervals, and of the verdicts of all kinds together; `passes` is run_id -> repeat of the
-    sweep; `mapper` measures the kinds, whose rows are in memory one at a time; `wall_offsets_ns` is run_id -> wall
-    clock minus the clock of its stamps (the order of other runs is trusted).
+    sweep; `wall_offsets_ns` is run_id -> wall clock minus the clock of its stamps (the order of other runs is trusted).
     """
     if not rows.has_rows:
         return ()
@@ -132,7 +120,7 @@ def find_answers(
         passes=passes or {},
         wall_offsets_ns=wall_offsets_ns or {},
     )
-    cases = list(mapper(measure, [part for part in parts if not is_too_large(part)]))
+    cases = [measure(part) for part in parts if not is_too_large(part)]  # rows of one in memory at a time
     losers = find_losers([case.kind() for case in cases], confidence)
     cases = [case.with_losers(names) for case, names in zip(cases, losers, strict=True)]
     rankings = rank_setups([case.kind() for case in cases], confidence, options)

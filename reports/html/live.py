@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from dds_trace.analyzer.analysis import Analysis
+from dds_trace.analyzer.loading.traces import TraceSpool
 from dds_trace.analyzer.pipeline import analyze, default_output
 from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.streams import say
@@ -87,11 +88,10 @@ def without_running(analysis: Analysis) -> Analysis:
 
 @dataclass(frozen=True, slots=True)
 class WatchOptions:
-    """A folder with traces, where the analysis is written (None: its default), and whether there is a cache."""
+    """A folder with traces, and where the analysis is written (None: its default)."""
 
     folder: Path
     out: Path | None = None
-    cache: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +113,7 @@ class Watcher:
         """
         self._options = options
         self._stamp: Stamp | None = None
+        self._spool = TraceSpool()
         self._report = self._analyzed_version = ""
         self.shown = _waiting("")
         try:
@@ -152,8 +153,7 @@ class Watcher:
         return default_output(self._options.folder) if self._options.out is None else self._options.out
 
     def _analyzed(self, version: str) -> str:
-        cache = self._options.cache
-        analysis = analyze(self._options.folder, out=self._target() if cache else None, cache=cache)
+        analysis = analyze(self._options.folder, out=self._target(), spool=self._spool)
         if sweep_status(self._options.folder).running:
             analysis = without_running(analysis)
         return render_live(Book(analysis), version)
@@ -180,6 +180,7 @@ class Watcher:
             self._server.shutdown()
             thread.join()
             self._server.server_close()
+            self._spool.close()
 
 
 def _waiting(version: str, why: str = "") -> Shown:

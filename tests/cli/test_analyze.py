@@ -32,7 +32,7 @@ def test_a_folder_gives_a_table_and_two_files(runs, capsys):
     assert pl.read_parquet(runs / "analysis" / "roundtrips.parquet")["latency_ns"].to_list() == [85] * 12
     assert sorted(path.name for path in (runs / "analysis").iterdir()) == ["roundtrips.parquet", "summary.parquet"]
     shutil.rmtree(runs / "analysis")
-    assert analyze(runs, "--no-cache", "--sketch") == 0
+    assert analyze(runs, "--sketch") == 0
     assert [path.name for path in (runs / "analysis").iterdir()] == ["summary.parquet"]
 
 
@@ -195,7 +195,7 @@ def test_options_that_do_nothing_with_topics_are_refused(runs, capsys, option):
     shown = capsys.readouterr()
     assert shown.out == ""
     assert option.split()[0] in shown.err
-    assert analyze(runs, "--topics", "--report", "terminal", "--no-cache") == 0
+    assert analyze(runs, "--topics", "--report", "terminal") == 0
     assert not (runs / "analysis").exists()
 
 

@@ -225,7 +225,7 @@ def test_one_program_runs_what_the_four_run(tmp_path, monkeypatch, capsys, sente
             dds_trace.cli.trace.main()
         return ended.value.code, *capsys.readouterr()
 
-    code, out, _ = ends("analyze", SAMPLES / "losses", "--out", tmp_path, "--no-cache")
+    code, out, _ = ends("analyze", SAMPLES / "losses", "--out", tmp_path)
     assert (code, (tmp_path / "summary.parquet").is_file()) == (0, True)
     assert f"Wrote {tmp_path / 'summary.parquet'}" in out
     same = ends("compare", SAMPLES / "losses", SAMPLES / "losses")
@@ -251,7 +251,7 @@ def test_a_usage_error_loads_no_heavy_library():
 
 
 def test_a_table_of_a_small_folder_loads_neither_figures_nor_middleware_nor_cluster(tmp_path):
-    shown, code, loaded = called("dds_trace.cli.analyze", SAMPLES / "losses", "--out", tmp_path, "--no-cache")
+    shown, code, loaded = called("dds_trace.cli.analyze", SAMPLES / "losses", "--out", tmp_path)
     assert code == 0
     assert f"Wrote {tmp_path / 'summary.parquet'}" in shown
     assert "polars" in loaded

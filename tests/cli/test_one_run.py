@@ -66,7 +66,7 @@ def every_output(folder, slow, capsys):
     """What every report of a campaign says, and every report of its comparison with a slower one: name -> text."""
     job = "data=binary size=33KB rate=10 deadline=50ms reliability=0.9"
     kinds = [part for kind in ("html", "md", "json", "terminal") for part in ("--report", kind)]
-    assert run_main(folder, *kinds, "--all", "--recommend", job, "--deadline", "20ms", "--no-cache") == 0
+    assert run_main(folder, *kinds, "--all", "--recommend", job, "--deadline", "20ms") == 0
     outputs = {"terminal": capsys.readouterr().out}
     files = {path.suffix[1:]: path.read_text() for path in (folder / "analysis").glob("report.*")}
     outputs |= files | {"html": without_program(files["html"])}

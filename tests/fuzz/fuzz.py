@@ -23,7 +23,6 @@ TARGETS = {
     "plan": "fuzz_plan",
     "bag": "fuzz_bag",
     "ring": "fuzz_ring",
-    "cache": "fuzz_cache",
     "watch": "fuzz_watch",
     "peers": "fuzz_peers",
 }

@@ -23,7 +23,7 @@ class Target:
 
     def __init__(self, folder: Path) -> None:
         (folder / "secret.txt").write_bytes(SECRET)
-        watcher = Watcher(WatchOptions(folder, cache=False))
+        watcher = Watcher(WatchOptions(folder))
         self._server = watcher._server  # asked without its threads and its port, one request after the other
         self._server.server_close()
         self._shapes = (self._bytes, self._target, self._header)

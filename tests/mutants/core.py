@@ -15,12 +15,9 @@ class Part:
 
 CORE = {
     "pairing": Part(("analyzer/pairing",), ("tests/analyzer/pairing", "tests/analyzer/test_unsent_messages.py")),
-    "storing": Part(
-        ("analyzer/cache/events.py", "analyzer/cache/entries.py", "analyzer/cache/store.py"), ("tests/analyzer/cache",)
-    ),
+    "spool": Part(("analyzer/loading/spool.py", "analyzer/loading/traces.py"), ("tests/analyzer/loading",)),
     "results": Part(
-        ("analyzer/engines/process.py", "analyzer/engines/result_cache.py", "analyzer/engines/packed_rows.py"),
-        ("tests/analyzer/engines/test_result_cache.py", "tests/analyzer/engines/test_packed_rows.py"),
+        ("analyzer/engines/process.py",), ("tests/analyzer/loading/test_traces.py", "tests/analyzer/engines")
     ),
     "stamps": Part(("recorder/payloads/stamp.py",), ("tests/recorder/payloads",)),
     "statistics": Part(

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import TYPE_CHECKING
 
-import polars as pl
-from polars.testing import assert_frame_equal
 from trace_files import (
     WALL_ANCHOR_NS,
     Message,
@@ -20,7 +17,6 @@ from trace_files import (
     write_trace,
 )
 
-from dds_trace.analyzer.pipeline import analyze
 from dds_trace.tracefile.format.events import Stage
 
 if TYPE_CHECKING:
@@ -117,15 +113,3 @@ def assert_same_results(found: Analysis, expected: Analysis) -> None:
     assert found.findings == expected.findings
     assert found.sources == expected.sources
     assert found.runs == expected.runs
-
-
-def assert_as_without_cache(runs: Path, found: Analysis, **asked: Any) -> None:
-    """Every number of an analysis, details too, is that of an analysis of these traces without a cache."""
-    expected = analyze(runs, **asked)
-    assert_same_results(found, expected)
-    for field in fields(expected.details):
-        one, other = getattr(found.details, field.name), getattr(expected.details, field.name)
-        if isinstance(other, pl.DataFrame):
-            assert_frame_equal(one, other, check_exact=True)
-        else:
-            assert one == other, field.name

@@ -9,17 +9,12 @@ import polars as pl
 import pytest
 from campaigns import assert_same_results, write_runs
 
-import dds_trace.analyzer.cache.loaded
 import dds_trace.analyzer.engines.batches
 import dds_trace.analyzer.engines.cluster
-from dds_trace.analyzer.cache.loaded import load_trace
-from dds_trace.analyzer.engines.cluster import _describe, _select
 from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.analyzer.statistics.percentiles import PERCENTILES
 from dds_trace.base.errors import BackendUnavailableError
-from dds_trace.tracefile.format.events import EVENT_DTYPE
-from dds_trace.tracefile.reading.reader import read_trace
 
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
@@ -124,21 +119,6 @@ def test_a_cluster_finds_what_one_machine_finds(cluster, runs, tmp_path):
         assert together.outputs[kind].read_bytes() == path.read_bytes()
 
 
-def test_workers_answer_where_they_find_the_rows(cluster, runs, tmp_path, monkeypatch, answer_elsewhere):
-    expected = analyze(runs).details.answers
-    assert len(expected) == 2
-    answer_elsewhere()
-    monkeypatch.chdir(tmp_path)
-    assert analyze(runs, out="out", cluster=cluster[0]).details.answers == expected
-    with pytest.raises(AssertionError, match="answered here"):
-        analyze(runs, cluster=cluster[0])  # no file of the rows
-    # What the workers say of a file that they do not have, or that is another one.
-    for told in (None, (1, 1)):
-        monkeypatch.setattr(distributed.Client, "run", lambda *_, told=told: {"tcp://far": told})
-        with pytest.raises(AssertionError, match="answered here"):
-            analyze(runs, out="out", cluster=cluster[0])
-
-
 def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypatch):
     alone = analyze(runs)
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 150)
@@ -146,18 +126,6 @@ def test_parts_of_a_group_from_several_workers_are_exact(cluster, runs, monkeypa
     together = analyze(runs, cluster=cluster[0])
     assert together.summary.equals(alone.summary)
     assert together.load_roundtrips().equals(alone.load_roundtrips())
-
-
-def test_dask_weighs_traces_and_results_by_their_events_and_rows(runs):
-    """Else the scheduler takes a trace for a few bytes, and moves it to where there is nothing to do."""
-    from dask.sizeof import sizeof
-
-    loaded = load_trace(next(path for path in sorted(runs.glob("*.mcap")) if path.name != "odd.mcap"), 0)
-    held_bytes = loaded.events * EVENT_DTYPE.itemsize
-    assert held_bytes > 0
-    assert held_bytes <= sizeof(loaded) < held_bytes + 10_000
-    assert sizeof(_describe(loaded)) < held_bytes  # its events stay behind
-    assert held_bytes <= sizeof(_select(loaded, 0, list(loaded.parts))) < held_bytes + 10_000
 
 
 @pytest.mark.parametrize("in_parts", [False, True])
@@ -186,25 +154,16 @@ def test_a_sketch_is_near_and_says_so(cluster, runs, tmp_path, monkeypatch, in_p
     assert sketch.distributions.equals(alone.distributions)
 
 
-def test_traces_in_object_storage_are_analyzed_as_on_disk(cluster, runs, tmp_path, monkeypatch):
+def test_traces_in_object_storage_are_analyzed_as_on_disk(cluster, runs, tmp_path):
     import s3fs
 
     s3fs.S3FileSystem().put(str(runs), "bucket/campaign", recursive=True)
     alone = analyze(runs)
-    for where in ({"cluster": cluster[0]}, {"out": tmp_path / "out", "cache": True}):
+    for where in ({"cluster": cluster[0]}, {"out": tmp_path / "out"}):
         remote = analyze("s3://bucket/campaign", **where)
         assert remote.load_roundtrips().equals(alone.load_roundtrips())
         assert remote.summary.equals(alone.summary)
         assert remote.sources == alone.sources
-    read = []
-
-    def reading(path):
-        read.append(path.name)
-        return read_trace(path)
-
-    monkeypatch.setattr(dds_trace.analyzer.cache.loaded, "read_trace", reading)
-    assert analyze("s3://bucket/campaign", out=tmp_path / "out", cache=True).summary.equals(alone.summary)
-    assert read == ["odd.mcap"]  # what is no trace is not kept
 
 
 def test_a_killed_worker_costs_no_data(cluster, runs, monkeypatch):

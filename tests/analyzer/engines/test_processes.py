@@ -1,50 +1,43 @@
 """Worker processes: the same numbers, and none of them left, whatever ends the analysis or one of them."""
 
-import functools
 import os
 import re
 import signal
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
 import psutil
 import pytest
-from campaigns import assert_same_results, write_runs
+from campaigns import assert_same_results
 from waiting import wait_until
 
 import dds_trace.analyzer.engines.batches
-from dds_trace.analyzer.cache import traces
 from dds_trace.analyzer.engines import local, processes
-from dds_trace.analyzer.engines.processes import can_start_workers
+from dds_trace.analyzer.engines.processes import can_start_processes
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import TraceError, TraceFormatError
-from dds_trace.tracefile.format.events import EventColumns
 
 PATIENCE_S = 60
 
 # Each batch, one a group, is a worker process that sleeps; it says which one it is.
 COMMAND = """
 import sys
+from concurrent.futures import ProcessPoolExecutor
 import dds_trace.analyzer.engines.batches
 from dds_trace.analyzer.engines import local, processes
 
-def start(*arguments, **options):
-    workers = started(*arguments, **options)
-    submit = workers.submit
-    sleep = "import os, time; os.write(1, str(os.getpid()).encode() + bytes([10])); time.sleep(300)"
-    workers.submit = lambda do, job, *more: submit(*((exec, sleep) if job is processes.Worker.process else (do, job, *more)))
-    return workers
+SLEEP = "import os, time; os.write(1, str(os.getpid()).encode() + bytes([10])); time.sleep(300)"
 
-def assign_worker(workers):
-    workers._thread_local.do = workers._do_elsewhere
+class Sleeping(ProcessPoolExecutor):
+    def submit(self, job, *more):
+        return super().submit(*((exec, SLEEP) if job is local.process_elsewhere else (job, *more)))
 
-started, processes.start_workers = processes.start_workers, start
-processes.Workers._assign_worker = assign_worker
-dds_trace.analyzer.engines.batches.BATCH_EVENTS = local.FILES_FOR_PROCESSES = 1
+processes.ProcessPoolExecutor = Sleeping
+local.FILES_FOR_PROCESSES = dds_trace.analyzer.engines.batches.BATCH_EVENTS = 1
 local.is_large = lambda batch: False
-local.LocalEngine._processes = 3
 from dds_trace.cli.analyze import main
 sys.argv = ["dds-analyze", *sys.argv[1:]]
 main()
@@ -53,29 +46,18 @@ main()
 
 @pytest.fixture
 def started(monkeypatch):
-    """From here on, each analysis is made by this process and two others; the ones that were started."""
+    """From here on, each analysis starts two worker processes; the ones that were started."""
     begun = []
-    real = processes.start_workers
 
-    def start(*arguments, **options):
-        workers = real(*arguments, **options)
-        begun.extend(psutil.Process(pid) for pid in workers._processes)
-        return workers
+    class Noting(ProcessPoolExecutor):
+        def submit(self, *job):
+            future = super().submit(*job)
+            begun.extend(p for pid in self._processes if (p := psutil.Process(pid)) not in begun)
+            return future
 
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", Noting)
     monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1)
-    monkeypatch.setattr(local.LocalEngine, "_processes", 3)
-    monkeypatch.setattr(processes, "start_workers", start)
     return begun
-
-
-@pytest.fixture
-def nothing_here(monkeypatch):
-    """The other processes do all jobs."""
-
-    def assign_worker(workers):
-        workers._thread_local.do = workers._do_elsewhere
-
-    monkeypatch.setattr(processes.Workers, "_assign_worker", assign_worker)
 
 
 def is_alive(process):
@@ -101,83 +83,40 @@ def temporary(tmp_path, monkeypatch):
     return folder
 
 
-@pytest.mark.parametrize(("cache", "batch_events"), [(False, 1_000_000), (True, 1)])
-def test_workers_say_the_same_as_threads(runs, monkeypatch, temporary, request, cache, batch_events):
+@pytest.mark.parametrize("batch_events", [1_000_000, 1])
+def test_workers_say_the_same_as_threads(runs, monkeypatch, temporary, request, batch_events):
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", batch_events)
     monkeypatch.setattr(local, "is_large", lambda _batch: False)
     expected = analyze(runs)
     started = request.getfixturevalue("started")
-    first = analyze(runs, cache=cache)
-    write_runs(runs, [7], groups=3)
-    again = analyze(runs, cache=cache)
-    assert len(started) == 4
+    found = analyze(runs)
+    assert len(started) == 2
     assert not any(process.is_running() for process in started)
     assert list(temporary.iterdir()) == []
-    assert_same_results(first, expected)
-    assert [source.path for source in first.sources if source.status == "skipped"] == ["ping1a.mcap"]
-    monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1_000)
-    assert_same_results(again, analyze(runs))
-
-
-@pytest.mark.parametrize("cache", [False, True])
-@pytest.mark.parametrize("largest_in_memory", [0, 1_000])
-def test_few_traces_that_take_long_are_read_here_and_processed_by_workers(
-    runs, monkeypatch, temporary, request, cache, largest_in_memory
-):
-    expected = analyze(runs)
-    started = request.getfixturevalue("started")
-    monkeypatch.setattr(local, "FILES_FOR_PROCESSES", 1_000)
-    assert_same_results(analyze(runs), expected)
-    assert not started
-    monkeypatch.setattr(local, "COST_FOR_PROCESSES", 1)
-    monkeypatch.setattr(traces, "LARGEST_TRACE_IN_MEMORY", largest_in_memory)
-    found = analyze(runs, cache=cache)
-    assert len(started) == 2
-    assert list(temporary.iterdir()) == []
     assert_same_results(found, expected)
+    assert [source.path for source in found.sources if source.status == "skipped"] == ["ping1a.mcap"]
 
 
-def test_this_process_works_while_others_do(runs, monkeypatch, started):
-    """The first one that is free takes a job: here there is nothing to start before."""
-    done = []
-    for job in (processes.Worker.store, processes.Worker.process):
-
-        @functools.wraps(job)  # by its name, others find their own
-        def noted(*arguments, job=job):
-            done.append(job.__name__)
-            return job(*arguments)
-
-        monkeypatch.setattr(processes.Worker, job.__name__, noted)
+def test_a_large_batch_stays_here(runs, monkeypatch, started):
+    """Its rows are too many for a pipe."""
+    here = []
+    process = local.process
+    monkeypatch.setattr(local, "process", lambda *batch: here.append(batch) or process(*batch))
     analyze(runs)
-    assert started
-    assert {"store", "process"} <= set(done)
-
-
-def test_events_of_a_large_campaign_wait_in_files(runs, monkeypatch):
-    held = []
-    real = local.LocalEngine.process
-
-    def process_batches(engine, batches, index):
-        held.extend(isinstance(part.events, EventColumns) for parts in index.values() for part in parts)
-        return real(engine, batches, index)
-
-    monkeypatch.setattr(local.LocalEngine, "process", process_batches)
-    expected = analyze(runs)
-    assert all(held)
-    held.clear()
-    size = sum(file.stat().st_size for file in runs.iterdir())
-    monkeypatch.setattr(local, "BYTES_FOR_FILES", size)
-    assert_same_results(analyze(runs), expected)
-    assert not any(held)
+    assert not here
+    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_EVENTS", 10)
+    analyze(runs)
+    assert len(here) == 3
+    assert len(started) == 4
 
 
 @pytest.mark.parametrize(("users", "of_worker"), [(None, "1"), ("2", "2")])
-def test_a_worker_multiplies_on_one_thread_and_the_caller_as_before(tmp_path, monkeypatch, users, of_worker):
+def test_a_worker_multiplies_on_one_thread_and_the_caller_as_before(monkeypatch, users, of_worker):
     name = "OPENBLAS_NUM_THREADS"
     monkeypatch.delenv(name, raising=False)
     if users is not None:
         monkeypatch.setenv(name, users)
-    with processes.start_workers(1, tmp_path, cache=False) as workers:
+    with processes.processes(1) as workers:
         assert workers.submit(os.getenv, name).result(PATIENCE_S) == of_worker
     assert os.environ.get(name) == users
 
@@ -190,16 +129,15 @@ def test_what_a_worker_cannot_read_is_told_as_here(tmp_path):
     assert str(told.value).startswith(f"{tmp_path}/x.mcap: ")
 
 
-@pytest.mark.usefixtures("nothing_here")
 def test_a_killed_worker_is_one_line(runs, started, monkeypatch, temporary):
-    real = local.LocalEngine.process
+    real = local.Engine.process
 
     def process_batches(self, batches, index):
         started[0].kill()
         wait_until(lambda: not is_alive(started[0]))  # it is the pool's to wait for
         return real(self, batches, index)
 
-    monkeypatch.setattr(local.LocalEngine, "process", process_batches)
+    monkeypatch.setattr(local.Engine, "process", process_batches)
     monkeypatch.setattr(local, "is_large", lambda _batch: False)
     with pytest.raises(TraceError, match=r"^a worker process of the analysis was killed, perhaps because memory"):
         analyze(runs)
@@ -209,7 +147,7 @@ def test_a_killed_worker_is_one_line(runs, started, monkeypatch, temporary):
 
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGINT], ids=lambda sent: sent.name)
 def test_workers_end_with_their_analysis(runs, temporary, sent):
-    command = [sys.executable, "-c", COMMAND, runs, "--out", temporary / "out", "--no-cache"]
+    command = [sys.executable, "-c", COMMAND, runs, "--out", temporary / "out"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as analysis:
         try:
             workers = [psutil.Process(int(analysis.stdout.readline())) for _ in range(2)]
@@ -252,7 +190,7 @@ def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
         "from dds_trace.analyzer.engines import local, processes\n"
         "def height(folder):\n"
         "    local.FILES_FOR_PROCESSES = 1\n"
-        "    return processes.can_start_workers(), analyze(folder).summary.height\n"
+        "    return processes.can_start_processes(), analyze(folder).summary.height\n"
         "if __name__ == '__main__':\n"
         "    with multiprocessing.get_context('spawn').Pool(1) as pool:\n"
         "        print(pool.apply(height, sys.argv[1:]))\n"
@@ -261,17 +199,4 @@ def test_a_process_that_may_have_none_analyzes_alone(runs, tmp_path):
         [sys.executable, script, runs], capture_output=True, text=True, check=False, timeout=PATIENCE_S
     )
     assert (done.stdout, done.stderr) == ("(False, 3)\n", "")
-    assert can_start_workers()
-
-
-@pytest.mark.usefixtures("nothing_here")
-def test_workers_answer_the_kinds_of_messages_where_their_rows_are_in_a_file(runs, tmp_path, request, answer_elsewhere):
-    expected = analyze(runs).details.answers
-    assert len(expected) == 3
-    answer_elsewhere()
-    with pytest.raises(AssertionError, match="answered here"):
-        analyze(runs)
-    request.getfixturevalue("started")
-    assert analyze(runs, out=tmp_path / "out").details.answers == expected
-    with pytest.raises(AssertionError, match="answered here"):
-        analyze(runs)
+    assert can_start_processes()

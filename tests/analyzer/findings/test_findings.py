@@ -24,7 +24,7 @@ from trace_files import (
 )
 from wording import numbers
 
-import dds_trace.analyzer.cache.loaded
+import dds_trace.analyzer.loading.traces
 from dds_trace.analyzer import findings as rooms
 from dds_trace.analyzer.findings.evidence import Check
 from dds_trace.analyzer.findings.table import CHECKS
@@ -33,7 +33,7 @@ from dds_trace.analyzer.model.metrics import METRICS
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import Stage
-from dds_trace.tracefile.reading.reader import read_trace
+from dds_trace.tracefile.reading.reader import read_trace_in_pieces
 
 MS = 1_000_000
 PERIOD = 100 * MS  # 10 Hz
@@ -460,10 +460,16 @@ def test_repeated_publications(tmp_path):
 def test_what_the_reader_noticed(tmp_path, monkeypatch):
     write_pair(tmp_path, sound())
 
-    def noticing(path: Path):
-        return replace(read_trace(path), ring_events=3, unreadable_messages=2, notes=("odd",), truncated="at byte 9")
+    def noticing(path: Path, take):
+        return replace(
+            read_trace_in_pieces(path, take),
+            ring_events=3,
+            unreadable_messages=2,
+            notes=("odd",),
+            truncated="at byte 9",
+        )
 
-    monkeypatch.setattr(dds_trace.analyzer.cache.loaded, "read_trace", noticing)
+    monkeypatch.setattr(dds_trace.analyzer.loading.traces, "read_trace_in_pieces", noticing)
     found = findings(tmp_path)
     assert set(found) == {"truncated_file", "ring_recovered", "unreadable_messages", "reader_note"}
     assert "at byte 9" in found["truncated_file"].what

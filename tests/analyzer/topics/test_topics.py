@@ -88,15 +88,6 @@ def test_without_the_beacon_no_time_is_made_up(tmp_path):
     assert analysis.summary.is_empty()
 
 
-def test_taps_alone_are_analyzed_from_the_cache_too(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    published = camera(seconds=2)
-    (tmp_path / "traces").mkdir()
-    write_tap(tmp_path / "traces/tap.mcap", ROBOT, [Hearing(published, arrivals(published, 200_000))], session_id=1)
-    first, second = (row_of(analyze(tmp_path / "traces", cache=True), "robot") for _ in range(2))
-    assert first == second
-
-
 def test_one_machine_needs_no_beacon(tmp_path):
     published = camera(seconds=20)
     for number in (1, 2):

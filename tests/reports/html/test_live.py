@@ -12,7 +12,7 @@ import urllib.request
 import pytest
 from campaigns import write_runs
 
-import dds_trace.analyzer.cache.loaded
+import dds_trace.analyzer.loading.traces
 from dds_trace.base.errors import OutputError
 from dds_trace.reports.html import live
 from dds_trace.reports.html.live import Watcher, WatchOptions, is_own_name
@@ -72,9 +72,11 @@ def test_the_version_changes_with_the_page_and_not_otherwise(watcher, tmp_path):
 
 def test_of_a_folder_that_grew_only_new_traces_are_read(watcher, tmp_path, monkeypatch):
     read = []
-    plain = dds_trace.analyzer.cache.loaded.read_trace
+    plain = dds_trace.analyzer.loading.traces.read_trace_in_pieces
     monkeypatch.setattr(
-        dds_trace.analyzer.cache.loaded, "read_trace", lambda path: read.append(path.name) or plain(path)
+        dds_trace.analyzer.loading.traces,
+        "read_trace_in_pieces",
+        lambda path, take: read.append(path.name) or plain(path, take),
     )
     for number, expected in ((1, ["ping1.mcap", "relay1.mcap"]), (2, ["ping2.mcap", "relay2.mcap"])):
         read.clear()
@@ -82,15 +84,6 @@ def test_of_a_folder_that_grew_only_new_traces_are_read(watcher, tmp_path, monke
         assert watcher.refresh() is True
         assert sorted(read) == expected
     assert (tmp_path / "analysis" / "summary.parquet").is_file()
-
-
-def test_without_a_cache_nothing_is_written(tmp_path):
-    write_runs(tmp_path, [1])
-    before = sorted(tmp_path.rglob("*"))
-    one = Watcher(WatchOptions(tmp_path, cache=False))
-    with one.serving():
-        assert one.refresh() is True
-    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_an_analysis_that_fails_is_shown_above_the_last_report(watcher, tmp_path, monkeypatch, capsys):

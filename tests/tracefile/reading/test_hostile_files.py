@@ -109,7 +109,7 @@ def test_a_pipe_is_not_waited_for(whole, name):
     if name.startswith("ping"):
         path = whole.with_name(whole.name + ".ring")
     os.mkfifo(path)
-    analysis = analyze(whole.parent, cache=True)
+    analysis = analyze(whole.parent)
     assert analysis.summary["published"].to_list() == [12]
     if path.suffix == ".ring":
         assert any("its ring is not used" in note for note in read_trace(whole).notes)

@@ -9,17 +9,16 @@ from typing import Protocol
 
 import numpy as np
 
-from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns, Stage
+from dds_trace.tracefile.format.events import EventColumns, Stage
 
 EventKey = tuple[Stage, int, int]
 """Stage, run_id and relay_id; the relay_id of T1 is 0 whatever the trace says. Of a tap: 0 and the `publisher_id`."""
 
 
 class EventsElsewhere(Protocol):
-    """Events in a file, or on another machine."""
+    """Events in a file."""
 
-    def load(self) -> EventColumns:
-        """Fetch the events."""
+    def load(self) -> EventColumns: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,11 +30,6 @@ class EventPart:
     first_ns: int
     last_ns: int
     events: EventColumns | EventsElsewhere
-
-    def __sizeof__(self) -> int:
-        # Dask decides by it what to move.
-        in_memory = len(self.events) if isinstance(self.events, EventColumns) else 0
-        return object.__sizeof__(self) + in_memory * EVENT_DTYPE.itemsize
 
     def load(self) -> EventColumns:
         return self.events if isinstance(self.events, EventColumns) else self.events.load()

@@ -32,8 +32,6 @@ class _Storage(Protocol):
 
     def get_file(self, remote: str, local: str) -> None: ...
 
-    def ukey(self, path: str) -> str: ...
-
 
 def is_remote(path: Path) -> bool:
     """Return whether the path names a scheme, as `s3://` does."""
@@ -78,11 +76,6 @@ def local_copy(path: Path) -> Iterator[Path]:
                 local.parent.mkdir(parents=True, exist_ok=True)
                 files.get_file(remote, os.fspath(local))
         yield Path(name) / path.name
-
-
-def remote_key(path: Path) -> str:
-    with _storage(path) as (files, root):
-        return "\0".join(f"{remote[len(root) :]}\0{files.ukey(remote)}" for remote in _files_of(files, root))
 
 
 def _files_of(files: _Storage, root: str) -> list[str]:

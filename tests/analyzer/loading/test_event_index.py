@@ -5,7 +5,7 @@ import random
 import numpy as np
 from trace_files import RELAY_ID, RUN_ID, Message, event, relay_events, relay_session, write_pair, write_trace
 
-from dds_trace.analyzer.cache.event_index import (
+from dds_trace.analyzer.loading.event_index import (
     EventPart,
     index_events,
     merge_parts,

@@ -1,1 +1,0 @@
-"""Traces and the user's cache."""

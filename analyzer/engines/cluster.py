@@ -13,7 +13,6 @@ from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from secrets import token_hex
-from tempfile import TemporaryDirectory
 
 from dds_trace.base.errors import BackendUnavailableError, TraceFormatError
 from dds_trace.base.threads import in_turn
@@ -21,6 +20,7 @@ from dds_trace.tracefile.format.events import EventColumns
 
 from ..loading.event_index import EventKey
 from ..loading.remote import is_remote
+from ..loading.spool import TemporaryFolder
 from ..loading.traces import LoadedTrace, load
 from .local import Engine
 
@@ -89,9 +89,9 @@ class _EventsOfTrace:
 
 
 @lru_cache(maxsize=_MOST_TRACES)
-def _loaded(path: Path, _analysis: str) -> tuple[LoadedTrace | TraceFormatError, TemporaryDirectory[str]]:
-    folder = TemporaryDirectory(prefix="dds-analyze-")
-    return load(path, Path(folder.name)), folder
+def _loaded(path: Path, _analysis: str) -> tuple[LoadedTrace | TraceFormatError, TemporaryFolder]:
+    folder = TemporaryFolder()
+    return load(path, folder.path), folder
 
 
 def _describe(path: Path, *, analysis: str) -> LoadedTrace | TraceFormatError:

@@ -6,8 +6,12 @@ memory.
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
@@ -18,7 +22,6 @@ from dds_trace.tracefile.format.events import EVENT_DTYPE, EventColumns
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from io import BufferedReader
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -27,6 +30,14 @@ Column = tuple[str, int]
 """Kind (`constant`, `counting`, `array`), and value, first value, or offset in the file."""
 
 _FIELDS = EVENT_DTYPE.names or ()
+
+
+class TemporaryFolder:
+    """A folder of this user only, which is removed with this object."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="dds-analyze-"))
+        self.remove = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from dds_trace.tracefile.reading.trace import Trace
 
 from .event_index import EventKey, EventPart, split_trace
 from .remote import is_remote, local_copy
-from .spool import SpooledEvents, SpooledPiece, write_events
+from .spool import SpooledEvents, SpooledPiece, TemporaryFolder, write_events
 
 Stamp = tuple[object, ...]
 
@@ -46,12 +45,12 @@ class TraceSpool:
     """Loads traces into a folder of temporary files; used again, it reads only those that changed."""
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="dds-analyze-")
+        self._folder = TemporaryFolder()
         self._loaded: dict[Stamp, LoadedTrace] = {}
 
     @property
     def folder(self) -> Path:
-        return Path(self._folder.name)
+        return self._folder.path
 
     def load_all(self, paths: Sequence[Path], load_new: LoadAll) -> Iterator[LoadedTrace | TraceFormatError]:
         """Yield each trace, or why a file is not one; `load_new` loads those that are not here yet."""
@@ -66,7 +65,7 @@ class TraceSpool:
             yield loaded
 
     def close(self) -> None:
-        self._folder.cleanup()
+        self._folder.remove()
 
 
 def load(path: Path, folder: Path) -> LoadedTrace | TraceFormatError:

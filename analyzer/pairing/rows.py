@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -15,6 +12,7 @@ from types import TracebackType
 import polars as pl
 import pyarrow as pa
 
+from ..loading.spool import TemporaryFolder
 from ..model.columns import ROUNDTRIP_COLUMNS
 from ..model.metrics import schema_of
 from ..model.parameters import PARAMETER_NAMES
@@ -22,8 +20,8 @@ from .parquet import roundtrips_writer
 
 ROUNDTRIP_NAMES = tuple(column.name for column in ROUNDTRIP_COLUMNS)
 
-MOST_ROWS_IN_MEMORY = 1_000_000
-"""Most rows that stay in memory, some hundred bytes each."""
+MOST_ROWS_IN_MEMORY = 250_000
+"""Most rows that stay in memory: with their making, a kilobyte each at the peak."""
 
 
 class RowStore(ABC):
@@ -113,16 +111,10 @@ class RowsInMemory(RowStore):
         return self._rows.lazy()
 
 
-class _TemporaryFolder:
-    def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="dds-analyze-"))
-        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
-
-
 class RowsInFile(RowStore):
     """Rows in a Parquet file, which may be in a temporary folder."""
 
-    def __init__(self, path: Path, folder: _TemporaryFolder | None = None) -> None:
+    def __init__(self, path: Path, folder: TemporaryFolder | None = None) -> None:
         super().__init__()
         self._path = path
         self._folder = folder
@@ -161,7 +153,7 @@ class RowWriter:
         self._provenance = provenance
         self._tables: list[pa.Table] | None = []  # None once there are too many rows
         self._rows = 0
-        self._folder: _TemporaryFolder | None = None
+        self._folder: TemporaryFolder | None = None
         self._stack = ExitStack()
         self._write: Callable[[pa.Table], None] | None = None
 
@@ -195,7 +187,7 @@ class RowWriter:
         return RowsInFile(self._path, self._folder)
 
     def _move_to_temporary_file(self, tables: list[pa.Table]) -> None:
-        self._folder = _TemporaryFolder()
+        self._folder = TemporaryFolder()
         self._path = self._folder.path / "roundtrips.parquet"
         self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
         for table in tables:

@@ -6,8 +6,6 @@ from enum import Enum
 
 
 class Discovery(Enum):
-    """How far a node looks for others."""
-
     LOCALHOST = "localhost"
     SUBNET = "subnet"
 
@@ -48,8 +46,6 @@ class Security(Enum):
 
 
 class Load(Enum):
-    """What is loaded on the machine while a recording runs."""
-
     NONE = "none"
     CPU = "cpu"
     MEMORY = "memory"
@@ -75,8 +71,6 @@ class Call(Enum):
 
 
 class Role(Enum):
-    """What a recorder does: one end of a measurement, both, or listening to other programs."""
-
     PING = "ping"
     RELAY = "relay"
     TAP = "tap"
@@ -84,15 +78,11 @@ class Role(Enum):
 
 
 class Side(Enum):
-    """One half of a bridge of two."""
-
     PING = "ping"
     RELAY = "relay"
 
 
 class FileMode(Enum):
-    """Readers of a trace and its ring."""
-
     GROUP = "0640"
     OWNER = "0600"
 
@@ -108,21 +98,15 @@ class QosPolicy(str, Enum):
 
 
 class Reliability(QosPolicy):
-    """QoS reliability."""
-
     RELIABLE = "reliable"
     BEST_EFFORT = "best_effort"
 
 
 class Durability(QosPolicy):
-    """QoS durability."""
-
     VOLATILE = "volatile"
     TRANSIENT_LOCAL = "transient_local"
 
 
 class History(QosPolicy):
-    """QoS history."""
-
     KEEP_LAST = "keep_last"
     KEEP_ALL = "keep_all"

@@ -70,7 +70,6 @@ def domain_port_range(domain_id: int) -> range:
 
 
 def participants_that_fit(domain_id: int) -> int:
-    """Return how many participants of one machine have both their ports in the domain."""
     return (len(domain_port_range(domain_id)) - _FIRST_PARTICIPANT) // 2
 
 

@@ -23,12 +23,7 @@ from .memory import Library, SharedMemory, read_libraries, read_memory
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What one process uses at one instant, and the totals, limits and groups of its network namespace.
-
-    Attributes:
-        sockets: UDP and TCP sockets of the process, None if the kernel reports none.
-        memory: shared memory of a middleware that it maps, None if unknown.
-    """
+    """What one process uses (None: unknown), and the totals, limits and groups of its network namespace, at one instant."""
 
     monotonic_ns: int = 0
     read_ns: int = 0

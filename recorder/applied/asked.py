@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.format.json_fields import JsonObject
 
 PROFILE_VARIABLES = VENDORS["fastdds"].profile_variables
-"""Where Fast DDS 2 and 3 look for the user's profile."""
 
 _BUILTIN_TRANSPORTS = {"UDPv4": "udp", "UDPv6": "udp", "SHM": "shm", "LARGE_DATA": "large-data"}
 _SOCKETS_SIZE = re.compile(r"\bsockets_size=(\d+)([A-Za-z]*)")
@@ -30,17 +29,14 @@ _INTERFACE = re.compile(r"<NetworkInterface\b[^>]*\bname=[\"']([^\"']+)[\"']")
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Settings that one side requests.
+    """Settings that one side requests; 0, empty and None leave them to the system or the vendor.
 
     Attributes:
-        transport: `default`, `udp`, `shm`, `large-data` or `tcp`; for a profile file, what its transports amount to.
-        receive_buffer_bytes, send_buffer_bytes: that sockets are set to, 0 for the system's default.
-        shared_memory: requested on or off, None if the vendor decides.
-        interface: the only one that a configuration names, or empty.
-        profile: file name of the user's own profile, or empty.
+        transport: for a profile file, what its transports amount to.
+        interface: the only one that a configuration names.
+        profile: file name of the user's own profile.
         buffer_is_exact: whether a larger receive buffer contradicts it too.
-        segment_bytes: of the process's own shared memory, 0 for the vendor's.
-        congestion_control: TCP congestion control, empty for the system's.
+        segment_bytes: of the process's own shared memory.
     """
 
     vendor: str
@@ -159,8 +155,7 @@ class ProfileRequest:
 
     Attributes:
         receive_buffer_bytes, send_buffer_bytes: of its UDP transports, the smallest; 0 if one leaves it out.
-        replaces_builtin: `useBuiltinTransports` is false; otherwise its transports are in addition to the built-in
-            ones.
+        replaces_builtin: `useBuiltinTransports` is false.
     """
 
     protocols: tuple[str, ...] = ()
@@ -175,7 +170,6 @@ class ProfileRequest:
 
 
 def read_profile_request(text: str) -> ProfileRequest:
-    """Return what the default participant requests; nothing if there is none or the text is not XML."""
     try:
         root = ET.fromstring(text)  # noqa: S314 - the user's own file
     except ET.ParseError:

@@ -43,7 +43,6 @@ class Traffic:
 
 
 def with_path(applied: Applied, traffic: Traffic) -> Applied:
-    """Return `applied` with the path of the payload; `unknown` before its end."""
     return replace(applied, path=payload_path(applied, traffic))
 
 
@@ -66,7 +65,6 @@ def payload_path(applied: Applied, traffic: Traffic) -> str:
 
 
 def interface_deltas(applied: Applied) -> dict[str, InterfaceCounters]:
-    """Return what each interface counted between the two snapshots; empty before the end."""
     if applied.end is None:
         return {}
     return {

@@ -33,8 +33,6 @@ LEAST_BUFFER_BYTES = 2304
 
 
 class Setting(Enum):
-    """Kind of a setting that was not applied."""
-
     TRANSPORT = "transport"
     TUNED = "tuned"
     PROFILE = "profile"
@@ -95,7 +93,6 @@ def _transport(requested: Asked, applied: Applied, traffic: Traffic | None) -> D
 
 
 def _contradiction(facts: TransportFacts, requested: Asked, applied: Applied, traffic: Traffic | None) -> str | None:
-    """Return in words what the process uses that its transport does not, or lacks; None if nothing."""
     memory, sockets = _memory_of(requested, applied), applied.latest.sockets
     carrying = [*(sockets or ()), *(applied.begin.sockets or ())]  # a connection may end with the other side
     has_memory = applied.latest.memory is not None
@@ -201,7 +198,6 @@ def _shared_memory(requested: Asked, applied: Applied, traffic: Traffic | None) 
 
 
 def _memory_namespace(requested: Asked, applied: Applied, traffic: Traffic | None) -> Difference | None:
-    """Find shared memory that the other side cannot see."""
     memory = _memory_of(requested, applied)
     elsewhere = [file.name for file in memory if not file.is_here]
     if elsewhere:

@@ -34,11 +34,11 @@ class SharedMemory:
     """One shared-memory file of a middleware that the process maps.
 
     Attributes:
-        size_bytes: size of the file; of the mapping if the file is gone.
+        size_bytes: of the file, or of the mapping if the file is gone.
         is_own: this process created it, None if the middleware leaves no sign of that.
         is_served: some process holds its lock, None if there is none or it cannot be tested.
-        is_abandoned: its lock exists and nobody holds it: the process that served it was killed.
-        is_deleted: its file was removed; its participant has ended.
+        is_abandoned: nobody holds its lock: the process that served it was killed.
+        is_deleted: its participant has ended.
         is_here: the file of that name in this namespace's `/dev/shm` is the mapped one.
     """
 
@@ -55,7 +55,6 @@ class SharedMemory:
 
     @property
     def is_in_use(self) -> bool:
-        """Whether it can carry messages: its participant has not ended."""
         return not self.is_deleted
 
     @property
@@ -68,7 +67,6 @@ class SharedMemory:
 
     @property
     def port_number(self) -> int | None:
-        """RTPS port of a receiver's queue; None for a segment."""
         number = _PORT_NUMBER.search(self.name) if self.role == PORT else None
         return int(number[0]) if number else None
 
@@ -209,7 +207,6 @@ class Library:
 
 
 def read_libraries(pid: int | None = None) -> tuple[Library, ...]:
-    """Return the middleware libraries that a process has loaded, by name; by default this one's."""
     try:
         text = Path(f"/proc/{os.getpid() if pid is None else pid}/maps").read_text(errors="replace")
     except OSError:

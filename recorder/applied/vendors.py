@@ -124,7 +124,6 @@ VENDORS: Mapping[str, VendorFacts] = {
 }
 
 UNKNOWN = VendorFacts("")
-"""Of any other middleware nothing must be seen."""
 
 
 def vendor_facts(vendor: str) -> VendorFacts:
@@ -132,7 +131,6 @@ def vendor_facts(vendor: str) -> VendorFacts:
 
 
 def memory_owner(name: str) -> tuple[str, str] | None:
-    """Return vendor and role of a shared-memory file, None if no middleware of the table made it."""
     for facts in VENDORS.values():
         for role, pattern in facts.memory.items():
             if pattern.fullmatch(name):
@@ -183,6 +181,5 @@ ROS_MIDDLEWARES: Mapping[str, RosMiddleware] = {
 
 
 def ros_middleware(rmw: str) -> RosMiddleware:
-    """Return an RMW's facts; an unknown one has its own name as vendor."""
     name = rmw.removeprefix("rmw_").removesuffix("_cpp")
     return ROS_MIDDLEWARES.get(rmw, RosMiddleware(name, name, (rmw,)))

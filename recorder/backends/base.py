@@ -54,14 +54,11 @@ class Backend:
         relay_port: the relay's port among the 250 of the domain: 2 to 9, which DDS does not use.
         make_pair: opens a node that subscribes and one that publishes, where nodes do not receive their own messages.
         has_ros: whether the ROS middleware and the executor can be chosen.
-        has_congestion_control: whether TCP's congestion control can be chosen.
         security: levels besides `off`.
         priorities: priorities that messages can have, None for none.
         sizes: transport -> names of `Sizes` that can be chosen with it.
         can_drop: whether a publisher can block or drop, as requested, when the link is full.
         can_multicast: whether it sends messages to groups unless requested otherwise.
-        calls: kinds of calls.
-        environment: variables and files that configure it.
         variables_of: returns the variables that give a ROS middleware (None: the environment's) or the backend a file of settings.
         check_settings: raises an `OptionError` for further options that have no effect.
         missing_rmw: returns how to install a ROS middleware, None for an installed one.

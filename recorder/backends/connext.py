@@ -43,8 +43,6 @@ LOCALHOST_PEERS = ("builtin.udpv4://127.0.0.1", "builtin.shmem://")
 
 
 class ConnextNode(ThreadedNode):
-    """One participant with its readers' thread."""
-
     def __init__(self, options: NodeOptions) -> None:
         dds = _connext()
         super().__init__(options)

@@ -61,7 +61,6 @@ def qos_of(policies: Any) -> Qos:
 
 
 def priority_of(writer: Any) -> int:
-    """Return the transport priority that a writer reports, 0 without one."""
     from cyclonedds.qos import Policy
 
     qos = writer.get_qos()

@@ -24,8 +24,7 @@ from ..choices import Security, Transport
 from ..host.environment import ConfigurationVariable, MiddlewareEnvironment
 from .base import DDS_MEETING, Backend, Meeting, has_package
 from .cyclone_policies import cyclone_qos, priority_of, qos_of
-from .cyclone_security import loaded_plugins, security_settings
-from .cyclone_settings import cyclone_loopback, cyclone_settings
+from .cyclone_settings import cyclone_loopback, cyclone_settings, loaded_plugins, security_settings
 from .dds_types import DDS_TYPES, check_type, dds_name, dds_topic, ros_name, split_type
 from .node import (
     LAST_ACKNOWLEDGEMENT_S,
@@ -61,8 +60,6 @@ _MAKING_TOPIC = threading.Lock()  # the package spoils a type if two threads mak
 
 
 class CycloneNode(ThreadedNode):
-    """One participant with its readers' thread."""
-
     def __init__(self, options: NodeOptions) -> None:
         from cyclonedds.core import DDSException, WaitSet
         from cyclonedds.domain import DomainParticipant
@@ -204,7 +201,6 @@ class CycloneNode(ThreadedNode):
         return TopicView(topic, publishers, subscriptions, tuple(pairs), tuple(sorted(self._unassignable(topic))))
 
     def _unassignable(self, topic: str) -> set[str]:
-        """Return a line for each side of a topic with another type: a QoS mismatch in the policy of type consistency."""
         from cyclonedds.core import DDSException
 
         if _is_old():  # it has no such status
@@ -265,8 +261,6 @@ class _CyclonePublisher:
 
 
 class _BuiltinReaders:
-    """The participants and endpoints discovered so far, by DDS's own topics."""
-
     def __init__(self, participant: Any) -> None:
         from cyclonedds import builtin
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
@@ -284,7 +278,6 @@ class _BuiltinReaders:
         return [sample for sample in samples if sample.sample_info.valid_data]
 
     def participants(self) -> dict[Any, str]:
-        """Return key -> name (maybe empty) of each participant."""
         from cyclonedds.qos import Policy
 
         return {
@@ -315,7 +308,6 @@ class _BuiltinReaders:
         return next(keys, None)
 
     def definition_of(self, topic: str, type_name: str, participant: Any) -> Any:
-        """Return the type as a publisher describes it; None if none does."""
         from cyclonedds.dynamic import get_types_for_typeid
 
         for data in self._read("publications"):

@@ -174,7 +174,6 @@ class Middleware:
     """The software that carries the messages, as it reports itself.
 
     Attributes:
-        vendor: `fastdds`, `cyclonedds`, `connext`, `zenoh`, `socket`, or what the backend reports.
         rmw: identifier of the running ROS middleware, None outside ROS.
         versions: of each library by its name.
         vendor_label: name for people, empty for the backend's label.

@@ -48,7 +48,6 @@ def unlike_participant(names: Iterable[str], security: Security, place: Iterable
 
 
 def _names_without_security(*place: str) -> Iterable[str]:
-    """Return whom a process without security sees; a secured node sees nobody without a certificate."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("ROS_SECURITY_")}
     command = [sys.executable, "-c", _LOOK, *place]
     try:

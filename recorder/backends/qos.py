@@ -31,7 +31,6 @@ STALL_S = 0.1
 
 
 def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
-    """Return a warning about a history that keeps no more than `STALL_S` of messages."""
     if math.isinf(rate_hz):
         return None
     needed = math.floor(rate_hz * STALL_S) + 1
@@ -44,7 +43,6 @@ def warn_of_depth(history: str, depth: int, rate_hz: float) -> str | None:
 
 
 def requested_durations(qos: Qos) -> dict[str, int]:
-    """Return the finite durations of `qos`, ns."""
     durations_ns = {policy: qos.extra.get(f"{policy}_ns") for policy in DURATION_POLICIES}
     return {policy: duration for policy, duration in durations_ns.items() if isinstance(duration, int)}
 

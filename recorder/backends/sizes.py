@@ -15,15 +15,12 @@ if TYPE_CHECKING:
 
 
 class Sizes(NamedTuple):
-    """Requested sizes in a middleware, bytes; None for its own."""
-
     buffer: int | None = None
     segment: int | None = None
     fragment: int | None = None
 
 
 VENDORS_SIZES = Sizes()
-"""Nothing requested."""
 
 
 def size_option(name: str, text: str, limit: Whole) -> int | None:

@@ -1,5 +1,3 @@
-"""Counts of what peers sent and this process did not accept."""
-
 from __future__ import annotations
 
 import threading
@@ -27,7 +25,6 @@ class Strangers:
             return dict(self._counts)
 
     def take_new(self) -> list[str]:
-        """Return the kinds that came since the last call, each once."""
         new = sorted(self.counts.keys() - self._noted)
         self._noted.update(new)
         return new

@@ -40,7 +40,6 @@ MULTICAST = "multicast"
 KEY_PREFIX = "dds_trace"
 """Start of every key: topic `NAME` of domain 10 has `dds_trace/10/data/NAME`."""
 LOOK_S = 2.0
-"""Longest wait for the endpoints of others."""
 LONGEST_CALL_S = 60
 LEAST_RESPONSE_BYTES = 64
 PUBLISHER, SUBSCRIPTION = "publisher", "subscription"
@@ -54,8 +53,6 @@ _SHARED_MEMORY: dict[Transport, dict[str, Any]] = {
 
 
 class ZenohNode(Node):
-    """A zenoh session, with a thread for each subscription."""
-
     def __init__(self, options: NodeOptions) -> None:
         import zenoh
 
@@ -284,7 +281,6 @@ def _own_publication(key: str) -> Publication | None:
 
 
 def _origin_of(sample: Any, *, is_ros: bool) -> Attachment:
-    """Return a sample's number, time and publisher: of ROS 2's attachment, else of zenoh itself."""
     if is_ros and sample.attachment is not None:
         return parse_attachment(sample.attachment.to_bytes())
     source_ns = 0

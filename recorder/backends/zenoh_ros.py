@@ -9,7 +9,6 @@ from .dds_types import dds_name, ros_name
 from .node import Publication
 
 GRAPH_KEY = "@ros2_lv/{domain_id}/**"
-"""Liveliness tokens of all entities of a domain."""
 _TOKEN_PARTS = 13
 _PUBLISHER_KIND = "MP"
 _NUMBER = struct.Struct("<q")
@@ -26,7 +25,6 @@ class Attachment(NamedTuple):
 
 
 def parse_token(key: str) -> Publication | None:
-    """Return the publisher of a liveliness token; None for other entities."""
     parts = key.split("/")
     if len(parts) != _TOKEN_PARTS or parts[5] != _PUBLISHER_KIND:
         return None

@@ -12,7 +12,6 @@ from typing import Protocol
 from dds_trace.tracefile.format.json_fields import JsonObject
 
 STOP_CHECK_NS = 50_000_000
-"""Longest wait between two checks of `stop`."""
 
 _ANCHOR_READINGS, _PAIR_READINGS, _STEPS = 20, 5, 3
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
@@ -28,7 +27,6 @@ class ClockAnchor:
 
     @property
     def offset_ns(self) -> int:
-        """Difference from a monotonic time to the wall clock, ns."""
         return self.wall_ns - self.monotonic_ns
 
 
@@ -46,8 +44,6 @@ class Clock(Protocol):
 
 
 class SystemClock:
-    """The real clock of this device."""
-
     monotonic_ns = staticmethod(time.monotonic_ns)
 
     def anchor(self) -> ClockAnchor:
@@ -99,8 +95,6 @@ def _read_together(read_other: Callable[[], int], readings: int) -> tuple[int, i
 
 
 class _Timex(ctypes.Structure):
-    """`struct timex` of adjtimex(2)."""
-
     _fields_ = (
         ("modes", ctypes.c_uint),
         ("offset", ctypes.c_long),

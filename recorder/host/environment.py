@@ -34,16 +34,12 @@ _INLINE_STARTS = ("<", "{", "str://")
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationVariable:
-    """A variable with one entry, or several with a separator."""
-
     name: str
     separator: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class MiddlewareEnvironment:
-    """The variables and files by which a middleware can be configured."""
-
     settings: tuple[str, ...] = ()
     configuration: tuple[ConfigurationVariable, ...] = ()
     files: tuple[str, ...] = ()

@@ -36,7 +36,7 @@ def host_fingerprint(
     environment = environment or MiddlewareEnvironment()
     return {
         "machine": platform.machine(),
-        "board": _board(),
+        "board": read_text("/proc/device-tree/model") or read_text("/sys/class/dmi/id/product_name"),
         "cpu_model": _cpu_model(),
         "cpu_cores": os.cpu_count(),
         "cpu_cores_physical": psutil.cpu_count(logical=False),
@@ -133,10 +133,6 @@ def _container_name() -> str | None:
         return declared[1]
     listed = re.search(r"docker|kubepods|lxc|containerd", read_text("/proc/1/cgroup") or "")
     return listed[0] if listed else None
-
-
-def _board() -> str | None:
-    return read_text("/proc/device-tree/model") or read_text("/sys/class/dmi/id/product_name")
 
 
 def _cpu_model() -> str:

@@ -29,9 +29,7 @@ PROGRAM = Path(__file__).with_name("load_program.py")
 def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObject]]:
     """Load the machine within the block; yields a function that returns the session's field `load`, if there is a load.
 
-    Args:
-        kind: as of `--load`.
-        host: where `network` sends; None sends nothing.
+    `network` sends to `host`.
 
     Raises:
         OptionError: this user may not keep the processors from sleeping.

@@ -39,7 +39,6 @@ def compute(data_bytes: int = 1 << 20) -> None:
 
 
 def copy() -> None:
-    """Keep the memory busy; a C function lets other threads run meanwhile."""
     source, target = (ctypes.create_string_buffer(COPIED_BYTES) for _ in range(2))
     while True:
         ctypes.memmove(target, source, COPIED_BYTES)
@@ -58,7 +57,6 @@ def send(host: str) -> None:
 
 
 def keep_awake(processor: int) -> None:
-    """Run whenever nothing else does; the data leaves most of the caches to others."""
     with contextlib.suppress(OSError):  # a processor that is not for this process
         os.sched_setaffinity(0, [processor])
     compute(1 << 14)

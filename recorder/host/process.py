@@ -61,7 +61,6 @@ def apply_privileges(cpu_affinity: str | None = None, realtime_priority: int | N
 
 
 def parse_cpus(text: str) -> list[int]:
-    """Return the CPU numbers in `0,2-3`, sorted."""
     limits.check(limits.CPUS, text, "--cpu-affinity")
     cpus: set[int] = set()
     for part in text.split(","):
@@ -89,7 +88,6 @@ def _pin_cpus(text: str) -> list[int]:
 
 
 def set_realtime(priority: int) -> None:
-    """Run the calling thread, and its later children, under SCHED_FIFO."""
     limits.check(limits.REALTIME_PRIORITY, priority, "--realtime")
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -100,7 +98,6 @@ def set_realtime(priority: int) -> None:
 
 
 def realtime_threads() -> dict[str, Json]:
-    """Return the session's field of how many threads of this process run under SCHED_FIFO, if any does."""
     count = 0
     for thread in Path("/proc/self/task").iterdir():
         with contextlib.suppress(ProcessLookupError):
@@ -137,9 +134,7 @@ def tuned_gc() -> Iterator[None]:
 
 
 class StopEvent(threading.Event):
-    """An event that signals set; `is_repeated` once a second one came."""
-
-    is_repeated = False
+    is_repeated = False  # until a second signal came
 
 
 def stop_at_signals() -> StopEvent:

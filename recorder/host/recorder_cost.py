@@ -77,14 +77,12 @@ def measure_recorder_cost(folder: Path | None = None, seconds: float = 3.0) -> R
 
 
 def measure_timer_ns() -> float:
-    """Return the median of one reading of the monotonic clock, ns."""
     now = time.monotonic_ns
     readings = np.fromiter((now() for _ in range(_TIMER_READINGS)), np.int64, _TIMER_READINGS)
     return float(statistics.median(np.diff(readings).tolist()))
 
 
 def measure_cold_timer_ns(readings: int) -> float:
-    """Return the median of one reading of the clock after a sleep, ns."""
     return float(statistics.median(time_paced_events(None, readings).tolist()))
 
 

@@ -65,9 +65,9 @@ class HostSampler:
         self.write(self.sample())
 
     def sample(self) -> dict[str, Json]:
-        """Take one sample; shares of CPU count from the preceding one."""
         began_ns = time.thread_time_ns()
         monotonic_ns, monotonic_raw_ns = read_monotonic_pair()
+        loads = {name: self._process_load(pid) for name, pid in {"self": os.getpid(), **self.processes}.items()}
         sample: dict[str, Json] = {
             "monotonic_ns": monotonic_ns,
             "monotonic_raw_ns": monotonic_raw_ns,
@@ -75,15 +75,11 @@ class HostSampler:
             "network": _network_totals(),
             "udp": {name: total for name, total in read_kernel_counters().items() if name in _DROP_COUNTERS},
             "wifi": wifi_signals(),
-            "processes": self._process_loads(),
+            "processes": {name: load for name, load in loads.items() if load is not None},
             "sampling_cpu_ns": self._sampling_cpu_ns,
         }
         self._sampling_cpu_ns = time.thread_time_ns() - began_ns
         return sample
-
-    def _process_loads(self) -> dict[str, dict[str, float]]:
-        loads = {name: self._process_load(pid) for name, pid in {"self": os.getpid(), **self.processes}.items()}
-        return {name: load for name, load in loads.items() if load is not None}
 
     def _process_load(self, pid: int) -> dict[str, float] | None:
         try:

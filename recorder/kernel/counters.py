@@ -42,8 +42,6 @@ class InterfaceCounters:
 
 @dataclass(frozen=True, slots=True)
 class MulticastGroup:
-    """A multicast group that some socket of this network namespace joined."""
-
     interface: str
     address: str
 
@@ -74,18 +72,17 @@ def read_kernel_counters(root: Path = PROC) -> dict[str, int]:
 
 
 def read_limits(root: Path = PROC) -> dict[str, int]:
-    """Return the kernel settings that bound buffers, reassembly and ports.
-
-    In bytes, except `net.ipv4.ipfrag_time` (seconds), `ipfrag_max_dist` (fragments) and the first port that the kernel chooses.
-    """
+    """Return settings in bytes, except `net.ipv4.ipfrag_time` (s), `ipfrag_max_dist` (fragments) and the kernel's first port."""
     words = {name: " ".join(_lines(root / "sys" / path)).split() for name, path in _LIMITS.items()}
     return {name: int(values[0]) for name, values in words.items() if values and values[0].isdigit()}
 
 
 def read_groups(root: Path = PROC) -> tuple[MulticastGroup, ...]:
-    """Return this network namespace's multicast groups by interface, from `/proc/net/igmp` and `igmp6`."""
-    groups = {*_ipv4_groups(root / "self/net/igmp"), *_ipv6_groups(root / "self/net/igmp6")}
-    joined = [group for group in groups if group.address not in _KERNEL_JOINS]
+    groups = _ipv4_groups(root / "self/net/igmp")
+    for row in map(str.split, _lines(root / "self/net/igmp6")):
+        if len(row) > 2:
+            groups.append(MulticastGroup(row[1], socket.inet_ntop(socket.AF_INET6, bytes.fromhex(row[2]))))
+    joined = [group for group in set(groups) if group.address not in _KERNEL_JOINS]
     return tuple(sorted(joined, key=lambda group: (group.interface, group.address)))
 
 
@@ -100,13 +97,6 @@ def _ipv4_groups(path: Path) -> list[MulticastGroup]:
             address = socket.inet_ntop(socket.AF_INET, struct.pack("=I", int(words[0], 16)))
             groups.append(MulticastGroup(interface, address))
     return groups
-
-
-def _ipv6_groups(path: Path) -> list[MulticastGroup]:
-    rows = [line.split() for line in _lines(path)]
-    return [
-        MulticastGroup(row[1], socket.inet_ntop(socket.AF_INET6, bytes.fromhex(row[2]))) for row in rows if len(row) > 2
-    ]
 
 
 def bound_udp_ports(root: Path = PROC) -> set[int]:

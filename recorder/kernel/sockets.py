@@ -137,8 +137,7 @@ class Socket:
 class TcpConnection:
     """One end of a connection, without addresses, which may identify a device; counters since it opened, or of a run.
 
-    Attributes:
-        rtt_us, rtt_variance_us, rtt_min_us: smoothed round-trip time of the kernel, now.
+    `rtt_us` and its kin are the kernel's smoothed round-trip time, now.
     """
 
     local_port: int
@@ -172,10 +171,7 @@ def parse_tcp_info(info: bytes, local_port: int, remote_port: int) -> TcpConnect
 
 
 def read_sockets(pid: int | None = None) -> tuple[Socket, ...] | None:
-    """Return the UDP and TCP sockets of a process of this network namespace, by protocol, family and local port.
-
-    None if the kernel does not answer or the process may not be inspected.
-    """
+    """Return a process's sockets, sorted; None if the kernel does not answer or the process may not be inspected."""
     sockets = []
     try:
         inodes = _socket_inodes(os.getpid() if pid is None else pid)

@@ -23,7 +23,6 @@ PAYLOADS: dict[str, DataType | Source] = {
     **{data_type.name: data_type for data_type in (BINARY, STRING, IMU)},
     **{source.usage: source for source in (IMU_FILE, FILE, BAG, TOPIC)},
 }
-"""By the form of `--data`."""
 
 
 def data_types() -> dict[str, DataType]:
@@ -44,15 +43,7 @@ def find_data_type(name: str) -> DataType:
 def open_payload(
     data: str, size_bytes: int | None, seed: int, *, open_node: Callable[[], Node], wait_s: float, stop: threading.Event
 ) -> AbstractContextManager[Payload]:
-    """Open the payload that `--data` names.
-
-    Args:
-        data: value of `--data`.
-        size_bytes: application bytes of a message, None for the default of its type.
-        seed: of random content.
-        open_node: opens a second node, for a live source.
-        wait_s: longest wait for a live source.
-        stop: ends the work.
+    """Open the payload that `--data` names; a live source opens a second node and waits for `wait_s` at most.
 
     Raises:
         StoppedError: `stop` was set.
@@ -68,7 +59,6 @@ def open_payload(
 
 
 def check_data(data: str) -> None:
-    """Refuse a `--data` that names no data."""
     limits.check(limits.TEXT, data, "--data")
     source, name = _split_source(data)
     if source is None:

@@ -30,7 +30,6 @@ _UNEVEN = 1.5
 _OTHER_CLOCK_NS = 30 * 86_400 * 10**9
 """An interval from which on two times are of two clocks, a simulation's before it began and the machine's."""
 NAMED_FIELD = 2
-"""rosbags' mark of a field that is a message."""
 
 
 def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.Event | None = None) -> Payload:
@@ -87,7 +86,6 @@ def load_payload(where: str, own_types: Mapping[str, DataType], stop: threading.
 
 
 def _read_topic(path: Path, topic: str, condition: Condition, stop: threading.Event | None) -> list[tuple[int, bytes]]:
-    """Return log time in ns and bytes of the messages of a topic, by log time."""
     from dds_trace.tracefile.recordings.read import read_messages  # noqa: PLC0415 - SQLite
 
     messages_read, size_bytes = list[tuple[int, bytes]](), 0
@@ -125,7 +123,6 @@ def split_topic(where: str) -> tuple[str, str]:
 
 @contextmanager
 def _own_words(path: Path) -> Iterator[None]:
-    """Make one line of what rosbags raises about a type or a message."""
     try:
         yield
     except (OptionError, BackendUnavailableError, StoppedError):

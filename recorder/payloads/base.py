@@ -91,8 +91,8 @@ class DataType:
     """One kind of data.
 
     Attributes:
-        name: name in the trace and in `--data`: `binary`, `string`, `imu`.
-        topic: topic of the way out.
+        name: in the trace and in `--data`.
+        topic: of the way out.
         objects: None for a type that is only sent in serialized form.
         object_stamp: place of the stamp in a message object, also of another program.
         make: makes up a payload of a size (None: the default) and a seed; raises an `OptionError` for a wrong size and a
@@ -138,10 +138,8 @@ class Source:
     """One kind of data that is read: files, bags, running topics.
 
     Attributes:
-        name: text before the colon in `--data`.
-        usage: form of `--data`, such as `file:PATH`.
-        open: opens the payload for the text after the colon.
-        check: raises an `OptionError` for a wrong text after the colon.
+        usage: form of `--data`, such as `file:PATH`; `name` is the text before the colon.
+        open: opens the payload for the text after the colon; `check` raises an `OptionError` for a wrong one.
     """
 
     name: str

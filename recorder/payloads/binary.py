@@ -52,7 +52,6 @@ def image_message(size: int, pieces: Iterable[bytes]) -> Message:
 
 
 def payload_bytes_of(message: RawMessage) -> int:
-    """Return the length of `data`; 0 if the message is not an image of ours."""
     try:
         data_offset = sizing_bytes_of(message)
         (data_bytes,) = _UINT32.unpack_from(message, data_offset - 4)

@@ -18,9 +18,7 @@ NO_REPLY = (1 << 32) - 1
 """In place of a relay's id: relays record the message and do not send it back."""
 
 SentT = TypeVar("SentT")
-"""What is sent: a `bytearray`, or a message object."""
 ReceivedT_contra = TypeVar("ReceivedT_contra", contravariant=True)
-"""What is received: a `RawMessage`, or a message object."""
 
 _RUN = slice(4, 20)
 _SEQUENCE = slice(21, 37)
@@ -33,8 +31,6 @@ _pack_nanoseconds_into = struct.Struct("<I").pack_into
 
 
 class Stamp(NamedTuple):
-    """The numbers in one stamp."""
-
     run_id: int
     sequence: int
     relay_id: int
@@ -45,12 +41,10 @@ _new_stamp = tuple.__new__  # faster than the constructor of a NamedTuple
 
 
 def stamp_text(run_id: int, sequence: int, relay_id: int = 0) -> bytes:
-    """Return a stamp's 46 characters."""
     return b"dt1:%016x:%016x:%08x" % (run_id, sequence, relay_id)
 
 
 def parse_stamp(text: bytes | bytearray | str) -> Stamp | None:
-    """Return the numbers in 46 characters, None if they are no stamp."""
     if len(text) != STAMP_BYTES or text[:4] not in (STAMP_PREFIX, "dt1:"):
         return None
     try:
@@ -203,8 +197,6 @@ class StringStampPlace:
 
 
 class CallStampPlace:
-    """The stamp of a `CallMessage`."""
-
     def write(self, message: CallMessage, run_id: int, sequence: int, relay_id: int = 0) -> None:
         message.stamp = stamp_text(run_id, sequence, relay_id).decode()
 

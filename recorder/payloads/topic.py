@@ -61,8 +61,6 @@ def open_payload(name: str, context: PayloadContext) -> Iterator[Payload]:
 
 
 class LiveFeed:
-    """The topic's messages, serialized with room for the stamp."""
-
     def __init__(self, node: ObjectNode, type_name: str, where: str, own_types: Mapping[str, DataType]) -> None:
         self.skipped = 0
         self._node = node
@@ -77,7 +75,6 @@ class LiveFeed:
         self._error: OptionError | None = None
 
     def receive(self, message: RosMessage, source_ns: int = 0, _received_ns: int = 0, /) -> None:
-        """Take a message, on the thread of the source's node."""
         arrival_ns = time.monotonic_ns()
         if self._sample is None:
             self._take_sample(message)
@@ -100,7 +97,6 @@ class LiveFeed:
         return None
 
     def payload(self, deadline_s: float, stop: threading.Event, source: str) -> Payload:
-        """Wait for the topic's rate; return the payload; its one message is for probes."""
         first_s: float | None = None
         while not stop.is_set() and time.monotonic() < deadline_s and self._error is None:
             arrivals = len(self._sent_ns)
@@ -138,7 +134,6 @@ class LiveFeed:
         self._sample = self._convert(message)
 
     def _convert(self, message: RosMessage) -> Message | None:
-        """Make room for the stamp; None for a message that has one."""
         assert self._data_type is not None
         stamp = self._data_type.object_stamp
         if stamp.read(message) is not None:

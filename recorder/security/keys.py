@@ -82,27 +82,21 @@ def _check(path: Path, level: Security) -> None:
 
 @contextmanager
 def shared_keys(levels: Collection[str]) -> Iterator[Sequence[str]]:
-    """Yield the words before a command that give it keys for these levels; the keys are removed after the block."""
     secured = [Security(level) for level in levels if level != Security.OFF.value]
     if not secured:
         yield ()
         return
-    _remove_stale()
+    for path in Path(tempfile.gettempdir()).glob("dds-trace-keys-*"):  # of a process that was killed
+        match = _FOLDER.fullmatch(path.name)
+        if match and not Path("/proc", match[1]).exists() and path.stat().st_uid == os.geteuid():
+            shutil.rmtree(path, ignore_errors=True)
     with tempfile.TemporaryDirectory(prefix=f"dds-trace-keys-{os.getpid()}-") as folder:  # mode 0700
         for level in secured:
             make_keys(Path(folder) / level.value, level)
         yield ("env", f"{VARIABLE}={folder}")
 
 
-def _remove_stale() -> None:
-    for path in Path(tempfile.gettempdir()).glob("dds-trace-keys-*"):
-        match = _FOLDER.fullmatch(path.name)
-        if match and not Path("/proc", match[1]).exists() and path.stat().st_uid == os.geteuid():
-            shutil.rmtree(path, ignore_errors=True)
-
-
 def make_keys(path: Path, level: Security) -> None:
-    """Write keys for a level into a new folder of mode 0700."""
     try:
         from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat  # noqa: PLC0415
     except ImportError as err:

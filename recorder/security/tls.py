@@ -13,9 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 HANDSHAKE_S = 2.0
-"""Longest wait for a handshake."""
 PIECE_BYTES = 1 << 18
-"""Most bytes of one read."""
 
 
 def tls_context(keys: str, *, listens: bool) -> ssl.SSLContext:
@@ -68,7 +66,6 @@ class TlsSocket:
         return True
 
     def recv_into(self, buffer: bytearray | memoryview) -> int:
-        """Wait for bytes; 0 is the end."""
         while True:
             with self._using:
                 try:
@@ -112,7 +109,6 @@ def zenoh_tls(keys: str, *, listens: bool) -> dict[str, object]:
 
 
 def speaks_tls(host: str, port: int) -> bool | None:
-    """Return whether the program at an address speaks TLS; None if none answers."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     try:

@@ -58,7 +58,6 @@ def _is_up(interface: str) -> bool:
 
 
 def domain_ports(domain_id: int) -> PortRange:
-    """Return the UDP ports of a DDS domain (DDSI-RTPS 2.5, section 9.6.2.3)."""
     ports = domain_port_range(domain_id)
     return PortRange(ports[0], ports[-1])
 
@@ -69,7 +68,7 @@ class WireOptions:
 
     Attributes:
         rtps_ports: UDP ports of the run's DDS domains (`domain_ports`); other RTPS is left out. Empty: all RTPS counts.
-        udp_ports: of UDP that is not RTPS: the `socket` backend's, zenoh's scouting.
+        udp_ports: of UDP that is not RTPS.
         ring_bytes: kernel memory for packets on each interface; 100 Mbit/s may need 12.5 MB a second.
         block_timeout_ms: how long the kernel collects packets before it delivers them, and how often they are counted.
         cpus: that the capturing process may run on; empty for its parent's.
@@ -91,8 +90,6 @@ _ENDED = "--wire: the capturing process ended by itself; its reason is on stderr
 
 @dataclass(frozen=True, slots=True)
 class WireResult:
-    """Counts of one run, and its rows of MESSAGE_ROW: one per message and direction."""
-
     counts: WireCounts
     rows: MessageRows
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class ClassTally:
-    """Counters of one class in one direction, as in `ClassCount`."""
-
     packets: int = 0
     bytes: int = 0
     submessages: int = 0
@@ -133,7 +131,6 @@ class IpCounts:
 
 
 def ip_counts(totals: Mapping[str, int], before: Mapping[str, int]) -> IpCounts:
-    """Return the kernel's counters since `before`; 0 for one that it lacks."""
     return IpCounts(**{field: totals.get(name, 0) - before.get(name, 0) for field, name in _IP_FIELDS.items()})
 
 
@@ -154,8 +151,7 @@ class WireCounts:
 
     Attributes:
         heartbeat_gap_p50_ns: median time between two heartbeats of a writer that came without data.
-        first_spdp_ns, first_data_ns, first_reply_ns: since the capture began: the first announcement of a participant,
-            the first message with our stamp (probes included), the first that a relay has sent back.
+        first_spdp_ns, first_data_ns, first_reply_ns: since the capture began, as in `Beginnings` (probes included).
         unseen_headers: packets with a submessage but not its header; its kind is missing in `classes`, its
             bytes count for the packet's class.
         unfollowed_datagrams: datagrams with an IP fragment missing or out of order, so that later headers were not
@@ -205,7 +201,6 @@ class WireCounts:
 
     @property
     def wire_bytes_per_sample_byte(self) -> float | None:
-        """All bytes on the wire per serialized byte of the run's messages; None without messages."""
         return self.total_bytes / self.sample_bytes if self.sample_bytes else None
 
     @property
@@ -219,7 +214,6 @@ class WireCounts:
 
     @property
     def again_bytes_share(self) -> float | None:
-        """Repeated data's share of all bytes; None without traffic."""
         return self._bytes_of(_AGAIN_NAMES) / self.total_bytes if self.total_bytes else None
 
     @property
@@ -230,7 +224,6 @@ class WireCounts:
 
     @property
     def packets_per_s(self) -> float | None:
-        """Packets handled a second; None if no time passed."""
         return self.packets / self.duration_s if self.duration_s else None
 
     def _bytes_of(self, names: frozenset[str]) -> int:

@@ -45,13 +45,6 @@ class Copy(NamedTuple):
 
 @dataclass(slots=True)
 class SentSample:
-    """State of one sample.
-
-    Attributes:
-        stamp: ours, None until a copy shows one.
-        resent_after_ns: from the first copy of the fragment that was repeated first to its repetition.
-    """
-
     first_ns: int
     last_ns: int
     sample_bytes: int
@@ -114,7 +107,6 @@ class SendLedger(Generic[Stream]):
         self._streams: dict[Stream, _StreamSamples] = {}
 
     def note(self, stream: Stream, copy: Copy, stamp: Stamp | None = None) -> bool:
-        """Add a copy of a sample; return whether it is a repeat."""
         recent = self._streams.setdefault(stream, _StreamSamples())
         sample = recent.samples.get(copy.sequence)
         if sample is None:
@@ -134,7 +126,6 @@ class SendLedger(Generic[Stream]):
         self._streams.setdefault(stream, _StreamSamples()).heartbeats += 1
 
     def forget(self, now_ns: int) -> Iterator[tuple[Stream, SentSample]]:
-        """Forget samples that are old, or the oldest of too many; yield them."""
         horizon_ns = now_ns - self._remembered_ns
         for key, stream in self._streams.items():
             # In the order of their first copies: the first young one ends the search.
@@ -144,7 +135,6 @@ class SendLedger(Generic[Stream]):
                 yield key, self._drop(stream, sequence)
 
     def take(self, run_id: int | None) -> Iterator[tuple[Stream, SentSample]]:
-        """Forget the samples with a stamp of this run, or any if None; yield them."""
         for key, stream in self._streams.items():
             for sequence, sample in list(stream.samples.items()):
                 if sample.stamp is not None and run_id in (None, sample.stamp.run_id):
@@ -174,7 +164,6 @@ def stamp_at(memory: memoryview, payload_at: int, seen_end: int) -> Stamp | None
 
 
 def message_row(sample: SentSample, direction: Direction) -> tuple[int, ...] | None:
-    """Return the fields of MESSAGE_ROW, None for a sample without our stamp."""
     if sample.stamp is None:
         return None
     repeats = sample.repeats.values()
@@ -215,15 +204,16 @@ class RepeatCount:
 
 def count_repeats(rows: MessageRows) -> tuple[RepeatCount, ...]:
     sent = rows[rows["direction"] != Direction.RECEIVED]
-    return tuple(
-        _repeat_count(int(repeats), sent[sent["repeats"] == repeats]) for repeats in np.unique(sent["repeats"])
-    )
-
-
-def _repeat_count(repeats: int, rows: MessageRows) -> RepeatCount:
-    if repeats == 0:
-        return RepeatCount(0, len(rows))
-    delays_ns = rows["resent_after_ns"]
-    heartbeats_p50 = float(np.median(rows["waited_heartbeats"]))
-    p50_ns, p90_ns, p99_ns = np.percentile(delays_ns, (50, 90, 99)).tolist()
-    return RepeatCount(repeats, len(rows), p50_ns, p90_ns, p99_ns, float(delays_ns.max()), heartbeats_p50)
+    counts = []
+    for repeats in np.unique(sent["repeats"]).tolist():
+        of_count = sent[sent["repeats"] == repeats]
+        if not repeats:
+            counts.append(RepeatCount(0, len(of_count)))
+            continue
+        delays_ns = of_count["resent_after_ns"]
+        p50_ns, p90_ns, p99_ns = np.percentile(delays_ns, (50, 90, 99)).tolist()
+        heartbeats_p50 = float(np.median(of_count["waited_heartbeats"]))
+        counts.append(
+            RepeatCount(repeats, len(of_count), p50_ns, p90_ns, p99_ns, float(delays_ns.max()), heartbeats_p50)
+        )
+    return tuple(counts)

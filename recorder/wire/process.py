@@ -42,8 +42,6 @@ _CLOCK_READINGS = 5
 
 @dataclass(slots=True)
 class _Before:
-    """Counters at the start of the run."""
-
     run_id: str
     begin_ns: int
     cpu_s: float
@@ -53,8 +51,6 @@ class _Before:
 
 
 class Capture:
-    """Rings on all interfaces, and the counts of their packets."""
-
     def __init__(self, options: WireOptions) -> None:
         self._options = options
         self._tally = WireTally(options.rtps_ports)
@@ -68,8 +64,10 @@ class Capture:
                 self._closed = opened.enter_context(closing(ClosedConnections(options.tcp_ports)))
             self._rings = [
                 opened.enter_context(
-                    PacketRing(
-                        interface, program, ring_bytes=options.ring_bytes, block_timeout_ms=options.block_timeout_ms
+                    closing(
+                        PacketRing(
+                            interface, program, ring_bytes=options.ring_bytes, block_timeout_ms=options.block_timeout_ms
+                        )
                     )
                 )
                 for interface in options.interfaces
@@ -79,7 +77,6 @@ class Capture:
         self._read_tcp()
 
     def begin(self, run_id: str) -> None:
-        """Restart counting for a run, or for all with an empty id."""
         self._catch_up()
         self._statistics()
         self._tally.begin()
@@ -88,7 +85,6 @@ class Capture:
         self._before = self._now(run_id)
 
     def take(self) -> tuple[WireCounts, MessageRows]:
-        """Return counts and rows since `begin`."""
         self._catch_up()
         self._read_tcp()
         before, now = self._before, self._now("")

@@ -8,7 +8,6 @@ import socket
 import struct
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,11 +15,6 @@ from dds_trace.base.errors import OptionError
 
 from .packets.frames import FrameBatch, Numbers
 from .packets.packet_filter import attach_filter
-
-if TYPE_CHECKING:
-    from types import TracebackType
-
-    from typing_extensions import Self
 
 NO_CAPTURE = (
     "--wire needs the capability CAP_NET_RAW: run as root, give it to the interpreter "
@@ -134,7 +128,6 @@ class PacketRing:
         self._unreleased = 0
 
     def statistics(self) -> RingStatistics:
-        """Return the kernel's counters, which this resets."""
         return RingStatistics(*struct.unpack("3I", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 12)))
 
     def close(self) -> None:
@@ -143,14 +136,6 @@ class PacketRing:
         del self._memory
         with suppress(BufferError):  # a batch still refers to the map
             self._map.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _hardware_type(interface: str) -> int:

@@ -46,8 +46,6 @@ class Stream(NamedTuple):
 
 
 class Datagram(NamedTuple):
-    """What later fragments of a datagram are counted with; `kind` is None for another domain's."""
-
     kind: WireClass | None
     sender: Sender
 
@@ -55,9 +53,7 @@ class Datagram(NamedTuple):
 class WireTally:
     """Counts frames of all interfaces: `run` since `begin`, `beginnings` since the capture began.
 
-    Args:
-        domain_ports: UDP ports of the run's DDS domains; RTPS of participants that neither use one of these nor talk to
-            one that does is another domain's. Empty: all RTPS counts.
+    RTPS of participants that neither use one of `domain_ports` nor talk to one that does is another domain's (empty: all counts).
     """
 
     def __init__(self, domain_ports: Sequence[PortRange] = ()) -> None:
@@ -83,7 +79,6 @@ class WireTally:
 
     @property
     def late_repeats(self) -> int:
-        """Repeats, since `begin`, of samples too old to be remembered; they are in no row."""
         return self._ledger.late_repeats - self._late_before
 
     @property
@@ -225,7 +220,6 @@ class WireTally:
     def _note(
         self, submessages: Sequence[Submessage], sender: Sender, time_ns: int, memory: memoryview, seen_end: int
     ) -> Counter[WireClass]:
-        """Note the submessages of a packet; return their bytes by class, without those that have none of their own."""
         bytes_of: Counter[WireClass] = Counter()
         for submessage in submessages:
             kind = class_of(submessage.kind, submessage.writer)
@@ -248,7 +242,6 @@ class WireTally:
     def _note_data(
         self, submessage: Submessage, sender: Sender, time_ns: int, memory: memoryview, seen_end: int
     ) -> bool:
-        """Note (a fragment of) a sample; return whether it was sent before."""
         stamp: Stamp | None = None
         if submessage.payload_at is not None:
             stamp = stamp_at(memory, submessage.payload_at, seen_end)
@@ -268,7 +261,6 @@ class WireTally:
         return self._ledger.note(stream, copy, stamp)
 
     def _note_heartbeat(self, sender: Sender, writer: int, time_ns: int, *, without_data: bool) -> None:
-        """Count a heartbeat, and the time since the previous one if it came without data."""
         self._ledger.note_heartbeat(Stream(sender.direction, sender.interface, sender.prefix, writer))
         if not without_data:
             return

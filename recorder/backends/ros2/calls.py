@@ -32,7 +32,6 @@ INTEGER_ARRAY = 7
 ACTION_RESULT_BYTES = 33_000
 RESULT_KEPT_S = 10
 CONVERSIONS = 5
-"""Conversions of each message, for a median."""
 _UINT32 = 0xFFFFFFFF
 _PROBE = "dt1:" + 16 * "0"
 

@@ -112,7 +112,6 @@ _PARTICIPANT = """\
 """
 
 _DEFAULT_PARTICIPANT = ('profile_name="dds_trace" is_default_profile="true"', "")
-"""Attributes of a participant, and its domain."""
 
 
 _LAYOUTS = {
@@ -120,7 +119,6 @@ _LAYOUTS = {
     Transport.SHM: ((_SHM,), ""),
     Transport.LARGE_DATA: ((_SHM, _TCP, _UDP), _LARGE_DATA_DISCOVERY),
 }
-"""Transports of the profile, and its discovery (empty: through shared memory)."""
 
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
@@ -156,7 +154,6 @@ def _profile(
 
 
 def tuned_participants(names: Mapping[str, int], *, is_local: bool) -> str:
-    """Return profiles for another program: participants by name and domain id, with UDP and large receive buffers."""
     transports, discovery = _LAYOUTS[Transport.UDP] if is_local else ((_NETWORK_UDP,), "")
     participants = [
         (f'profile_name="{name}"', f"      <domainId>{domain_id}</domainId>\n") for name, domain_id in names.items()

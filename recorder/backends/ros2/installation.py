@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 WRONG_RMW_TIMEOUT_S = 30.0
 WHEELS_RMW = "rmw_fastrtps_cpp"
 RMW_INDEX = Path("share/ament_index/resource_index/rmw_typesupport")
-"""Has a file for every RMW package of an installation."""
 
 INSTALL = (
     "pip install 'dds-trace[ros2]' (in a clone '.[ros2]') (wheels, x86_64), or install ROS 2 from apt and run "
@@ -91,7 +90,6 @@ def set_discovery_range(discovery: Discovery) -> None:
 
 
 def set_security(options: NodeOptions) -> None:
-    """Set the variables of ROS 2's security (SROS 2); its keystore has the layout of our keys."""
     if options.keys is not None:
         own = enclave(options.keys, listens=options.listens)
         os.environ |= {
@@ -119,7 +117,6 @@ def check_settings(options: NodeOptions) -> None:
 
 
 def check_vendor(options: NodeOptions, rmw: str) -> None:
-    """Refuse a setting that the vendor of a ROS middleware does not have."""
     middleware = ros_middleware(rmw)
     if middleware.vendor != "fastdds":
         if options.transport is not Transport.DEFAULT:
@@ -172,7 +169,6 @@ def _debian_version(package: str) -> str | None:
 
 
 def find_program(package: str, program: str) -> Path | None:
-    """Return `lib/PACKAGE/PROGRAM` of a sourced ROS 2, None if none has it."""
     paths = (Path(prefix, "lib", package, program) for prefix in _prefixes())
     return next((path for path in paths if path.is_file() and os.access(path, os.X_OK)), None)
 

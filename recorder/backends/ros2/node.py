@@ -136,7 +136,6 @@ class Ros2Node(ThreadedNode):
         ]
 
     def _is_local(self, guid: bytes) -> bool | None:
-        """Return whether Fast DDS made a GUID on this device: after the vendor it has a number of the host."""
         infos = self._node.get_publishers_info_by_topic("/parameter_events")
         own = next((bytes(info.endpoint_gid) for info in infos if info.node_name == self.options.name), b"")
         return own[:_HOST_BYTES] == guid[:_HOST_BYTES] if own[:2] == guid[:2] == _FAST_DDS else None

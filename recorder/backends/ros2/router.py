@@ -29,8 +29,6 @@ _ENDPOINT = re.compile(r"connect/endpoints\s*=\s*\[\s*\"tcp/(?P<host>\[[^\]]+\]|
 
 @dataclass(slots=True)
 class Router:
-    """Settings for the session, and the router's process if we started it."""
-
     settings: Mapping[str, str] = field(default_factory=dict)
     process: subprocess.Popen[bytes] | None = None
 

@@ -22,14 +22,12 @@ if TYPE_CHECKING:
     from ..node import RawMessage, Receive
 
 RETRY_S = 0.2
-"""Time between two attempts to reach a peer."""
 MAX_PEERS = 64
 """Most connections, or over UDP addresses, of a node."""
 MAX_GREETING_BYTES = 16_384
 MAX_TOPICS = 256
 """Most topics that a greeting names on each side; a relay has four."""
 MAX_MESSAGE_BYTES = 1 << 30
-"""Largest message."""
 MEMORY_BYTES = min(2 * MAX_MESSAGE_BYTES, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2)
 """Memory for messages under way from all peers together."""
 
@@ -39,7 +37,6 @@ UNSECURED = "connection without TLS or a certificate of ours"
 
 Address: TypeAlias = tuple[str, int]
 Receivers: TypeAlias = "Mapping[str, tuple[Receive[RawMessage], ...]]"
-"""Topic -> callbacks; looked up for each frame."""
 
 
 class PeerError(Exception):
@@ -60,7 +57,6 @@ class Greeting:
 
     @classmethod
     def from_bytes(cls, data: RawMessage) -> Greeting | None:
-        """Return the greeting in `data`, if it is one."""
         if len(data) > MAX_GREETING_BYTES:
             return None
         try:

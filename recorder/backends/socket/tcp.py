@@ -116,7 +116,6 @@ class TcpLinks:
         return send
 
     def poll(self) -> None:
-        """Make and accept connections for at most `ROUND_S`; raise the error of a callback."""
         if self._error is not None:
             raise self._error
         now_s = time.monotonic()
@@ -261,7 +260,6 @@ def _head(topic: bytes, message_bytes: int) -> bytes:
 def _deliver(
     frames: list[tuple[bytes, str, bytearray]], receivers: Receivers, delivering: FastLock
 ) -> tuple[bytes, str, int]:
-    """Call the callbacks; return head, topic and length of the last frame."""
     for _, topic, message in frames:
         with delivering:
             for receive in receivers.get(topic, ()):
@@ -295,7 +293,6 @@ class _TcpPeer:
             self._be_patient(READER_PATIENCE_S)
 
     def _be_patient(self, wait_s: float) -> None:
-        """Set how long the kernel waits for the peer to read."""
         self._connection.setsockopt(
             socket.SOL_SOCKET, socket.SO_SNDTIMEO, _TIME.pack(int(wait_s), round(wait_s % 1 * 1e6))
         )
@@ -395,7 +392,6 @@ class _TcpPeer:
         return frames
 
     def _read_frame(self, data: memoryview) -> tuple[bytes, str, bytearray, memoryview] | None:
-        """Complete the first frame; return head, topic, message and the rest of `data`."""
         parts: list[bytearray] = []
         sizes = [_HEADER.size]
         while sizes:

@@ -40,12 +40,10 @@ if TYPE_CHECKING:
 FRAGMENT_BYTES = 60_000
 """A UDP datagram has at most 65,507 bytes; Fast DDS cuts at about the same size."""
 MAX_UNFINISHED = 8
-"""Most messages of one sender that wait for fragments."""
 MAX_FRAGMENTS = -(-MAX_MESSAGE_BYTES // FRAGMENT_BYTES)
 DATAGRAMS_A_ROUND = 256
 GREETING_S = 1.0
 FORGET_S = 10.0
-"""Silence after which a peer is forgotten."""
 
 _TIME = struct.Struct("@ll")  # struct timeval: seconds, microseconds
 _HEADER = struct.Struct("<IHHH")  # message, fragment, fragments, bytes of the name; then name and fragment
@@ -56,8 +54,6 @@ UNKNOWN = "datagram of an address that did not return its cookie"
 
 @dataclass
 class _UdpPeer:
-    """A peer's last greeting, and its messages that lack fragments."""
-
     greeting: Greeting = field(default_factory=Greeting)
     heard_s: float = 0.0
     unfinished: dict[int, dict[int, bytes]] = field(default_factory=dict)
@@ -210,7 +206,7 @@ class UdpLinks:
         if greeting is None:
             raise ValueError(MALFORMED)
         if not is_relay:
-            cookie = self._cookie_of(address)
+            cookie = hmac.new(self._secret, repr(address).encode(), "sha256").hexdigest()[:_COOKIE_DIGITS]
             if not self._is_listening:
                 raise ValueError(UNKNOWN)
             if not hmac.compare_digest(greeting.cookie, cookie):
@@ -224,9 +220,6 @@ class UdpLinks:
             peer = self._peers[address] = _UdpPeer()
             self._greet(address)
         peer.greeting, peer.heard_s = greeting, time.monotonic()
-
-    def _cookie_of(self, address: Address) -> str:
-        return hmac.new(self._secret, repr(address).encode(), "sha256").hexdigest()[:_COOKIE_DIGITS]
 
     def interrupt(self) -> None:
         """Do nothing: sending never blocks."""

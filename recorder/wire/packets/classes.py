@@ -39,7 +39,6 @@ class WireClass(str, Enum):
 RANK = {kind: number for number, kind in enumerate(WireClass)}
 DISCOVERY = frozenset((WireClass.SPDP, WireClass.SEDP, WireClass.LIVELINESS))
 AGAIN = {WireClass.DATA: WireClass.DATA_AGAIN, WireClass.DATA_FRAG: WireClass.DATA_FRAG_AGAIN}
-"""Class of a first sending -> class of a repetition."""
 
 _BUILTIN_KIND = 0xC0
 """Bits of an entity id's last octet that mark discovery (DDSI-RTPS 2.5, table 9.1)."""
@@ -81,8 +80,6 @@ _MODULUS = 1 << 32
 
 
 class TcpFlows:
-    """Flows, one per direction, with the highest sequence number seen."""
-
     def __init__(self) -> None:
         self._next: dict[Hashable, int] = {}
 

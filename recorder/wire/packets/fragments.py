@@ -9,7 +9,6 @@ from typing import Generic, NamedTuple, TypeVar
 from .rtps import LONGEST_FIELDS_BYTES, Submessage, walk_submessages
 
 REMEMBERED_DATAGRAMS = 4096
-"""Unfinished datagrams remembered at once."""
 
 Owner = TypeVar("Owner")
 
@@ -47,7 +46,6 @@ class FragmentTable(Generic[Owner]):
         self._datagrams: dict[Hashable, _Datagram[Owner]] = {}
 
     def begin(self, key: Hashable, owner: Owner, datagram_bytes: int, next_at: int, carried: bytes = b"") -> None:
-        """Note a first fragment: the owner of later ones, and where the first unread submessage header begins."""
         self._datagrams.pop(key, None)  # a reused identification becomes the newest
         if len(self._datagrams) >= REMEMBERED_DATAGRAMS:
             self._datagrams.pop(next(iter(self._datagrams)))

@@ -61,8 +61,6 @@ _LENGTH, _HEADER, _NEXT, _KIND, _HIGH_BYTE = range(5)
 
 
 class PortRange(NamedTuple):
-    """Ports from `first` to `last`, both included."""
-
     first: int
     last: int
 
@@ -153,7 +151,6 @@ def _branch(load: str, position: int, test: str, value: int, target: str) -> lis
 
 
 def _ports_match(ports: Sequence[PortRange], target: str) -> list[_Step]:
-    """Jump to `target` if either port is in a range; X contains the IP header's length."""
     steps = []
     for side in (0, 2):
         steps.append(_Step("ldh_x", _ETHERNET + side))

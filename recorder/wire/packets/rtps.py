@@ -46,12 +46,6 @@ class Submessage(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """Submessages of one piece of a packet.
-
-    Attributes:
-        next_at: index of the first header that is not; `end` if there is none.
-    """
-
     submessages: list[Submessage]
     next_at: int
 

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -110,7 +111,7 @@ def test_payload_is_not_in_the_ring(own):
     secret = b"nobody but the reader may see this"
     del options
     port = out.getsockname()[1]
-    with PacketRing("lo", wire_program([], []), block_timeout_ms=20) as ring:
+    with closing(PacketRing("lo", wire_program([], []), block_timeout_ms=20)) as ring:
         out.send(rtps(data(1, bytes(500) + secret * 50)))
         deadline = time.monotonic() + 20
         seen = b""

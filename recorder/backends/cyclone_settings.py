@@ -11,8 +11,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ..applied.asked import configuration_texts
 from ..choices import Discovery
-from ..security.dds_documents import LAST_SECURED_DOMAIN
-from ..security.keys import enclave
+from ..security.keys import LAST_SECURED_DOMAIN, enclave
 from .sizes import VENDORS_SIZES, Sizes
 
 if TYPE_CHECKING:

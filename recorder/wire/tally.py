@@ -13,10 +13,9 @@ from ..payloads.stamp import PROBE_RUN_ID, Stamp
 from .counts import Beginnings, RunTally
 from .messages import MULTICAST, Copy, SendLedger, SentSample, message_row, message_rows, pack_rows, stamp_at
 from .packets.classes import AGAIN, RANK, TcpFlows, WireClass, class_of
-from .packets.fragments import FragmentTable, Piece
 from .packets.frames import TCP, UDP, Frame, FrameBatch, read_frames
 from .packets.packet_filter import PortRange
-from .packets.rtps import HEADER_BYTES, INFO_DST, PREFIX_BYTES, Submessage, walk_submessages
+from .packets.rtps import HEADER_BYTES, INFO_DST, PREFIX_BYTES, FragmentTable, Piece, Submessage, walk_submessages
 
 _PACKET_OTHERHOST, _PACKET_OUTGOING = 3, 4  # <linux/if_packet.h>
 _UDP_BYTES = 8

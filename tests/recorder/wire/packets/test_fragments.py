@@ -3,9 +3,8 @@ from __future__ import annotations
 import pytest
 from wire_packets import PREFIX, data, data_frag, heartbeat, info_ts, rtps, submessage, udp
 
-from dds_trace.recorder.wire.packets import fragments
-from dds_trace.recorder.wire.packets.fragments import FragmentTable, Piece
-from dds_trace.recorder.wire.packets.rtps import DATA_FRAG, HEARTBEAT, walk_submessages
+from dds_trace.recorder.wire.packets import rtps as packets_rtps
+from dds_trace.recorder.wire.packets.rtps import DATA_FRAG, HEARTBEAT, FragmentTable, Piece, walk_submessages
 
 BEFORE = 3000
 """Bytes of other packets before each fragment."""
@@ -91,7 +90,7 @@ def test_a_datagram_ends_with_its_last_fragment():
 
 
 def test_of_too_many_unfinished_datagrams_the_oldest_goes(monkeypatch):
-    monkeypatch.setattr(fragments, "REMEMBERED_DATAGRAMS", 2)
+    monkeypatch.setattr(packets_rtps, "REMEMBERED_DATAGRAMS", 2)
     table = FragmentTable()
     datagram = several(1344)
     for key in "abc":

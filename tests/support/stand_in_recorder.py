@@ -51,7 +51,7 @@ def main():
         print("a first line", flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
     if behaviour in UNTIL_STOPPED:
-        print("serves domain", flush=True)
+        print(f"relay {os.environ.get('STAND_IN_RELAY', '0000beef')} serves domain", flush=True)
         (FOLDER / f"waiting-{cell}").touch()
         wait_for(lambda: told_to_stop)
         (FOLDER / f"waiting-{cell}").unlink(missing_ok=True)

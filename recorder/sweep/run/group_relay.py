@@ -13,7 +13,7 @@ from ...roles.ping import MAX_RELAYS
 from ..folder import segment_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
     from ..station.devices import RelayDevice, StartedProgram
 
@@ -53,6 +53,7 @@ class GroupRelay:
         self._waits = waits
         self._segments: list[str] = []
         self._running: dict[str, StartedProgram] = {}
+        self._killed_ids: set[int | None] = set()
         self._hopeless: CellFailedError | None = None
 
     def serve(self) -> str:
@@ -68,7 +69,7 @@ class GroupRelay:
             if self._half is not None:
                 self._running["bridge's half"] = self._device.start_half(self._half, segment)
             until_s = time.monotonic() + DEFAULT_WAIT_S * self._waits
-            while time.monotonic() < until_s and not all(one.is_serving for one in self._running.values()):
+            while time.monotonic() < until_s and None in self._relay_ids():
                 self.check()
                 time.sleep(START_POLL_S)
         return self.segment
@@ -87,6 +88,21 @@ class GroupRelay:
             self._hopeless = failure
         raise failure
 
+    def _relay_ids(self) -> set[int | None]:
+        return {program.relay_id for name, program in self._running.items() if name.startswith("relay")}
+
+    def check_answers(self, relay_ids: Collection[int]) -> None:
+        """Raise a `CellFailedError` if only relays of somebody else answered: in one domain a ping takes any relay's replies.
+
+        Ours was slower then, and its trace has nothing of the run. The next attempt waits until ours serves.
+        """
+        if relay_ids and not self._device.keeps_traces and not (self._relay_ids() | self._killed_ids) & {*relay_ids}:
+            self._waits = True
+            names = ", ".join(f"{relay_id:08x}" for relay_id in relay_ids)
+            raise CellFailedError(
+                f"another relay answered ({names}), not this sweep's; end what else serves the domain, or give [run] domain another number"
+            )
+
     @property
     def segment(self) -> str:
         return self._segments[-len(self._arguments)]
@@ -97,6 +113,7 @@ class GroupRelay:
 
     def kill(self) -> None:
         """Kill the relay, so that the next `serve` starts another one."""
+        self._killed_ids |= self._relay_ids()
         self._running.pop("relay").kill()
         self.end()
 

@@ -36,6 +36,7 @@ class CellResult:
         achieved_rate_hz: rate of publishing, None with fewer than two messages.
         rtt_ms: percentile (`p50` ... `p99.9`) -> T2 - T1, None without replies; likewise `response_ms`, T2 - T0.
         cut_off: whether the run ended before its schedule.
+        relay_ids: the relays that answered.
         not_applied: requested settings that the ping's middleware did not use, in words.
     """
 
@@ -51,6 +52,7 @@ class CellResult:
     cut_off: bool
     not_applied: str = ""
     returned_bytes: int = 0
+    relay_ids: tuple[int, ...] = ()
 
     @property
     def loss_percent(self) -> float:
@@ -97,6 +99,7 @@ def read_result(path: Path) -> CellResult:
         dropped_events=sum(session.dropped_events for session in trace.sessions),
         cut_off=len(all_sent) < run.planned_messages,
         not_applied="; ".join(_words_not_applied(trace)),
+        relay_ids=tuple(np.unique(replies.relay_id).tolist()),
     )
 
 

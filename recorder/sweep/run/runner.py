@@ -292,6 +292,7 @@ class Runner:
         results = [
             self._read(draft, programs[cell], ended[cell], cut_off=cell in cut_off) for cell, draft in drafts.items()
         ]
+        relay.check_answers({relay_id for result in results for relay_id in result.relay_ids})
         link = self._store(drafts, results)
         self._estimate.measured(next(iter(drafts)), time.monotonic() - began_s)
         return results, link

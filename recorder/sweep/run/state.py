@@ -118,7 +118,9 @@ class SweepState:
                 name: replace(
                     CellState(**cell),
                     status=Status(cell["status"]),
-                    result=CellResult(**cell["result"]) if cell["result"] else None,
+                    result=CellResult(**{**cell["result"], "relay_ids": tuple(cell["result"].get("relay_ids", ()))})
+                    if cell["result"]
+                    else None,
                     link=cell["link"] or None,
                     outage=cell.get("outage") or None,
                     further=tuple(cell.get("further") or ()),

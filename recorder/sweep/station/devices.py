@@ -25,8 +25,8 @@ class StartedProgram(Protocol):
         """Exit code, None while it runs."""
 
     @property
-    def is_serving(self) -> bool:
-        """Whether it has started, as far as that is known."""
+    def relay_id(self) -> int | None:
+        """The number of a relay in its replies, None before it serves."""
 
     def stop(self) -> object:
         """End the program and wait until its trace is closed."""
@@ -157,7 +157,7 @@ class _PrintedProgram:
 
     failure = None
     exit_code = None
-    is_serving = True
+    relay_id = None
 
     def stop(self) -> None:
         """Do nothing."""

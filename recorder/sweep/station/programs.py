@@ -37,6 +37,7 @@ LAST_WORDS_BYTES = 4096
 MOST_LOG_BYTES = 64 << 20
 """Largest log of a program on another device."""
 
+_SERVING = re.compile(rf"relay ([0-9a-f]{{8}}) {SERVING}")
 _REASON = re.compile(r"dds-\w+: ")
 
 
@@ -98,8 +99,10 @@ class Program:
         return None if self.exit_code is None else self.last_words()
 
     @property
-    def is_serving(self) -> bool:
-        return SERVING in self.log.read_text(errors="replace")
+    def relay_id(self) -> int | None:
+        """The number of a relay in its replies, as its log has it; None before it serves."""
+        serving = _SERVING.search(self.log.read_text(errors="replace"))
+        return None if serving is None else int(serving[1], 16)
 
     def wait(self, timeout_s: float) -> int | None:
         with contextlib.suppress(subprocess.TimeoutExpired):

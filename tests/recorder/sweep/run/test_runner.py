@@ -156,6 +156,18 @@ def test_cells_whose_relay_part_is_lost_are_not_complete(desk):
     assert desk.traces == files_of(FIRST, SECOND)
 
 
+def test_replies_of_another_relay_in_the_domain_are_not_taken(desk, monkeypatch):
+    monkeypatch.setenv("STAND_IN_RELAY", "00000001")
+    missing = desk.sweep().missing
+    assert list(missing) == [FIRST, SECOND]
+    assert all(reason.startswith("another relay answered (0000beef)") for reason in missing.values())
+    assert desk.started == {FIRST: 2, SECOND: 2, "relay": 4}
+    assert desk.traces == []
+    monkeypatch.delenv("STAND_IN_RELAY")
+    assert desk.sweep().missing == {}
+    assert desk.traces == files_of(FIRST, SECOND)
+
+
 def test_full_disk_ends_the_sweep_and_the_next_one_goes_on_with_the_relays_trace(desk, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")

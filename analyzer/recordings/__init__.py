@@ -1,1 +1,1 @@
-"""Recordings that are not ours: rate, gaps, jitter, size and age of every topic."""
+"""Foreign recordings: rate, gaps, jitter, size and age of every topic."""

@@ -1,4 +1,4 @@
-"""The health of one recording: every topic's losses, what stopped all of them, what its clocks did, and what is broken."""
+"""The health of a recording: losses by topic, what stopped all of them, what its clocks did, what is broken."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .periods import Hole, Int64
 from .rows import Row, ages, qos_words, sizes, timing
 
 OTHER_CLOCK_NS = DAY_NS
-"""Median age from which on stamps are of another clock (a simulation's, or of another day)."""
+"""Median age of stamps of another clock (a simulation's, or of another day)."""
 
 _MOST_HOLES = 1000
 STRIP_PARTS = 60
@@ -27,7 +27,7 @@ WHOLE, HOLES, DAMAGED = "whole", "holes", "damaged"
 """Verdicts, the worst last."""
 
 _PAUSE_MESSAGES = 20
-"""Messages that all topics together should have had in a pause of the recorder."""
+"""Least messages that all topics together lack in a pause of the recorder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +35,8 @@ class RecordingHealth:
     """One recording: `start_ns` since 1970, `coverage` the share of its time outside of pauses of all topics.
 
     Attributes:
-        damages: what is broken; `notes` what else is worth a word.
-        pauses: start and length in seconds of the times in which all topics stopped.
+        damages: what is broken; `notes`: what else is worth a word.
+        pauses: start and length in s of times in which all topics stopped.
     """
 
     path: str

@@ -1,4 +1,4 @@
-"""What the clocks of a recording did: which one its times are of, and where one was set or ran over."""
+"""The clocks of a recording: which one its times are of, and where one was set or ran over."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COUNTERS = {"ns": 1, "us": 1_000, "ms": 1_000_000}
 
 
 def of_one_clock(log_ns: Int64) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Return which ascending log times are of the recording's clock, not at the time 0 of a simulation before its start."""
+    """Return which ascending log times are of the recording's clock, not at time 0 of a simulation."""
     gaps = np.flatnonzero(np.diff(log_ns) > _APART_NS)
     edges = np.concatenate([[0], gaps + 1, [len(log_ns)]])
     largest = int(np.argmax(np.diff(edges)))
@@ -37,7 +37,7 @@ def is_simulated(start_ns: int) -> bool:
 
 
 def set_back(topic: str, log_ns: Int64) -> Iterator[str]:
-    """Yield a note if log times in stored order go back by more than a second."""
+    """Yield a note if stored log times go back by more than a second."""
     steps_ns = np.diff(log_ns)
     if len(steps_ns) and steps_ns.min() < -_JUMP_NS:
         times = counted(int((steps_ns < -_JUMP_NS).sum()), "time")

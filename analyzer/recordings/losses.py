@@ -1,4 +1,4 @@
-"""The messages of one topic that are missing, from what the recording has: counters, the recorder's own counts, or the period."""
+"""Missing messages of one topic, by counters, the recorder's own counts, or the period."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NONE = -(2**63)
 LOST_TYPE = "rosbag2_interfaces/msg/MessagesLostEvent"
 _MOST_PUBLISHERS = 8
 _QUIET = 0.15
-"""Jitter of the log times, in periods, from which on stamps or publish times are looked at, too."""
+"""Jitter of log times, in periods, above which stamps or publish times are looked at, too."""
 
 _LARGEST_STEP = 100_000
 _STOPPED_PERIODS, _STOPPED_NS = 3.0, 10**9
@@ -23,7 +23,7 @@ _STOPPED_PERIODS, _STOPPED_NS = 3.0, 10**9
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """What is known to be missing of a topic, within the interval `low` to `high`; None where nothing is known.
+    """What is missing of a topic, within `low` to `high`; None where nothing is known.
 
     `evidence` is `sequence`, `period`, `recorder` (rosbag2's own counts) or empty.
     """
@@ -39,7 +39,7 @@ class Losses:
 
 @dataclass(slots=True)
 class TopicTimes:
-    """The messages of one topic by log time: each an array of the same length, `NONE` for a value that a message lacks."""
+    """Messages of one topic by log time, as arrays of one length; `NONE` for a value that a message lacks."""
 
     log_ns: Int64
     publish_ns: Int64
@@ -65,7 +65,7 @@ class TopicTimes:
         return losses
 
     def _by_sequence(self) -> int | None:
-        """Return the messages that a counter passes over; None without a counter."""
+        """Return what a counter passes over; None without a counter."""
         missing, is_counter = 0, False
         for publisher in np.unique(self.publisher)[:_MOST_PUBLISHERS].tolist():
             steps = np.diff(self.sequence[self.publisher == publisher])
@@ -127,7 +127,7 @@ class TopicTimes:
         return np.sort(best), shift_ns
 
     def _is_clock_step(self, hole: Hole) -> bool:
-        """Return whether the stamps go on across a hole: then the recorder's clock was set, and nothing is missing."""
+        """Return whether stamps go on across a hole: the recorder's clock was set, and nothing is missing."""
         at = int(np.searchsorted(self.log_ns, hole.start_ns))
         if not 0 < at < len(self.stamp_ns) or NONE in (self.stamp_ns[at], self.stamp_ns[at - 1]):
             return False
@@ -135,7 +135,7 @@ class TopicTimes:
 
 
 def _by_key(times_ns: Int64, keys: Int64) -> list[Regularity]:
-    """Return the regularity of each publisher, nothing unless there are several and all are regular."""
+    """Return the regularity of each publisher; nothing unless several are there and all regular."""
     names, counts = np.unique(keys, return_counts=True)
     if not 1 < len(names) <= _MOST_PUBLISHERS or counts.min() < 8:
         return []
@@ -170,7 +170,7 @@ def lost_by_recorder(data: bytes) -> Iterator[tuple[str, int, int]]:
 
 
 def arrival_jitter_ns(log_ns: Int64, regularity: Regularity | None) -> float | None:
-    """Return the robust deviation of the intervals between log times; None of a single message."""
+    """Return the robust deviation of log intervals; None of a single message."""
     lag = regularity.in_pattern if regularity else 1
     if len(log_ns) <= lag:
         return None

@@ -1,4 +1,4 @@
-"""Messages of any recording (rosbag1, rosbag2, MCAP) by topic: times, size and header stamp."""
+"""Messages of rosbag1, rosbag2 or MCAP by topic: times, size and header stamp."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SUFFIXES = (".mcap", ".bag", ".bag.active", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 def find_recordings(path: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:
-    """Find all `.mcap`, `.bag` and `.db3` files and rosbag2 folders in a folder and below it, sorted; or the path itself.
+    """Find `.mcap`, `.bag`, `.db3` files and rosbag2 folders below a folder, sorted; or the path itself.
 
     Raises:
         MissingEventsError: there is no such file or folder.
@@ -62,10 +62,9 @@ _COLUMNS = ("log_ns", "publish_ns", "stamp_ns", "payload_bytes", "sequence", "pu
 
 @dataclass(slots=True)
 class TopicMessages:
-    """The messages of one topic while a recording is read: 64 bytes each; `bound_ns` is of stamps on the recorder's clock.
+    """Messages of one topic, 64 bytes each; `bound_ns` is of stamps on the recorder's clock.
 
-    Publishers of one topic differ by `publisher` (rosbag1) or by the `frame` of their headers, where they do; messages of unlike
-    `content` are not copies of each other.
+    Publishers differ by `publisher` (rosbag1) or perhaps by `frame`; messages of unlike `content` are no copies.
     """
 
     topic: RecordedTopic
@@ -99,7 +98,7 @@ class TopicMessages:
                 self.lost[topic] = before[0] + transport, before[1] + recorder
 
     def column(self, name: str) -> Int64:
-        """Return a column in stored order; `NONE` for a value that a message lacks."""
+        """In stored order; `NONE` for a value that a message lacks."""
         return np.frombuffer(self.columns[name], np.int64)
 
     @property
@@ -109,7 +108,7 @@ class TopicMessages:
         return int((keys[:, 1:] == keys[:, :-1]).all(axis=0).sum())
 
     def times(self, first_ns: int, last_ns: int, lost: tuple[int, int] | None) -> TopicTimes:
-        """Return the messages of the recording's clock by log time, all of them if none is."""
+        """Return messages of the recording's clock by log time, all if none is."""
         log_ns = self.column("log_ns")
         order = np.argsort(log_ns, kind="stable")  # chunks may overlap in time
         inside = order[(log_ns[order] >= first_ns) & (log_ns[order] <= last_ns)]
@@ -129,13 +128,13 @@ def _readers_of(topic: RecordedTopic) -> tuple[Callable[[bytes], int | None] | N
 
 
 def _frame(data: bytes) -> bytes:
-    """Return the frame of a header: publishers of one topic often differ by it."""
+    """Return the frame of a header: publishers often differ by it."""
     size = int.from_bytes(data[12:16], "little")
     return data[16 : 16 + size] if size < _LONGEST_FRAME_BYTES else b""
 
 
 @cache
 def _definition_of(name: str) -> str:
-    """Return the definition of a type that ROS 2 itself has, with those that it is made of; empty for others."""
+    """Return the definition of a ROS 2 type, with its parts; empty for others."""
     store = get_typestore(Stores.LATEST)
     return store.generate_msgdef(name)[0] if name in store.fielddefs else ""

@@ -1,7 +1,7 @@
-"""How regular a topic is, and so how many of its messages are missing, and where.
+"""How regular a topic is, and so how many messages are missing, and where.
 
 A publisher with a timer sends one message a period: an interval of k periods lacks k - 1. Several publishers on one topic, or a driver
-that sends batches, repeat a pattern of m messages. What has neither has no period, and nothing is known to be missing.
+that sends batches, repeat a pattern of m messages. Other topics have no period, and nothing is known to be missing.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ Float64 = NDArray[np.float64]
 
 _FEWEST = 8
 _TOLERANCE = 0.35
-"""Deviation of an interval, in mean intervals, up to which it is one period."""
+"""Deviation, in mean intervals, of an interval of one period."""
 
 _LEAST_SHARE = 0.5
 _MOST_IN_PATTERN = 16
 _STEADY = 20
-"""So many equal intervals in a row are another rate, not losses."""
+"""So many equal intervals are another rate, not losses."""
 
 _MOST_PAUSED = 2.5
-"""Expected messages per message from which on a topic that pauses again and again is not periodic."""
+"""Expected messages per message of a topic that pauses too often to be periodic."""
 
 _MOST_TWICE = 0.9
-"""Expected messages per message below which a pattern is not one."""
+"""Least expected messages per message of a pattern."""
 
 _NEIGHBOURS, _PHASE_LOST = 8, 0.65
-"""Messages on either side whose phase is compared, and by how many periods it must differ."""
+"""Messages on either side whose phases must differ, and by how many periods."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """Time without the messages that were due; `start_ns` is when the first of them was."""
+    """Time without messages that were due, the first of them at `start_ns`."""
 
     start_ns: int
     duration_ns: int
@@ -69,7 +69,7 @@ def spread(values: Int64 | Float64) -> float:
 
 
 def find_regularity(times_ns: Int64) -> Regularity | None:
-    """Return the regularity of ascending times; None of a topic without a period."""
+    """Return the regularity of ascending times; None without a period."""
     patterns = [pattern for m in range(1, _MOST_IN_PATTERN + 1) if (pattern := _pattern(times_ns, m)) is not None]
     if not patterns:
         return None
@@ -106,7 +106,7 @@ def _has_hole(part: Regularity, hole: Hole) -> bool:
 
 
 class _Pattern(NamedTuple):
-    """A pattern of `length` messages that a `share` of the intervals have, and the messages that it expects."""
+    """A pattern of `length` messages, the `share` of intervals that have it, and the messages that it expects."""
 
     length: int
     period_ns: float
@@ -189,7 +189,7 @@ def _one_rate(times_ns: Int64, period_ns: float) -> Regularity:
 
 
 def _extremes(regular_ns: Int64, period_ns: float) -> tuple[float, float]:
-    """Return the slowest and the fastest period, as means of 32 intervals."""
+    """Slowest and fastest period, as means of 32 intervals."""
     if len(regular_ns) < 64:
         return period_ns, period_ns
     means = regular_ns[: len(regular_ns) // 32 * 32].reshape(-1, 32).mean(axis=1)
@@ -222,7 +222,8 @@ def _several(times_ns: Int64, period_ns: float, in_pattern: int) -> Regularity:
         missing = max(expected - len(times_ns), 0)
     else:
         since = (times_ns - times_ns[0]) / period_ns
-        last = int(np.flatnonzero(np.abs(since - np.rint(since)) < 0.1)[-1])  # the last one at the place of the first
+        # Wraps around: the last index is the first.
+        last = int(np.flatnonzero(np.abs(since - np.rint(since)) < 0.1)[-1])
         missing = max(round(float(since[last])) * in_pattern - last, 0)
     periods_ns = times_ns[in_pattern:] - times_ns[:-in_pattern]
     gaps = np.flatnonzero(intervals_ns > usual_ns + 0.8 * period_ns)

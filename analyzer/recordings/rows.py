@@ -1,4 +1,4 @@
-"""Rows of the table of topics: rate, sizes and ages of what was received."""
+"""Rows of topics: rate, sizes and ages of what was received."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .losses import NONE
 from .periods import Int64
 
 Row = dict[str, str | int | float | None]
-"""Column of `TOPIC_SCHEMA` -> value; a column that is missing is null."""
+"""Column of `TOPIC_SCHEMA` -> value; others are null."""
 
 
 GAP_PERIODS = 2.0
@@ -87,7 +87,7 @@ _QOS_NUMBERS = {
 
 
 def qos_words(profiles: str) -> str:
-    """Return the first QoS profile of a recording's YAML in words: `reliable, volatile, keep_last 10`."""
+    """Return the first QoS profile of YAML in words: `reliable, volatile, keep_last 10`."""
     found: dict[str, str] = {}
     for key, value in _QOS_KEYS.findall(profiles):
         found.setdefault(key, _QOS_NUMBERS.get(key, {}).get(value, value))

@@ -1,4 +1,4 @@
-"""Topics of other recordings, and whether the recordings are whole: what is missing, where, and what is broken."""
+"""Topics of other recordings, and whether these are whole: what is missing, where, what is broken."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ __all__ = ["GAP_PERIODS", "STRIP_PARTS", "TopicReport", "analyze_topics"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopicReport:
-    """The topics of some recordings, and the recordings with what was wrong with them.
+    """Topics, and the recordings with what was wrong with them.
 
     `rate_hz` = (messages - 1) / duration, `expected_rate_hz` while no message is missing; `jitter_ns` a robust standard deviation of the
     intervals between log times (1.4826 median deviations); `gaps` over `GAP_PERIODS` medians; `missing` null where nothing is known
     (not periodic, no counter), `missing_inside` while all topics stopped; `age_from` `header` (log time - header stamp), `publish` (log
     time - publish time) or null; `age_negative` logged before their stamp; `age_bound_ns` the largest error of corrected ages, null for others; `stamps_backwards` header stamps older than the previous one.
 
-    `strips` has for each row of `topics` the share of the time without holes in `STRIP_PARTS` equal parts of the recording.
+    `strips` has by row of `topics` the share of time without holes in `STRIP_PARTS` equal parts of the recording.
     """
 
     topics: pl.DataFrame
@@ -60,7 +60,7 @@ class StampCorrector(Protocol):
     def corrections(
         self, topics: Mapping[str, tuple[Int64, Int64]]
     ) -> tuple[Mapping[str, tuple[Int64, Int64]], list[str]]:
-        """Return stamps on the recorder's clock and their bounds by topic, and notes, from log times and stamps."""
+        """From log times and stamps: stamps on the recorder's clock and bounds by topic, and notes."""
 
 
 def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[str]:

@@ -1,1 +1,1 @@
-"""Topics of others as taps recorded them: joined over devices, with latency and age on one clock."""
+"""Topics as taps recorded them: joined over devices, with latency and age on one clock."""

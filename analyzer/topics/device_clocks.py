@@ -1,4 +1,4 @@
-"""The clocks of all devices of a folder: instants of one on the clock of another, over others where needed, each with its bound.
+"""The clocks of all devices of a folder: instants of one on another's clock, over others where needed, with bounds.
 
 `StampClock` places the header stamps of a bag on its recorder's clock (`--clock runs/`).
 """
@@ -24,11 +24,11 @@ from ..clocks.track import UNKNOWN_NS, ClockTrack, track_clock
 from ..pairing.rows import RowStore
 
 ANCHOR_NS = 5_000
-"""Error of a reading of wall and monotonic clock one after the other."""
+"""Error of reading wall and monotonic clock one after the other."""
 
 _SAME_ZERO_NS = 2_000_000_000
 _THINNED_NS = 100_000_000
-"""Of each such time only the fastest message shapes a fit."""
+"""Only the fastest message of each such time shapes a fit."""
 
 
 class Machine(NamedTuple):
@@ -43,7 +43,7 @@ def machine_of_session(session: Session) -> Machine:
 
 
 class Instants(NamedTuple):
-    """Instants on one clock in ns, and the largest error of each; `UNKNOWN_NS` where it is not known."""
+    """Instants on one clock in ns, and the largest error of each; `UNKNOWN_NS` where unknown."""
 
     at_ns: Int64
     bound_ns: Int64
@@ -60,7 +60,7 @@ class _Link:
 
 
 class DeviceClocks:
-    """Clocks of the machines that recorded `sessions`, fitted by the round trips `rows` of `runs`."""
+    """Clocks of the machines of `sessions`, fitted by the round trips `rows` of `runs`."""
 
     def __init__(self, sessions: Collection[Session], runs: Collection[Run], rows: RowStore) -> None:
         self._anchors: dict[Machine, list[tuple[int, int]]] = defaultdict(list)
@@ -94,7 +94,7 @@ class DeviceClocks:
         return Instants(at_ns, bound_ns)
 
     def of_wall(self, wall_ns: Int64, machine: Machine) -> Instants:
-        """Return instants of a machine's wall clock on its monotonic one, by the nearest readings of both.
+        """Return instants of the wall clock on the monotonic one, by the nearest readings of both.
 
         The bound includes by how much the wall clock was set between two readings.
         """
@@ -109,14 +109,14 @@ class DeviceClocks:
         )
 
     def to_wall(self, at_ns: Int64, machine: Machine) -> Instants:
-        """Return instants of a machine's monotonic clock on its wall clock; see `of_wall`."""
+        """The inverse of `of_wall`."""
         anchors = sorted(self._anchors[machine])
         zero_ns = anchors[0][0] - anchors[0][1]
         back = self.of_wall(at_ns + zero_ns, machine)
         return Instants(at_ns + zero_ns + (at_ns - back.at_ns), back.bound_ns)
 
     def share_clock(self, one: Machine, other: Machine) -> bool:
-        """Return whether two machines are one, by its boot, and no messages between them say otherwise."""
+        """Return whether two machines are one by boot, and no messages between them say otherwise."""
         if one == other:
             return True
         if not one.boot_id or one.boot_id != other.boot_id:
@@ -128,7 +128,7 @@ class DeviceClocks:
         return abs((first[0] - first[1]) - (second[0] - second[1])) < _SAME_ZERO_NS
 
     def _path(self, start: Machine, end: Machine) -> list[list[_Link]] | None:
-        """Return the links of the shortest way from one machine to another; machines of one clock are one step without links."""
+        """Return the links of the shortest way between machines; those of one clock are a step without links."""
         paths: dict[Machine, list[list[_Link]]] = {start: []}
         left = deque([start])
         while left:
@@ -187,7 +187,7 @@ def _joined(pair: tuple[Machine, Machine], messages: pl.DataFrame) -> RelayedMes
 _KEYS = ("stamped", "recorded", "topics")
 
 MOST_EARLY = 0.01
-"""Share of the messages of a topic that may be received before they were stamped, if its stamps are of the device."""
+"""Share of messages that may be received before they were stamped, if stamps are of the device."""
 
 
 MUCH_OLDER_NS = 1_000_000_000
@@ -195,7 +195,7 @@ MUCH_OLDER_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class ClockRequest:
-    """What `--clock` asks for: a folder of traces, perhaps the devices that stamped and recorded, and a pattern of topics."""
+    """The request of `--clock`: a folder of traces, perhaps devices that stamped and recorded, a pattern of topics."""
 
     folder: Path
     stamped: str = ""
@@ -221,7 +221,7 @@ class ClockRequest:
 
 
 class StampClock:
-    """The clocks by which stamps of a bag are placed on the clock of its recorder."""
+    """Clocks that place stamps of a bag on its recorder's clock."""
 
     def __init__(self, request: ClockRequest, sessions: Sequence[Session], runs: Sequence[Run], rows: RowStore) -> None:
         self._request = request
@@ -243,7 +243,7 @@ class StampClock:
             )
 
     def corrections(self, topics: Mapping[str, tuple[Int64, Int64]]) -> tuple[dict[str, Instants], list[str]]:
-        """Return for each topic its stamps on the recorder's clock, and notes; left out are topics of other stamps.
+        """Return each topic's stamps on the recorder's clock, and notes; topics of other stamps are left out.
 
         Args:
             topics: name -> log times and stamps, both ns since 1970.
@@ -290,7 +290,7 @@ class StampClock:
         return placed_topics
 
     def _is_local(self, log_ns: Int64, stamp_ns: Int64, placed_ns: Int64) -> bool:
-        """Return whether stamps are of the recorder's own clock: without a correction the ages are possible, and much smaller."""
+        """Return whether stamps are of the recorder's clock: uncorrected ages are possible, and much smaller."""
         is_possible = (log_ns < stamp_ns).mean() <= MOST_EARLY
         return self._request.topics == "*" and is_possible and np.median(stamp_ns - placed_ns) > MUCH_OLDER_NS
 

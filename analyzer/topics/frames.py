@@ -1,4 +1,4 @@
-"""Tables of what taps heard: a row for each message, for each topic and pair of devices, and for each hop of a chain."""
+"""Tables of what taps heard, by message, by topic and pair of devices, and by hop of a chain."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TOPIC_SCHEMA = frame_schema(
     + " ".join(f"{metric}_{statistic}_ns:f64" for metric in TOPIC_METRICS for statistic in _STATISTICS)
     + " bound_ns:i64"
 )
-"""`ping_device` is the publisher's, `relay_device` the tap's; `bound_ns` the largest of its messages. `jitter_ns` is 1.4826 times the
+"""`ping_device` is the publisher's, `relay_device` the tap's; `bound_ns` the largest. `jitter_ns` is 1.4826 times the
 median absolute deviation of the intervals between arrivals."""
 
 
@@ -73,7 +73,7 @@ def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
 
 
 def _with_parameters(delivery: Delivery) -> pl.DataFrame:
-    """Return the messages with the columns of round trips; size and rate, which the robot chooses, are no part of the key."""
+    """Return messages with columns of round trips; size and rate, the robot's choice, are no part of the key."""
     session, qos = delivery.heard.session, delivery.heard.qos
     values: dict[str, ParameterValue] = {
         "vendor": session.vendor,

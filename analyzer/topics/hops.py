@@ -1,4 +1,4 @@
-"""Chains of topics: messages that carry the header stamp of the ones that they were made of, and what each hop takes."""
+"""Chains of topics, whose messages carry the header stamp of their sources, and what each hop takes."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ HOP_SCHEMA = frame_schema(
     "chain:u32 hop:u32 topic:str next_topic:str from_event:str to_event:str ping_device:str relay_device:str messages:u64 "
     "p50_ns:f64 p99_ns:f64 max_ns:f64 bound_ns:i64"
 )
-"""What each hop of a chain takes: `stamp` to `publish`, `publish` to `receive`, `receive` to the next topic's `publish`."""
+"""By hop: `stamp` to `publish`, `publish` to `receive`, `receive` to the next topic's `publish`."""
 
 LEAST_CHAINED = 0.5
-"""Share of a topic's messages whose header stamp an earlier topic had, if they are made of its messages."""
+"""Share of messages whose header stamp an earlier topic had, if made of its messages."""
 
 _QUANTILES = {"p50": (0.5, 1), "p90": (0.9, 10), "p99": (0.99, 100), "max": (1.0, 1)}
 """Statistic -> quantile, and the values that it takes."""
@@ -34,7 +34,7 @@ def origin_name(delivery: Delivery) -> str:
 
 
 def find_sources(deliveries: Sequence[Delivery]) -> dict[int, int]:
-    """Return for each delivery, by index, the one whose messages became its messages: the last one received before it."""
+    """Return for each delivery, by index, the one that it was made of: the last one received before it."""
     sources = {}
     for number, later in enumerate(deliveries):
         earlier_ones = []
@@ -64,7 +64,7 @@ def stamper(number: int, deliveries: Sequence[Delivery], sources: Mapping[int, i
 
 
 def hop_rows(deliveries: Sequence[Delivery], sources: Mapping[int, int]) -> Iterator[dict[str, object]]:
-    """Yield the rows of `HOP_SCHEMA`, chain by chain: one for each delivery with ages that is not on the way to another."""
+    """Yield rows of `HOP_SCHEMA`, by chain: one for each delivery with ages that is on the way to no other."""
     has_age = [one.messages["age_ns"].null_count() < len(one.messages) for one in deliveries]
     ends = [number for number, is_aged in enumerate(has_age) if is_aged and number not in sources.values()]
     for chain, end in enumerate(ends):

@@ -1,7 +1,7 @@
-"""Messages of a publisher at all taps that heard it: which are the same, where they came from, when each tap had them.
+"""Messages of a publisher at all its taps: which are the same, their origin, when each tap had them.
 
-The same message has the same publisher and sequence number at each tap; without numbers the same source stamp and content; after
-a bridge, which publishes again, the same content. Contents that repeat are then not joined.
+A message has one publisher and sequence number at each tap; without numbers one source stamp and content; after a bridge,
+which publishes again, one content. Contents that repeat are then not joined.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from .device_clocks import DeviceClocks, Machine
 from .taps import Heard
 
 LEAST_ALIKE = 0.5
-"""Share of the messages of the shorter of two streams that the other has, if a bridge made one of the other."""
+"""Share of the shorter of two streams that the other has, if a bridge made one of the other."""
 
 OTHER_CLOCK_NS = 86_400 * 1_000_000_000
-"""Age from which on a header stamp is of another clock (a simulation's)."""
+"""Age of a header stamp of another clock (a simulation's)."""
 
 FASTEST = 0.05
-"""Quantile of how late a tap is that decides which one is next to the publisher."""
+"""Quantile of lateness that decides which tap is next to the publisher."""
 
 _MOST_MISSING = 1_000
-"""Missing numbers in a row, or ten for each message that was heard; beyond, the publisher counts from the start."""
+"""Missing numbers in a row, or ten for each message heard; beyond, the publisher counts from the start."""
 
 NOT_BOUNDED_NS = UNKNOWN_NS // 4
-"""Bound from which on a time is unknown; sums of two fit into 64 bits."""
+"""Bound of an unknown time; sums of two fit into 64 bits."""
 
 Key = tuple[str, ...]
 SEQUENCE, SOURCE, CONTENT = ("publication_sequence",), ("source_ns", "content_hash"), ("content_hash",)
@@ -40,7 +40,7 @@ SEQUENCE, SOURCE, CONTENT = ("publication_sequence",), ("source_ns", "content_ha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """One publisher at all taps that heard it, and the columns that identify its messages."""
+    """One publisher at all its taps, and the columns that identify its messages."""
 
     heard: tuple[Heard, ...]
     key: Key
@@ -179,9 +179,9 @@ def _missing_numbers(sequence: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceClocks) -> tuple[Machine | None, bool]:
-    """Return the publisher's machine, None if unknown, and whether nothing but its being the only one speaks for it.
+    """Return the publisher's machine, None if unknown, and whether it is only assumed, being the only one.
 
-    The tap next to it may know. Else it is the only machine whose clock can have made the stamps, else the one whose tap hears
+    The tap next to it may know. Else it is the only machine whose clock can have made the stamps, else the one that hears
     messages first.
     """
     local = {one.machine for one in stream.heard if one.is_local}
@@ -208,7 +208,7 @@ def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceCloc
     ]
     all_taps = pl.concat(heard_by).with_columns(late_ns=pl.col("at_ns") - pl.col("at_ns").min().over(stream.key))
     both = all_taps.filter(pl.len().over(stream.key) > 1)
-    # The fastest of the messages show the way, most others wait for a processor.
+    # The fastest messages show the way, others wait for a processor.
     fastest = both.group_by("tap").agg(pl.col("late_ns").quantile(FASTEST), pl.col("late_ns").mean().alias("mean_ns"))
     taps = fastest.sort("late_ns", "mean_ns", "tap")["tap"]
     return (stream.heard[taps[0]].machine if len(taps) else None), False
@@ -229,7 +229,7 @@ def _can_be_origin(stream: Stream, arrivals: Sequence[pl.DataFrame], origin: Mac
 def _with_publish(
     stream: Stream, arrivals: Sequence[pl.DataFrame], sent: pl.DataFrame, machine: Machine, clocks: DeviceClocks
 ) -> pl.DataFrame:
-    """Add when each message was published on its publisher's clock, and the bound: by its stamp, else by a tap next to it."""
+    """Add each publish time on the publisher's clock, and its bound: by stamp, else by a tap next to it."""
     source_ns = sent["source_ns"].fill_null(0).to_numpy()
     stamped = clocks.of_wall(source_ns, machine)
     at_ns = np.where(source_ns == 0, 0, stamped.at_ns)
@@ -283,7 +283,7 @@ def _messages(
 
 
 def with_ages(delivery: Delivery, stamper: Machine, clocks: DeviceClocks) -> Delivery:
-    """Add the age of each message, by stamps of `stamper`, and the time from its stamp to its publishing."""
+    """Add ages, by stamps of `stamper`, and times from stamp to publishing."""
     messages, origin = delivery.messages, delivery.origin
     if origin is None or delivery.clock == "unknown":
         return delivery
@@ -314,7 +314,7 @@ def _in_service(messages: pl.DataFrame, settled_ns: int) -> pl.DataFrame:
 
 
 def _not_before(value_ns: Int64, bound_ns: Int64) -> Int64:
-    """Return times that are not below zero, if their bound allows it: nothing arrives before it is sent."""
+    """Raise times below zero as far as their bound allows: nothing arrives before it is sent."""
     return np.where((value_ns < 0) & (value_ns >= -bound_ns), 0, value_ns)
 
 

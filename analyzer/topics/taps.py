@@ -1,4 +1,4 @@
-"""What taps heard: the events of each publisher at each tap, with what its record says."""
+"""What taps heard: events of each publisher at each tap, and its record."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ TAP_ROLE = "tap"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Heard:
-    """The messages of one publisher as one tap received them.
+    """One publisher's messages at one tap.
 
     Attributes:
-        publisher: its GUID, empty if the middleware does not give it.
+        publisher: its GUID, empty if the middleware gives none.
         messages: by reception; i64 `received_ns` on the tap's monotonic clock, `header_ns` and `source_ns` (0 if unknown),
             u64 `content_hash` and `publication_sequence` (0 if unknown), u32 `payload_bytes`.
         is_local: whether the publisher runs on the tap's device; None if unknown.

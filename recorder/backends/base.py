@@ -13,6 +13,7 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from ..choices import Call, Discovery, ExecutorKind, Security, Transport, WhenFull
 from ..domains import check_domain_id, first_port
 from ..host.environment import MiddlewareEnvironment, watched_configuration
+from ..security.keys import LAST_SECURED_DOMAIN
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -130,6 +131,10 @@ class Backend:
         if options.security is not Security.OFF and options.security not in self.security:
             levels = ", ".join(level.value for level in (Security.OFF, *self.security))
             raise OptionError(f"--security {options.security.value}: the backend {self.name} only has {levels}")
+        if options.security is not Security.OFF and self.speaks_dds and options.domain_id > LAST_SECURED_DOMAIN:
+            raise OptionError(
+                f"--domain {options.domain_id}: secured domains are at most {LAST_SECURED_DOMAIN}; choose another"
+            )
         self.own_variables(options)
         if options.peers and self.meeting is Meeting.DISCOVERY:
             raise OptionError(f"--peer {options.peers[0]}: the backend {self.name} discovers its peers; remove --peer")

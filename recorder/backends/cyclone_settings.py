@@ -7,11 +7,11 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dds_trace.base.errors import BackendUnavailableError, OptionError
+from dds_trace.base.errors import BackendUnavailableError
 
 from ..applied.asked import configuration_texts
 from ..choices import Discovery
-from ..security.keys import LAST_SECURED_DOMAIN, enclave
+from ..security.keys import enclave
 from .sizes import VENDORS_SIZES, Sizes
 
 if TYPE_CHECKING:
@@ -120,10 +120,6 @@ def security_settings(options: NodeOptions) -> str:
         raise BackendUnavailableError(
             f"--security {options.security.value}: this Cyclone DDS has no security plugins, as none from pip has; build the package "
             "cyclonedds 0.10.2 against Debian's cyclonedds-dev (docs/how-to/security.md)"
-        )
-    if options.domain_id > LAST_SECURED_DOMAIN:
-        raise OptionError(
-            f"--domain {options.domain_id}: secured domains are at most {LAST_SECURED_DOMAIN}; choose another"
         )
     return _SECURITY.format(enclave(options.keys, listens=options.listens), plugins)
 

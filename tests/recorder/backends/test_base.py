@@ -8,7 +8,7 @@ from dds_trace.base.errors import OptionError
 from dds_trace.recorder.backends import BACKEND_MODULES, installed_middlewares, load_backend, load_backends
 from dds_trace.recorder.backends.base import Meeting
 from dds_trace.recorder.backends.node import NodeOptions
-from dds_trace.recorder.choices import Discovery, ExecutorKind, Transport
+from dds_trace.recorder.choices import Discovery, ExecutorKind, Security, Transport
 
 LOCAL = {"domain_id": 3, "discovery": Discovery.LOCALHOST}
 
@@ -55,6 +55,14 @@ def test_an_option_without_a_meaning_is_refused_and_named(name, more, is_known, 
     else:
         with pytest.raises(OptionError, match=line.format(name)):
             backend.check(options)
+
+
+@pytest.mark.parametrize("name", ["ros2", "cyclonedds"])
+def test_a_secured_domain_is_one_that_the_governance_covers(name):
+    backend, secured = load_backend(name), {**LOCAL, "security": Security.SIGN}
+    backend.check(NodeOptions(**{**secured, "domain_id": 230}))
+    with pytest.raises(OptionError, match="at most 230"):
+        backend.check(NodeOptions(**{**secured, "domain_id": 231}))
 
 
 def test_the_relays_address_is_this_device_unless_given():

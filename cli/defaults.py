@@ -76,9 +76,9 @@ class Default:
 
 def find_files() -> list[Path]:
     """Return the files of defaults, the first one counts most; only the file of `VARIABLE` if it is set."""
-    named = os.environ.get(VARIABLE)
-    if named is not None:
-        return [Path(named)] if named else []
+    variable = os.environ.get(VARIABLE)
+    if variable is not None:
+        return [Path(variable)] if variable else []
     nearest = next((path for folder in _folders() if (path := folder / FILE_NAME).is_file()), None)
     paths = [path for path in (nearest, _own_file()) if path is not None]
     return [path for path in dict.fromkeys(paths) if path.is_file()]
@@ -126,20 +126,22 @@ def _read(path: Path, table: str, options: Mapping[str, bool]) -> dict[str, obje
         raise OptionError(f"{path} is larger than {_MOST_BYTES >> 20} MiB, which no file of defaults is")
     root = TomlTable.parse(text, str(path))
     root.allow(*TABLES)
-    own = root.table(table)
+    entries = root.table(table)
     allowed = [name for name in options if name not in _WITHOUT_DEFAULT]
-    for key, value in own.values.items():
+    for key, value in entries.values.items():
         if key in _WITHOUT_DEFAULT and key in options:
-            raise OptionError(f"{own.where}: {key} has no default; give --{key} each time")
-        own.allow(*allowed)
+            raise OptionError(f"{entries.where}: {key} has no default; give --{key} each time")
+        entries.allow(*allowed)
         if isinstance(value, dict) or (isinstance(value, list) and not options[key]):
-            raise OptionError(f"{own.where}: {key} is {limits.shown(value)}; write one value")
+            raise OptionError(f"{entries.where}: {key} is {limits.shown(value)}; write one value")
         if _is_own_only(key, value) and VARIABLE not in os.environ and path != _own_file():
             raise OptionError(
-                f"{own.where}: {key} = {limits.shown(value)} cannot come from a working folder: give --{key}, or set it in "
+                f"{entries.where}: {key} = {limits.shown(value)} cannot come from a working folder: give --{key}, or set it in "
                 f"{_own_file() or VARIABLE}; {VARIABLE}= in the environment ignores this file"
             )
-    return {key: value if isinstance(value, list) or not options[key] else [value] for key, value in own.values.items()}
+    return {
+        key: value if isinstance(value, list) or not options[key] else [value] for key, value in entries.values.items()
+    }
 
 
 def _is_own_only(key: str, value: object) -> bool:
@@ -201,7 +203,7 @@ class DefaultedCommand(TyperCommand):
         # Nothing will be done, so nothing may be missing.
         ctx.resilient_parsing = ctx.resilient_parsing or prints_config
         try:
-            rest: list[str] = super().parse_args(ctx, args)
+            remainder: list[str] = super().parse_args(ctx, args)
         except typer.BadParameter as err:
             parameter: Any = err.param
             if parameter is None or not _is_from_file(ctx, parameter.name):
@@ -221,7 +223,7 @@ class DefaultedCommand(TyperCommand):
             for path in dict.fromkeys(default.path for default in in_force.values()):
                 keys = [_key(options[name]) for name in in_force if in_force[name].path == path]
                 typer.echo(f"{ctx.info_name}: defaults of {path}: {', '.join(keys)}", err=True)
-        return rest
+        return remainder
 
     @property
     def _prints_config(self) -> bool:

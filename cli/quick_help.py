@@ -103,10 +103,10 @@ def declare_command(
     commands: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return the decorator that makes a function the command of an app; for the others see `QuickHelpCommand`."""
-    own: dict[str, Any] = {"table": table, "defaults": defaults or {}, "commands": commands or {}}
+    values: dict[str, Any] = {"table": table, "defaults": defaults or {}, "commands": commands or {}}
     if overridden is not None:
-        own["overridden"] = staticmethod(overridden)
-    command = type("Command", (QuickHelpCommand,), own)
+        values["overridden"] = staticmethod(overridden)
+    command = type("Command", (QuickHelpCommand,), values)
     names = {"help_option_names": ["-h", "--help"], "max_content_width": WIDEST_COLUMNS}
     return app.command(cls=command, context_settings=names)
 

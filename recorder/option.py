@@ -87,12 +87,12 @@ class Option:
     def is_repeatable(self) -> bool:
         return isinstance(self.field_default, tuple | dict)
 
-    def read(self, given: Any) -> object:
+    def read(self, text: Any) -> object:
         if self.field_default is True:  # --no-own-cost
             return False
         if self.parse is not None:
-            return self.parse(given)
-        return tuple(given) if self.is_repeatable else given
+            return self.parse(text)
+        return tuple(text) if self.is_repeatable else text
 
 
 _ROLES = {

@@ -59,14 +59,14 @@ def brief_lines(book: Book) -> list[Text]:
 
 def _fitted(parts: Sequence[list[Text]], more: str) -> list[Text]:
     lines: list[Text] = []
-    left = 0
+    remaining = 0
     for part in parts:
-        if left or len(lines) + len(part) > MOST_LINES - 1:
-            left += 1
+        if remaining or len(lines) + len(part) > MOST_LINES - 1:
+            remaining += 1
         else:
             lines += part
-    rest = f"{counted(left, 'more fact')}, {more}" if left else more
-    return [*lines, Text(f"--all shows {rest}", style="dim")] if more else lines
+    remainder = f"{counted(remaining, 'more fact')}, {more}" if remaining else more
+    return [*lines, Text(f"--all shows {remainder}", style="dim")] if more else lines
 
 
 def _more(book: Book) -> str:
@@ -96,7 +96,7 @@ def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterat
         if len(places) > 1:
             of = f"{len(shown)} of {len(places)}" if len(shown) < len(places) else f"each of {len(places)}"
             heading.append(f"on {of} pairs of devices and links")
-        cut = stretches(case for place in shown for case in places[place])
+        cut = stretches(case for setup in shown for case in places[setup])
         sizes = [size for stretch in cut for size in stretch.sizes]
         lines = _wrapped(" ".join(heading), "", "bold")
         for stretch in by_outcome(cut) if len(cut) > MOST_NAMED else cut:
@@ -141,7 +141,9 @@ def _thresholds(book: Book) -> list[Text]:
     lines = _wrapped(f"{sizes.deadline[:1].upper()}{sizes.deadline[1:]}", "", "bold")
     order, passed = ["fail", "not known", "pass"], []
     for index, choice in enumerate(sizes.choices):
-        judged = [(one, rows.place) for rows in sizes.places if rows.thresholds and (one := rows.thresholds[index])]
+        judged = [
+            (result, rows.place) for rows in sizes.places if rows.thresholds and (result := rows.thresholds[index])
+        ]
         worst, place = min(judged, key=lambda pair: order.index(pair[0].outcome), default=(None, ""))
         if worst is None or worst.outcome == "pass":
             passed += [choice] if worst else []

@@ -71,8 +71,12 @@ def _table(sizes: SizeTable, room: int) -> str:
         if len(start) + sum(map(len, bodies)) + len(body) > room:
             break
         bodies.append(body)
-    left = len(sizes.places) - len(bodies)
-    more = f" And {counted(left, 'more pair of devices and link', 'more pairs of devices and links')}." if left else ""
+    remaining = len(sizes.places) - len(bodies)
+    more = (
+        f" And {counted(remaining, 'more pair of devices and link', 'more pairs of devices and links')}."
+        if remaining
+        else ""
+    )
     if not bodies:
         return f"<p style='{_SOFT}'>The table of sizes is too long for a cell of a notebook.</p>"
     return f"{start}{''.join(bodies)}</table><p style='{_SOFT}'>{escape(HOW_TO_READ)}{more}</p>"
@@ -121,8 +125,8 @@ def comparison_screen(comparison: Comparison) -> str:
         if sum(map(len, rows)) > room:
             rows.pop()
             break
-    left = len(info.groups) - len(rows)
-    more = f"<p style='{_SOFT}'>And {counted(left, 'more result')}.</p>" if left else ""
+    remaining = len(info.groups) - len(rows)
+    more = f"<p style='{_SOFT}'>And {counted(remaining, 'more result')}.</p>" if remaining else ""
     return (
         f"<div>{top}<table><thead><tr><th></th>{names}</tr></thead><tbody>{''.join(rows)}</tbody></table>{more}</div>"
     )

@@ -98,8 +98,8 @@ def _advice(book: Book) -> list[RenderableType]:
         mark, color = _FIT_MARKS.get(fit, OPEN)
         grid.add_row(f"{number:2}.", Text(mark, style=color), Text.assemble(f"{setting}: {fit}; ", (numbers, "dim")))
     parts: list[RenderableType] = [Text(f"Job: {advice.job}"), Text(advice.sentence, style="bold"), grid]
-    left = len(advice.rows) - len(rows)
-    parts += [Text(f"and {counted(left, 'more setup')}: --all", style="dim")] if left else []
+    remaining = len(advice.rows) - len(rows)
+    parts += [Text(f"and {counted(remaining, 'more setup')}: --all", style="dim")] if remaining else []
     parts += [Text(advice.missing)] if advice.missing else []
     for device, command in advice.commands:
         lines = textwrap.wrap(command, WIDTH - 6, break_on_hyphens=False, break_long_words=False)

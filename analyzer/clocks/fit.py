@@ -158,10 +158,10 @@ class _Points:
         if same_clock is None:
             same_clock = messages.ping_device == messages.relay_device
         for block in _blocks(len(messages.publish_ns)):
-            taken = block if order is None else order[block]
-            published_ns, received_ns = messages.publish_ns[taken], messages.receive_ns[taken]
-            out_ns = messages.relay_in_ns[taken] - published_ns  # upper end of theta
-            back_ns = messages.relay_out_ns[taken] - received_ns  # lower end
+            chosen = block if order is None else order[block]
+            published_ns, received_ns = messages.publish_ns[chosen], messages.receive_ns[chosen]
+            out_ns = messages.relay_in_ns[chosen] - published_ns  # upper end of theta
+            back_ns = messages.relay_out_ns[chosen] - received_ns  # lower end
             if (back_ns > out_ns).any():
                 raise ValueError("a message spent more time in the relay than under way: leave it out of the fit")
             same_clock = same_clock and bool(out_ns.min() >= 0 and back_ns.max() <= 0)
@@ -292,13 +292,13 @@ def _segments(
     return tuple(segments), tuple(steps)
 
 
-def _segment(time: Float64, windows: Windows, own: slice, fit_points: _Points) -> ClockSegment:
-    at, offset, bound = windows.time[own], windows.offset[own], windows.bound[own]
+def _segment(time: Float64, windows: Windows, stretch: slice, fit_points: _Points) -> ClockSegment:
+    at, offset, bound = windows.time[stretch], windows.offset[stretch], windows.bound[stretch]
     if len(at) > 1:
         drift = (offset[-1] - offset[0]) / (at[-1] - at[0])
         drift_bound = (bound[-1] + bound[0]) / (at[-1] - at[0])
     else:
-        gentle, steep = windows.steepness[own.start]
+        gentle, steep = windows.steepness[stretch.start]
         drift, drift_bound = (steep + gentle) / 2, (steep - gentle) / 2
     at_ns = (fit_points.time_origin_ns + np.rint(at).astype(np.int64)).tolist()
     offset_ns = (fit_points.offset_origin_ns + np.rint(offset).astype(np.int64)).tolist()

@@ -155,8 +155,8 @@ class Boundary:
         """Return the greatest height of any line at `time`: shape (windows, instants), the centre being zero."""
         reached = self.height[:, :1] + self.slope[:, :1] * time
         for piece in range(1, self.slope.shape[1]):
-            own = slice(piece, piece + 1)
-            np.maximum(reached, self.height[:, own] + self.slope[:, own] * time, out=reached)
+            row = slice(piece, piece + 1)
+            np.maximum(reached, self.height[:, row] + self.slope[:, row] * time, out=reached)
         return reached
 
     def take(self, windows: Bools | Intp | slice) -> Boundary:

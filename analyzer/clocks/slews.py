@@ -103,8 +103,8 @@ def find_slews(stretches: Sequence[Stretch], at_ns: Int64, offset_ns: Int64, bou
         is_own = (at_ns >= stretch.start_ns) & (at_ns <= stretch.end_ns)
         if position not in slewed and is_bent(at_ns[is_own], offset_ns[is_own], bound_ns[is_own]):
             knots = _few(is_own)
-            own = at_ns[knots], offset_ns[knots], bound_ns[knots]
-            both = [_of_best_pair(position + 1, position + 1, way, *own) for way in (1, -1)]
+            at_knots = at_ns[knots], offset_ns[knots], bound_ns[knots]
+            both = [_of_best_pair(position + 1, position + 1, way, *at_knots) for way in (1, -1)]
             yield max(both, key=lambda slew: abs(slew.rate_ppm) - slew.bound_ppm)
 
 

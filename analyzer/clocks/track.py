@@ -68,10 +68,10 @@ class ClockTrack:
         for number, piece in enumerate(self.pieces):
             begin = piece.time[0] - (REACH_NS if number == 0 else 0)
             end = piece.time[-1] + (REACH_NS if number == len(self.pieces) - 1 else 0)
-            here = (time >= begin) & (time <= end)
-            low, high = piece.ends_at(time[here])
-            offset_ns[here] = self.offset_origin_ns + np.rint((low + high) / 2).astype(np.int64)
-            bound_ns[here] = np.ceil((high - low) / 2 + 0.5).astype(np.int64)
+            is_inside = (time >= begin) & (time <= end)
+            low, high = piece.ends_at(time[is_inside])
+            offset_ns[is_inside] = self.offset_origin_ns + np.rint((low + high) / 2).astype(np.int64)
+            bound_ns[is_inside] = np.ceil((high - low) / 2 + 0.5).astype(np.int64)
         return ClockOffsets(offset_ns, bound_ns)
 
     def at_relay(self, relay_ns: Int64) -> ClockOffsets:
@@ -93,12 +93,12 @@ def track_clock(messages: RelayedMessages) -> ClockTrack:
         first, after = np.searchsorted(windows.start, (start, stop)).tolist()
         if first == after:
             continue
-        own = slice(first, after)
+        span = slice(first, after)
         time = np.stack(
-            [fitted.time[windows.start[own]], windows.time[own], fitted.time[windows.stop[own] - 1]], axis=1
+            [fitted.time[windows.start[span]], windows.time[span], fitted.time[windows.stop[span] - 1]], axis=1
         )
-        middle = np.stack([windows.first[own, 0], windows.offset[own], windows.last[own, 0]], axis=1)
-        half = np.stack([windows.first[own, 1], windows.bound[own], windows.last[own, 1]], axis=1)
+        middle = np.stack([windows.first[span, 0], windows.offset[span], windows.last[span, 0]], axis=1)
+        half = np.stack([windows.first[span, 1], windows.bound[span], windows.last[span, 1]], axis=1)
         pieces.append(
             _Piece(
                 time.ravel(),

@@ -194,9 +194,9 @@ def _are_bent(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) ->
 def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> None:
     following = np.append(start[1:], stop[-1])
     for first, after in _blocks(start, stop, _CACHED_MESSAGES):
-        own = slice(first, after)
+        span = slice(first, after)
         here = slice(int(start[first]), int(following[after - 1]))
-        edges, part = (start[own], stop[own], following[own]), lines.take(own)
+        edges, part = (start[span], stop[span], following[span]), lines.take(span)
         x = points.time[here] - np.repeat(part.centre, edges[2] - edges[0])
         low = _least(-points.lower[here], part.below, *edges, x)
         np.negative(low, out=low)

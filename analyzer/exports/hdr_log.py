@@ -99,10 +99,10 @@ def _packed_counts(counts: NDArray[np.int64]) -> Iterator[bytes]:
 
 
 def _leb128(value: int) -> bytes:
-    left = (value << 1) ^ (value >> 63)
+    encoded = (value << 1) ^ (value >> 63)
     text = bytearray()
-    while left >= 0x80 and len(text) < 8:
-        text.append(left & 0x7F | 0x80)
-        left >>= 7
-    text.append(left)
+    while encoded >= 0x80 and len(text) < 8:
+        text.append(encoded & 0x7F | 0x80)
+        encoded >>= 7
+    text.append(encoded)
     return bytes(text)

@@ -91,12 +91,12 @@ def _module(name: str) -> Any:
 
 EXPORT_KINDS: Mapping[str, Callable[[Analysis, Path], list[Path]]] = {
     **{kind: lambda analysis, folder, kind=kind: export_tables(analysis, kind, folder) for kind in EXPORTERS},  # type: ignore[misc]
-    "openmetrics": lambda one, folder: [
-        write_text_file(folder / "openmetrics.txt", _module("openmetrics").openmetrics_text(one))
+    "openmetrics": lambda analysis, folder: [
+        write_text_file(folder / "openmetrics.txt", _module("openmetrics").openmetrics_text(analysis))
     ],
-    "hdr": lambda one, folder: [write_text_file(folder / "latency.hlog", _module("hdr_log").hdr_log(one))],
-    "perfetto": lambda one, folder: [
-        write_file(folder / "timeline.pftrace", partial(_module("perfetto").write_perfetto, one))
+    "hdr": lambda analysis, folder: [write_text_file(folder / "latency.hlog", _module("hdr_log").hdr_log(analysis))],
+    "perfetto": lambda analysis, folder: [
+        write_file(folder / "timeline.pftrace", partial(_module("perfetto").write_perfetto, analysis))
     ],
 }
 

@@ -46,7 +46,7 @@ def write_perfetto(analysis: Analysis, path: Path) -> None:
     from perfetto.protos.perfetto.trace.perfetto_trace_pb2 import TrackEvent  # noqa: PLC0415 - optional
     from perfetto.trace_builder.proto_builder import StreamingTraceProtoBuilder  # noqa: PLC0415 - optional
 
-    slices = sorted(timeline_slices(analysis), key=lambda one: (one.begin_ns, one.end_ns))
+    slices = sorted(timeline_slices(analysis), key=lambda part: (part.begin_ns, part.end_ns))
     tracks: dict[tuple[str, str, int], int] = {}
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
     with path.open("wb") as file:
@@ -137,7 +137,9 @@ class _Reference:
     """The wall clock of the first device, on which the instants of all devices are expressed."""
 
     def __init__(self, analysis: Analysis) -> None:
-        self._zero_ns = {one.device: one.wall_anchor_ns - one.monotonic_anchor_ns for one in analysis.sessions}
+        self._zero_ns = {
+            session.device: session.wall_anchor_ns - session.monotonic_anchor_ns for session in analysis.sessions
+        }
         pings = ping_wall_offsets(analysis.sessions, analysis.runs)
         knots = analysis.details.clock_knots.filter(pl.col("run_id").is_in(list(pings))).sort("at_ns")
         self._first = knots["ping_device"][0] if len(knots) else next(iter(self._zero_ns), "")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def _sources(evidence: Evidence) -> pl.DataFrame:
     sources = evidence.campaign.sources
-    return frame_of([{"where": one.path, "status": one.status, "detail": one.detail} for one in sources])
+    return frame_of([{"where": source.path, "status": source.status, "detail": source.detail} for source in sources])
 
 
 SOURCES = Rows(Subject.FILE, _sources, named)

@@ -87,7 +87,7 @@ def _complete(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def _by_relay(group: int, runs: Sequence[Sequence[Exchange]], rows: pl.DataFrame) -> list[dict[str, object]]:
-    devices = {exchange.relay_id: exchange.relay.device for one in runs for exchange in one if exchange.relay}
+    devices = {exchange.relay_id: exchange.relay.device for run in runs for exchange in run if exchange.relay}
     out = pl.col("outbound_ns")
     after_first, before_last = out - out.min().over(_MESSAGE), out.max().over(_MESSAGE) - out
     complete = _complete(rows).with_columns(after_first=after_first, before_last=before_last)
@@ -135,7 +135,11 @@ def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame) -> dict[st
             percent = during.filter(pl.col("session_id").is_in(sessions))["node_cpu_percent"].mean()
             values[name] += [percent] if isinstance(percent, float) else []
         classes = objects_of(object_of(run.extra.get("wire")).get("classes"))
-        sent = sum(number_of(one.get("bytes")) or 0 for one in classes if one.get("direction") != "received")
+        sent = sum(
+            number_of(class_counts.get("bytes")) or 0
+            for class_counts in classes
+            if class_counts.get("direction") != "received"
+        )
         values["wire"] += [sent / run.published / len(exchanges)] if classes and run.published else []
         met = object_of(run.extra.get("discovery"))
         values["matched"] += [max(times)] if (times := _numbers(met.get("matched_ns"))) else []

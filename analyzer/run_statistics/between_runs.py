@@ -83,7 +83,7 @@ def units_of_runs(group: Runs, statistics: Sequence[Statistic]) -> list[Units | 
     tails: dict[float | None, list[Tail]] = {}
     tails.update(zip(quantiles, tails_of(group, quantiles), strict=True))
     units = [units_of(group, statistic, tails.get(statistic.quantile)) for statistic in statistics]
-    return [one if len(one) >= MIN_RUNS else None for one in units]
+    return [unit if len(unit) >= MIN_RUNS else None for unit in units]
 
 
 def units_of(runs: Runs | Sequence[Run], statistic: Statistic, tails: list[Tail] | None = None) -> Units:
@@ -120,8 +120,8 @@ def _joined_where_short(runs: Sequence[Run], needs: int) -> list[Run]:
             groups.append([])
         groups[-1].append(run)
     if len(groups) > 1 and sum(map(len, groups[-1])) < needs:
-        rest = groups.pop()
-        groups[-1] += rest
+        remainder = groups.pop()
+        groups[-1] += remainder
     return [joined_runs(group) for group in groups if group]
 
 

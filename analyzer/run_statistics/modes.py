@@ -55,15 +55,15 @@ def find_warm_up(values: NDArray[Any]) -> WarmUp | None:
     left_out = mser_truncation(batches)
     if not left_out:
         return WarmUp(0, 1.0, 1.0)
-    start, rest = batches[:left_out], batches[left_out:]
-    difference = float(start.mean() - rest.mean())
-    head = float(start[: max(1, len(start) // 4)].mean() - rest.mean())
-    count = len(rest) // left_out
-    windows = rest[: count * left_out].reshape(count, left_out).mean(axis=1) - rest.mean()
+    start, remainder = batches[:left_out], batches[left_out:]
+    difference = float(start.mean() - remainder.mean())
+    head = float(start[: max(1, len(start) // 4)].mean() - remainder.mean())
+    count = len(remainder) // left_out
+    windows = remainder[: count * left_out].reshape(count, left_out).mean(axis=1) - remainder.mean()
     if head / difference < HEAD_SHARE or abs(difference) <= np.abs(windows).max():
         return WarmUp(0, 1.0, 1.0)
-    variance = max(float(rest.var(ddof=1)), long_run_variance(rest))
-    error = math.sqrt(variance * (1 / len(start) + 1 / len(rest)))
+    variance = max(float(remainder.var(ddof=1)), long_run_variance(remainder))
+    error = math.sqrt(variance * (1 / len(start) + 1 / len(remainder)))
     t = abs(difference) / error if error else math.inf
     return WarmUp(left_out * BATCH, math.exp(difference), 2 * student_cdf(-t, COSINES))
 
@@ -78,12 +78,12 @@ def mser_truncation(series: Float64) -> int:
     """Return the d <= n / 4 that minimizes `sum (x - mean)^2 / (n - d)^2` without the first d values."""
     n = len(series)
     centred = series - series.mean()
-    left = np.arange(n, 0, -1)
+    at_risk = np.arange(n, 0, -1)
     sums = np.cumsum(centred[::-1])[::-1]
     squares = np.cumsum(np.square(centred)[::-1])[::-1]
-    about_mean = squares - sums * sums / left
+    about_mean = squares - sums * sums / at_risk
     about_mean[about_mean <= n * np.finfo(np.float64).eps * squares[0]] = 0  # equal values leave rounding only
-    criterion = about_mean / (left * left)
+    criterion = about_mean / (at_risk * at_risk)
     return int(np.argmin(criterion[: n // 4 + 1]))
 
 

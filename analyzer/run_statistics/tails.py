@@ -106,15 +106,15 @@ def indices_beyond(
     `offsets`; `thresholds` are of each series one for each quantile.
     """
     indices: dict[float, Indices] = {}
-    wider, rest, ends = None, values, offsets
+    wider, remainder, ends = None, values, offsets
     by_quantile = zip(quantiles, zip(*thresholds, strict=True), strict=True)
     for quantile, by_series in sorted(by_quantile, key=itemgetter(0)):
         spans = pairwise(ends.tolist())
-        parts = [one.is_beyond(rest[start:end]) for one, (start, end) in zip(by_series, spans, strict=True)]
+        parts = [tail.is_beyond(remainder[start:end]) for tail, (start, end) in zip(by_series, spans, strict=True)]
         inside = np.concatenate(parts).nonzero()[0]
         indices[quantile] = inside if wider is None else wider[inside]
         if by_series[0].is_upper:
-            wider, rest = indices[quantile], rest[inside]
+            wider, remainder = indices[quantile], remainder[inside]
             ends = wider.searchsorted(offsets)
     return [indices[quantile] for quantile in quantiles]
 

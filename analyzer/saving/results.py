@@ -91,13 +91,13 @@ def _open_drafts(folder: Path, stack: ExitStack) -> Path:
 @contextmanager
 def _finished_results(folder: Path) -> Iterator[None]:
     with folder_lock(folder, fcntl.LOCK_EX, _LOCK_S) as is_ours:
-        for left in sorted(folder.iterdir()) if is_ours else ():
-            if _DRAFTS.fullmatch(left.name) and left.is_dir() and not left.is_symlink():
-                with folder_lock(left, fcntl.LOCK_EX) as is_dead, suppress(OSError):
-                    if is_dead and _is_ours(left):
-                        if left.suffix == ".whole":
-                            _move_results(left)
-                        _remove(left)
+        for leftover in sorted(folder.iterdir()) if is_ours else ():
+            if _DRAFTS.fullmatch(leftover.name) and leftover.is_dir() and not leftover.is_symlink():
+                with folder_lock(leftover, fcntl.LOCK_EX) as is_dead, suppress(OSError):
+                    if is_dead and _is_ours(leftover):
+                        if leftover.suffix == ".whole":
+                            _move_results(leftover)
+                        _remove(leftover)
         yield
 
 

@@ -117,8 +117,8 @@ def explain(pairs: Pairs, medians: Medians, *, is_ratio: bool, confidence: float
     layers = {key: rises.pop(key) for key in (MACHINE, NATIVE, CLIENT) if key in rises}
     adjusted = 1 - (1 - confidence) / max(1, len(rises))
     removed = [sums.effect(name, _minus(whole, varied), whole, adjusted) for name, varied in rises.items()]
-    effects = tuple(one for one in removed if one is not None)
-    causes = [one for one in effects if rise.is_sure and one.is_sure and one.share >= LEAST_SHARE]
+    effects = tuple(removal for removal in removed if removal is not None)
+    causes = [effect for effect in effects if rise.is_sure and effect.is_sure and effect.share >= LEAST_SHARE]
     cause = max(causes, key=lambda one: one.share).name if causes else ""
     return Answer(rise, () if is_ratio else sums.shares(whole, layers, confidence), effects, cause)
 
@@ -156,14 +156,14 @@ class _Sums:
         parts = {key: weights for key, weights in layers.items() if key != NATIVE}
         if NATIVE in layers:
             parts[CLIENT] = _minus(whole, layers[NATIVE])
-        rest = dict(whole)
+        remainder = dict(whole)
         for part in parts.values():
-            rest = _minus(rest, part)
-        parts[REST if CLIENT in parts else BOTH] = rest
+            remainder = _minus(remainder, part)
+        parts[REST if CLIENT in parts else BOTH] = remainder
         cells = {cell for part in (whole, *parts.values()) for cell in part}
         repeats = self.repeats(cells)
         common = _Sums(
             {cell: {number: self.medians[cell][number] for number in repeats} for cell in cells}, self.is_ratio
         )
         effects = (common.effect(name, part, whole, confidence) for name, part in parts.items())
-        return tuple(one for one in effects if one is not None)
+        return tuple(effect for effect in effects if effect is not None)

@@ -88,9 +88,9 @@ def columns_to_ignore(base: pl.DataFrame, new: pl.DataFrame) -> tuple[str, ...]:
     """Return the fewest columns without which unmatched groups pair and none of one side merge; empty if none do."""
     names, others = base.columns, new.rows()
     differing: Counter[tuple[str, ...]] = Counter()
-    for one in base.rows():
+    for row in base.rows():
         differing.update(
-            tuple(name for name, a, b in zip(names, one, other, strict=True) if a != b) for other in others
+            tuple(name for name, a, b in zip(names, row, other, strict=True) if a != b) for other in others
         )
     candidates = sorted(differing, key=lambda columns: (len(columns), -differing[columns]))[:_MOST_TRIED]
     for columns in candidates:

@@ -161,7 +161,7 @@ def pair_keys(before: Mapping[Key, object], after: Mapping[Key, object], match: 
     open_before = [key for key in before if key not in pairs]
     for key in open_before:
         alike = [other for other in open_after if _agree(key, other, match)]
-        if len(alike) == 1 and sum(_agree(one, alike[0], match) for one in open_before) == 1:
+        if len(alike) == 1 and sum(_agree(column, alike[0], match) for column in open_before) == 1:
             pairs[key] = alike[0]
     return {key: pairs[key] for key in before if key in pairs}
 

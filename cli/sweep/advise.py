@@ -67,9 +67,9 @@ def advise(plan: Plan, out: Path, *, as_json: bool) -> int:
         {
             "vendor": vendor,
             "kept": False,
-            **_advise(replace(plan, cells=tuple(own)), vendor, out / f"{plan.name}-advice" / vendor),
+            **_advise(replace(plan, cells=tuple(vendor_cells)), vendor, out / f"{plan.name}-advice" / vendor),
         }
-        for vendor, own in cells.items()
+        for vendor, vendor_cells in cells.items()
     ]
     print(json.dumps(advices) if as_json else "\n".join(line for advice in advices for line in _shown(advice)))
     return INCOMPLETE_EXIT_CODE if any(advice["reason"].startswith(_INCOMPLETE) for advice in advices) else 0
@@ -109,13 +109,13 @@ def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
         for number, cell in enumerate(plan.cells)
     }
     look = replace(plan, name="look", cells=tuple(tries))
-    done = run_sweep(look, folder, make_progress(plain_console(stderr=True)))
-    say_missing(done.missing)
+    outcome = run_sweep(look, folder, make_progress(plain_console(stderr=True)))
+    say_missing(outcome.missing)
     repeats = {
         replace(cell, repeat=number).name: tried for cell, tried in tries.items() for number in range(1, LOOKS + 1)
     }
-    failed = {repeats[name][0] for name in done.missing}
-    analysis = analyze(done.folder, details=False)
+    failed = {repeats[name][0] for name in outcome.missing}
+    analysis = analyze(outcome.folder, details=False)
     tried = {run.run_id: repeats[run.labels["cell"]] for run in analysis.runs}
     means = {name: mean for name, mean in first_look(analysis.load_messages(), tried).items() if name not in failed}
     return {name: mean / means[""] for name, mean in means.items() if name} if "" in means else {}
@@ -130,10 +130,10 @@ def _prove(plan: Plan, vendor: str, path: Path, folder: Path) -> Advice:
     from dds_trace.recorder.sweep.run.progress import make_progress
 
     new = replace(plan, name="after", cells=tuple(replace(cell, configuration=str(path)) for cell in plan.cells))
-    done = run_against(replace(plan, name="before"), new, folder, make_progress(plain_console(stderr=True)))
-    if missing := {**done.base.missing, **done.new.missing}:
+    outcome = run_against(replace(plan, name="before"), new, folder, make_progress(plain_console(stderr=True)))
+    if missing := {**outcome.base.missing, **outcome.new.missing}:
         return {"reason": f"{_INCOMPLETE} of {path.stem}: {next(iter(missing.values()))}"}
-    sides = (done.base.folder, done.new.folder)
+    sides = (outcome.base.folder, outcome.new.folder)
     comparison = compare(analyze(sides[0], details=False), analyze(sides[1], details=False), CompareOptions(**COMPARED))
     is_kept = pays(comparison)
     return {

@@ -51,7 +51,7 @@ def _names_without_security(*place: str) -> Iterable[str]:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("ROS_SECURITY_")}
     command = [sys.executable, "-c", _LOOK, *place]
     try:
-        done = subprocess.run(command, env=environment, capture_output=True, timeout=LOOK_PATIENCE_S, check=True)
-        return map(str, json.loads(done.stdout))
+        completed = subprocess.run(command, env=environment, capture_output=True, timeout=LOOK_PATIENCE_S, check=True)
+        return map(str, json.loads(completed.stdout))
     except (OSError, subprocess.SubprocessError, ValueError):
         return ()

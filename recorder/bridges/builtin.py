@@ -34,11 +34,11 @@ def main(configuration: Path) -> None:
     with ExitStack() as stack:
         nodes = [stack.enter_context(open_side(side, options)) for side in sides]
         forwarder = Forwarder()
-        for side, here, there in zip(sides, nodes, reversed(nodes), strict=True):
+        for side, source, there in zip(sides, nodes, reversed(nodes), strict=True):
             for name in side.takes:
                 type_name = options.type_of(name)
                 publisher = there.create_publisher(name, type_name)
-                here.create_subscription(name, type_name, forwarder.forward(publisher.publish))
+                source.create_subscription(name, type_name, forwarder.forward(publisher.publish))
         serve(nodes, forwarder, f"domains {options.ping_domain_id} and {options.relay_domain_id}")
 
 

@@ -21,9 +21,9 @@ def _configuration(options: BridgeOptions) -> str:
         **requested_durations(options.qos),  # ns
     }
     topics = {
-        name: {"type": options.type_of(name), "from_domain": here.domain_id, "to_domain": there.domain_id, "qos": qos}
-        for here, there in ((ping, relay), (relay, ping))
-        for name in here.takes
+        name: {"type": options.type_of(name), "from_domain": source.domain_id, "to_domain": there.domain_id, "qos": qos}
+        for source, there in ((ping, relay), (relay, ping))
+        for name in source.takes
     }
     return yaml_text({"name": "dds_trace_bridge", "topics": topics})
 

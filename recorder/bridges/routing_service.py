@@ -93,11 +93,11 @@ def _participant(side: BridgeSide, options: BridgeOptions) -> Element:
     )
 
 
-def _session(name: str, here: BridgeSide, there: BridgeSide, options: BridgeOptions) -> Element:
-    return element("session", *(_topic_route(topic, here, there, options) for topic in here.takes), name=name)
+def _session(name: str, source: BridgeSide, there: BridgeSide, options: BridgeOptions) -> Element:
+    return element("session", *(_topic_route(topic, source, there, options) for topic in source.takes), name=name)
 
 
-def _topic_route(name: str, here: BridgeSide, there: BridgeSide, options: BridgeOptions) -> Element:
+def _topic_route(name: str, source: BridgeSide, there: BridgeSide, options: BridgeOptions) -> Element:
     type_name = dds_name(options.type_of(name))
     stream = (
         element("registered_type_name", type_name),
@@ -106,7 +106,7 @@ def _topic_route(name: str, here: BridgeSide, there: BridgeSide, options: Bridge
     )
     return element(
         "topic_route",
-        element("input", *stream, _reader_qos(options.qos), participant=f"domain_{here.domain_id}"),
+        element("input", *stream, _reader_qos(options.qos), participant=f"domain_{source.domain_id}"),
         element("output", *stream, _writer_qos(options.qos), participant=f"domain_{there.domain_id}"),
         name=name,
     )

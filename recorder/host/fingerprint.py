@@ -96,8 +96,8 @@ def wifi_signals() -> dict[str, dict[str, float]]:
     """Return `link_quality`, `signal_dbm` and `noise_dbm` of each wireless interface with a link."""
     signals: dict[str, dict[str, float]] = {}
     for line in (read_text("/proc/net/wireless") or "").splitlines()[2:]:
-        interface, _, rest = line.partition(":")
-        values = rest.split()
+        interface, _, remainder = line.partition(":")
+        values = remainder.split()
         if len(values) >= 4:
             quality, signal, noise = (float(value.rstrip(".")) for value in values[1:4])
             signals[interface.strip()] = {"link_quality": quality, "signal_dbm": signal, "noise_dbm": noise}
@@ -137,9 +137,9 @@ def _container_name() -> str | None:
 
 def _cpu_model() -> str:
     cpuinfo = read_text("/proc/cpuinfo") or ""
-    named = re.search(r"^model name\s*:\s*(.+)$", cpuinfo, re.MULTILINE)
-    if named:
-        return named[1].strip()
+    match = re.search(r"^model name\s*:\s*(.+)$", cpuinfo, re.MULTILINE)
+    if match:
+        return match[1].strip()
     part = re.search(r"^CPU part\s*:\s*(\S+)$", cpuinfo, re.MULTILINE)  # Arm boards have no model name
     return f"{platform.machine()} part {part[1]}" if part else platform.processor() or platform.machine()
 

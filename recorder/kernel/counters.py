@@ -49,8 +49,8 @@ class MulticastGroup:
 def read_interfaces(root: Path = PROC) -> dict[str, InterfaceCounters]:
     counters = {}
     for line in _lines(root / "self/net/dev")[2:]:
-        name, _, rest = line.partition(":")
-        numbers = [int(number) for number in rest.split()]
+        name, _, remainder = line.partition(":")
+        numbers = [int(number) for number in remainder.split()]
         if len(numbers) >= 10:
             counters[name.strip()] = InterfaceCounters(numbers[8], numbers[0], numbers[9], numbers[1])
     return counters

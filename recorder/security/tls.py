@@ -82,10 +82,10 @@ class TlsSocket:
         sent = 0
         with self._using:
             for part in parts:
-                rest = memoryview(part)
-                while rest:
-                    count = self._tls.write(rest)
-                    rest, sent = rest[count:], sent + count
+                remainder = memoryview(part)
+                while remainder:
+                    count = self._tls.write(remainder)
+                    remainder, sent = remainder[count:], sent + count
             data = self._outgoing.read()
         self._connection.sendall(data)
         return sent

@@ -98,30 +98,34 @@ def _fastdds(largest_bytes: int, rate_byte_s: float) -> dict[str, str]:
             "dds_trace_udp": {"type": "UDPv4", "receiveBufferSize": _receive_bytes(), **(udp or {})},
         }
         descriptors = [{"transport_id": transport, **values} for transport, values in transports.items()]
-        own = {"userTransports": {"transport_id": list(transports)}, "useBuiltinTransports": "false", **(rtps or {})}
+        profile = {
+            "userTransports": {"transport_id": list(transports)},
+            "useBuiltinTransports": "false",
+            **(rtps or {}),
+        }
         profiles = {
             "transport_descriptors": {"transport_descriptor": descriptors},
-            'participant profile_name="dds_trace" is_default_profile="true"': {"rtps": own},
+            'participant profile_name="dds_trace" is_default_profile="true"': {"rtps": profile},
             **further,
         }
         return xml_text(
             name, {'dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"': {"profiles": profiles}}
         )
 
-    made = {
+    settings = {
         "buffers": text("buffers", {}),
         "quick-repair": text("quick-repair", quick),
         "small-packets": text("small-packets", quick, small),
     }
     if not rate_byte_s:
-        return made
+        return settings
     period_ms = max(PERIOD_MS, math.ceil(1000 * LARGEST_BYTES / (PACED_SHARE * rate_byte_s)))
     budget_bytes = round(PACED_SHARE * rate_byte_s * period_ms / 1000)
     pace = {"name": "dds_trace_pace", "max_bytes_per_period": budget_bytes, "period_ms": period_ms}
     controller = {"flow_controller_descriptor_list": {"flow_controller_descriptor": pace}}
     mode = {"publishMode": {"kind": "ASYNCHRONOUS", "flow_controller_name": "dds_trace_pace"}}
     paced = {**quick, writer: {"qos": mode, **times}}
-    return made | {
+    return settings | {
         "paced": text("paced", paced, None, controller),
         "paced-small-packets": text("paced-small-packets", paced, small, controller),
     }
@@ -133,7 +137,7 @@ def _cyclonedds(queue_bytes: float) -> dict[str, Settings]:
     quick = {**buffers, **delays}
     small = {"MaxMessageSize": f"{PACKET_BYTES}B", "FragmentSize": f"{PACKET_BYTES - 100}B"}
     large = {"MaxMessageSize": "65500B", "FragmentSize": "60000B"}
-    made = {
+    settings = {
         "buffers": {"Internal": buffers},
         "large-packets": {"General": large, "Internal": buffers},
         "quick-repair": {"Internal": quick},
@@ -142,18 +146,18 @@ def _cyclonedds(queue_bytes: float) -> dict[str, Settings]:
     if queue_bytes:
         burst = max(LARGEST_BYTES, round(queue_bytes / 2))
         bursts = {"BurstSize": {"MaxRexmit": f"{burst}B", "MaxInitTransmit": burst}}  # the latter has no unit
-        made["paced-small-packets"] = {"General": small, "Internal": {**quick, **bursts}}
-    return made
+        settings["paced-small-packets"] = {"General": small, "Internal": {**quick, **bursts}}
+    return settings
 
 
 def _zenoh(largest_bytes: int, on_the_way_bytes: float) -> dict[str, Settings]:
     unbatched: Settings = {"tx": {"queue": {"batching": {"enabled": False}}}}
     buffers = {**unbatched, "rx": {"buffer_size": max(1 << 16, min(largest_bytes, 1 << 20))}}
-    made: dict[str, Settings] = {"unbatched": {"link": unbatched}, "buffers": {"link": buffers}}
+    settings: dict[str, Settings] = {"unbatched": {"link": unbatched}, "buffers": {"link": buffers}}
     if on_the_way_bytes:
         send_bytes = max(1 << 14, min(1 << 22, round(on_the_way_bytes)))
-        made["short-queue"] = {"link": {**buffers, "tcp": {"so_sndbuf": send_bytes}}}
-    return made
+        settings["short-queue"] = {"link": {**buffers, "tcp": {"so_sndbuf": send_bytes}}}
+    return settings
 
 
 def xml_text(title: str, settings: Settings) -> str:

@@ -91,14 +91,14 @@ def run_against(
         for (side, plan), command in zip(plans.items(), commands, strict=True):
             lock = stack.enter_context(locked_folder(folder / side, progress.note))
             station = stack.enter_context(open_station(plan, folder / side, lock, show=progress.note, command=command))
-            own = _SideProgress(progress, side)
-            runners[side] = Runner(plan, folder / side, station, own, is_installed_here=command is None)
+            side_progress = _SideProgress(progress, side)
+            runners[side] = Runner(plan, folder / side, station, side_progress, is_installed_here=command is None)
         for warning in dict.fromkeys([*depth_warnings(base), *depth_warnings(new)]):
             progress.note(warning)
         for side, runner in runners.items():
             runner.prepare(cells[side])
-        done = sum(runners[side].state[cell.name].done for side in cells for cell in cells[side])
-        progress.begin(len(runs), done)
+        recorded = sum(runners[side].state[cell.name].done for side in cells for cell in cells[side])
+        progress.begin(len(runs), recorded)
         try:
             for run in runs:
                 runners[run.side].run_group(run.group, cells[run.side])

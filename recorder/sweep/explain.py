@@ -66,9 +66,9 @@ def explain_rates(plan: Plan) -> Explanation:
     Raises:
         OptionError: the plan has one rate, or conditions of its own.
     """
-    own = sorted({axis for axes in CONDITIONS.values() for axis in axes})
-    if any(getattr(cell, axis) != DEFAULTS[axis] for cell in plan.cells for axis in own):
-        raise OptionError(f"--explain-rates varies {', '.join(own)}; remove them from the plan")
+    condition_axes = sorted({axis for axes in CONDITIONS.values() for axis in axes})
+    if any(getattr(cell, axis) != DEFAULTS[axis] for cell in plan.cells for axis in condition_axes):
+        raise OptionError(f"--explain-rates varies {', '.join(condition_axes)}; remove them from the plan")
     rates = {cell.rate for cell in plan.cells}
     slow_hz, fast_hz = min(rates), max(rates)
     if slow_hz == fast_hz or math.isinf(fast_hz):
@@ -165,8 +165,8 @@ def _explanation(
     run = replace(plan.run, repeats=repeats, order=Order.ALTERNATING, own_cost_passes=1)
     cells = dict.fromkeys(cell for setup in setups for pair in setup.pairs.values() for cell in pair)
     name = f"{plan.name}-{'rates' if is_of_rates else 'size'}"
-    made = replace(plan, name=name, cells=tuple(cells), excluded=(), run=run, thresholds={})
-    return Explanation(made, tuple(setups), left_out, is_of_rates)
+    measured_plan = replace(plan, name=name, cells=tuple(cells), excluded=(), run=run, thresholds={})
+    return Explanation(measured_plan, tuple(setups), left_out, is_of_rates)
 
 
 def _name(cell: Cell) -> str:

@@ -72,7 +72,7 @@ def facets_info(groups: Groups) -> Facets:
     choice_of = [_apart_from_place(series) for series in groups.series]
     choices = tuple(dict.fromkeys(choice_of))
     names = dict(zip(choices, series_labels(choices), strict=True))
-    bridging = len({one.vendor_label for one in choices if one.domain_mode == "different"}) > 1
+    bridging = len({choice.vendor_label for choice in choices if choice.domain_mode == "different"}) > 1
 
     def choice(series: Series) -> Value:
         name, way = names[_apart_from_place(series)], domain_label(series)

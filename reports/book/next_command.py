@@ -121,7 +121,7 @@ def _option(name: str, value: str) -> tuple[str, ...]:
 
 
 def _spelled(variables: Mapping[str, str], arguments: list[str]) -> str:
-    named = [f"{key}={shlex.quote(printable(_HASH.sub('', value)))}" for key, value in sorted(variables.items())]
+    assignments = [f"{key}={shlex.quote(printable(_HASH.sub('', value)))}" for key, value in sorted(variables.items())]
     role = arguments[arguments.index("--role") + 1]
     words = ["dds-record", *arguments, "--out", f"runs/{role}.mcap"]
-    return " ".join([*named, *(shlex.quote(printable(word)) for word in words)])
+    return " ".join([*assignments, *(shlex.quote(printable(word)) for word in words)])

@@ -93,8 +93,8 @@ def _picture(groups: Sequence[ComparedGroup]) -> list[str]:
             f"{'':{width}}  new  {new}  {change_words(row['ratio'])}, {group.verdict}",
         ]
     statistic = statistic_words(rows[0][1]["statistic"])
-    left = f" of {len(groups)}, worst first" if len(groups) > len(rows) else ""
-    title = f"{metric_words(rows[0][1]['metric'])}, {statistic}: {counted(len(rows), 'result')}{left}"
+    remaining = f" of {len(groups)}, worst first" if len(groups) > len(rows) else ""
+    title = f"{metric_words(rows[0][1]['metric'])}, {statistic}: {counted(len(rows), 'result')}{remaining}"
     return ["<pre>", title, *(markdown(line) for line in lines), "</pre>", ""]
 
 
@@ -155,5 +155,5 @@ def _table(names: Sequence[str], rows: Iterable[Sequence[Any]], right: Sequence[
 
 
 def _more(count: int, noun: str, *, shows_all: bool) -> list[str]:
-    left = 0 if shows_all else count - MOST_GROUPS
-    return [f"And {counted(left, noun)} more: `--all`.", ""] if left > 0 else []
+    remaining = 0 if shows_all else count - MOST_GROUPS
+    return [f"And {counted(remaining, noun)} more: `--all`.", ""] if remaining > 0 else []

@@ -64,7 +64,7 @@ def _tables(info: ComparisonInfo, groups: Sequence[ComparedGroup]) -> list[Rende
     parts: list[RenderableType] = [_rows([[Text(title, style="dim") for title in titles]])]
     for setup in dict.fromkeys(group.setup for group in groups):
         parts += [Text(setup, style="bold")] if setup else []
-        parts.append(_rows([[Text(one.message), *_cells(one)] for one in groups if one.setup == setup]))
+        parts.append(_rows([[Text(group.message), *_cells(group)] for group in groups if group.setup == setup]))
     if len(info.groups) > 1:
         means = [Text(_change(mean_change(info.groups, name)), style="bold") for name in statistics]
         total = [Text("Geometric mean", style="bold"), Text(f"of {len(info.groups)} results"), *means, Text()]

@@ -35,9 +35,9 @@ def one_way_info(book: Book) -> OneWay:
     for row in book.analysis.details.one_way.iter_rows(named=True):
         rows.setdefault(row["group"], {})[row["metric"]] = row
     ways = {
-        group: Way(_times(both["outbound"]), _times(both["return"]), whole_ns(both["outbound"]["bound_p50_ns"]))
-        for group, both in rows.items()
-        if both.keys() == {"outbound", "return"}
+        group: Way(_times(pair["outbound"]), _times(pair["return"]), whole_ns(pair["outbound"]["bound_p50_ns"]))
+        for group, pair in rows.items()
+        if pair.keys() == {"outbound", "return"}
     }
     facet = plane_facet(book)
     return OneWay(facet, facet_panels(book, facet, ways.__contains__), ways)
@@ -104,20 +104,20 @@ def clock_info(book: Book) -> Clock:
         longest = segments.sort(segments["end_ns"] - segments["start_ns"]).row(-1, named=True)
         inside = knots["at_ns"].is_between(segments["start_ns"].min(), segments["end_ns"].max())
         inside &= knots["relay_boot"].eq_missing(relay_boot)
-        own = knots.filter(inside).filter(ping_device=ping, relay_device=relay)
-        own = own.sort("at_ns").gather_every(step)
-        if not own.height:
+        points = knots.filter(inside).filter(ping_device=ping, relay_device=relay)
+        points = points.sort("at_ns").gather_every(step)
+        if not points.height:
             continue
         drift = drift_words(longest)
-        first_ns, first_offset_ns = own["at_ns"][0], own["offset_ns"][0]
+        first_ns, first_offset_ns = points["at_ns"][0], points["offset_ns"][0]
         pairs.append(
             ClockPair(
                 f"{printable(ping)} → {printable(relay)}: drift {drift}",
                 first_offset_ns,
-                tuple(((own["at_ns"] - first_ns) / 1e9).round(3).to_list()),
-                tuple((own["offset_ns"] - first_offset_ns).to_list()),
-                tuple(own["bound_ns"].to_list()),
-                tuple(own["group"].to_list()),
+                tuple(((points["at_ns"] - first_ns) / 1e9).round(3).to_list()),
+                tuple((points["offset_ns"] - first_offset_ns).to_list()),
+                tuple(points["bound_ns"].to_list()),
+                tuple(points["group"].to_list()),
             )
         )
     return Clock(tuple(pairs), decimated=step > 1 and bool(pairs), one_clock=bool(fits["same_clock"].any()))

@@ -51,14 +51,14 @@ def timeline_info(book: Book) -> Timeline:
     drawn = thinned.partition_by("group", as_dict=True)
     groups = []
     for (group,) in frame.select("group").unique(maintain_order=True).iter_rows():
-        own = drawn.get((group,), frame.clear())
+        rows = drawn.get((group,), frame.clear())
         lost_at, lost_count = _crosses(lost.get((group,), frame.clear())["elapsed_s"].to_numpy(), share)
         groups.append(
             GroupTimeline(
                 group,
-                tuple(round(value, 4) for value in own["elapsed_s"].to_list()),
-                tuple(own["latency_ns"].to_list()),
-                tuple(own["rtt_ns"].to_list()),
+                tuple(round(value, 4) for value in rows["elapsed_s"].to_list()),
+                tuple(rows["latency_ns"].to_list()),
+                tuple(rows["rtt_ns"].to_list()),
                 lost_at,
                 lost_count,
             )
@@ -92,11 +92,11 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
     spans: dict[int, list[tuple[float, float]]] = {}
     columns = ("group", "run_id", "start_ns", "end_ns")
     for group, run_id, start_ns, end_ns in longest.select(columns).iter_rows():
-        own = spans.setdefault(group, [])
+        group_spans = spans.setdefault(group, [])
         # An outage without an end lasted to the end of its run.
-        if run_id in origin_ns and end_ns is not None and len(own) < MOST_OUTAGES:
+        if run_id in origin_ns and end_ns is not None and len(group_spans) < MOST_OUTAGES:
             start, end = ((ns - origin_ns[run_id]) / 1e9 for ns in (start_ns, end_ns))
-            own.append((round(start, 4), round(end, 4)))
+            group_spans.append((round(start, 4), round(end, 4)))
     return {group: tuple(sorted(own)) for group, own in spans.items() if own}
 
 

@@ -66,23 +66,23 @@ def sweep_status(folder: Path) -> SweepStatus:
     for path in sorted(folder.rglob(_STATE)):
         try:
             state, changed_s = json.loads(path.read_text()), path.stat().st_mtime
-            done = sum(cell["status"] in _DONE for cell in state["cells"].values())
+            recorded = sum(cell["status"] in _DONE for cell in state["cells"].values())
             planned, left_s = int(state["planned"]), float(state["left_s"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue
         age_s = max(0.0, time.time() - changed_s)
         total = SweepStatus(
-            total.done + done,
+            total.done + recorded,
             total.planned + planned,
             age_s if total.age_s is None else min(age_s, total.age_s),
-            total.left_s + (max(0.0, left_s - age_s) if done < planned else 0.0),
+            total.left_s + (max(0.0, left_s - age_s) if recorded < planned else 0.0),
         )
     return total
 
 
 def without_running(analysis: Analysis) -> Analysis:
     unfinished = {source.path for source in analysis.sources if _PARTS in source.path.split("/")}
-    findings = (one for one in analysis.findings if not set(one.where.split(", ")) <= unfinished)
+    findings = (finding for finding in analysis.findings if not set(finding.where.split(", ")) <= unfinished)
     return replace(analysis, findings=tuple(findings))
 
 

@@ -50,10 +50,10 @@ def choice_styles(facets: Facets) -> tuple[Style, ...]:
     vendor, and its vendor's colour unless a vendor has more than two setups and there are colours for all.
     """
     setups = facets.choices
-    vendors = in_order_of([*VENDORS, *(one.vendor for one in setups)], VENDORS)
-    ways = sorted({(one.domain_mode != "same", one.bridge) for one in setups})
-    own_colours = {vendors.index(one.vendor) % len(PALETTE) for one in setups}
-    most = max(Counter(one.vendor for one in setups).values(), default=0)
+    vendors = in_order_of([*VENDORS, *(setup.vendor for setup in setups)], VENDORS)
+    ways = sorted({(setup.domain_mode != "same", setup.bridge) for setup in setups})
+    own_colours = {vendors.index(setup.vendor) % len(PALETTE) for setup in setups}
+    most = max(Counter(setup.vendor for setup in setups).values(), default=0)
     is_crowded = most > 2 and len(setups) <= len(PALETTE)
     used: set[tuple[object, ...]] = set()
     used_symbols: set[str] = set()
@@ -68,12 +68,12 @@ def choice_styles(facets: Facets) -> tuple[Style, ...]:
             free_colours = set(range(len(PALETTE))) - used_colours
             colour = min(free_colours - own_colours or free_colours)
         used_colours.add(colour)
-        colours, own = PALETTE[colour], SYMBOLS[vendor % len(SYMBOLS)]
+        colours, symbols = PALETTE[colour], SYMBOLS[vendor % len(SYMBOLS)]
         line = (DASHES[way % len(DASHES)], TINTS[way % len(TINTS)])
-        preferred = [own, *SYMBOLS[len(VENDORS) :], *SYMBOLS]
+        preferred = [symbols, *SYMBOLS[len(VENDORS) :], *SYMBOLS]
         free = [symbol for symbol in preferred if symbol not in used_symbols]
         free += [symbol for symbol in preferred if (*colours, symbol, *line) not in used]
-        symbol = free[0] if free else own
+        symbol = free[0] if free else symbols
         used_symbols.add(symbol)
         used.add((*colours, symbol, *line))
         styles[index] = Style(*colours, symbol, *line)

@@ -154,8 +154,8 @@ class Run:
     @property
     def ping_every(self) -> int:
         """Every n-th message was to be sent back, from 0 on."""
-        every = self.extra.get("ping_every")
-        return every if isinstance(every, int) and 1 < every < 1 << 63 else 1
+        ping_every = self.extra.get("ping_every")
+        return ping_every if isinstance(ping_every, int) and 1 < ping_every < 1 << 63 else 1
 
     def finished(self, published: int, **extra: Json) -> Run:
         """Return the run at its end, with `extra` added."""

@@ -50,8 +50,8 @@ _SECTION = re.compile(r"\s*MSG:\s*(\S+)\s*")
 
 def plain_name(name: str) -> str:
     """Return `package/Type` of `package/msg/Type`."""
-    package, _, rest = name.partition("/")
-    return f"{package}/{rest.rpartition('/')[2]}" if rest else name
+    package, _, remainder = name.partition("/")
+    return f"{package}/{remainder.rpartition('/')[2]}" if remainder else name
 
 
 def parse_definition(name: str, text: str) -> dict[str, Fields]:
@@ -93,12 +93,12 @@ class Types:
 
     def with_header(self, name: str) -> frozenset[str]:
         """Return a type and those that it is made of, as far as they contain a header."""
-        left, parts = [name], dict[str, Fields]()
-        while left:
-            one = left.pop()
-            if one not in parts:
-                parts[one] = self.fields(one) or ()
-                left += [part.type for part in parts[one]]
+        pending, parts = [name], dict[str, Fields]()
+        while pending:
+            type_name = pending.pop()
+            if type_name not in parts:
+                parts[type_name] = self.fields(type_name) or ()
+                pending += [part.type for part in parts[type_name]]
         containing = parts.keys() & {_HEADER}
         while (
             more := {one for one, fields in parts.items() if any(part.type in containing for part in fields)}

@@ -103,11 +103,11 @@ class RecordFile(AbstractContextManager["RecordFile"]):
 
     def read_into(self, target: memoryview, offset: int) -> None:
         try:
-            done = read_into(self._descriptor, target, offset)
+            count = read_into(self._descriptor, target, offset)
         except OSError as err:
             raise TraceFormatError(self.path, f"cannot be read ({err.strerror})", offset) from err
-        if done < len(target):
-            raise TraceFormatError(self.path, "became shorter while it was read", offset + done)
+        if count < len(target):
+            raise TraceFormatError(self.path, "became shorter while it was read", offset + count)
 
     def peek(self, offset: int, size: int) -> bytes:
         """Return `size` bytes from `offset` on, and read ahead; only for the thread that walks headers."""

@@ -142,15 +142,15 @@ def split_by_channel(records: Records) -> list[ChannelEvents]:
 
 
 def _count_events(data: Buffer, at: int, stop: int) -> int:
-    left = (stop - at) // EVENT_RECORD_BYTES
+    remaining = (stop - at) // EVENT_RECORD_BYTES
     count = 0
-    while count < min(left, _SINGLE_STEPS):
+    while count < min(remaining, _SINGLE_STEPS):
         if _CHECKED.unpack_from(data, at + count * EVENT_RECORD_BYTES) != (EVENT_HEAD, 0, EVENT_CDR):
             return count
         count += 1
     stretch = _FIRST_STRETCH
-    while count < left:
-        size = min(stretch, left - count)
+    while count < remaining:
+        size = min(stretch, remaining - count)
         records = np.frombuffer(data, EVENT_RECORD_DTYPE, size, at + count * EVENT_RECORD_BYTES)
         good = records["head"] == EVENT_HEAD
         good &= records["length_top"] == 0

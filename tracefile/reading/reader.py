@@ -112,11 +112,11 @@ class _StageColumns:
             optional = self._wide[_OPTIONAL, start:end]
             optional[_beyond(optional)] = 0  # unknown
         if _is_beyond(self._wide[_INSTANTS, start:end]):
-            kept = np.flatnonzero(~_beyond(self._wide[_INSTANTS, start:end]).any(axis=0))
-            left_out = count - len(kept)
-            end = start + len(kept)
-            self._wide[:, start:end] = self._wide[:, start + kept]
-            self._narrow[:, start:end] = self._narrow[:, start + kept]
+            valid = np.flatnonzero(~_beyond(self._wide[_INSTANTS, start:end]).any(axis=0))
+            left_out = count - len(valid)
+            end = start + len(valid)
+            self._wide[:, start:end] = self._wide[:, start + valid]
+            self._narrow[:, start:end] = self._narrow[:, start + valid]
         self.filled = end
         return left_out
 

@@ -230,8 +230,8 @@ class TraceBuilder:
         more = len(self.notes) - _MOST_NOTES
         if more <= 0:
             return self.notes
-        rest = counted(more, "more note like this", "more notes like these")
-        return [*self.notes[:_MOST_NOTES], f"and {rest}"]
+        remainder = counted(more, "more note like this", "more notes like these")
+        return [*self.notes[:_MOST_NOTES], f"and {remainder}"]
 
     def trace(self, events: Mapping[Stage, EventColumns]) -> Trace:
         """Return the trace with these events."""

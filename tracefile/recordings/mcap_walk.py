@@ -158,8 +158,8 @@ class McapWalk:
         if resumed_at is not None:
             self.damages.append(f"at byte {at} {counted(resumed_at - at, 'byte is', 'bytes are')} no record")
         elif self._file.size > at:
-            left = counted(self._file.size - at, "byte")
-            self.damages.append(f"it was not closed: {left} of an unfinished record and no index at its end")
+            unread = counted(self._file.size - at, "byte")
+            self.damages.append(f"it was not closed: {unread} of an unfinished record and no index at its end")
         else:
             self.damages.append("it was not closed: it has no index")
         return resumed_at
@@ -192,15 +192,15 @@ class McapWalk:
         """Return a chunk with the length that its own fields give, or the length of its record where the fields cannot be right."""
         if self._file.size - at < RECORD_HEADER.size or self._file.peek(at, 1)[0] != Opcode.CHUNK:
             return None
-        rest = RecordHeader(Opcode.CHUNK, at, self._file.size - at - RECORD_HEADER.size)
+        remainder = RecordHeader(Opcode.CHUNK, at, self._file.size - at - RECORD_HEADER.size)
         ends = []
         with suppress(DamagedChunkError):
-            ends.append(PackedChunk.at(self._file, rest).end)
+            ends.append(PackedChunk.at(self._file, remainder).end)
         with suppress(TornRecordError):
             ends.append(self._file.header_at(at).end)
         for end in ends:
             if self._fits_next(self._file, end) or len(ends) - len(set(ends)):
-                header = RecordHeader(Opcode.CHUNK, at, end - rest.content)
+                header = RecordHeader(Opcode.CHUNK, at, end - remainder.content)
                 with suppress(DamagedChunkError):
                     PackedChunk.at(self._file, header, is_cut=True)
                     return header
@@ -210,11 +210,11 @@ class McapWalk:
         try:
             return _has_shape(source.header_at(at))
         except TornRecordError:
-            left = source.read(at, min(max(source.size - at, 0), RECORD_HEADER.size))
-            if not left or (left == MAGIC and source is self._file):
+            remaining = source.read(at, min(max(source.size - at, 0), RECORD_HEADER.size))
+            if not remaining or (remaining == MAGIC and source is self._file):
                 return True
             # A record that the end of the file cuts off.
-            return left[0] in _OPCODES and int.from_bytes(left[1:], "little") <= MAX_RECORD_BYTES
+            return remaining[0] in _OPCODES and int.from_bytes(remaining[1:], "little") <= MAX_RECORD_BYTES
 
     def _resume(self, source: RecordFile | _Unpacked, damaged_at: int, stop: int | None = None) -> int | None:
         at, stop = damaged_at + 1, source.size if stop is None else stop

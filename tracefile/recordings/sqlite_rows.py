@@ -181,14 +181,14 @@ class _Pages:
         least = (usable - 12) * 32 // 255 - 23
         local = least + (size - least) % (usable - 4)
         local = size if size <= usable - 35 else local if local <= usable - 35 else least
-        parts, left = [page[at : at + local]], size - local
-        following = int.from_bytes(page[at + local : at + local + 4], "big") if left > 0 else 0
-        while left > 0:
+        parts, remaining = [page[at : at + local]], size - local
+        following = int.from_bytes(page[at + local : at + local + 4], "big") if remaining > 0 else 0
+        while remaining > 0:
             page = self.read(following - 1) if following else b""
             if len(page) < self._page_bytes:
                 raise ValueError("a page is missing")
-            parts.append(page[4 : 4 + min(left, usable - 4)])
-            left -= len(parts[-1])
+            parts.append(page[4 : 4 + min(remaining, usable - 4)])
+            remaining -= len(parts[-1])
             following = int.from_bytes(page[:4], "big")
         return row_id, b"".join(parts)
 

@@ -228,8 +228,8 @@ def _is_text(text: str) -> bool:
 def _profile(walk: McapWalk) -> str:
     encodings = {schema.encoding for schema in walk.schemas.values()}
     implied = "ros2" if encodings & {"ros2msg", "ros2idl"} else "ros1" if "ros1msg" in encodings else ""
-    own = walk.header.profile if walk.header else implied
-    return own if own in {"", "ros1", "ros2"} or not implied else implied
+    profile = walk.header.profile if walk.header else implied
+    return profile if profile in {"", "ros1", "ros2"} or not implied else implied
 
 
 def _recover_sqlite(source: Path, new: _NewFile) -> tuple[list[str], int]:

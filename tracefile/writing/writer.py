@@ -271,12 +271,12 @@ class TraceWriter:
         end = self._end
         try:
             end += os.pwritev(self._descriptor, parts, end)
-            rest = memoryview(b"")
+            remainder = memoryview(b"")
             if end - self._end < sum(map(len, parts)):  # a disk fills up during a write
-                rest = memoryview(b"".join(parts))[end - self._end :]
-            while rest:
-                written = os.pwrite(self._descriptor, rest, end)
-                end, rest = end + written, rest[written:]
+                remainder = memoryview(b"".join(parts))[end - self._end :]
+            while remainder:
+                written = os.pwrite(self._descriptor, remainder, end)
+                end, remainder = end + written, remainder[written:]
             if self._fsync:
                 os.fsync(self._descriptor)
         except OSError as err:

@@ -64,9 +64,9 @@ def vendor_of(rmw: str | None) -> str:
 
 def _variables_of(rmw: str | None, path: Path) -> dict[str, str]:
     vendor = vendor_of(rmw)
-    own = {"cyclonedds": {"CYCLONEDDS_URI": path.as_uri()}, "zenoh": {"ZENOH_SESSION_CONFIG_URI": str(path)}}
+    variables = {"cyclonedds": {"CYCLONEDDS_URI": path.as_uri()}, "zenoh": {"ZENOH_SESSION_CONFIG_URI": str(path)}}
     if vendor != "fastdds":
-        return own.get(vendor, {})
+        return variables.get(vendor, {})
     name = PROFILE_VARIABLES[package_version("fastdds") is not None]  # Fast DDS 3 has the second
     # By default the RMW publishes in a way that no flow controller takes.
     is_paced = b"flow_controller_name" in path.read_bytes()

@@ -67,12 +67,12 @@ def check_installed() -> None:
         return
     # With a middleware that it was not built for, rclpy ends its process.
     script = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=WRONG_RMW_TIMEOUT_S, check=False
     )
-    running = done.stdout.strip()
+    running = completed.stdout.strip()
     if running != rmw:
-        reason = (done.stderr.strip().splitlines() or [f"{running} runs here"])[-1]
+        reason = (completed.stderr.strip().splitlines() or [f"{running} runs here"])[-1]
         raise BackendUnavailableError(
             f"RMW_IMPLEMENTATION={rmw} does not work here: {reason}; unset it, or install that middleware "
             f"(apt install {_debian_name(rmw)}; the wheels only have Fast DDS)"

@@ -321,15 +321,15 @@ class _TcpPeer:
             if self._writing.is_awaited:
                 self._writing.wake()
 
-    def _send_rest(self, rest: memoryview) -> None:
+    def _send_rest(self, remainder: memoryview) -> None:
         """Send the rest; raise a `BlockingIOError` once the peer reads too little."""
-        while rest:
+        while remainder:
             began_s = time.monotonic()
-            sent = self._connection.send(rest)
-            rest = rest[sent:]
+            sent = self._connection.send(remainder)
+            remainder = remainder[sent:]
             waited_s = time.monotonic() - began_s
             is_late = waited_s > (SENDER_PATIENCE_S if self._has_sent else READER_PATIENCE_S) / 2
-            if rest and not self.is_chosen and is_late and sent < LEAST_READ_BYTES:
+            if remainder and not self.is_chosen and is_late and sent < LEAST_READ_BYTES:
                 raise BlockingIOError
 
     def read(self, receivers: Receivers, delivering: FastLock) -> None:
@@ -417,13 +417,13 @@ class _TcpPeer:
         header, name, body = parts
         return bytes(header + name), name.decode(errors="replace"), body, data
 
-    def _fill(self, rest: memoryview) -> bool:
+    def _fill(self, remainder: memoryview) -> bool:
         try:
-            while rest:
-                count = self._connection.recv_into(rest)
+            while remainder:
+                count = self._connection.recv_into(remainder)
                 if not count:
                     return False
-                rest = rest[count:]
+                remainder = remainder[count:]
         except OSError:
             return False
         return True

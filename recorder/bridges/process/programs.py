@@ -26,7 +26,7 @@ def program_on_path(name: str, folder: Path | None = None) -> Path | None:
 def reported_version(program: Path, *arguments: str) -> str:
     """Return the first line with a version, else an empty text."""
     try:
-        done = subprocess.run(
+        completed = subprocess.run(
             [str(program), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -39,7 +39,7 @@ def reported_version(program: Path, *arguments: str) -> str:
         )
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return next((line.strip() for line in done.stdout.splitlines() if re.search(r"\d+\.\d+", line)), "")
+    return next((line.strip() for line in completed.stdout.splitlines() if re.search(r"\d+\.\d+", line)), "")
 
 
 def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:

@@ -112,11 +112,11 @@ def _outage_arguments(plan: Plan, cell: Cell) -> list[str]:
 
 
 def _common_arguments(plan: Plan, device: DeviceSettings, number: int, *, is_single: bool = True) -> list[str]:
-    named = ["--device", device.name] if device.name else []
+    device_name = ["--device", device.name] if device.name else []
     link = ["--connectivity", plan.connectivity] if plan.connectivity else []
     wire = ["--wire"] if plan.run.wire else []
     cost = [] if is_single and plan.run.measures_own_cost(number) else ["--no-own-cost"]
-    return ["--discovery", plan.discovery, *link, *named, *wire, *cost, *device.options]
+    return ["--discovery", plan.discovery, *link, *device_name, *wire, *cost, *device.options]
 
 
 def _axis_arguments(parameters: Cell, names: Iterable[str]) -> list[str]:

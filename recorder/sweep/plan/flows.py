@@ -72,7 +72,7 @@ def is_crowded(cell: Cell) -> bool:
 
 def fan_out_faults(plan: Plan) -> Iterator[tuple[bool, str]]:
     crowded = [cell for cell in plan.cells if is_crowded(cell)]
-    most, places = max((cell.hosts for cell in plan.cells), default=1), len(plan.hosts)
+    most, hosts = max((cell.hosts for cell in plan.cells), default=1), len(plan.hosts)
     alone = next((cell.backend for cell in crowded if cell.relays > 1 and connects_to_relay(cell.backend)), "")
     is_mixed = plan.by_hand or bool(plan.flows)
     yield (
@@ -89,11 +89,11 @@ def fan_out_faults(plan: Plan) -> Iterator[tuple[bool, str]]:
         f"the backend {alone} has one relay on a host, with the port of the domain; give hosts in place of relays",
     )
     yield (
-        most > 1 and (plan.link is not None or (most > places if places else not plan.namespaces)),
-        f"hosts = {most} needs as many [[devices]] (here {places}), or [network] namespaces = true and no [link]",
+        most > 1 and (plan.link is not None or (most > hosts if hosts else not plan.namespaces)),
+        f"hosts = {most} needs as many [[devices]] (here {hosts}), or [network] namespaces = true and no [link]",
     )
     yield (
-        len({host.name or host.ssh for host in plan.hosts if host.ssh}) < places,
+        len({host.name or host.ssh for host in plan.hosts if host.ssh}) < hosts,
         "each of [[devices]] needs ssh and a name of its own, by which results name it",
     )
 

@@ -84,7 +84,7 @@ def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tupl
     if not {"messages", "seconds"} & set(root.table("run").values):
         run = replace(run, messages=DEFAULT_MESSAGES)
     check_runs(where, len(axes) * len(matrices), run.repeats)
-    combined = [{**shared, **own} for shared in axes for own in matrices]
+    combined = [{**shared, **matrix} for shared in axes for matrix in matrices]
     check_runs(where, sum(_count_cells(values, installed) for values in combined), run.repeats)
     listed = [cell for values in combined for cell in _cells(values, installed)]
     flows = _flows(root, combined)
@@ -139,12 +139,15 @@ def _flows(root: TomlTable, combined: Collection[AxisValues]) -> list[Flow]:
         }
         flows.append(Flow(name, message))
     names = [flow.name for flow in flows]
-    both = sorted({axis for values in combined for axis in values} & set(MESSAGE_AXES))
+    message_axes = sorted({axis for values in combined for axis in values} & set(MESSAGE_AXES))
     faults = (
         (len(flows) == 1 or len(flows) > MOST_FLOWS, f"there are 2 to {MOST_FLOWS} [[flows]], not {len(flows)}"),
         ("" in names, "each of [[flows]] needs a name, such as name = 'imu'"),
         (len(set(names)) < len(names), f"two of [[flows]] have one name ({', '.join(names)}); give each its own"),
-        (bool(both), f"{', '.join(both)} are keys of each of [[flows]]; remove them from [axes] and [[matrix]]"),
+        (
+            bool(message_axes),
+            f"{', '.join(message_axes)} are keys of each of [[flows]]; remove them from [axes] and [[matrix]]",
+        ),
         (not root.table("run").take("seconds", float, 0.0), "[[flows]] need [run] seconds, which all flows last"),
     )
     for is_at_fault, sentence in faults if flows else ():

@@ -174,8 +174,8 @@ def _table(name: str) -> Schema:
     schema: Schema = {"description": plain(table.meaning)}
     if not table.is_repeated:
         return schema | _object(name, table)
-    one = _object(name, table)
-    return schema | {**one, "type": ["object", "array"], "items": {"$ref": f"#/properties/{name}", "type": "object"}}
+    entry = _object(name, table)
+    return schema | {**entry, "type": ["object", "array"], "items": {"$ref": f"#/properties/{name}", "type": "object"}}
 
 
 def _reference(table: str, name: str, key: Key) -> Schema:
@@ -196,8 +196,8 @@ def _key(table: str, name: str, key: Key) -> Schema:
 def _value(table: str, name: str, key: Key) -> Schema:
     if table == "axes":
         choices = axis_choices(name)
-        of_size = _size if key.unit == "bytes" else _of_limit
-        value: Schema = {"enum": choices} if choices else _SPECIAL_AXES.get(name, of_size)(key)
+        describe = _size if key.unit == "bytes" else _of_limit
+        value: Schema = {"enum": choices} if choices else _SPECIAL_AXES.get(name, describe)(key)
         # An empty text means None.
         return {"anyOf": [value, {"const": ""}]} if key.default is None else value
     return _of_limit(key)

@@ -76,13 +76,13 @@ def read_result(path: Path) -> CellResult:
     if run.state != "finished":
         raise TraceFormatError(path, "the run was not finished")
     all_sent = _measured_events(trace, Stage.T1, run)
-    every = run.extra.get("ping_every")
-    sent = all_sent.take(all_sent.sequence % np.uint64(every) == 0) if isinstance(every, int) else all_sent
+    ping_every = run.extra.get("ping_every")
+    sent = all_sent.take(all_sent.sequence % np.uint64(ping_every) == 0) if isinstance(ping_every, int) else all_sent
     replies = _measured_events(trace, Stage.T2, run)
     # The first reply of each message counts.
     answered, first = np.unique(replies.sequence, return_index=True)
     receive_ns = replies.monotonic_ns[first]
-    both, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
+    answered_sequences, in_sent, in_answered = np.intersect1d(sent.sequence, answered, return_indices=True)
     published = trace.events[Stage.T1]
     returned = np.isin(published.sequence, trace.events[Stage.T2].sequence)
     span_ns = int(all_sent.monotonic_ns[-1] - all_sent.monotonic_ns[0]) if len(all_sent) > 1 else 0
@@ -90,7 +90,7 @@ def read_result(path: Path) -> CellResult:
         run_id=f"{run.run_id:016x}",
         planned=run.planned_messages,
         published=len(sent),
-        received=len(both),
+        received=len(answered_sequences),
         sent_bytes=int(published.payload_bytes.sum(dtype=np.int64)),
         returned_bytes=int(published.payload_bytes[returned].sum(dtype=np.int64)),
         achieved_rate_hz=(len(all_sent) - 1) / (span_ns / 1e9) if span_ns else None,

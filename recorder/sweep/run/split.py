@@ -79,7 +79,7 @@ def _write(part: CellPart, trace: Trace, slots: Slots, mode: int) -> None:
     if part.link is not None:
         samples.append((session.wall_ns(part.link["monotonic_ns"]), part.link))
         if part.drive is not None and (started_ns := part.link["drive_started_ns"]) is not None:
-            ends_ns = (int(slots["monotonic_ns"][place]) for place in (0, -1))
+            ends_ns = (int(slots["monotonic_ns"][index]) for index in (0, -1))
             samples += [
                 (session.wall_ns(at_ns), {"monotonic_ns": at_ns, "link_now": dict(zip(COLUMNS, row, strict=True))})
                 for at_ns, row in part.drive.between(started_ns, *ends_ns)

@@ -87,7 +87,9 @@ def open_station(
         hosts = max((cell.hosts for cell in plan.cells), default=1)
         pair = stack.enter_context(NamespacePair(plan.link, hosts)) if plan.namespaces else None
         keys = stack.enter_context(shared_keys({cell.security for cell in plan.cells}))
-        ping_prefix, relay_prefixes = (pair.ping.prefix, [one.prefix for one in pair.relays]) if pair else ([], [[]])
+        ping_prefix, relay_prefixes = (
+            (pair.ping.prefix, [relay.prefix for relay in pair.relays]) if pair else ([], [[]])
+        )
 
         def both(program: Sequence[str]) -> tuple[Sequence[str], RelayDevice]:
             relays = [LocalDevice(parts, [*prefix, *keys, *program], lock) for prefix in relay_prefixes]
@@ -101,5 +103,5 @@ def open_station(
             drive_link=pair.drive if pair and plan.link and plan.link.file else None,
             pair=pair,
             environments={environment: both(program) for environment, program in others.items()},
-            further=tuple(one.address for one in pair.relays[1:]) if pair else (),
+            further=tuple(relay.address for relay in pair.relays[1:]) if pair else (),
         )

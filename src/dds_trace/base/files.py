@@ -102,13 +102,13 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
 
 def read_into(descriptor: int, target: memoryview, offset: int) -> int:
     """Fill `target` from `offset` on; return how many bytes there were."""
-    done = 0
-    while done < len(target):  # the kernel returns at most 2 GiB at once
-        count = os.preadv(descriptor, [target[done:]], offset + done)
+    total = 0
+    while total < len(target):  # the kernel returns at most 2 GiB at once
+        count = os.preadv(descriptor, [target[total:]], offset + total)
         if not count:
             break
-        done += count
-    return done
+        total += count
+    return total
 
 
 def expand_home(text: str) -> Path:

@@ -39,9 +39,9 @@ def by_number(text: str) -> tuple[tuple[str | float, ...], str]:
     return tuple(float(part) if index % 2 else part for index, part in enumerate(_NUMBER.split(text))), text
 
 
-def counted(count: float, one: str, many: str = "", *, text: str = "") -> str:
+def counted(count: float, singular: str, many: str = "", *, text: str = "") -> str:
     """Return a count with its noun, `2 messages`; `many` is an irregular plural, `text` the printed count."""
-    noun = one if count == 1 else many or f"{one}s"
+    noun = singular if count == 1 else many or f"{singular}s"
     return f"{text or count} {noun}"
 
 

@@ -45,7 +45,11 @@ test *args: setup
 
 # Tests that take longer than a minute each (kills, long sweeps)
 test-slow *args: setup
-    {{bin}}/pytest -m slow {{args}}
+    {{bin}}/pytest -m 'slow and not ends' {{args}}
+
+# Every role over every transport, with its peer stopped or gone, the link down, the machine busy: ends by itself, Ctrl-C, SIGTERM (root; half an hour)
+ends *args: setup
+    {{bin}}/pytest -n 6 tests/cli/record/test_every_end.py {{args}}
 
 # The core with the oldest versions that pyproject.toml allows, in an environment of its own: traces, analysis, command line
 test-lowest *args:

@@ -125,7 +125,7 @@ def run_command(command: Callable[[], object], *, needs_stdout: bool = True) -> 
         if failure.errno == errno.EPIPE:  # `| head` has read enough
             sys.exit(1)
         with plain_streams():
-            _print_error(f": stdout cannot be written ({failure.strerror}); free space or write elsewhere")
+            print_error(f": stdout cannot be written ({failure.strerror}); free space or write elsewhere")
         sys.exit(OutputError.exit_code)
     if ended is not None:
         raise ended
@@ -135,21 +135,21 @@ def _run(command: Callable[[], object]) -> None:
     try:
         command()
     except MemoryError:
-        _print_error(f": {_TOO_LARGE}")
+        print_error(f": {_TOO_LARGE}")
         sys.exit(1)
     except ModuleNotFoundError as error:
         extra = _extra_with(error.name or "")
         if extra is None:
             raise
         cure = f"pip install 'dds-trace[{extra}]' (in a clone '.[{extra}]')"
-        _print_error(f" needs {error.name}, which is not installed: {cure}")
+        print_error(f" needs {error.name}, which is not installed: {cure}")
         sys.exit(BackendUnavailableError.exit_code)
     except TraceError as error:
-        _print_error(f": {error}")
+        print_error(f": {error}")
         sys.exit(error.exit_code)
 
 
-def _print_error(text: str) -> None:
+def print_error(text: str) -> None:
     print(f"{Path(sys.argv[0]).name}{text}", file=sys.stderr)  # some errors have several lines
 
 

@@ -1,41 +1,45 @@
-"""What the recordings of all roles share: process, clock, node, capture, description and notes."""
+"""How a recording of any role starts, looks around twice a second, and ends."""
 
 from __future__ import annotations
 
 import os
 import secrets
+from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 from dds_trace.tracefile.format.events import HOST_TOPIC
+from dds_trace.tracefile.writing.destination import discard
 
 from .backends import load_backend, open_node
 from .choices import Security
+from .errors import NotAppliedError
 from .host.clock import SystemClock, measured_step_ns, read_adjtimex
-from .host.process import apply_privileges, realtime_threads
+from .host.process import StopEvent, apply_privileges, realtime_threads, tuned_gc
 from .host.sampling import HostSampler
 from .options import side_settings
 from .roles.floor import measured_cost, measured_floor
 from .roles.read_back import ReadBack
-from .roles.session import default_connectivity, describe_session
+from .roles.session import default_connectivity, describe_session, strangers_field
 from .roles.wire_record import open_wire
 from .security.keys import public_hash
+from .service.upkeep import Upkeep
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
-    from contextlib import AbstractContextManager
 
     from dds_trace.base.errors import TraceError
     from dds_trace.tracefile.format.descriptions import Run, Session
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
     from dds_trace.tracefile.writing.destination import ClosedTrace
-    from dds_trace.tracefile.writing.sink import TraceSink
 
+    from .applied.carried import Traffic
     from .backends.node import Node, NodeOptions
     from .bridges.process.running import RunningBridge
-    from .options import PingOptions, RecordOptions
+    from .options import RecordOptions
     from .roles.progress import Progress, Watch
     from .roles.wire_record import WireRecord
 
@@ -48,7 +52,7 @@ class Recorded:
     """The result of a recording.
 
     Attributes:
-        trace: None for a ping that was stopped before its echo.
+        trace: None for a ping that was stopped before its echo, and for a tap or beacon that heard nothing.
         error: why a run ended early, a relay recorded nothing for a while, or a tap heard nothing.
     """
 
@@ -59,11 +63,30 @@ class Recorded:
     error: TraceError | None = None
 
 
-class BaseRecording:
-    """One recording of any role; `stop` ends it, `watch` receives notes and progress.
+Leave: TypeAlias = "Callable[[Recorded | BaseException], AbstractContextManager[object]]"
+"""Given the end of a recording whose trace is closed: the context in which the middleware is left."""
 
+
+def leave_unhurried(_end: Recorded | BaseException) -> AbstractContextManager[object]:
+    return nullcontext()
+
+
+class BaseRecording(ABC):
+    """One recording; `stop` ends it, `watch` receives notes and progress.
+
+    `record` does, in this order: measure costs, open capture and node, `meet` the other side, open the trace, `begin`,
+    `look` until the end, count the `traffic`, end what delivers (the node's thread), then what consumes (`close`), close the
+    trace, leave the middleware.
     `load_fields` returns the session's field `load`, if the machine is loaded.
     """
+
+    ROLE: ClassVar[str]
+    HAS_FLOOR: ClassVar[bool] = False
+    wire: WireRecord
+    node: Node
+    read_back: ReadBack
+    session: Session
+    upkeep: Upkeep
 
     def __init__(
         self,
@@ -73,6 +96,7 @@ class BaseRecording:
         *,
         rehearses: bool,
         load_fields: Callable[[], JsonObject] = dict,
+        leave: Leave = leave_unhurried,
     ) -> None:
         self.options = options
         self.rehearses = rehearses
@@ -80,37 +104,132 @@ class BaseRecording:
         self.watch = watch
         self.clock = SystemClock()
         self.session_id = secrets.randbits(64)
+        self.relay_id = options.relay_id or secrets.randbits(32) or 1
         self.privileges = apply_privileges(options.cpu_affinity, options.realtime_priority)
         self.costs: dict[str, Json] = {}
-        self.correction = read_adjtimex()
-        self.clock_step_ns = measured_step_ns()
+        self.bridge: RunningBridge | None = None
+        self.clock_fields: JsonObject = {"resolution_ns": measured_step_ns(), "begin": read_adjtimex()}
         os.environ |= load_backend(options.backend).own_variables(options.node)
         self.environment = dict(os.environ)  # before a node adds what it needs
+        self.end_ns: int | None = None
         self._noted_disk = False
-        self._node: Node | None = None
         self._load_fields = load_fields
+        self._leave = leave
+
+    def record(self) -> Recorded:
+        with ExitStack() as last, ExitStack() as stack:
+            self.prepare(stack)
+            self.wire = stack.enter_context(self._open_wire())
+            self.node = stack.enter_context(self.open_node(self.ROLE))
+            ended: list[Recorded] = []
+
+            def begin_leaving(_kind: object, error: BaseException | None, _trace: object) -> None:
+                last.enter_context(self._leave(error or ended[0]))
+
+            stack.push(begin_leaving)
+            stack.enter_context(tuned_gc())
+            self.read_back = ReadBack(self.node, self.environment, strict=self.options.strict, note=self.watch.note)
+            is_met = self.meet(stack)
+            self.session = self.describe()
+            ended.append(self._record_trace(stack) if is_met else Recorded(None, self.session, self.progress()))
+            return ended[0]
+
+    def _record_trace(self, stack: ExitStack) -> Recorded:
+        self.upkeep = stack.enter_context(Upkeep(self.options, self.session, self.clock.monotonic_ns, self.watch.note))
+        sink = self.upkeep.sink
+        if isinstance(self.stop, StopEvent):
+            self.stop.last_act = sink.close
+        self.begin(stack)
+        if self.rehearses:
+            self.stop.set()
+        duration_s = self.options.duration_s
+        self.end_ns = None if duration_s is None else self.clock.monotonic_ns() + round(duration_s * 1e9)
+        processes = {**self.wire.processes, **({} if self.bridge is None else self.bridge.processes)}
+        with HostSampler(partial(sink.write_json, HOST_TOPIC), processes):
+            self.look_until_done()
+        self.write_wire()
+        self.read_back.read_end(self.traffic)
+        self.node.stop_receiving()
+        described = self.close()
+        fields = {**self.read_back.fields(), **self.fields_at_end(), **strangers_field(self.node.strangers)}
+        trace = self.upkeep.close_trace(**described, **fields)
+        self.read_back.report(trace.path)
+        recorded = self.result(trace)
+        if recorded.trace is None:  # the next try may have the name
+            discard(self.upkeep.destination)
+        return recorded
+
+    def prepare(self, stack: ExitStack) -> None:  # noqa: ARG002 - a ping opens its payload
+        self.measure_costs()
+
+    def meet(self, stack: ExitStack) -> bool:  # noqa: ARG002 - a ping waits for its relay
+        """Wait for the other side, if there has to be one; False ends the recording without a trace."""
+        return True
+
+    @abstractmethod
+    def begin(self, stack: ExitStack) -> None: ...
+
+    def look_until_done(self) -> None:
+        while (left_s := self.left_s()) > 0 and not self.read_back.wait(self.stop, min(LOOK_S, left_s)):
+            self.raise_error_of_node()
+            self.look()
+
+    def look(self) -> None:
+        """Note what is new, look at the disk, and report progress."""
+        sink = self.upkeep.sink
+        if sink.error is not None and not self._noted_disk:
+            self._noted_disk = True
+            self.watch.note(f"{sink.error}; the node continues to answer; what was written stays readable")
+        try:
+            self.read_back.report()
+        except NotAppliedError:  # before the first message: the trace is empty
+            sink.close()
+            discard(self.upkeep.destination)
+            raise
+        for kind in self.node.strangers.take_new():
+            self.watch.note(f"somebody else sends here: a {kind} was not accepted; the trace counts further ones")
+        progress = self.progress()
+        self.upkeep.look(progress.messages, self.read_back.fields)
+        self.watch.progress(progress)
+
+    def write_wire(self) -> None:  # noqa: B027 - not every role has such counts
+        ...
 
     @property
-    def has_bridge(self) -> bool:
+    @abstractmethod
+    def traffic(self) -> Traffic:
+        """The messages so far, of which the kernel's counters must know."""
+
+    def close(self) -> JsonObject:
+        """End what consumes; return further fields of the session."""
+        return {}
+
+    @abstractmethod
+    def progress(self) -> Progress: ...
+
+    def result(self, trace: ClosedTrace) -> Recorded:
+        """Return the result; without a trace in it the closed one is removed."""
+        return Recorded(trace, self.session, self.progress(), error=self.upkeep.shortage)
+
+    def measure_costs(self, rate_hz: float | None = None) -> None:
+        if self.rehearses or not self.options.own_cost:
+            return
+        floor = measured_floor(self.options.backend, self._node_options, rate_hz) if self.HAS_FLOOR else {}
+        self.costs = {**measured_cost(), **floor}
+
+    @property
+    def _has_bridge(self) -> bool:
         return self.options.ping is not None and self.options.ping.bridge != "none"
 
     @property
-    def node_options(self) -> NodeOptions:
+    def _node_options(self) -> NodeOptions:
         """The options of the role's node; with a bridge it is not secured, but the bridge's link."""
         node = self.options.node
-        return replace(node, security=Security.OFF, keys=None) if self.has_bridge else node
+        return replace(node, security=Security.OFF, keys=None) if self._has_bridge else node
 
-    def measure_costs(self, rate_hz: float | None = None, *, has_floor: bool = True) -> None:
-        """Measure at a run's rate, before there is a node to disturb; without the floor of the client library if it is no part of a result."""
-        if self.rehearses or not self.options.own_cost:
-            return
-        floor = measured_floor(self.options.backend, self.node_options, rate_hz) if has_floor else {}
-        self.costs = {**measured_cost(), **floor}
-
-    def open_wire(self, ping_options: PingOptions | None = None) -> AbstractContextManager[WireRecord]:
-        """Open the capture, if enabled; with a bridge messages go through two domains."""
-        node = self.options.node
-        other = None if ping_options is None else ping_options.relay_domain_id
+    def _open_wire(self) -> AbstractContextManager[WireRecord]:
+        node, ping = self.options.node, self.options.ping
+        other = None if ping is None else ping.relay_domain_id
         return open_wire(
             enabled=self.options.wire,
             discovery=node.discovery,
@@ -122,86 +241,47 @@ class BaseRecording:
         # Unique, so that the node recognizes its own endpoints.
         name = f"dds_trace_{role}_{self.session_id:016x}"
         listens = role == "relay" or (role == "beacon" and not self.options.node.peers)
-        self._node = open_node(self.options.backend, replace(self.node_options, name=name, listens=listens))
-        return self._node
+        return open_node(self.options.backend, replace(self._node_options, name=name, listens=listens))
 
-    def read_back(self, node: Node) -> ReadBack:
-        return ReadBack(node, self.environment, strict=self.options.strict, note=self.watch.note)
-
-    def describe(
-        self,
-        role: str,
-        node: Node,
-        read_back: ReadBack,
-        relay_id: int | None = None,
-        *,
-        session_id: int | None = None,
-        extra: JsonObject | None = None,
-    ) -> Session:
-        options = self.options
+    def describe(self, role: str | None = None, *, session_id: int | None = None, **extra: Json) -> Session:
+        options, role = self.options, role or self.ROLE
         connectivity = options.connectivity or default_connectivity(options.node.discovery)
-        settings = side_settings(options, connectivity)
         return describe_session(
-            node,
+            self.node,
             self.clock.anchor(),
             role=role,
             session_id=session_id or self.session_id,
             device=options.device,
             connectivity=connectivity,
-            relay_id=relay_id,
+            relay_id=self.relay_id if role == "relay" else None,
             extra={
                 **self.privileges,
                 **self.costs,
-                "settings": settings,
-                **read_back.fields(),
-                "clock": {"resolution_ns": self.clock_step_ns, "begin": self.correction},
-                **(extra or {}),
+                "settings": side_settings(options, connectivity),
+                **self.read_back.fields(),
+                "clock": self.clock_fields,
+                **extra,
             },
         )
 
     def fields_at_end(self) -> JsonObject:
-        """Return the session's `clock` (the kernel's correction at start and end), `load`, `realtime_threads` and `security`."""
-        clock: JsonObject = {"resolution_ns": self.clock_step_ns, "begin": self.correction, "end": read_adjtimex()}
         keys, security = self.options.node.keys, {}
-        if keys is not None and self._node is not None:
+        if keys is not None:
             security = {
                 "level": self.options.node.security.value,
                 "keys_sha256": public_hash(keys),
-                "applied": "TLS of the bridge's link" if self.has_bridge else self._node.read_security(),
+                "applied": "TLS of the bridge's link" if self._has_bridge else self.node.read_security(),
             }
         return {
-            "clock": clock,
+            "clock": {**self.clock_fields, "end": read_adjtimex()},
             **self._load_fields(),
             **realtime_threads(),
             **({"security": security} if security else {}),
         }
 
-    def note_disk(self, sink: TraceSink) -> None:
-        """Note a disk that cannot be written, once."""
-        if sink.error is not None and not self._noted_disk:
-            self._noted_disk = True
-            self.watch.note(f"{sink.error}; the node continues to answer; what was written stays readable")
+    def left_s(self) -> float:
+        return float("inf") if self.end_ns is None else (self.end_ns - self.clock.monotonic_ns()) / 1e9
 
-    def note_strangers(self, node: Node) -> None:
-        for kind in node.strangers.take_new():
-            self.watch.note(f"somebody else sends here: a {kind} was not accepted; the trace counts further ones")
-
-    def end_ns(self) -> int | None:
-        """Return the end of the duration from now on, monotonic; None without one."""
-        duration_s = self.options.duration_s
-        return None if duration_s is None else self.clock.monotonic_ns() + round(duration_s * 1e9)
-
-    def left_s(self, end_ns: int | None) -> float:
-        return float("inf") if end_ns is None else (end_ns - self.clock.monotonic_ns()) / 1e9
-
-
-def sampled(sink: TraceSink, wire: WireRecord, bridge: RunningBridge | None = None) -> HostSampler:
-    """Return a context that writes the load of host and own processes once a second."""
-    processes = {**wire.processes, **({} if bridge is None else bridge.processes)}
-    return HostSampler(partial(sink.write_json, HOST_TOPIC), processes)
-
-
-def raise_error_of(node: Node) -> None:
-    """Raise the error that ended a thread of the node."""
-    if node.error is not None:
-        raise node.error
+    def raise_error_of_node(self) -> None:
+        if self.node.error is not None:
+            raise self.node.error

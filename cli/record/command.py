@@ -60,7 +60,7 @@ def main_command(
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import check_fields
 
-    from .run import print_result, record_until_stopped
+    from .run import record_until_stopped
     from .tools import check_start, recover_trace, report_own_cost
 
     given = given_values(values)
@@ -94,7 +94,7 @@ def main_command(
     else:
         if command.out.suffix != ".mcap":
             ask_about_folder(command.out, "a rosbag2 recording; one file is NAME.mcap")
-        print_result(record_until_stopped(options), as_json=command.as_json, fail_if_lost=command.fail_if_lost)
+        record_until_stopped(options, as_json=command.as_json, fail_if_lost=command.fail_if_lost)
 
 
 def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:

@@ -32,7 +32,6 @@ def overridden(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def default_domain() -> int:
-    """Return ROS_DOMAIN_ID, or 10 if it is unset."""
     text = os.environ.get("ROS_DOMAIN_ID", "").strip()
     if not text:
         return DEFAULT_DOMAIN

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import json
+import signal
+import sys
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -15,17 +19,19 @@ from dds_trace.base.errors import OutputError, TraceError
 from dds_trace.base.printable import MAX_FINDING_CHARACTERS, printable
 from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import MISSING, counted, format_duration
+from dds_trace.recorder.base_recording import Recorded
 from dds_trace.recorder.errors import LossesError, StoppedError
-from dds_trace.recorder.host.process import stop_at_signals
+from dds_trace.recorder.host.process import STOP_SIGNALS, exit_after, stop_at_signals
 from dds_trace.recorder.recording import record
 from dds_trace.recorder.roles.live import Health, LiveRow
 from dds_trace.recorder.roles.progress import BeaconProgress, PingProgress, Progress, RelayProgress, TapProgress
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from types import TracebackType
+from ..program import print_error
 
-    from dds_trace.recorder.base_recording import Recorded
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from typing import NoReturn
+
     from dds_trace.recorder.options import RecordOptions
     from dds_trace.tracefile.writing.destination import ClosedTrace
 
@@ -65,9 +71,10 @@ class TerminalWatch:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
         self._live.stop()
 
     def note(self, text: str) -> None:
@@ -105,11 +112,42 @@ def live_table(rows: Sequence[LiveRow]) -> Table:
     return table
 
 
-def record_until_stopped(options: RecordOptions) -> Recorded:
-    """Record until done; Ctrl-C and SIGTERM end the recording with a closed trace."""
+LEAVE_S = 10.0
+"""Time to leave the middleware once the trace is closed; then the process ends without that."""
+
+
+def record_until_stopped(options: RecordOptions, *, as_json: bool, fail_if_lost: float | None) -> NoReturn:
+    """Record until done, print the result, and exit; Ctrl-C and SIGTERM end the recording with a closed trace."""
     stop = stop_at_signals()
+    codes: list[int] = []
     with TerminalWatch() as watch:
-        return record(options, stop, watch)
+
+        @contextmanager
+        def leave(end: Recorded | BaseException) -> Iterator[None]:
+            watch.stop()
+            error = end if isinstance(end, BaseException) else None
+            if isinstance(end, Recorded):
+                try:
+                    print_result(end, as_json=as_json, fail_if_lost=fail_if_lost)
+                except TraceError as found:
+                    error = found
+                sys.stdout.flush()
+            if isinstance(error, TraceError):
+                print_error(f": {error}")
+            codes.append(0 if error is None else error.exit_code if isinstance(error, TraceError) else 1)
+            for number in STOP_SIGNALS:  # also while Python ends, when its own handlers are gone
+                signal.signal(number, signal.SIG_IGN)
+            call_off = exit_after(LEAVE_S, codes[0])
+            yield
+            call_off()
+            atexit.register(exit_after, LEAVE_S, codes[0])  # what the middleware does at the end of the process
+
+        try:
+            record(options, stop, watch, leave=leave)
+        except TraceError:
+            if not codes:
+                raise
+    sys.exit(codes[0])
 
 
 def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | None = None) -> None:

@@ -37,8 +37,6 @@ def check_start(options: RecordOptions) -> None:
 
 
 class _Notes:
-    """A `Watch` with notes on stderr."""
-
     def note(self, text: str) -> None:
         say(text)
 

@@ -20,11 +20,11 @@ from .strangers import Strangers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Mapping
-    from types import TracebackType
 
     from typing_extensions import Self
 
 ROUND_S = 0.1
+STOP_S = 5.0  # for a node's thread to end, before the trace is closed without it
 LAST_ACKNOWLEDGEMENT_S = 0.5
 """Longest wait of a closing publisher: a participant that leaves at once takes its last messages with it."""
 
@@ -312,19 +312,17 @@ class Node(ABC):
         publisher_settings: `priority` and `when_full` as its latest publisher reports them, where they were requested.
     """
 
-    _middleware: Middleware
-    """Set as soon as the middleware runs."""
+    _middleware: Middleware  # from the moment it runs
 
     def __init__(self, options: NodeOptions) -> None:
         self.options = options
-        self._closing = False
+        self._closing = self._has_left = False
         self.error: BaseException | None = None
         self.strangers = Strangers()
         self.publisher_settings: dict[str, str] = {}
 
     @property
     def middleware(self) -> Middleware:
-        """The software that carries the messages."""
         return self._middleware
 
     @abstractmethod
@@ -366,15 +364,20 @@ class Node(ABC):
         """Count the participants (ROS: nodes) of the domain; None if the backend cannot."""
         return len(self.participant_names()) or None
 
+    def stop_receiving(self, timeout_s: float | None = STOP_S) -> None:
+        """Call the subscriptions no more; interrupt what blocks in sending, where the middleware can."""
+        self._closing = True
+        self._stop_receiving(timeout_s)
+
     def close(self) -> None:
         """Stop receiving, send what is queued, leave the domain; a second call does nothing."""
-        if not self._closing:
-            self._closing = True
-            self._stop_receiving()
+        if not self._has_left:
+            self._has_left = True
+            self.stop_receiving(None)
             self._leave()
 
     @abstractmethod
-    def _stop_receiving(self) -> None:
+    def _stop_receiving(self, timeout_s: float | None) -> None:
         """End the threads that call the subscriptions."""
 
     @abstractmethod
@@ -384,9 +387,7 @@ class Node(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
 
@@ -417,10 +418,10 @@ class ThreadedNode(Node):
     def _wake(self) -> None:
         """Cut the thread's current wait short, where the middleware can."""
 
-    def _stop_receiving(self) -> None:
+    def _stop_receiving(self, timeout_s: float | None) -> None:
         self._wake()
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(timeout_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -205,8 +205,9 @@ class ZenohNode(Node):
     def count_participants(self) -> int | None:
         return 1 + len(self._session.info.peers_zid()) + len(self._session.info.routers_zid())
 
-    def _stop_receiving(self) -> None:
-        """Do nothing: zenoh's threads end with the session."""
+    def _stop_receiving(self, timeout_s: float | None) -> None:  # noqa: ARG002 - zenoh's threads end with the session
+        for subscription in self._subscriptions:
+            subscription.close()
 
     def _leave(self) -> None:
         self._session.close()

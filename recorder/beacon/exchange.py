@@ -20,7 +20,6 @@ WINDOW_NS = 5 * SECOND_NS
 """Of the round trips of this time only the quickest counts: the others waited somewhere."""
 KEPT_WINDOWS = 120
 DRIFT_WINDOWS = 6
-"""Windows from which a drift is estimated."""
 UNKNOWN_DRIFT_PPM, WANDER_PPM = 200.0, 2.0
 """How much a drift may be wrong before it is estimated (two crystals), and at least afterwards."""
 STEP_PPM = 1000.0
@@ -58,8 +57,6 @@ class _Interval:
 
 
 class ClockEstimate:
-    """Round trips with one other device."""
-
     def __init__(self) -> None:
         self._windows: deque[_Interval] = deque(maxlen=KEPT_WINDOWS)
 
@@ -128,8 +125,6 @@ _SEQUENCE = Whole(0, (1 << 48) - 1, "a number")
 
 @dataclass(slots=True)
 class OtherClock:
-    """Another beacon: its words about itself, and the estimate of its clock."""
-
     device: str
     wall_offset_ns: int
     time_service: str
@@ -163,12 +158,10 @@ class Exchanges:
         self._lock = threading.Lock()
 
     def note_sent(self, run_id: int, sequence: int, publish_ns: int) -> None:
-        """Take T1 of a message."""
         with self._lock:
             _put(self._sent, (run_id, sequence), publish_ns)
 
     def note_reply(self, run_id: int, sequence: int, relay_id: int, receive_ns: int) -> None:
-        """Take T2 of a message."""
         with self._lock:
             _put(self._received, (run_id, sequence, relay_id), receive_ns)
             self._match(run_id, sequence, relay_id)
@@ -229,7 +222,6 @@ class ClockNote:
 
 
 def parse_note(message: RawMessage) -> ClockNote | None:
-    """Return a note; None for anything else."""
     if len(message) > MOST_NOTE_BYTES:
         return None
     try:

@@ -10,10 +10,12 @@ import contextlib
 import ctypes
 import gc
 import os
+import resource
 import shutil
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
@@ -22,11 +24,15 @@ from dds_trace.base import limits
 from dds_trace.base.errors import OptionError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from dds_trace.tracefile.format.json_fields import Json
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+SPIN_S = 3.0
+"""Longest time that a thread under SCHED_FIFO computes without a pause, and keeps all others from its processor."""
+_SIGEV_THREAD = 2  # <bits/sigevent-consts.h>
 
 SWITCH_INTERVAL_S = 0.0005
 """Longest time that a computing thread delays one that received a message (by default 5 ms)."""
@@ -81,14 +87,19 @@ def _pin_cpus(text: str) -> list[int]:
             f"({', '.join(map(str, sorted(allowed)))})"
         )
     # Loaded libraries may have started threads, and the call moves one.
-    for thread in Path("/proc/self/task").iterdir():
+    for thread in _threads():
         with contextlib.suppress(ProcessLookupError):
-            os.sched_setaffinity(int(thread.name), cpus)
+            os.sched_setaffinity(thread, cpus)
     return cpus
 
 
 def set_realtime(priority: int) -> None:
+    """Run this thread and its later children under SCHED_FIFO; one that spins for `SPIN_S` gets SIGXCPU, then SIGKILL."""
     limits.check(limits.REALTIME_PRIORITY, priority, "--realtime")
+    most_us = round(SPIN_S * 1e6)
+    before = resource.getrlimit(resource.RLIMIT_RTTIME)
+    if before[1] == resource.RLIM_INFINITY or before[1] > 2 * most_us:
+        resource.setrlimit(resource.RLIMIT_RTTIME, (most_us, 2 * most_us))
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as err:
@@ -97,11 +108,15 @@ def set_realtime(priority: int) -> None:
         ) from err
 
 
+def _threads() -> list[int]:
+    return [int(thread.name) for thread in Path("/proc/self/task").iterdir()]
+
+
 def realtime_threads() -> dict[str, Json]:
     count = 0
-    for thread in Path("/proc/self/task").iterdir():
+    for thread in _threads():
         with contextlib.suppress(ProcessLookupError):
-            count += os.sched_getscheduler(int(thread.name)) == os.SCHED_FIFO
+            count += os.sched_getscheduler(thread) == os.SCHED_FIFO
     return {"realtime_threads": count} if count else {}
 
 
@@ -134,7 +149,16 @@ def tuned_gc() -> Iterator[None]:
 
 
 class StopEvent(threading.Event):
-    is_repeated = False  # until a second signal came
+    """An event that signals set.
+
+    Attributes:
+        is_repeated: whether a second signal came.
+        last_act: what a third one does before it ends the process: closes the trace.
+        is_spinning: a thread under SCHED_FIFO computed for `SPIN_S` without a pause; then none is under it any more.
+    """
+
+    is_repeated = is_spinning = False
+    last_act: Callable[[], object] = staticmethod(lambda: None)
 
 
 def stop_at_signals() -> StopEvent:
@@ -146,19 +170,61 @@ def stop_at_signals() -> StopEvent:
     stop = StopEvent()
     received: SimpleQueue[int] = SimpleQueue()
 
+    def next_signal() -> int:
+        while (number := received.get()) == signal.SIGXCPU:
+            stop.is_spinning = True
+            for thread in _threads():
+                with contextlib.suppress(OSError):
+                    os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+            stop.set()
+        return number
+
     def set_at_first() -> None:
-        received.get()
+        next_signal()
         stop.set()
-        received.get()
+        next_signal()
         stop.is_repeated = True
-        os._exit(128 + received.get())
+        number = next_signal()
+        stop.last_act()
+        os._exit(128 + number)
 
     threading.Thread(target=set_at_first, name="stop-signals", daemon=True).start()
-    for number in STOP_SIGNALS:
+    for number in (*STOP_SIGNALS, signal.SIGXCPU):
         if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
             continue
         signal.signal(number, lambda number, _: received.put(number))
     return stop
+
+
+class _SignalEvent(ctypes.Structure):
+    """`struct sigevent` of sigevent(7), 64 bytes."""
+
+    _fields_ = (
+        ("value", ctypes.c_void_p),
+        ("signo", ctypes.c_int),
+        ("notify", ctypes.c_int),
+        ("function", ctypes.c_void_p),
+        ("attributes", ctypes.c_void_p),
+        ("rest", ctypes.c_char * 32),
+    )
+
+
+def exit_after(seconds: float, exit_code: int) -> Callable[[], object]:
+    """End the process with `exit_code` after this time; return what calls that off.
+
+    A timer of the C library calls its `_exit` in a thread of its own. Nothing prevents that: no thread that keeps the
+    interpreter's lock for ever, as one of a middleware that waits for another device may.
+    """
+    libc = library = ctypes.CDLL(None)
+    if not hasattr(library, "timer_create"):  # glibc before 2.34
+        library = ctypes.CDLL("librt.so.1")
+    end = ctypes.cast(libc._exit, ctypes.c_void_p)  # noqa: SLF001 - _exit(2)
+    event = _SignalEvent(exit_code, 0, _SIGEV_THREAD, end, None, b"")
+    timer, after = ctypes.c_void_p(), (ctypes.c_long * 4)(0, 0, int(seconds), round(seconds % 1 * 1e9))
+    if library.timer_create(time.CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)) != 0:
+        return lambda: None
+    library.timer_settime(timer, 0, after, None)
+    return lambda: library.timer_delete(timer)
 
 
 def ending_with_parent() -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -59,10 +60,15 @@ class HostSampler:
 
     def _run(self) -> None:
         run_in_background()
-        self.sample()  # from which the shares of the next one count
+        with suppress(OSError):
+            self.sample()  # from which the shares of the next one count
         while not self._stop.wait(self.period_s):
+            self._write_sample()
+        self._write_sample()
+
+    def _write_sample(self) -> None:
+        with suppress(OSError):  # the process has no more files for a moment
             self.write(self.sample())
-        self.write(self.sample())
 
     def sample(self) -> dict[str, Json]:
         began_ns = time.thread_time_ns()

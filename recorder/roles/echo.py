@@ -74,7 +74,6 @@ def find_loss(
 
 
 def explain_silence(node: Node, plan: RunPlan, waited_s: float, not_applied: tuple[Difference, ...] = ()) -> str:
-    """Return the text of a `NoEchoError`: looked for, saw, try, not applied."""
     options, middleware, data_type = node.options, node.middleware, plan.payload.data_type
     view = look_for_relays(node, data_type)
     if not view.subscriptions and not view.publishers:  # connections and shared memory need a peer

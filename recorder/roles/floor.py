@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from ..host.recorder_cost import RecorderCost
 
 BRIEF_S = 0.15
-"""Length of the measurement before a session, enough for a median."""
 FLOOR_TOPIC = "dds_trace_floor"
 FLOOR_MESSAGES = 200
 BRIEF_FLOOR_MESSAGES = 50
@@ -37,8 +36,6 @@ COLDEST_GAP_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class FloorCost:
-    """The time from publish to callback within one process."""
-
     median_ns: float
     p99_ns: float
     messages: int

@@ -36,7 +36,6 @@ class Lane(Generic[SentT, ReceivedT]):
 
 
 def open_lane(node: Node, serialization: Serialization) -> Lane[Any, Any]:
-    """Return the lane of a node; raise an OptionError if the backend does not have it."""
     if isinstance(node, CallNode):
         return call_lane(node)
     return object_lane(node) if serialization is Serialization.TYPED else raw_lane(node)
@@ -53,7 +52,6 @@ def raw_lane(node: Node) -> Lane[bytearray, RawMessage]:
 
 
 def object_lane(node: Node) -> Lane[RosMessage, RosMessage]:
-    """Return the lane of message objects; raise an OptionError if the backend has none."""
     objects = message_objects_of(node)
     return Lane(
         lambda data_type: data_type.object_form(),
@@ -64,7 +62,6 @@ def object_lane(node: Node) -> Lane[RosMessage, RosMessage]:
 
 
 def message_objects_of(node: Node) -> ObjectNode:
-    """Return `node` as one with message objects; raise an `OptionError` if it has none."""
     if not isinstance(node, ObjectNode):
         raise OptionError(
             f"--serialization typed: the backend {node.middleware.backend} only carries serialized messages"
@@ -83,8 +80,6 @@ def call_lane(calls: CallNode) -> Lane[CallMessage, CallMessage]:
 
 
 class Clients(Generic[SentT]):
-    """The publishers of a ping: one, or clients of a call that take turns."""
-
     def __init__(self, publishers: Sequence[Publisher[SentT]]) -> None:
         self._turns = cycle(publishers)
         self.publish = publishers[0].publish if len(publishers) == 1 else self._publish_in_turn
@@ -95,7 +90,6 @@ class Clients(Generic[SentT]):
         next(self._turns).publish(message)
 
     def are_matched(self) -> bool:
-        """Return whether each caller has a server."""
         return all(caller.is_matched() for caller in self.callers)
 
     def close(self) -> None:

@@ -24,8 +24,6 @@ STALE_NS = SECOND_NS
 
 
 class Health(Enum):
-    """State of a topic."""
-
     OK = "OK"
     LATE = "LATE"
     STALE = "STALE"
@@ -76,7 +74,6 @@ class LiveTopic:
         self._missing[publisher_id] = missing
 
     def row(self, now_ns: int) -> LiveRow:
-        """Return its state, on any thread."""
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         arrivals_ns, ages_ns = self._arrivals_ns.copy(), sorted(self._ages_ns.copy())
         age_ns = self._ages_ns[-1] if ages_ns else None

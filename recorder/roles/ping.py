@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import threading
+import time
 from collections import deque
+from concurrent.futures import Future
 from dataclasses import replace
 from statistics import median
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
@@ -12,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeAlias, TypeVar
 from dds_trace.base.units import SECOND_NS
 
 from ..applied.carried import Traffic
+from ..errors import RelayLostError
 from ..host.clock import SystemClock, sharpen_sleep
 from ..host.process import tuned_gc
 from ..payloads.stamp import NO_REPLY, PROBE_RUN_ID, SentT
@@ -20,7 +24,7 @@ from .progress import PingProgress, Replies, Silence
 from .relay import UNSTAMPED
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from dds_trace.tracefile.format.descriptions import Run
     from dds_trace.tracefile.format.json_fields import Json, JsonObject
@@ -49,9 +53,12 @@ LONGEST_DRAIN_NS = 60 * SECOND_NS
 """Longest wait for missing replies, unless the sending took longer."""
 LONGEST_SETTLE_NS = 5 * SECOND_NS
 """Longest wait for echoes to cease once enough relays have echoed."""
+GIVE_UP_S = 2.0
+"""Time for hopeless work to return, then for it to return after it was interrupted."""
+LONGEST_BLOCK_NS = 60 * SECOND_NS
+"""Longest time in which the middleware takes no message, where no schedule says when the last one is due."""
 POLL_NS = SECOND_NS // 50
 MAX_RELAYS = 64
-"""Most relays that a ping meets."""
 MAX_PENDING = 4096
 """Most replies that wait until their relay is met; the oldest are dropped."""
 MEETING_NS = SECOND_NS
@@ -62,8 +69,6 @@ UNMET = "reply of a relay that did not answer a probe"
 
 
 class Record(Protocol):
-    """The signature of `TraceSink.record`."""
-
     def __call__(
         self,
         stage: int,
@@ -108,6 +113,7 @@ class Ping(Generic[SentT, ReceivedT]):
         self._met: dict[int, tuple[int, int]] = {}  # relay -> when it first sent a probe back, and probes it had missed
         self._pending: deque[tuple[int, int, int, int, int]] = deque(maxlen=MAX_PENDING)  # replies of others
         self._probed_ns = 0  # of the latest probe within the run
+        self._probing_ns = 0  # while a probe is being sent
         self._strangers = strangers
         self._echoed_ns = 0
         self._first_echo_ns = 0  # from the first probe on
@@ -115,6 +121,7 @@ class Ping(Generic[SentT, ReceivedT]):
         self._record: Record = _discard
         self._replies = Replies(plan.total)
         self._published = 0
+        self._began_ns = self._sent_ns = 0  # of the run: its start, and the end of sending
         self._ended = False  # missing replies count as lost
 
         self._subscription = lane.create_subscription(
@@ -176,8 +183,9 @@ class Ping(Generic[SentT, ReceivedT]):
     def _probe(self, number: int | None = None) -> None:
         message, nonce = self._messages[0], self._nonce + (len(self._nonces) if number is None else number)
         self._stamps.write(message, PROBE_RUN_ID, nonce)
-        self._nonces[nonce] = self._now()
+        self._probing_ns = self._nonces[nonce] = self._now()
         self._publisher.publish(message)
+        self._probing_ns = 0
 
     def _probe_others(self, now_ns: int) -> None:
         if now_ns - self._probed_ns >= MEETING_NS:
@@ -209,7 +217,6 @@ class Ping(Generic[SentT, ReceivedT]):
 
     @property
     def probes(self) -> Traffic:
-        """The sent probes; none counts as received."""
         return Traffic(len(self._nonces), 0, self.plan.payload.messages[0].payload_bytes)
 
     @property
@@ -231,18 +238,23 @@ class Ping(Generic[SentT, ReceivedT]):
 
     def run(self, sink: TraceSink, stop: threading.Event, hopeless: threading.Event | None = None) -> Run:
         """Send the plan and return the finished run; `stop` ends the sending, `hopeless` the wait for replies."""
-        description = self.plan.describe(self.run_id)
-        sink.write_run(description)
+        sink.write_run(self.plan.describe(self.run_id))
         self._record = sink.record
         sharpen_sleep()
         with tuned_gc():
-            began_ns = self._now()
+            self._began_ns = self._now()
             self._send(sink, stop)
-            ended_ns = self._now()
-            self._drain(hopeless or threading.Event(), began_ns)
+            self._sent_ns = self._now()
+            self._drain(hopeless or threading.Event(), self._began_ns)
+        return self.finish(sink)
+
+    def finish(self, sink: TraceSink) -> Run:
+        """Write the finished run, also of a ping whose thread is still sending."""
         if self._pending:
             self._strangers.count(UNMET, len(self._pending))
+        self._published += self.blocked_ns > 0 and not self._probing_ns  # the middleware has it
         self._ended = True
+        description = self.plan.describe(self.run_id)
         feed = self.plan.payload.feed
         skipped = {} if feed is None else {"skipped_messages": feed.skipped}
         matched = sorted(self._met.values())
@@ -250,6 +262,7 @@ class Ping(Generic[SentT, ReceivedT]):
         if self.plan.is_timed:
             description = replace(description, planned_messages=max(self._published - self.plan.warmup, 0))
         calls = {"call": self._describe_calls()} if self._publisher.callers else {}
+        ended_ns = self._sent_ns or self._now()
         finished = description.finished(self._published, ended_ns=ended_ns, discovery=discovery, **skipped, **calls)
         sink.write_run(finished)
         return finished
@@ -286,7 +299,6 @@ class Ping(Generic[SentT, ReceivedT]):
                 self._probe_others(publish_ns)
 
     def _planned(self, stop: threading.Event) -> Iterator[tuple[SentT, int, int]]:
-        """Yield each message, stamped, with its bytes and T0, at its planned instant."""
         plan, wait_until = self.plan, self._clock.wait_until
         sizes = [message.payload_bytes for message in plan.payload.messages]
         start_ns = self._now() + LEAD_NS
@@ -302,7 +314,6 @@ class Ping(Generic[SentT, ReceivedT]):
             yield message, sizes[position], scheduled_ns
 
     def _arriving(self, feed: Feed, stop: threading.Event) -> Iterator[tuple[SentT, int, int]]:
-        """Yield each message of a live source, stamped, with its bytes and T0, its arrival."""
         feed.begin()
         for sequence in range(self.plan.total):
             arrival = feed.take(stop)
@@ -313,14 +324,31 @@ class Ping(Generic[SentT, ReceivedT]):
             self._stamps.write(message, self.run_id, sequence)
             yield message, taken.payload_bytes, arrival_ns
 
+    @property
+    def blocked_ns(self) -> int:
+        """Return for how long the middleware has not taken the current message; 0 if none is being sent."""
+        sequence = self._published
+        since_ns = self._probing_ns or (self._replies.publish_ns[sequence] if sequence < self.plan.total else 0)
+        return self._now() - since_ns if since_ns else 0
+
+    @property
+    def left_ns(self) -> int:
+        """Return the time until all messages are due; without a schedule, until the current one is blocked for long."""
+        if self.plan.payload.feed is None and not math.isinf(self.plan.rate_hz):
+            return self.plan.scheduled_ns(self._began_ns or self._now(), self.plan.total) - self._now()
+        return LONGEST_BLOCK_NS - self.blocked_ns
+
+    @property
+    def patience_ns(self) -> int:
+        return max(DRAIN_NS, 2 * max(self._longest_echo_ns, self._replies.longest_rtt_ns))
+
     def _drain(self, hopeless: threading.Event, sending_ns: int) -> None:
         replies = self._replies
         began_ns = self._now()
         deadline_ns = began_ns + max(LONGEST_DRAIN_NS, began_ns - sending_ns)
         while not replies.are_complete(self.plan.pinged(self._published)) and not hopeless.is_set():
             quiet_ns = self._now() - max(began_ns, replies.last_ns)
-            patience_ns = max(DRAIN_NS, 2 * max(self._longest_echo_ns, replies.longest_rtt_ns))
-            if quiet_ns > patience_ns or self._now() > deadline_ns:
+            if quiet_ns > self.patience_ns or self._now() > deadline_ns:
                 break
             if self._pending:
                 self._probe_others(self._now())
@@ -348,5 +376,72 @@ class Ping(Generic[SentT, ReceivedT]):
         )
 
 
-def _discard(*_event: int) -> None:
-    """Before the run there is no trace."""
+def _discard(*_event: int) -> None: ...
+
+
+ResultT = TypeVar("ResultT")
+
+
+class PingThread(Generic[ResultT]):
+    """`work` of a ping on its own thread, which the middleware may block for ever.
+
+    `work` gets two events: `enough` ends the sending, `hopeless` the wait for replies. Work that goes on after `hopeless` is
+    interrupted, and at last left to itself: its thread is a daemon.
+
+    Attributes:
+        stuck: the middleware took no message until long after the end; the thread is then hopeless.
+    """
+
+    def __init__(
+        self,
+        ping: AnyPing,
+        work: Callable[[threading.Event, threading.Event], ResultT],
+        interrupt: Callable[[], None],
+        patience_s: float = 0.0,
+    ) -> None:
+        self.enough, self.hopeless = threading.Event(), threading.Event()
+        self.stuck: RelayLostError | None = None
+        self._ping = ping
+        self._interrupt: Callable[[], None] | None = interrupt
+        self._patience_ns = patience_s * SECOND_NS
+        self._hopeless_s = 0.0
+        self._future: Future[ResultT] = Future()
+        self._has_ended = threading.Event()
+        threading.Thread(target=self._run, args=(work,), name="ping", daemon=True).start()
+
+    def _run(self, work: Callable[[threading.Event, threading.Event], ResultT]) -> None:
+        try:
+            self._future.set_result(work(self.enough, self.hopeless))
+        except BaseException as error:  # noqa: BLE001 - `result` raises it
+            self._future.set_exception(error)
+        self._has_ended.set()
+
+    def wait(self, seconds: float) -> bool:
+        """Return whether it has ended, or is left to itself."""
+        if self._has_ended.wait(seconds):
+            return True
+        self._look_if_stuck()
+        if not self.hopeless.is_set():
+            return False
+        now_s = time.monotonic()
+        self._hopeless_s = self._hopeless_s or now_s
+        if self._interrupt is not None and now_s - self._hopeless_s > GIVE_UP_S:
+            self._interrupt()
+            self._interrupt = None
+        return now_s - self._hopeless_s > 2 * GIVE_UP_S
+
+    def _look_if_stuck(self) -> None:
+        ping = self._ping
+        blocked_ns, left_ns = ping.blocked_ns, 0 if self.enough.is_set() else ping.left_ns
+        patience_ns = max(ping.patience_ns, 0 if self.enough.is_set() else self._patience_ns)
+        if left_ns <= 0 and blocked_ns > patience_ns:
+            self.stuck = self.stuck or RelayLostError(
+                f"the relay of {ping.plan.payload.data_type.topic} is lost: it has not taken a message for "
+                f"{blocked_ns / SECOND_NS:.1f} s; check the last output of the relay, and the link to it"
+            )
+            self.enough.set()
+            self.hopeless.set()
+
+    def result(self) -> ResultT | None:
+        """Return the result, None of work that is left to itself; raise its exception."""
+        return self._future.result() if self._has_ended.is_set() else None

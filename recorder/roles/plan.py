@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 
 MOST_MESSAGES_A_SECOND = 200_000
-"""More than a Python process can send."""
 MOST_TIMED_MESSAGES = 20_000_000
 """Messages that end a run at `--rate max` before its time, with 400 MB of ledger."""
 

@@ -41,14 +41,20 @@ class PingProgress:
     warmup_received: int = 0
     warmup_lost: int = 0
 
+    @property
+    def messages(self) -> int:
+        return self.received
+
 
 @dataclass(frozen=True, slots=True)
 class RelayProgress:
-    """Relayed messages (no probes), their runs, and messages without our stamp."""
-
     relayed: int
     runs: int
     foreign: int
+
+    @property
+    def messages(self) -> int:
+        return self.relayed
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +70,13 @@ class TapProgress:
 
 @dataclass(frozen=True, slots=True)
 class BeaconProgress:
-    """Messages sent and answered, and a line for each other beacon."""
-
     sent: int
     received: int
     clocks: tuple[str, ...] = ()
+
+    @property
+    def messages(self) -> int:
+        return self.received
 
 
 Progress: TypeAlias = "PingProgress | RelayProgress | TapProgress | BeaconProgress"
@@ -166,7 +174,6 @@ class Replies:
         return sum(not 0 <= rtt_ns <= timeout_ns for rtt_ns in self._rtt_ns[messages])
 
     def percentiles_ns(self) -> tuple[int | None, int | None]:
-        """Return p50 and p99 of the round trips so far, ns."""
         values = np.frombuffer(self._rtt_ns, np.int64)
         values = values[:: len(values) // PERCENTILE_SAMPLES + 1]
         values = np.sort(values[values >= 0])

@@ -32,7 +32,6 @@ UNSTAMPED = "message without a whole stamp"
 _Forecast: TypeAlias = "tuple[bytes, int, ExpectedPair, int, int, int]"
 """An expected message: its bytes from the stamp on, its length, its events, run, sequence and payload bytes."""
 RECENT_RUNS = 1000
-"""Runs that a relay remembers; an older one counts as new."""
 
 
 class Relay:
@@ -185,8 +184,7 @@ class Relay:
         return RelayProgress(self._relayed, self._runs, self._foreign)
 
 
-def _ignore(*_: int) -> None:
-    """No callback was given."""
+def _ignore(*_: int) -> None: ...
 
 
 def _never(*_: int) -> bool:

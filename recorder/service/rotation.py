@@ -18,7 +18,6 @@ from dds_trace.tracefile.writing.destination import TraceDestination
 from ..option_values import KeepFree
 
 DIGITS = 5
-"""Least digits of a file's number, so that names sort by time."""
 
 MOST_MORE_BYTES = 100_000_000
 """Largest reserve above `--keep-free` that must be free before writing resumes."""

@@ -58,8 +58,6 @@ class Entry:
 
 
 class State(Enum):
-    """State of the process of an entry."""
-
     RUNNING = "running"
     KILLED = "killed"
     UNSEEN = "unseen"
@@ -68,8 +66,6 @@ class State(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One recording; `waiting` is the trace of a killed one with events in its ring."""
-
     entry: Entry
     state: State
     waiting: Path | None = None

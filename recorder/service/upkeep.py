@@ -35,7 +35,6 @@ STATUS_PERIOD_S = 5.0
 """Time between two statuses: each wakes the manager."""
 
 RETRY_S = 60.0
-"""Time until a new file is tried again."""
 
 
 class ServiceManager:
@@ -100,6 +99,7 @@ class Upkeep:
         self._rotation = options.rotation
         self._files = RotatedFiles(options.destination, session.session_id)
         self._count = 1
+        self._closed_events = self._closed_bytes = 0  # of all files but the last
         self._failed_s: float | None = None
         self.shortage: OutputError | None = None
         self._short: OutputError | None = None  # while the disk is short
@@ -131,7 +131,6 @@ class Upkeep:
         self._running.close()
 
     def look(self, messages: int, describe: Callable[[], JsonObject]) -> None:
-        """Check disk space, rotate the file if it is due, and report the state."""
         was_short = self._short is not None
         shortage = find_shortage(self.destination.trace_path, self._options.keep_free, was_short=was_short)
         self._blame_disk()
@@ -147,16 +146,18 @@ class Upkeep:
         self._manager.notify(f"{counted(messages, 'message')}, {activity}")
 
     def close_trace(self, **described: Json) -> ClosedTrace:
+        """Close the last file; the result has the events and bytes of all."""
         self._blame_disk()
-        stopped: JsonObject = {} if self.shortage is None else {"stopped": str(self.shortage)}
-        return self.sink.close(**described, **stopped)
+        is_stopped = self.shortage is not None and self._options.ping is None
+        stopped: JsonObject = {"stopped": str(self.shortage)} if is_stopped else {}
+        closed = self.sink.close(**described, **stopped)
+        return replace(closed, events=closed.events + self._closed_events, bytes=closed.bytes + self._closed_bytes)
 
     def _blame_disk(self) -> None:
         if self._options.ping is not None or self.sink.dropped_events > self._dropped:
             self.shortage = self.shortage or self._short
 
     def _stop_or_go_on(self, shortage: OutputError | None) -> None:
-        """Pause or resume a relay's writing; a ping ends its run."""
         if shortage is None:
             self.sink.resume()
             self._note("there is disk space again: writing continues")
@@ -192,10 +193,14 @@ class Upkeep:
         self._note(f"the recording continues in {self.destination.path.name}{deleted}")
 
     def _go_on(self, described: JsonObject) -> TraceDestination | None:
-        """Switch to the next file; return None if events wait for the disk."""
         while True:
             destination = self._files.next()
             try:
-                return None if self.sink.go_on_in(destination, **described) is None else destination
+                closed = self.sink.go_on_in(destination, **described)
             except OutputExistsError:  # another recording made a file of this name
                 continue
+            if closed is None:
+                return None
+            self._closed_events += closed.events
+            self._closed_bytes += closed.bytes
+            return destination

@@ -23,7 +23,6 @@ from .station.clock_check import compare_clocks
 from .station.station import open_station
 
 RunIds = Mapping[str, tuple[int, ...]]
-"""Name of a cell -> ids of its complete runs, in the order of the passes."""
 MeasureWidths = Callable[[Path, RunIds], Mapping[str, float]]
 """Function from the folder of a sweep and its runs to the half width of each cell's interval."""
 
@@ -54,7 +53,6 @@ class Until:
 
 
 def parse_target(text: str) -> tuple[str, float]:
-    """Return statistic and percent of a text such as `latency_p99:5%`."""
     match = _TARGET.fullmatch(text)
     try:
         percent = float(match[2]) if match else 0.0
@@ -70,13 +68,6 @@ def parse_target(text: str) -> tuple[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class SweepOutcome:
-    """Result of a sweep.
-
-    Attributes:
-        missing: cell without complete recording -> reason.
-        too_wide: cell with too wide an interval -> half width in percent.
-    """
-
     folder: Path
     cells: int
     missing: dict[str, str]
@@ -116,7 +107,6 @@ def run_sweep(
 def _run_further_passes(
     plan: Plan, runner: Runner, until: Until, note: Callable[[str], None]
 ) -> tuple[list[Cell], dict[str, float]]:
-    """Repeat too wide cells as long as there are passes; return the new and the too wide cells."""
     cells: list[Cell] = []
     measured: RunIds = {}
     widths: Mapping[str, float] = {}

@@ -83,12 +83,6 @@ _LEVELS = {Health.OK: 0, Health.LATE: 1, Health.STALE: 3}
 
 
 def open_diagnostics(node: Node, device: str) -> Callable[[LiveTable], None]:
-    """Return the function that publishes a table.
-
-    Raises:
-        BackendUnavailableError: `diagnostic_msgs` is not installed.
-        OptionError: the backend does not have the type.
-    """
     publisher = node.create_publisher(TOPIC, TYPE_NAME, qos=Qos())
     return lambda table: publisher.publish(diagnostic_array(table.rows(), device, time.time_ns()))
 

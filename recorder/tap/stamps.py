@@ -10,7 +10,6 @@ from dds_trace.tracefile.format.header_stamps import Field, Fields, plain_name, 
 from ..backends.dds_types import DDS_TYPES
 
 Members = Callable[[str], Mapping[str, str] | None]
-"""Type name -> member -> type, as in a `.msg` file or as rclpy spells it."""
 
 
 _PLAIN = {"double": "float64", "float": "float32", "boolean": "bool"}

@@ -15,14 +15,11 @@ SILENT_PERIODS = 10
 SHORTEST_SILENCE_NS = 2 * SECOND_NS
 """A publisher is silent after `SILENT_PERIODS` of its periods, and at least this time."""
 _LEARNING = 20
-"""Messages after which a period is learnt."""
 _WEIGHT = 32
 """The mean interval follows the last messages, about so many."""
 
 
 class State(Enum):
-    """What a description of a publisher says of it."""
-
     HEARD = "heard"
     STOPPED = "stopped"
     CLOSED = "closed"
@@ -82,7 +79,6 @@ class Stream:
         return self.messages > _LEARNING
 
     def silence_ns(self, now_ns: int) -> int | None:
-        """Return the time since its last message if that is unusually long, else None."""
         silence_ns = now_ns - self.last_ns
         usual_ns = max(SHORTEST_SILENCE_NS, SILENT_PERIODS * self.period_ns)
         return silence_ns if self.is_learnt and silence_ns > usual_ns else None

@@ -19,7 +19,7 @@ from dds_trace.tracefile.reading.source import TOPIC_PREFIX
 from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
 from dds_trace.tracefile.writing.sink import TraceSink
 
-from ..backends.node import Publication, RawMessage, Subscription, TapNode, TopicPatterns
+from ..backends.node import ROUND_S, Publication, RawMessage, Subscription, TapNode, TopicPatterns
 from ..choices import Durability, History, Reliability
 from ..host.clock import Clock, SystemClock
 from ..roles.live import LiveTable, LiveTopic
@@ -37,10 +37,19 @@ class Worker:
     def __init__(self, work: Callable[..., None]) -> None:
         self.error: BaseException | None = None
         self._work = work
+        self._has_closed = False
         self._queue: queue.Queue[tuple[Any, ...] | None] = queue.Queue(MOST_WAITING)
-        self.hand_over = self._queue.put
         self._thread = threading.Thread(target=self._run, name="tap-worker", daemon=True)
         self._thread.start()
+
+    def hand_over(self, item: tuple[Any, ...]) -> None:
+        """Put an item into the queue and wait for room; after `close` it is lost."""
+        while not self._has_closed:
+            try:
+                self._queue.put(item, timeout=ROUND_S)
+            except queue.Full:
+                continue
+            return
 
     def _run(self) -> None:
         run_in_background()
@@ -54,17 +63,17 @@ class Worker:
                     self.error = error
 
     def close(self) -> None:
+        """End after the items so far."""
+        self._has_closed = True
         self._queue.put(None)
         self._thread.join()
 
 
 TAP = 5
-"""The ring's number of `Stage.TAP`."""
 GRAPH_PERIOD_NS = SECOND_NS // 2
 DEPTH = 32
 """Messages that wait for a busy tap; no publisher keeps them."""
 MOST_STREAMS = 10_000
-"""Most publishers with a record of their own."""
 
 
 def chosen_qos(reliability: Reliability | None, durability: Durability | None, depth: int | None) -> Qos:
@@ -81,8 +90,6 @@ def chosen_qos(reliability: Reliability | None, durability: Durability | None, d
 
 @dataclass(slots=True, eq=False)
 class _Topic:
-    """One topic and type: its subscription, and its publishers in the graph."""
-
     name: str
     type_name: str
     read_stamp: Callable[[bytes], int | None] | None
@@ -232,7 +239,6 @@ class Tap:
         sequence: int,
         source: Hashable,
     ) -> None:
-        """Store the event of a message, on one thread."""
         stream = topic.streams.get(source) or self._meet(topic, source)
         if stream.publisher is None and source is None:
             sequence = 0

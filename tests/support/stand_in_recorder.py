@@ -50,6 +50,8 @@ def main():
     if behaviour == "killed":
         print("a first line", flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
+    if behaviour == "hangs":
+        wait_for(lambda: False)
     if behaviour in UNTIL_STOPPED:
         print(f"relay {os.environ.get('STAND_IN_RELAY', '0000beef')} serves domain", flush=True)
         (FOLDER / f"waiting-{cell}").touch()

@@ -75,7 +75,6 @@ class GroupRelay:
         return self.segment
 
     def check(self) -> None:
-        """Raise a `CellFailedError` if a program has ended by itself."""
         ended = next((name for name, program in self._running.items() if program.failure is not None), None)
         if ended is None:
             return
@@ -112,7 +111,6 @@ class GroupRelay:
         return tuple(self._segments[len(self._segments) - len(self._arguments) + 1 :])
 
     def kill(self) -> None:
-        """Kill the relay, so that the next `serve` starts another one."""
         self._killed_ids |= self._relay_ids()
         self._running.pop("relay").kill()
         self.end()

@@ -48,7 +48,6 @@ class Outage:
         self._began_ns = self._ended_ns = 0
 
     def step(self, now_s: float) -> None:
-        """Begin or end the outage if it is time; the first call starts the clock."""
         if self._due_s is None:
             self._due_s = now_s + self._run.outage_after_seconds
         if not self._began_ns and now_s >= self._due_s:
@@ -62,7 +61,6 @@ class Outage:
                 self._ended_ns = time.monotonic_ns()
 
     def report(self) -> OutageReport | None:
-        """Return the outage; None if the run did not last until its end."""
         if not self._ended_ns:
             return None
         return {
@@ -96,4 +94,3 @@ class Outage:
 
 
 _LONGEST_WAIT_S = 0.25
-"""Rest of an outage that is waited for at once: about a period of the caller's calls."""

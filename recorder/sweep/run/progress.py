@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 CELL_WIDTH = 25
-"""Columns for a name, so that the line fits into 80."""
 
 
 class SweepProgress:
@@ -43,8 +42,6 @@ class SweepProgress:
 
 
 class PlainProgress(SweepProgress):
-    """A line for each cell."""
-
     def __init__(self, console: Console) -> None:
         self._console = console
         self._cells = self._done = 0
@@ -67,8 +64,6 @@ class PlainProgress(SweepProgress):
 
 
 class RichProgress(PlainProgress):
-    """The same lines above a bar."""
-
     def __init__(self, console: Console) -> None:
         super().__init__(console)
         self._progress = Progress(

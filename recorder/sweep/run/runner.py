@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import signal
 import time
 from collections import Counter
 from dataclasses import replace
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from .result import CellResult
 
 START_ALLOWANCE_S = 40.0
-"""Time for a ping to start, with its bridge."""
 
 POLL_S = 0.2
 START_POLL_S = 0.01
@@ -145,7 +145,6 @@ class Runner:
             self._progress.note(f"{self._parts} contains {', '.join(foreign)}, which no sweep wrote; not deleted")
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
-        """Run the incomplete cells of a group; the time left counts `all_cells`."""
         waiting = [cells for cells in recorded_together(group.cells) if any(map(self._is_waiting, cells))]
         if not waiting:
             return
@@ -163,7 +162,6 @@ class Runner:
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
-        """Yield the relay of a group; split its trace at the end."""
         relay = GroupRelay(
             self._station.within(group.need.environment).device,
             [
@@ -182,14 +180,12 @@ class Runner:
                 self._collect(segment)
 
     def record(self, cell: Cell, relay: GroupRelay) -> CellState:
-        """Record one cell, as often as the plan allows; one without its middleware fails at once."""
         if reason := self._missing.get(middlewares_of(cell)):
             return self._fail(cell.name, reason)
         self.record_together([cell], relay)
         return self.state[cell.name]
 
     def record_together(self, cells: Sequence[Cell], relay: GroupRelay) -> None:
-        """Record cells at the same time, as often as the plan allows; they succeed or fail together."""
         for _ in range(self.plan.run.attempts):
             running = {}
             for cell in cells:
@@ -325,6 +321,10 @@ class Runner:
         return Program(command, draft.with_name(draft.name + ".log"), lock=station.lock)
 
     def _read(self, draft: Path, program: Program, code: int, *, cut_off: bool) -> CellResult:
+        if cut_off and code == -signal.SIGKILL:
+            raise CellFailedError(
+                "it took longer than its plan allows, did not end when asked, and was killed: " + program.last_words()
+            )
         if code not in ENDED_CODES and not cut_off:
             raise CellFailedError(program.last_words(), hopeless=code in HOPELESS_EXIT_CODES)
         try:

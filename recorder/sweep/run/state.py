@@ -21,12 +21,9 @@ if TYPE_CHECKING:
     from .outage import OutageReport
 
 STATE_VERSION = 1
-"""Version 1: first version (2026)."""
 
 
 class Status(Enum):
-    """Progress of one cell."""
-
     PENDING = "pending"
     RUNNING = "running"  # also of a cell that was interrupted
     RECORDED = "recorded"  # the ping's trace exists, the relay's part is still in the relay's own trace

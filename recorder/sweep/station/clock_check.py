@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 SECONDS = 6
 TIMEOUT_S = 60.0
 SEGMENT, OWN = "0-0-0.mcap", "clocks.ping.mcap"
-"""Traces of both beacons, named as a sweep's unfinished ones."""
 MARK = "your clocks differ"
-"""In each line of a beacon about another one."""
 
 
 def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[str], None]) -> None:

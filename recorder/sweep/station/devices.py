@@ -64,8 +64,7 @@ class RelayDevice:
     def collect(self, segment: str) -> Path | None:  # noqa: ARG002
         return None
 
-    def discard(self, segment: str) -> None:
-        """Remove a trace that is split."""
+    def discard(self, segment: str) -> None: ...
 
     def clear(self, keep: Collection[str]) -> None:
         """Remove traces of an interrupted sweep, except these segments."""
@@ -153,13 +152,10 @@ def printed_command(arguments: Sequence[str], number: int | str) -> str:
 
 
 class _PrintedProgram:
-    """A program that a person runs and ends."""
-
     failure = None
     exit_code = None
     relay_id = None
 
-    def stop(self) -> None:
-        """Do nothing."""
+    def stop(self) -> None: ...
 
     kill = stop

@@ -18,7 +18,6 @@ from dds_trace.base.errors import BackendUnavailableError
 from ..plan.link import EndCounters, Link
 
 INTERFACE = "link0"
-"""The link's device in either namespace."""
 
 SYSTEM_PATH = os.environ.get("PATH", "") + ":/usr/sbin:/sbin"  # where Debian has `ip` and `tc`
 

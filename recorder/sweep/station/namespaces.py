@@ -38,8 +38,6 @@ _counter = itertools.count()
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One of the two namespaces, and its IPv4 address on the link."""
-
     namespace: str
     address: str
 
@@ -98,7 +96,6 @@ class NamespacePair:
         self._remove()
 
     def report(self) -> LinkReport:
-        """Return the work of the link since the preceding call."""
         return {
             "monotonic_ns": time.monotonic_ns(),
             "link": self._shaped.to_dict() if self._shaped else None,
@@ -272,6 +269,5 @@ def remove_stale() -> list[str]:
 
 
 def require_root() -> None:
-    """Raise an OptionError unless this user is root."""
     if os.geteuid() != 0:
         raise OptionError("[network] and [link] need root to make network namespaces; run dds-sweep with sudo")

@@ -30,12 +30,10 @@ STOP_PATIENCE_S = 60.0
 """Time for a recorder to wait for late replies, close its trace and stop its bridge."""
 
 REHEARSAL_PATIENCE_S = 60.0
-"""A bridge takes up to 20 s to start."""
 
 REHEARSAL_STOP_S = 10.0
 LAST_WORDS_BYTES = 4096
 MOST_LOG_BYTES = 64 << 20
-"""Largest log of a program on another device."""
 
 _SERVING = re.compile(rf"relay ([0-9a-f]{{8}}) {SERVING}")
 _REASON = re.compile(r"dds-\w+: ")
@@ -110,21 +108,21 @@ class Program:
         return None
 
     def stop(self, patience_s: float = STOP_PATIENCE_S) -> int:
-        """End the program, by force after `patience_s`; return its exit code."""
+        """End the program, without its wait for late replies after most of `patience_s`, then by force; return its exit code."""
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()
-        if self._process.poll() is None and not self._stops_by_input:
-            self._process.terminate()
-        if self.wait(patience_s) is None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-        return self._process.wait()
+        for share in (0.8, 0.2):
+            if self._process.poll() is None and not self._stops_by_input:
+                self._process.terminate()
+            if (code := self.wait(share * patience_s)) is not None:
+                return code
+        return self.kill()
 
-    def kill(self) -> None:
+    def kill(self) -> int:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+        return self._process.wait()
 
     def last_words(self) -> str:
         """Return the signal that killed it, or its last output after `PROGRAM: `."""
@@ -139,7 +137,6 @@ class Program:
 
 
 def rehearse_program(command: Sequence[str], folder: Path) -> str | None:
-    """Run a `dds-record` with `--check`; return why it cannot start."""
     trace = folder / "rehearsal.mcap"
     try:
         program = Program([*command, "--out", str(trace), "--check"], folder / "rehearsal.log")

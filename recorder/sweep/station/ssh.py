@@ -111,7 +111,6 @@ class SshDevice(RelayDevice):
         return self._folder / segment if "" in fetched else None
 
     def _fetch(self, name: str) -> bool:
-        """Copy one file with its rights; return whether the device has it."""
         quoted = f"{self._remote}/{shlex.quote(name)}"
         rights = self._run(f"test ! -f {quoted} || stat -c %a {quoted}").strip()
         if not re.fullmatch(r"[0-7]{1,4}", rights, re.ASCII):
@@ -127,7 +126,6 @@ class SshDevice(RelayDevice):
         remove_files(self._folder, segment, (*TRACE_ENDINGS, *LOG_ENDINGS))
 
     def clear(self, keep: Collection[str]) -> None:
-        """Remove traces that no cell needs, after the relays there have ended."""
         names = " ".join(shlex.quote(name) for name in keep) or "''"
         ended = _WAIT_FOR_END.format(pid='"$pid"')
         self._run(
@@ -175,7 +173,6 @@ class SshDevice(RelayDevice):
 
 
 def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int) -> str | None:
-    """Copy what a program prints; return why that stopped before its end."""
     deadline_s, copied = time.monotonic() + SSH_TIMEOUT_S, 0
     os.set_blocking(source.fileno(), False)
     while (left_s := deadline_s - time.monotonic()) > 0:

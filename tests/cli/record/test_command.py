@@ -38,8 +38,7 @@ def parsed(monkeypatch, tmp_path):
     for name in ("ROS_DOMAIN_ID", "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(name, raising=False)
     seen = []
-    monkeypatch.setattr("dds_trace.cli.record.run.record_until_stopped", seen.append)
-    monkeypatch.setattr("dds_trace.cli.record.run.print_result", lambda *_, **__: None)
+    monkeypatch.setattr("dds_trace.cli.record.run.record_until_stopped", lambda options, **_: seen.append(options))
 
     def parse(*arguments, role="ping"):
         result = CliRunner().invoke(

@@ -198,3 +198,45 @@ def is_free(path):
         except BlockingIOError:
             return False
     return True
+
+
+@pytest.mark.parametrize(("after_s", "code"), [(0.2, 0), (0.2, 12), (0.2, 130), (600, 7)])
+def test_a_process_ends_with_its_code_whoever_keeps_the_interpreters_lock(after_s, code):
+    """`PyDLL` calls with the lock held, as a middleware's binding does; the last exit is called off."""
+    script = "import ctypes, sys\nfrom dds_trace.recorder.host.process import exit_after\n"
+    call = "exit_after(600, 9)()\nsys.exit(7)" if after_s == 600 else f"exit_after({after_s}, {code})"
+    done = run(f"{script}{call}\nctypes.PyDLL(None).sleep(600)")
+    assert done.returncode == code, done.stderr
+
+
+def test_a_third_signal_closes_what_is_open_first(tmp_path):
+    done = run(
+        "import os, signal, sys\nfrom pathlib import Path\n"
+        "from dds_trace.recorder.host.process import stop_at_signals\n"
+        "stop = stop_at_signals()\nstop.last_act = Path(sys.argv[1]).touch\n"
+        "for number in (signal.SIGINT, signal.SIGTERM, signal.SIGTERM):\n    os.kill(os.getpid(), number)\n"
+        "signal.pause()\nsignal.pause()",
+        tmp_path / "closed",
+    )
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    assert (tmp_path / "closed").exists()
+
+
+SPINS = """
+import hashlib, os, threading
+from dds_trace.recorder.host.process import set_realtime, stop_at_signals
+stop = stop_at_signals()
+set_realtime(5)
+spinning = threading.Thread(target=hashlib.pbkdf2_hmac, args=("sha256", b"x", b"x", 10**9), daemon=True)
+spinning.start()
+while not stop.wait(0.1):  # the signal interrupts the thread that spins
+    pass
+print(stop.is_spinning, os.sched_getscheduler(spinning.native_id) == os.SCHED_OTHER)
+"""
+
+
+def test_a_thread_that_spins_in_real_time_gives_its_priority_back():
+    done = run(SPINS)
+    if "not permitted" in done.stderr:
+        pytest.skip("SCHED_FIFO is not permitted here")
+    assert (done.returncode, done.stdout.split()) == (0, ["True", "True"]), done.stderr

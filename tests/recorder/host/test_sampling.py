@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
 import queue
 import subprocess
 import sys
+from unittest import mock
 
 from dds_trace.recorder.host import sampling
 from dds_trace.recorder.host.sampling import HostSampler
@@ -44,3 +46,11 @@ def test_dropped_datagrams_are_read_from_the_kernel(monkeypatch):
     counters = {"ReasmFails": 3, "ReasmTimeout": 2, "FragFails": 0, "InErrors": 7, "RcvbufErrors": 6, "SndbufErrors": 0}
     monkeypatch.setattr(sampling, "read_kernel_counters", lambda: counters | {"ReasmOKs": 9, "MemErrors": 1})
     assert HostSampler(lambda _sample: None).sample()["udp"] == counters
+
+
+def test_a_moment_without_files_costs_only_its_samples():
+    """As where strangers take all of them: EMFILE at the first two, then room again."""
+    samples, lack = queue.Queue(), OSError(errno.EMFILE, "Too many open files")
+    taken = mock.patch.object(HostSampler, "sample", side_effect=[lack, lack, *[{"monotonic_ns": 1}] * 10_000])
+    with taken, HostSampler(samples.put, period_s=0.01):
+        assert samples.get(timeout=30) == {"monotonic_ns": 1}

@@ -228,3 +228,21 @@ def test_no_file_of_a_bridge_stays_in_the_temporary_folder(stand_in, tmp_path, m
     with stand_in("serves"):
         assert list(tmp_path.iterdir())
     assert not list(tmp_path.iterdir())
+
+
+IN_REAL_TIME = """
+import os, pathlib, sys
+from dds_trace.recorder.bridges.process.supervise import SupervisedProgram
+from dds_trace.recorder.host.process import set_realtime
+set_realtime(5)
+program = SupervisedProgram(["sleep", "600"], pathlib.Path(sys.argv[1]), os.environ, None)
+print(os.sched_getscheduler(0) == os.SCHED_FIFO, os.sched_getscheduler(program.pid) == os.SCHED_OTHER)
+program.stop()
+"""
+
+
+def test_a_bridge_of_a_recorder_in_real_time_runs_at_usual_priority(tmp_path):
+    done = subprocess.run([sys.executable, "-c", IN_REAL_TIME, tmp_path], capture_output=True, text=True, check=False)
+    if "not permitted" in done.stderr:
+        pytest.skip("SCHED_FIFO is not permitted here")
+    assert done.stdout.split() == ["True", "True"], done.stderr

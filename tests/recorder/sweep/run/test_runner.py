@@ -19,6 +19,7 @@ from dds_trace.recorder.sweep import sweep as sweep_module
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
 from dds_trace.recorder.sweep.run.state import Status
 from dds_trace.recorder.sweep.search import RateAnswer
+from dds_trace.recorder.sweep.station.programs import Program
 from dds_trace.recorder.sweep.station.station import open_station
 from dds_trace.recorder.sweep.sweep import run_search
 from dds_trace.tracefile.format.events import Stage
@@ -188,6 +189,17 @@ def test_run_that_takes_too_long_is_cut_off_and_says_how_far_it_got(desk, monkey
     desk.sweep()
     heard = {name: outcome for name, outcome, _ in desk.heard.ended_cells}
     assert "cut off after 2 of 4" in heard[FIRST]
+
+
+def test_a_recording_that_does_not_end_is_killed_and_the_sweep_goes_on(desk, monkeypatch):
+    monkeypatch.setattr(runner_module, "START_ALLOWANCE_S", -19.0)
+    monkeypatch.setattr(Program.stop, "__defaults__", (0.2,))
+    desk.script(**{FIRST: ["hangs", "hangs"]})
+    reason = desk.sweep().missing[FIRST]
+    assert "longer than its plan allows" in reason
+    assert "SIGKILL" in reason
+    assert desk.state(FIRST).reason == reason
+    assert desk.state(SECOND).status is Status.COMPLETE
 
 
 def test_search_of_the_highest_rate_goes_on_where_it_was_interrupted(desk):

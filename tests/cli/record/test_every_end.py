@@ -1,0 +1,185 @@
+"""Every role over every transport ends: by itself, by Ctrl-C and by SIGTERM, whatever has happened to the other side.
+
+Each test has three recordings of one role, which end in these three ways, and lasts as long as the one that ends by itself.
+`just ends` runs all of it; `just test` what starts quickly, and one fault of each other transport.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from contextlib import ExitStack
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+import pytest
+from namespaces import needs_namespaces
+from processes import running
+from waiting import wait_until
+
+from dds_trace.base.errors import TraceError
+from dds_trace.recorder.host.load import loaded
+from dds_trace.recorder.sweep.plan.outage import OutageBy
+from dds_trace.recorder.sweep.station.namespaces import NamespacePair, Side
+from dds_trace.tracefile.format.events import Stage
+from dds_trace.tracefile.format.ring import ring_path
+from dds_trace.tracefile.reading.reader import read_trace
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+TRANSPORTS = {
+    "ros2-udp": ("--backend", "ros2", "--transport", "udp"),
+    "ros2-shm": ("--backend", "ros2", "--transport", "shm"),
+    "ros2-large-data": ("--backend", "ros2", "--transport", "large-data"),
+    "cyclonedds": ("--backend", "cyclonedds"),
+    "zenoh": ("--backend", "zenoh"),
+    "socket-tcp": ("--backend", "socket"),
+    "socket-udp": ("--backend", "socket", "--transport", "udp", "--reliability", "best_effort"),
+}
+MODULES = {"ros2": "rclpy", "cyclonedds": "cyclonedds", "zenoh": "zenoh"}
+ROLES = ("ping", "relay", "tap", "beacon", "client", "server")
+FAULTS = ("peer stopped", "link down", "busy machine", "peer gone")
+STAGES = {
+    "ping": Stage.T2,
+    "client": Stage.T2,
+    "beacon": Stage.T2,
+    "relay": Stage.T4,
+    "server": Stage.T4,
+    "tap": Stage.TAP,
+}
+"""Role -> the event by which a recording is known to be under way."""
+PARTS = {
+    "ping": (("relay", False), ("ping", True)),
+    "relay": (("ping", False), ("relay", True)),
+    "tap": (("relay", False), ("ping", False), ("tap", True)),
+    "beacon": (("beacon", False), ("beacon", True)),
+}
+PARTS |= {"client": PARTS["ping"], "server": PARTS["relay"]}
+"""Role -> the recordings to start, and which one is tested."""
+LOST, HELD_UP_S, LAST_S = 12, 1.0, 15
+"""`LAST_S` after its start a recording ends by itself: by then the silence is long enough to mean a lost relay."""
+LARGE = ("--data", "binary", "--size", "500KB", "--rate", "20", "--warmup", "0")
+"""More than the buffers of a TCP connection hold of a few seconds."""
+SMALL = ("--data", "string", "--size", "64B", "--rate", "20", "--warmup", "0")
+
+
+def has(role: str, transport: str, fault: str) -> bool:
+    is_socket, is_call = transport.startswith("socket"), role in ("client", "server")
+    if is_call and not (transport.startswith("ros2") or transport == "zenoh"):
+        return False
+    return not (role == "tap" and is_socket) and not (fault == "link down" and transport == "ros2-shm")
+
+
+QUICK = {"socket-tcp": FAULTS, "socket-udp": FAULTS[:1], "zenoh": FAULTS[:1], "cyclonedds": FAULTS[3:]}
+QUICK_OF_ROS2 = (
+    ("tap", "ros2-udp", "busy machine"),
+    ("ping", "ros2-large-data", "peer stopped"),
+    ("server", "ros2-shm", "peer gone"),
+)
+
+
+def cases() -> Iterator[object]:
+    for role in ROLES:
+        for transport, options in TRANSPORTS.items():
+            module = MODULES.get(options[1])
+            marks = [pytest.mark.skipif(module is not None and find_spec(module) is None, reason=f"no {module} here")]
+            for fault in FAULTS:
+                if not has(role, transport, fault):
+                    continue
+                is_quick = fault in QUICK.get(transport, ()) or (role, transport, fault) in QUICK_OF_ROS2
+                network = [needs_namespaces("ip", "iproute2")] if fault == "link down" else []
+                slow = [] if is_quick else [pytest.mark.ends, pytest.mark.slow]
+                name = f"{role}-{transport}-{fault}".replace(" ", "-")
+                yield pytest.param(role, transport, fault, marks=[*marks, *network, *slow], id=name)
+
+
+pytestmark = [pytest.mark.middleware, pytest.mark.timeout(400)]
+
+
+class Bench:
+    """Three recordings of a role, and what answers each."""
+
+    def __init__(self, stack, domains, folder: Path, transport: str, pair: NamespacePair | None) -> None:
+        self._stack, self._domains, self._folder, self._pair = stack, domains, folder, pair
+        discovery = "localhost" if pair is None else "subnet"
+        self._options = (*TRANSPORTS[transport], "--discovery", discovery, "--no-own-cost")
+        self._has_peers = transport.startswith(("socket", "zenoh"))
+        self._is_small = transport == "socket-udp"
+        self.peers, self.tested, self.outs = [], [], []
+
+    def start(self, role: str, number: int, seconds: int) -> None:
+        domain_id, call = self._domains.take(), ("--call", "service") if role in ("client", "server") else ()
+        traffic = SMALL if call or role == "tap" or self._is_small else LARGE
+        listening = None if self._pair is None else self._side(is_tested=role in ("relay", "server")).address
+        for part, is_tested in PARTS[role]:
+            more = ("--duration", seconds + 5) if is_tested else ()
+            if part == "ping":
+                more = (*traffic, "--wait", 120, "--messages", 20 * (seconds if is_tested else 600))
+            elif part == "tap":
+                more = (*more, "--topics", "*string*")
+            if self._has_peers and part != "relay" and (part, is_tested) != ("beacon", False):
+                more = (*more, "--peer", listening or "127.0.0.1")
+            out = self._folder / f"{part}-{'tested' if is_tested else 'peer'}-{number}.mcap"
+            arguments = ("--role", part, "--domain", domain_id, *self._options, *call, *more, "--out", out)
+            prefix = () if self._pair is None else self._side(is_tested=is_tested).prefix
+            command = self._stack.enter_context(running("dds-record", *arguments, prefix=prefix))
+            if part in ("relay", "beacon"):
+                command.wait_for_line("domain")
+            (self.tested if is_tested else self.peers).append(command)
+            self.outs += [out] * is_tested
+
+    def inflict(self, fault: str) -> None:
+        if self._pair is not None:
+            self._pair.cut(OutageBy.LINK)
+        elif fault == "busy machine":
+            self._stack.enter_context(loaded("cpu"))
+        for peer in self.peers:
+            if fault == "peer stopped":
+                peer.send_signal(signal.SIGSTOP)
+            elif fault == "peer gone":
+                peer.clean_up()
+
+    def _side(self, *, is_tested: bool) -> Side:
+        assert self._pair is not None
+        return self._pair.ping if is_tested else self._pair.relay
+
+    def wait_for_messages(self, stage: Stage) -> None:
+        for command, out in zip(self.tested, self.outs, strict=True):
+            wait_until(lambda command=command, out=out: not command.is_alive or count_events(out, stage) >= 10)
+            assert command.is_alive, command.finish()
+
+
+def count_events(out: Path, stage: Stage) -> int:
+    try:
+        return len(read_trace(out).events[stage])
+    except (TraceError, OSError):  # it has just begun
+        return 0
+
+
+@pytest.mark.parametrize(("role", "transport", "fault"), list(cases()))
+def test_it_ends(role, transport, fault, domains, tmp_path):
+    with ExitStack() as stack:
+        pair = stack.enter_context(NamespacePair(None)) if fault == "link down" else None
+        bench = Bench(stack, domains, tmp_path, transport, pair)
+        for number, seconds in enumerate((600, 600, LAST_S)):  # the last one ends by itself
+            bench.start(role, number, seconds)
+            bench.wait_for_messages(STAGES[role])
+        bench.inflict(fault)
+        *others, by_itself = bench.tested
+        ended = {"own end": by_itself.finish()}
+        for command, number in zip(others, (signal.SIGINT, signal.SIGTERM), strict=True):
+            # On a busy machine it gets no processor for a while.
+            for sent in (signal.SIGSTOP, number, signal.SIGCONT) if fault == "busy machine" else (number,):
+                if command.is_alive:
+                    command.send_signal(sent)
+                time.sleep(HELD_UP_S if sent is signal.SIGSTOP else 0)
+            ended[number.name] = command.finish()
+    code = LOST if role in ("ping", "client") and fault != "busy machine" else 0
+    assert {way: done.status for way, done in ended.items()} == dict.fromkeys(ended, code), ended
+    for out in bench.outs:
+        assert not ring_path(out).exists()
+        sessions = read_trace(out).sessions
+        assert {session.state for session in sessions} == {"closed"}
+        assert code == 0 or "is lost" in str(sessions[-1].extra["error"])

@@ -150,18 +150,13 @@ def runs_by_group(batch: Batch, roundtrips: PairedRows) -> Iterator[NDArray[np.i
 
 
 def filled(values: pl.Series, missing: int = 0) -> NDArray[np.int64]:
-    """Return a column as an array with null filled; a view where none is null."""
+    """Fill null; a view where none is."""
     return (values.fill_null(missing) if values.null_count() else values).to_numpy()
 
 
 def present(values: pl.Series) -> NDArray[Any]:
-    """Return the values that are not null as an array; a view where none is null."""
+    """Leave out null; a view where none is."""
     return (values.drop_nulls() if values.null_count() else values).to_numpy()
-
-
-def first_known(rows: pl.DataFrame, name: str, other: str) -> pl.Series:
-    column = rows[name]
-    return rows.select(pl.coalesce(name, other)).to_series() if column.null_count() else column
 
 
 def is_present(values: pl.Series) -> NDArray[np.bool_]:

@@ -125,7 +125,7 @@ class _Columns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Messages:
-    """The rows of a group, from `first` on in `columns`; the complete ones are shown."""
+    """Rows of a group, from `first` on in `columns`; complete ones are shown."""
 
     columns: _Columns
     first: int
@@ -144,7 +144,7 @@ class _Messages:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ExchangeRows:
-    """An exchange of a group, its rows in the group, and whether no bridge writes the source stamps."""
+    """`rows` are in the group; `is_direct`: no bridge writes the source stamps."""
 
     exchange: Exchange
     rows: slice
@@ -258,7 +258,7 @@ class _Times:
 
 
 def response_frame(batch: Batch, roundtrips: PairedRows) -> pl.DataFrame:
-    """Compare response times with round trips, a row per whole group.
+    """Compare response times with round trips of each whole group.
 
     A sender that waits hides the waiting in round trips ("coordinated omission", G. Tene, 2013). `late_ratio` were sent
     more than a tenth of the period after T0; `hidden_*_ns` = response - rtt; p99 needs 100 messages.

@@ -102,10 +102,9 @@ def outage_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Return the messages, with `arrived_ns` at the relay on the ping's clock, and how the deadline judges each.
+    """Return the messages, `arrived_ns` at the relay on the ping's clock; not sure: neither `missed` nor `in_time`.
 
-    `missed` and `in_time` are both false where nothing is sure. Without a deadline no message is missed; those are in time that took
-    as long as 90 % of the run's messages.
+    Without a deadline none is missed, and in time is what took as long as 90 % of the run's messages.
     """
     deadline_ns, metric = batch.options.deadline_ns, batch.options.deadline_metric
     planned = pl.coalesce("scheduled_ns", "publish_ns")
@@ -136,10 +135,10 @@ def _rows(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
 
 
 def runs_of(rows: pl.DataFrame, happened: pl.Expr) -> pl.LazyFrame:
-    """Return the runs of messages of one exchange for which something happened: the first message's row, with
+    """Return the first message of each run of an exchange's messages for which it `happened`.
 
-    `row` its index, `messages` in a row, `end_row` the index after the last of them, `next_planned_ns` and `end_ns` when the message
-    after them was due and received, null at the end of the exchange.
+    `end_row` is the index after the last; the message there was due at `next_planned_ns` and received at `end_ns`, null at the end of
+    the exchange.
     """
     keys = ("exchange", "happened")
     return (
@@ -158,7 +157,7 @@ def runs_of(rows: pl.DataFrame, happened: pl.Expr) -> pl.LazyFrame:
 
 
 def _misses(rows: pl.DataFrame, deadline_ns: int | None) -> pl.LazyFrame:
-    """Judge each exchange; all null without a deadline. `last_missed` messages in a row are its last ones."""
+    """All null without a deadline; `last_missed` in a row are the last ones of the exchange."""
     last = pl.col("end_row") == pl.col("end_row").max()
     until_ns = pl.coalesce("next_planned_ns", pl.lit(rows["planned_ns"]).gather(pl.col("end_row") - 1))
     runs = runs_of(rows, pl.col("missed")).with_columns(lasted_ns=until_ns - pl.col("planned_ns"))
@@ -250,7 +249,7 @@ def _late(rows: pl.DataFrame, batch: Batch) -> pl.LazyFrame:
 
 
 def find_outages(rows: pl.DataFrame) -> pl.LazyFrame:
-    """Return the outages of each exchange: its index, that of the first lost message's `row`, and columns of `OUTAGE_SCHEMA`."""
+    """Return outages by the index of the exchange, `row` being that of the first lost message."""
     steady = runs_of(rows, pl.col("in_time") & ~pl.col("lost")).filter(pl.col("messages") >= RECOVERED_MESSAGES)
     return (
         runs_of(rows, pl.col("lost"))

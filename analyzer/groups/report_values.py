@@ -23,10 +23,9 @@ LEVELS = (
 
 
 def curves(distributions: pl.DataFrame) -> dict[tuple[int, str], tuple[int, ...]]:
-    """Read the inverse of the cumulated histogram of each group and metric, within the histogram's 0.1 %.
+    """Return by group and metric the times, ns, that the first of `LEVELS` do not exceed, within the histogram's 0.1 %.
 
-    Returns:
-        (group, metric) -> the times in ns that the first of `LEVELS` do not exceed. Level q needs 1 / (1 - q) messages.
+    Level q needs 1 / (1 - q) messages.
     """
     ordered = distributions.sort("group", "metric", "value_ns")
     values_ns, counts = ordered["value_ns"].to_numpy(), ordered["count"].to_numpy().astype(np.int64)
@@ -78,19 +77,19 @@ def planned_percentiles(summary: pl.DataFrame, distributions: pl.DataFrame) -> P
 
 
 def planned_shares(summary: pl.DataFrame) -> tuple[float | None, ...]:
-    """Return for each group the received share of the messages that were due, sent or not; None where none was due."""
+    """Received share of the messages that were due, sent or not, by group; None where none was due."""
     due = pl.col("published") + pl.col("unsent").fill_null(0)
     return tuple(summary.select(pl.when(due > 0).then(pl.col("received") / due)).to_series().to_list())
 
 
 def sustained_shares(summary: pl.DataFrame) -> tuple[float | None, ...]:
-    """Return for each group its replies per second as a share of the requested rate; None where a factor is unknown."""
+    """Replies per second as a share of the requested rate, by group; None where a factor is unknown."""
     share = pl.col("achieved_rate_hz") * pl.col("received_ratio") / pl.col("rate_hz")
     return tuple(summary.select(pl.when(pl.col("rate_hz") > 0).then(share)).to_series().to_list())
 
 
 class RunSpan(NamedTuple):
-    """One run of a group: the session of its ping, and its first and last message on the ping's monotonic clock, ns."""
+    """First and last message of a run of a group, monotonic clock of the ping's session, ns."""
 
     group: int
     session_id: int
@@ -99,11 +98,7 @@ class RunSpan(NamedTuple):
 
 
 def bridge_loads(samples: pl.DataFrame, runs: Iterable[RunSpan]) -> Mapping[int, float]:
-    """Average the load of the bridges' processes in `Details.host_samples` over the runs of each group.
-
-    Returns:
-        Group -> load in percent of one processor; groups without samples are missing.
-    """
+    """Average the bridges' load in `Details.host_samples`, percent of one processor, over the runs of each group with samples."""
     by_session = samples.filter(pl.col("bridge_cpu_percent").is_not_null()).partition_by("session_id", as_dict=True)
     loads: dict[int, list[float]] = {}
     for run in runs:

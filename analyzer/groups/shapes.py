@@ -28,11 +28,10 @@ SHAPE_SCHEMA = frame_schema(
 
 
 def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
-    """Describe the latency of each run and relay over time; the round trips without the relay's trace.
+    """Describe the latency (without the relay's trace, the round trips) of each run and relay over time.
 
-    Returns:
-        Columns of `SHAPE_SCHEMA`, null unless significant and larger than `OWN_NS`: messages, time and level of the warm-up over
-        the others' level; `trend_ratio` level at the end over the start's; the two modes and the share of the smaller one.
+    Null unless significant and larger than `OWN_NS`: messages, time and level of the warm-up over the others' level; `trend_ratio`
+    level at the end over the start's; the two modes and the share of the smaller one.
     """
     rows: list[dict[str, object]] = []
     # Filled for all runs at once: per run, the conversion takes longer than the median.

@@ -99,7 +99,7 @@ def _median_ns(session: Session, part: str, name: str) -> float | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """The round trips summarized group by group: as in `Analysis`, with samples by metric and counts by exchange."""
+    """As in `Analysis`, with samples by metric and counts by exchange."""
 
     frame: pl.DataFrame
     distributions: pl.DataFrame

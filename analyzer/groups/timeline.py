@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
@@ -36,16 +34,12 @@ def run_rows(run_times: pl.DataFrame, roundtrips: pl.LazyFrame) -> pl.DataFrame:
     """Return one row a run, by `run_id`; a run with relays in several groups needs a common median, so its rows are read."""
     is_whole = pl.col("run_id").is_unique()
     parts = [run_times.filter(is_whole)]
-    for runs in _runs_at_once(run_times.filter(~is_whole)):
-        rows = roundtrips.filter(pl.col("run_id").is_in(runs["run_id"].implode()))
+    runs = run_times.filter(~is_whole).group_by("run_id").agg(pl.col("published").cast(pl.Int64).sum()).sort("run_id")
+    rows_before = runs["published"].cum_sum() - runs["published"]
+    for _, read in runs.group_by(rows_before // ROWS_AT_ONCE, maintain_order=True):
+        rows = roundtrips.filter(pl.col("run_id").is_in(read["run_id"].implode()))
         parts.append(_summarize(rows.select(pl.lit(0).alias("group"), "run_id", *_READ).collect()))
     return pl.concat(parts).drop("group").sort("run_id")
-
-
-def _runs_at_once(run_times: pl.DataFrame) -> Iterator[pl.DataFrame]:
-    runs = run_times.group_by("run_id").agg(pl.col("published").cast(pl.Int64).sum()).sort("run_id")
-    rows_before = runs["published"].cum_sum() - runs["published"]
-    yield from (part for _, part in runs.group_by(rows_before // ROWS_AT_ONCE, maintain_order=True))
 
 
 def _summarize(rows: pl.DataFrame) -> pl.DataFrame:

@@ -47,11 +47,11 @@ COUNT_SCHEMA: dict[str, type[pl.DataType]] = {
 `early`: replies whose T2 is below their T4, which one clock cannot read.
 `unscheduled`: messages without T0. `negative_*`: times below zero. `publish_span_ns`, `relay_span_ns`, `reply_span_ns`: first
 to last T1, first T3 to last T4, first to last T2, null without both. `relayed`, `replied`: messages with T3, with T2.
-`orphans`: T2, T3 and T4 of counted messages without T1. Of the run: `with_warmup`: messages with a T1, warm-up included;
+`orphans`: T2, T3 and T4 of counted messages without T1. `with_warmup`: messages of the run with a T1, warm-up included;
 `repeated`: T1 beyond the first of their message; `least_payload_bytes`, `most_payload_bytes`: of its T1. `unsent`: messages
-due and never published. `in_flight`: messages without a row: the ping was killed before their fate was known (both
-`unsent.py`). `absent`: messages without a row as the relay was not there (`presence.py`). `outlived`: lost messages between two
-arrivals that are further apart than a reliable history keeps a message; `longest_gap_ns`: the longest of these times.
+due and never published. `in_flight`: messages without a row: the ping was killed before their fate was known.
+`absent`: messages without a row as the relay was not there (all three `roundtrips.py`). `outlived`: lost messages between two
+arrivals that are further apart than a reliable history keeps a message; `longest_gap_ns`: the longest such time.
 `sent`, `reached`: messages with T1, and of these with T3, also those that were not to be sent back, as the first two spans have them.
 """
 

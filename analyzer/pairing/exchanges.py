@@ -15,7 +15,6 @@ from ..clocks.boots import machine_of, session_of_run
 from ..loading.campaign import Campaign
 from ..loading.event_index import Copies, EventIndex, EventKey, EventPart, merge_parts
 from ..model.environment import environment_of
-from ..model.finding import Source
 from ..model.parameters import Parameters, parameters_of
 from .flows import RunSpan, count_flows
 
@@ -65,7 +64,7 @@ class Exchange:
         return RunSpan(self.start_ns, self.end_ns, self.run.run_id, machine_of(self.ping))
 
     def event_keys(self) -> tuple[EventKey, EventKey, EventKey, EventKey]:
-        """Return its keys in the event index, T1 to T4; all relays of the run share T1."""
+        """Return keys of T1 to T4; all relays of the run share T1."""
         run_id, relay_id = self.run.run_id, self.relay_id
         return (
             (Stage.T1, run_id, NO_RELAY),
@@ -83,11 +82,7 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Unplaced:
-    """Events that belong to no row, copies left out.
-
-    Attributes:
-        relay_id: the relay that they name, 0 for none.
-    """
+    """Events that belong to no row, copies left out; `relay_id` 0 where they name none."""
 
     reason: str
     run_id: int
@@ -98,7 +93,7 @@ class Unplaced:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exchanges:
-    """All exchanges of a campaign, by start of the run, then relay; what could not be placed, and its copies."""
+    """All exchanges of a campaign, by start of the run, then relay, and what could not be placed."""
 
     placed: tuple[Exchange, ...]
     unplaced: tuple[Unplaced, ...]
@@ -210,7 +205,11 @@ def _start(exchange: Exchange) -> tuple[int, int, int]:
 
 
 def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
-    unread = [f"{source.path} was not used: {source.detail}" for source in campaign.sources if _is_unread(source)]
+    unread = [
+        f"{source.path} was not used: {source.detail}"
+        for source in campaign.sources
+        if source.status == "skipped" and source.path.endswith(".mcap")
+    ]
     reasons = sorted({_in_words(campaign, events) for events in unplaced}) + unread
     advice = "replace that file, or record the run again" if unread else "add the trace of the ping"
     reason = f": {'; '.join(reasons)}" if reasons else ""
@@ -222,10 +221,6 @@ def _nothing_to_pair(campaign: Campaign, unplaced: Iterable[Unplaced]) -> str:
 
 def _in_words(campaign: Campaign, unplaced: Unplaced) -> str:
     return f"{counted(unplaced.events, 'event')} of run {unplaced.run_id:016x} in {campaign.names(unplaced.traces)}"
-
-
-def _is_unread(source: Source) -> bool:
-    return source.status == "skipped" and source.path.endswith(".mcap")
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,10 +236,7 @@ class Doubt:
 def find_ping_session(
     campaign: Campaign, run: Run, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
-    """Return the session that the run names, else the ping session of the traces with the run.
-
-    Several candidates become a `Doubt`; `traces` have publications of the run, the first at `first_ns`.
-    """
+    """Return the session that the run names, else that of the traces with its T1; several become a `Doubt`."""
     named = campaign.sessions.get(session_of_run(run))
     if named is not None:
         return named
@@ -257,10 +249,7 @@ def find_ping_session(
 def find_relay_session(
     campaign: Campaign, run_id: int, relay_id: int, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
-    """Return the session of the relay in the traces with its events, else any with its relay_id.
-
-    Several candidates become a `Doubt`; `traces` have T3 or T4, the first at `first_ns`.
-    """
+    """Return the session of the relay in the traces with its T3 or T4, else any with its relay_id; several become a `Doubt`."""
     if not traces:
         same_relay = [s for s in campaign.sessions.values() if s.role == "relay" and s.relay_id == relay_id]
         return max(same_relay, key=lambda session: session.wall_anchor_ns, default=None)

@@ -1,7 +1,6 @@
 """One-way times of each run and relay, and the clock of each pair of devices over the campaign.
 
-A run is fitted on its own, so its one-way times do not depend on what else is analyzed. The campaign's fit of two
-devices takes the knots of all runs as messages.
+A run is fitted on its own, so that its times do not depend on what else is analyzed; the campaign's fit takes the knots of all runs.
 """
 
 from __future__ import annotations
@@ -90,12 +89,9 @@ class OneWay:
 def fit_exchanges(
     exchanges: Sequence[Exchange], bounds: NDArray[np.int64], stamps: Mapping[str, NDArray[np.int64]]
 ) -> OneWay:
-    """Fit the clocks of every exchange by its own messages.
+    """Fit the clocks of every exchange by its own messages; `bounds` as in `PairedRows`.
 
-    Args:
-        exchanges: in the order of their rows.
-        bounds: exchange i has the rows `bounds[i]` to `bounds[i + 1]` (not included).
-        stamps: T1, T3, T4 and T2 of each row by column name, or `pair.MISSING`.
+    `stamps` are T1, T3, T4 and T2 of each row by column name, or `pair.MISSING`.
     """
     rows = int(bounds[-1])
     values: dict[str, NDArray[np.int64]] = {}
@@ -155,7 +151,7 @@ def fit_exchanges(
 
 
 def _is_bounded(fit: ClockFit) -> bool:
-    """Return whether the bounds of a fit hold: a clock that was stepped or slewed follows no line of a window."""
+    """A clock that was stepped or slewed follows no line of a window."""
     return fit.same_clock or not (
         fit.steps or any(is_bent(*np.array(s.knots, np.int64).T) for s in fit.segments if len(s.knots) > 2)
     )
@@ -238,8 +234,7 @@ def knots_of(exchanges: Sequence[Exchange], groups: Sequence[int], fits: Sequenc
 def fit_devices(knots: pl.DataFrame, boots: Mapping[int, int]) -> tuple[ClockFit, ...]:
     """Fit the clock of each pair of devices and boots over the campaign, from the frame of `knots_of`.
 
-    A relay that was rebooted between two runs has another boot id, and another clock. `boots`: of each run's ping, by run_id
-    (`boots.ping_boots`).
+    A relay that was rebooted has another boot id, and another clock. `boots`: of each run's ping, by run_id (`boots.ping_boots`).
     """
     ids = pl.Series(list(boots), dtype=pl.UInt64)
     boot_numbers = pl.Series(list(boots.values()), dtype=pl.Int64)

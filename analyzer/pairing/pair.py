@@ -1,6 +1,5 @@
 """Pairing: the events T1..T4 of one exchange become one row per published message.
 
-A message's row is its sequence number minus the first one; where T1 events are missing or numbers are absurd, bisection finds it.
 Nothing is allocated by the size of a number in a file. Of several events of one message the earliest counts; events that agree in
 message and instant are one event.
 """
@@ -51,7 +50,7 @@ class Published:
         publish_ns: int64, T1.
         scheduled_ns: int64, T0, or MISSING throughout if the run had no schedule.
         with_warmup: distinct messages with a T1, warm-up and those without a reply included.
-        repeated: T1 events beyond the first of their message; none in a sound trace.
+        repeated: T1 events beyond the first of their message.
     """
 
     sequence: NDArray[np.uint64]
@@ -66,7 +65,6 @@ class Published:
         return len(self.sequence)
 
     def take(self, mask: NDArray[np.bool_]) -> Published:
-        """Return the messages of a mask; counts stay."""
         return replace(
             self, sequence=self.sequence[mask], publish_ns=self.publish_ns[mask], scheduled_ns=self.scheduled_ns[mask]
         )
@@ -104,7 +102,6 @@ class PairedMessages:
     orphans: int
 
     def take(self, mask: NDArray[np.bool_]) -> PairedMessages:
-        """Return the messages of a mask; `orphans` stays."""
         return PairedMessages(
             receive_ns=self.receive_ns[mask],
             relay_in_ns=self.relay_in_ns[mask],
@@ -149,11 +146,11 @@ def is_pinged(sequence: NDArray[np.uint64], ping_every: int) -> NDArray[np.bool_
 
 
 def pair_messages(published: Published, t2: EventColumns, t3: EventColumns, t4: EventColumns) -> PairedMessages:
-    """Find the earliest T2, T3 and T4 of every published message at one relay; events in any order, warm-up included."""
+    """Pair events of one relay, in any order, warm-up included."""
     receive_ns, extra, orphan_replies = _earliest(published, t2)
     relay_in_ns, _, orphan_arrivals = _earliest(published, t3)
     relay_out_ns, _, orphan_departures = _earliest(published, t4)
-    if _came_back_in_turn(receive_ns):
+    if len(receive_ns) and receive_ns[0] != MISSING and (receive_ns[1:] >= receive_ns[:-1]).all():
         outcome = np.full(len(published), _CODE[Outcome.COMPLETED])
         reordered = np.zeros(len(published), np.bool_)
     else:
@@ -218,10 +215,6 @@ def _earliest(published: Published, events: EventColumns) -> tuple[NDArray[np.in
 
 def _are_its_own(published: Published, events: EventColumns) -> bool:
     return np.array_equal(published.sequence, events.sequence)
-
-
-def _came_back_in_turn(receive_ns: NDArray[np.int64]) -> bool:
-    return len(receive_ns) > 0 and bool(receive_ns[0] != MISSING and (receive_ns[1:] >= receive_ns[:-1]).all())
 
 
 def _outcomes(

@@ -84,10 +84,7 @@ def _abandon(writer: pq.ParquetWriter) -> None:
 
 
 def tables_of(rows: PairedRows) -> Iterator[pa.Table]:
-    """Yield the rows as `roundtrips_writer` takes them, a row group at a time.
-
-    A text that never changes shares one array of indices.
-    """
+    """Yield the rows, a row group at a time; a text that never changes shares one array of indices."""
     described = rows.described
     texts = {
         column.name: column.to_arrow().cast(pa.string()).dictionary_encode()
@@ -128,11 +125,6 @@ def _array(values: NDArray[np.generic]) -> pa.Array:
 
 
 def write_summary(summary: pl.DataFrame, path: Path, provenance: Mapping[str, str]) -> None:
-    """Write `summary.parquet`, complete or not at all.
-
-    Raises:
-        OutputError: the folder or the file cannot be written.
-    """
     with _output_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as draft:

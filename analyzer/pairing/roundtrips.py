@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,11 +11,13 @@ import numpy as np
 import polars as pl
 
 from dds_trace.base.threads import InlineExecutor
+from dds_trace.base.units import SECOND_NS
 from dds_trace.tracefile.format.events import EventColumns, Stage
 
 from ..model.columns import KEY_COLUMNS
 from ..model.metrics import schema_of, with_metrics
 from ..model.parameters import PARAMETER_COLUMNS
+from ..model.unsent import MOST_MESSAGES
 from .counts import COUNT_SCHEMA, count_all, count_messages
 from .one_way import OneWay, fit_exchanges, knots_of
 from .pair import (
@@ -23,20 +26,21 @@ from .pair import (
     PairedMessages,
     Published,
     Scalar,
+    first_replies,
     is_pinged,
     middleware_stamps,
     pair_messages,
     published_messages,
 )
-from .presence import present
-from .unsent import count_unsent, settled
-from .utc import utc_columns
+from .utc import null_where_missing, utc_columns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from concurrent.futures import Executor
 
     from numpy.typing import DTypeLike, NDArray
+
+    from dds_trace.tracefile.format.descriptions import Run
 
     from ..loading.event_index import EventKey
     from .exchanges import Exchange
@@ -58,7 +62,7 @@ MIDDLEWARE_STAMPS = {
     Stage.T3: ("relay_source_ns", "relay_received_ns"),
     Stage.T2: ("reply_source_ns", "reply_received_ns"),
 }
-"""Columns of `source_ns` and `received_ns` of T3 and T2: i64, ns since 1970, 0 if unknown."""
+"""`source_ns` and `received_ns` of T3 and T2: i64, ns since 1970, 0 if unknown."""
 
 RECEPTION_STAMPS = frozenset(received for _, received in MIDDLEWARE_STAMPS.values())
 """Stamps of reception; without any of them the others are not used."""
@@ -102,21 +106,15 @@ class PairedRows(ABC):
         """
 
     def per_row(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Repeat a value of each exchange for each of its rows."""
         return np.repeat(values, np.diff(self.bounds))
 
     def exchange_of_row(self) -> NDArray[np.uint32]:
-        """Return the index of each row's exchange."""
         return self.per_row(np.arange(len(self.described), dtype=np.uint32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoundTrips(PairedRows):
-    """The rows of some exchanges in memory.
-
-    Attributes:
-        outcome: uint8, for each row an index of `pair.OUTCOMES`.
-    """
+    """The rows in memory; `outcome` is uint8, an index of `pair.OUTCOMES`."""
 
     measured: pl.DataFrame
     outcome: NDArray[np.uint8]
@@ -224,7 +222,7 @@ def pair_exchanges(
     stamps = {name: columns[name] for name in _STAMPS}
     fitting = pool.submit(fit_exchanges, exchanges, bounds, stamps) if details else None
     in_time = pl.DataFrame({"sequence": columns["sequence"]}).with_columns(
-        *(_null_where_missing(name, values) for name, values in stamps.items()),
+        *(null_where_missing(name, values) for name, values in stamps.items()),
         outcome_names(columns["outcome"]),
         pl.Series("duplicates", columns["duplicates"]),
         pl.Series("reordered", columns["reordered"]),
@@ -271,12 +269,6 @@ def describe(exchanges: Sequence[Exchange]) -> pl.DataFrame:
     )
 
 
-def _null_where_missing(name: str, values: NDArray[np.int64]) -> pl.Series:
-    series = pl.Series(name, values)
-    missing = values == MISSING
-    return series.set(pl.Series(missing), None) if missing.any() else series
-
-
 def bounds_of(counts: pl.DataFrame) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(counts["published"].to_numpy())]).astype(np.int64)
 
@@ -284,3 +276,101 @@ def bounds_of(counts: pl.DataFrame) -> NDArray[np.int64]:
 def outcome_names(codes: NDArray[np.uint8]) -> pl.Series:
     names = [outcome.value for outcome in OUTCOMES]
     return pl.Series("outcome", names, pl.Enum(names)).gather(codes.astype(np.uint32))
+
+
+def present(
+    exchanges: Sequence[Exchange], published: Sequence[Published], pair: Callable[[Exchange, Published], PairedMessages]
+) -> list[NDArray[np.bool_]]:
+    """Return for each exchange which messages count for its relay.
+
+    For a relay that started within the run, those from the first one on that it got; for one that it replaced on its device, those
+    before.
+    """
+    masks = [np.ones(len(messages), np.bool_) for messages in published]
+    by_run: dict[int, list[int]] = defaultdict(list)
+    for number, exchange in enumerate(exchanges):
+        by_run[exchange.run.run_id].append(number)
+    for numbers in by_run.values():
+        if len(numbers) == 1:
+            continue
+        paired = {number: pair(exchanges[number], published[number]) for number in numbers}
+        for late in numbers:
+            first = _first_after_start(exchanges[late], published[late], paired[late])
+            if first is None:
+                continue
+            masks[late][:first] = False
+            for other in numbers:
+                if other != late and _is_succeeded(exchanges[other], exchanges[late], paired[other], first):
+                    masks[other][first:] = False
+    return masks
+
+
+def _first_after_start(exchange: Exchange, published: Published, paired: PairedMessages) -> int | None:
+    """Return the first message that reached a relay which started within the run; None for other relays.
+
+    The clocks need no fit: the least T3 - T1 is at least their offset.
+    """
+    arrived = paired.relay_in_ns != MISSING
+    if exchange.relay is None or not arrived.any():
+        return None
+    if paired.relay_in_ns[arrived].min() < exchange.relay.monotonic_anchor_ns:  # an anchor that is not the start
+        return None
+    most_ahead_ns = int((paired.relay_in_ns[arrived] - published.publish_ns[arrived]).min())
+    is_after = published.publish_ns >= exchange.relay.monotonic_anchor_ns - most_ahead_ns
+    reached = np.flatnonzero(is_after & arrived)
+    return None if is_after.all() or not len(reached) else int(reached[0])
+
+
+def _is_succeeded(other: Exchange, late: Exchange, paired: PairedMessages, first: int) -> bool:
+    if other.relay is None or late.relay is None or other.relay.device != late.relay.device:
+        return False
+    seen = (paired.relay_in_ns != MISSING) | (paired.receive_ns != MISSING)
+    return not seen[first:].any() and bool(seen[:first].any())
+
+
+_PATIENCE_NS = 2 * SECOND_NS
+"""Time that a reply may take in a run without any: a ping's wait at its end."""
+
+
+def count_unsent(run: Run, published: Published, t2: EventColumns) -> int:
+    """Return the number of counted messages that were due when the run ended and never published.
+
+    The run ended at its `ended_ns`, else at the last T1 or T2. A live topic has no plan: its skipped messages were never sent.
+    """
+    skipped = run.extra.get("skipped_messages")
+    if isinstance(skipped, int):
+        return min(max(skipped, 0), MOST_MESSAGES)
+    if not len(published) or run.rate_hz <= 0 or str(run.extra.get("data_source", "")).startswith("topic:"):
+        return 0
+    first, scheduled_ns = int(published.sequence[0]), int(published.scheduled_ns[0])
+    if scheduled_ns == MISSING:
+        return 0
+    run_end = run.extra.get("ended_ns")
+    ended_ns = run_end if isinstance(run_end, int) else _last_ns(published, t2)
+    planned = run.warmup_messages + run.planned_messages
+    due = first + 1 + int((ended_ns - scheduled_ns) * run.rate_hz / SECOND_NS)
+    left = max(int(published.sequence[-1]) + 1, run.published, run.warmup_messages)
+    return min(max(0, min(due, planned) - left), MOST_MESSAGES)
+
+
+def settled(run: Run, published: Published, t2: EventColumns) -> NDArray[np.bool_]:
+    """Return for each counted message whether its fate is known.
+
+    In the run of a killed ping, a message without a reply is in flight if the slowest reply took more time than is left before
+    the last T1 or T2. So is the last message: the ping may have died between its T1 and sending it.
+    """
+    is_settled = np.ones(len(published), np.bool_)
+    if run.state == "finished" or not len(published):
+        return is_settled
+    receive_ns = first_replies(published, t2)
+    replied = receive_ns != MISSING
+    rtts_ns = receive_ns[replied] - published.publish_ns[replied]
+    longest_ns = int(rtts_ns.max()) if len(rtts_ns) else _PATIENCE_NS
+    is_settled &= replied | (published.publish_ns <= _last_ns(published, t2) - longest_ns)
+    is_settled[-1] = replied[-1]
+    return is_settled
+
+
+def _last_ns(published: Published, t2: EventColumns) -> int:
+    last_ns = int(published.publish_ns.max())
+    return max(last_ns, int(t2.monotonic_ns.max())) if len(t2) else last_ns

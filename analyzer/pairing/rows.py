@@ -54,11 +54,10 @@ class RowStore(ABC):
 
     @abstractmethod
     def load(self) -> pl.DataFrame:
-        """Return all rows; rows in a file are read at every call."""
+        """Return all rows, read at every call."""
 
     @abstractmethod
-    def scan(self) -> pl.LazyFrame:
-        """Return all rows lazily."""
+    def scan(self) -> pl.LazyFrame: ...
 
     def in_file(self) -> RowStore:
         """Return the same rows, read from their file: small to send to another process."""
@@ -79,7 +78,7 @@ class RowStore(ABC):
 
     @property
     def has_rows(self) -> bool:
-        """Whether there are rows; False of a sketch, which has only groups."""
+        """False of a sketch, which has only groups."""
         return not self.scan().head(1).collect().is_empty()
 
     def frame(self, groups: pl.DataFrame, columns: Sequence[str] = ROUNDTRIP_NAMES) -> pl.DataFrame:
@@ -90,7 +89,7 @@ class RowStore(ABC):
 
 
 class RowsInMemory(RowStore):
-    """Rows in memory, perhaps in a file as well."""
+    """`path`: a file that has the same rows."""
 
     def __init__(self, rows: pl.DataFrame, path: Path | None = None) -> None:
         super().__init__()
@@ -112,8 +111,6 @@ class RowsInMemory(RowStore):
 
 
 class RowsInFile(RowStore):
-    """Rows in a Parquet file, which may be in a temporary folder."""
-
     def __init__(self, path: Path, folder: TemporaryFolder | None = None) -> None:
         super().__init__()
         self._path = path
@@ -140,9 +137,7 @@ def _scan(path: Path, size: int, written_ns: int) -> pl.LazyFrame:  # noqa: ARG0
 
 
 class RowWriter:
-    """Writes the rows of a campaign; on an error, an earlier file stays as it was.
-
-    Without a path it writes a temporary file, and only if there are many rows.
+    """Writes the rows of a campaign; on an error, an earlier file stays. Without a path, many rows go to a temporary file.
 
     Raises:
         OutputError: the file cannot be written.
@@ -182,7 +177,9 @@ class RowWriter:
 
     def store(self) -> RowStore:
         if self._tables is not None:
-            return RowsInMemory(_frame_of(self._tables), self._path)
+            frames = [pl.DataFrame([_series(n, table[n]) for n in table.column_names]) for table in self._tables]
+            rows = pl.concat([pl.DataFrame(schema=schema_of(ROUNDTRIP_COLUMNS)), *frames]).rechunk()
+            return RowsInMemory(rows, self._path)
         assert self._path is not None
         return RowsInFile(self._path, self._folder)
 
@@ -192,11 +189,6 @@ class RowWriter:
         self._write = self._stack.enter_context(roundtrips_writer(self._path, self._provenance))
         for table in tables:
             self._write(table)
-
-
-def _frame_of(tables: Sequence[pa.Table]) -> pl.DataFrame:
-    frames = [pl.DataFrame([_series(name, table[name]) for name in table.column_names]) for table in tables]
-    return pl.concat([pl.DataFrame(schema=schema_of(ROUNDTRIP_COLUMNS)), *frames]).rechunk()
 
 
 def _series(name: str, column: pa.ChunkedArray) -> pl.Series:

@@ -1,7 +1,6 @@
 """The instants of messages in UTC, as far as their devices knew it.
 
-A session reads both clocks once, when it starts. UTC follows from that reading, whatever changes the wall clock later, and is as
-wrong as the device's clock was then.
+UTC follows from a session's reading of both clocks at its start; it is as wrong as the device's clock was then.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from .exchanges import Exchange
 from .pair import MISSING
 
 _SANE_NS = 1 << 61
-"""Instants and offsets beyond (73 years) are damaged; the sum of two others fits into an int64."""
+"""Instants and offsets beyond (73 years) are damaged; two others add up within an int64."""
 
 _STA_UNSYNC = 0x40
 """Bit of the clock's status: nothing has synchronized it (adjtimex(2))."""
@@ -46,12 +45,14 @@ def utc_columns(
             here = instants_ns[first:after]
             is_valid = (here >= session.monotonic_anchor_ns) & (here < _SANE_NS)
             np.add(here, session.wall_ns(0), out=utc_ns[first:after], where=is_valid)
-        series = pl.Series(column.name, utc_ns)
-        missing = utc_ns == MISSING
-        if missing.any():
-            series = series.set(pl.Series(missing), None)
-        columns.append(series.cast(column.dtype))
+        columns.append(null_where_missing(column.name, utc_ns).cast(column.dtype))
     return columns
+
+
+def null_where_missing(name: str, values: NDArray[np.int64]) -> pl.Series:
+    series = pl.Series(name, values)
+    missing = values == MISSING
+    return series.set(pl.Series(missing), None) if missing.any() else series
 
 
 def is_synchronized(session: Session) -> bool | None:

@@ -54,7 +54,7 @@ class RowStore(ABC):
 
     @abstractmethod
     def load(self) -> pl.DataFrame:
-        """Return all rows, read at every call."""
+        """Return all rows; those in a file are read at every call."""
 
     @abstractmethod
     def scan(self) -> pl.LazyFrame: ...

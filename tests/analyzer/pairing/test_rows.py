@@ -58,7 +58,7 @@ def test_many_rows_leave_memory_for_a_temporary_file_that_goes_away(analysis, tm
 
 def test_rows_up_to_the_bound_stay_in_memory(analysis, tmp_path, monkeypatch):
     monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "MOST_ROWS_IN_MEMORY", 5)
-    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "tempfile", None)  # there is no other place
+    monkeypatch.setattr(dds_trace.analyzer.pairing.rows, "TemporaryFolder", None)  # there is no other place
     again = analyze(tmp_path / "traces", details=False)
     assert_frame_equal(again.rows.load(), analysis.rows.load())
 

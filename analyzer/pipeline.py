@@ -71,7 +71,7 @@ def analyze(
         a = analyze("runs/")
         a.summary.select("vendor", "payload_bytes", "latency_p50_ns", "latency_p99_ns")
 
-    From 300 traces on, worker processes do most of it; a script needs no `if __name__ == "__main__"` for them.
+    From 2,000 traces on, worker processes do most of it; a script needs no `if __name__ == "__main__"` for them.
 
     Args:
         path: a folder (with all folders in it), one trace file, or one rosbag2 folder; or a list of such.

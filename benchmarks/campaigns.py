@@ -10,7 +10,6 @@ from event_traces import write_event_trace
 if TYPE_CHECKING:
     from pathlib import Path
 
-MOST_EVENTS_OF_NEW_RUN = 40_000
 EVENTS_OF_MESSAGE = 4  # T1 and T2 of the ping, T3 and T4 of the relay
 
 
@@ -39,6 +38,10 @@ class Shape:
         """Time that the runs of one ping took."""
         return self.events / self.pairs / EVENTS_OF_MESSAGE / self.rate_hz / 3600
 
+    def of(self, events: int) -> Shape:
+        """Return the same runs and files with so many events."""
+        return replace(self, events=events)
+
     def times(self, factor: float) -> Shape:
         """Return the same with so many times the events, as many in each run, file and group."""
         return replace(
@@ -54,27 +57,14 @@ STUDY = Shape("500 runs in 2 files over 139 hours", 20_000_000, runs=500, pairs=
 ONE_RUN = Shape("one run at 1 kHz", 20_000_000, runs=1, pairs=1, groups=1, rate_hz=1000)
 SHORT_RUNS = Shape("2,000 short runs in 4,000 files", 20_000_000, runs=2_000, pairs=2_000, groups=400, rate_hz=100)
 MANY_GROUPS = Shape("10,000 groups", 2_000_000, runs=10_000, pairs=1, groups=10_000, rate_hz=10)
-SHAPES = {"study": STUDY, "one_run": ONE_RUN, "short_runs": SHORT_RUNS}
-
-
-def write_new_run(folder: Path, shape: Shape) -> list[Path]:
-    """Write the traces of one more run, like those of the campaign in `folder`, a day after it."""
-    period_ns = 1_000_000_000 // shape.rate_hz
-    return [
-        write_event_trace(
-            folder / f"{'relay' if relay else 'ping'}_new.mcap",
-            min(shape.events // shape.runs, MOST_EVENTS_OF_NEW_RUN) // 2,
-            "zstd",
-            runs=1,
-            seed=1_000_001 + relay,
-            relay=relay,
-            first_run=shape.runs,
-            groups=shape.groups,
-            period_ns=period_ns,
-            first_ns=(int(shape.hours * shape.pairs) + 24) * 3_600_000_000_000,
-        )
-        for relay in (False, True)
-    ]
+SHAPES = {
+    "1m": STUDY.times(0.05),
+    "4m": STUDY.times(0.2),
+    "study": STUDY,
+    "one_run": ONE_RUN,
+    "two_files": Shape("2,000 short runs in 2 files", 2_000_000, runs=2_000, pairs=1, groups=400, rate_hz=100),
+    "short_runs": SHORT_RUNS.of(4_000_000),
+}
 
 
 def write_campaign(folder: Path, shape: Shape) -> list[Path]:

@@ -10,6 +10,7 @@ import tempfile
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import psutil
@@ -40,8 +41,7 @@ class Ran:
     Attributes:
         wall_s: from its start to its end.
         cpu_s: processor time of all threads.
-        peak_bytes: most memory at once; of several processes the peak of their sum, looked at 20 times a second, what they
-            share counted in each.
+        peak_bytes: most memory at once; of several processes the peak of their sum, looked at 20 times a second.
     """
 
     wall_s: float
@@ -80,10 +80,11 @@ def run_command(command: Sequence[str], environment: Mapping[str, str]) -> Ran:
 
 
 def _bytes_of_children(pid: int) -> int:
-    """Return the resident memory of all processes below one."""
+    """Return the memory of all processes below one; what several share counts once (proc_pid_smaps(5), Pss)."""
     total = 0
     with suppress(psutil.Error):  # it has ended
         for child in psutil.Process(pid).children(recursive=True):
-            with suppress(psutil.Error):
-                total += child.memory_info().rss
+            with suppress(OSError, StopIteration):
+                lines = Path(f"/proc/{child.pid}/smaps_rollup").read_text().splitlines()
+                total += 1024 * int(next(line for line in lines if line.startswith("Pss:")).split()[1])
     return total

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -33,91 +31,53 @@ def keep_freed_memory() -> None:
 
 
 def plan_batches(grouping: Grouping, options: AnalysisOptions) -> list[Batch]:
-    """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs.
-
-    Some groups, drawn by their own parameters and events, end their batch early: a new run then changes few batches,
-    and cached results of the rest stay valid.
-    """
+    """Return batches of whole groups, in their order; a group too large for one comes in parts of whole runs."""
     exchanges, groups = grouping.exchanges, grouping.group_of_exchange
     if not exchanges:  # only taps recorded: frames without rows have their columns
         return [Batch((), groups, 0, whole=True, options=options)]
     events_before = np.cumsum([0, *(sum(exchange.counts) for exchange in exchanges)]).tolist()
-
-    def events(first: int, after: int) -> int:
-        return int(events_before[after] - events_before[first])
-
     spans: list[tuple[int, int, bool]] = []  # first exchange, exchange after the last, whether of whole groups
-    parameters, is_ended, groups_in_batch = grouping.parameters.rows(), False, 0
+    groups_in_batch = 0
     offsets = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(exchanges)]
     for first, after in pairwise(offsets):
         runs = {exchange.run.run_id for exchange in exchanges[first:after]}
-        if events(first, after) > WHOLE_GROUP_EVENTS and len(runs) > 1:
+        if events_before[after] - events_before[first] > WHOLE_GROUP_EVENTS and len(runs) > 1:
             parts = _parts_of_group(exchanges[first:after])
             spans += ((first + start, first + stop, False) for start, stop in parts)
-        elif (
-            spans
-            and spans[-1][2]
-            and events(spans[-1][0], after) <= BATCH_EVENTS
-            and groups_in_batch < BATCH_GROUPS
-            and not is_ended
-        ):
-            spans[-1] = (spans[-1][0], after, True)
+            continue
+        start, _, is_whole = spans[-1] if spans else (0, 0, False)
+        if is_whole and events_before[after] - events_before[start] <= BATCH_EVENTS and groups_in_batch < BATCH_GROUPS:
+            spans[-1] = (start, after, True)
             groups_in_batch += 1
         else:
             spans.append((first, after, True))
             groups_in_batch = 1
-        is_ended = _ends_batch(parameters[groups[first]], events(first, after))
     return [
         Batch(exchanges[first:after], groups[first:after], len(exchanges), whole, options)
         for first, after, whole in spans
     ]
 
 
-def _ends_batch(parameters: tuple[object, ...], events: int) -> bool:
-    return _is_drawn(repr(parameters), max(events / BATCH_EVENTS, 1 / BATCH_GROUPS))
-
-
-def _is_drawn(name: str, share: float) -> bool:
-    # Not a CRC: texts that differ in a digit have close CRCs.
-    digest = hashlib.blake2b(name.encode(), digest_size=4).digest()
-    return int.from_bytes(digest, "big") < int(share * (1 << 32))
-
-
 def _parts_of_group(exchanges: Sequence[Exchange]) -> list[tuple[int, int]]:
-    """Return first and after of parts of whole runs; as with groups, some runs end their part."""
+    """Return first and after of parts of whole runs."""
     count = len(exchanges)
     starts = [i for i in range(1, count) if exchanges[i].run is not exchanges[i - 1].run]
     parts: list[tuple[int, int]] = []
-    events_of_part, is_ended = 0, False
+    events_of_part = 0
     for start, stop in pairwise([0, *starts, count]):
         events = sum(sum(exchange.counts) for exchange in exchanges[start:stop])
-        if parts and not is_ended and events_of_part + events <= BATCH_EVENTS:
+        if parts and events_of_part + events <= BATCH_EVENTS:
             parts[-1] = (parts[-1][0], stop)
             events_of_part += events
         else:
             parts.append((start, stop))
             events_of_part = events
-        is_ended = _is_drawn(f"{exchanges[start].run.run_id:016x}", events / BATCH_EVENTS)
     return parts
 
 
 def is_large(batch: Batch) -> bool:
     """Return whether a batch exceeds `BATCH_EVENTS`: it is one group, or one run."""
     return batch.events > BATCH_EVENTS
-
-
-def parts_of(batch: Batch) -> list[Batch]:
-    """Return a large batch in parts of whole runs, any other batch as it is.
-
-    Each part starts a row group: its rows are the same bytes whatever other runs its group has.
-    """
-    if not is_large(batch):
-        return [batch]
-    exchanges, groups = batch.exchanges, batch.group_of_exchange
-    return [
-        replace(batch, exchanges=exchanges[first:after], group_of_exchange=groups[first:after], whole=False)
-        for first, after in _parts_of_group(exchanges)
-    ]
 
 
 def groups_in_parts(batches: Sequence[Batch]) -> list[int]:

@@ -25,7 +25,7 @@ _MOST_THREADS = 2  # each has a batch in memory; the caller writes the rows
 _MOST_EVENTS_AHEAD = 8_000_000
 """Events of batches in progress, or whose results wait; a larger batch is processed on its own."""
 
-FILES_FOR_PROCESSES = 300
+FILES_FOR_PROCESSES = 2_000
 """Traces from which on worker processes pay (`docs/explanation/performance.md`)."""
 
 _FILES_PER_JOB = 16

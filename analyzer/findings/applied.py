@@ -75,9 +75,10 @@ def lost_fragments(evidence: Evidence) -> Iterator[Observation]:
 )
 def unsent_fragments(evidence: Evidence) -> Iterator[Observation]:
     """A host dropped IP fragments before they were sent."""
+    cut = evidence.groups_by_session(may_be_cut)
     for session in evidence.campaign.sessions.values():
         unsent = kernel_counts(session).get("FragFails", 0)
-        groups = evidence.groups_by_session(may_be_cut).get(session.session_id, ())
+        groups = cut.get(session.session_id, ())
         if unsent and groups:
             yield Observation(
                 evidence.session_name(session),

@@ -36,19 +36,11 @@ def plan(*groups):
     ]
 
 
-@pytest.fixture
-def full(monkeypatch):
-    """No group ends a batch, and no run a part, that has room."""
-    monkeypatch.setattr(dds_trace.analyzer.engines.batches, "_is_drawn", lambda *_: False)
-
-
-@pytest.mark.usefixtures("full")
 def test_small_groups_share_a_batch_until_it_is_full():
     _, cut = plan([(1, 40), (2, 20)], [(3, 40)], [(4, 1)])
     assert cut == [([0, 1, 2], [0, 0, 1], True), ([3], [2], True)]
 
 
-@pytest.mark.usefixtures("full")
 def test_many_small_groups_are_several_batches(monkeypatch):
     monkeypatch.setattr(dds_trace.analyzer.engines.batches, "BATCH_GROUPS", 2)
     _, cut = plan(*([(run, 1)] for run in range(1, 6)))
@@ -61,7 +53,6 @@ def test_a_group_above_a_batch_stays_whole_up_to_its_own_bound():
     assert groups_in_parts(batches) == []
 
 
-@pytest.mark.usefixtures("full")
 def test_a_group_too_large_comes_in_parts_of_whole_runs():
     # Run 2 has two relays, which stay together though they are more than a batch.
     batches, cut = plan([(1, 10)], [(2, 90), (2, 90), (3, 30), (4, 60), (5, 20)], [(6, 10)])
@@ -78,47 +69,6 @@ def test_a_group_too_large_comes_in_parts_of_whole_runs():
 def test_one_run_is_never_cut():
     _, cut = plan([(1, 500), (1, 500)])
     assert cut == [([0, 1], [0, 0], True)]
-
-
-@pytest.mark.parametrize("events", [1, 7, 20, 60])
-def test_a_new_run_changes_few_batches(events):
-    """Each batch that stays has its details known; full ones alone would shift all edges behind the new run."""
-    groups = [[(number, events)] for number in range(400)]
-    before = {tuple(of_batch) for of_batch, _, _ in plan(*groups)[1]}
-    changed = []
-    for grown in range(0, 400, 40):
-        more = [[*group, (1000, 3)] if number == grown else group for number, group in enumerate(groups)]
-        cut = plan(*more)[1]
-        # As positions of exchanges are shifted by the new one behind its group, in the numbers of before.
-        after = [tuple(place - (place > grown) for place in of_batch) for of_batch, _, _ in cut]
-        changed.append(sum(one not in before or grown in one for one in after))
-    assert max(changed) <= 8
-    assert sum(changed) / len(changed) <= 3
-    mean = 400 * events / len(before)
-    assert mean > 50  # of 100 that fill a batch
-
-
-@pytest.mark.parametrize("events", [1, 7, 20, 60])
-def test_a_run_that_is_gone_changes_few_parts(events):
-    """Those of a group too large: full ones alone would shift all edges behind the run."""
-    runs = [(number, events) for number in range(400)]
-    before = [tuple(of_part) for of_part, _, _ in plan(runs)[1]]
-    changed = []
-    for gone in range(0, 400, 40):
-        cut = plan(runs[:gone] + runs[gone + 1 :])[1]
-        after = [tuple(place + (place >= gone) for place in of_part) for of_part, _, _ in cut]
-        changed.append(len(set(after) - set(before)))
-    assert max(changed) <= 8
-    assert sum(changed) / len(changed) <= 3
-    assert 400 * events / len(before) > 50  # of 100 that fill a part
-
-
-@pytest.mark.parametrize("parameters", [("fastdds", 33000, 100.0, "lo"), ("cyclonedds", 1_000_000, 1.0, "")])
-def test_a_batch_ends_behind_groups_that_fill_one_as_often_as_they_do(parameters):
-    """Also where they differ in a digit alone."""
-    vendor, size, *more = parameters
-    rows = [(vendor, size + number, *more) for number in range(400)]
-    assert 20 < sum(dds_trace.analyzer.engines.batches._ends_batch(row, 10) for row in rows) < 60
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what other C libraries keep is their own affair")

@@ -32,9 +32,9 @@ def machine_of(session: Session) -> str:
     return boot_id_of(session) or session.device
 
 
-def share_boot(one: Session, other: Session | None) -> bool | None:
+def share_boot(first: Session, other: Session | None) -> bool | None:
     """Return whether two sessions are of one boot; None where a boot id is missing."""
-    ids = boot_id_of(one), boot_id_of(other) if other is not None else None
+    ids = boot_id_of(first), boot_id_of(other) if other is not None else None
     return None if None in ids else ids[0] == ids[1]
 
 

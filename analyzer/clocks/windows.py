@@ -133,24 +133,24 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
     """
     fitted: list[Windows] = []
     origin: Intp | None = None  # of the remaining messages; None while these are all
-    left = points
+    remaining = points
     while len(start):
-        lines = Lines.through(left, start, stop)
-        is_whole = lines.exist & ~_are_bent(left, start, stop, lines)
+        lines = Lines.through(remaining, start, stop)
+        is_whole = lines.exist & ~_are_bent(remaining, start, stop, lines)
         if is_whole.any():
             own, own_start, own_stop = lines.take(is_whole), start[is_whole], stop[is_whole]
-            windows = Windows.of(left, own_start, own_stop, own)
-            here = slice(int(own_start[0]), int(own_stop[-1]))
-            _narrow(left, own_start, own_stop, own)
+            windows = Windows.of(remaining, own_start, own_stop, own)
+            span = slice(int(own_start[0]), int(own_stop[-1]))
+            _narrow(remaining, own_start, own_stop, own)
             if origin is not None:
-                points.lower[origin[here]], points.upper[origin[here]] = left.lower[here], left.upper[here]
+                points.lower[origin[span]], points.upper[origin[span]] = remaining.lower[span], remaining.upper[span]
                 windows = replace(windows, start=origin[own_start], stop=origin[own_stop - 1] + 1)
             fitted.append(windows)
         halved = ~is_whole & (stop - start > 1)
         middle = (start[halved] + stop[halved]) // 2
         start, stop = (np.stack(edges, axis=1).ravel() for edges in ((start[halved], middle), (middle, stop[halved])))
         messages = _ranges(start, stop)
-        left = left.take(messages)
+        remaining = remaining.take(messages)
         origin = messages if origin is None else origin[messages]
         stop = np.cumsum(stop - start)
         start = np.concatenate([[0], stop[:-1]]).astype(np.intp)[: len(stop)]

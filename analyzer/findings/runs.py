@@ -54,8 +54,8 @@ RUNS_OF_RESULTS = Rows(Subject.RUN, _runs, lambda evidence, row: (evidence.run_n
 
 
 def _empty_runs(evidence: Evidence) -> pl.DataFrame:
-    with_events = {one.run.run_id for one in evidence.grouping.exchanges}
-    with_events |= {one.run_id for one in evidence.exchanges.unplaced}
+    with_events = {exchange.run.run_id for exchange in evidence.grouping.exchanges}
+    with_events |= {item.run_id for item in evidence.exchanges.unplaced}
     return frame_of(
         [
             {"run_id": run_id, "state": run.state, "planned_messages": run.planned_messages}

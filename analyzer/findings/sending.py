@@ -114,9 +114,9 @@ def stand_stills(evidence: Evidence) -> Iterator[Observation]:
 def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: int) -> str:
     """Describe the machine meanwhile; empty without samples before and after."""
     timed = samples.drop_nulls("monotonic_ns").sort("monotonic_ns")
-    own = timed.filter(session_id=ping_id)
-    before = own.filter(pl.col("monotonic_ns") <= end_ns - still_ns).tail(1).to_dicts()
-    after = own.filter(pl.col("monotonic_ns") >= end_ns).head(1).to_dicts()
+    rows = timed.filter(session_id=ping_id)
+    before = rows.filter(pl.col("monotonic_ns") <= end_ns - still_ns).tail(1).to_dicts()
+    after = rows.filter(pl.col("monotonic_ns") >= end_ns).head(1).to_dicts()
     if not before or not after:
         return ""
     lasted_ns, stolen_ns, waited_us = (
@@ -125,7 +125,7 @@ def _host_meanwhile(samples: pl.DataFrame, ping_id: int, still_ns: int, end_ns: 
     )
     others = timed.filter(pl.col("session_id") != ping_id)
     events = []
-    if _went_on(own, still_ns, end_ns):
+    if _went_on(rows, still_ns, end_ns):
         events.append("the sampling thread of its process went on")
     elif still_ns >= _SAMPLES_NS and others.is_empty():
         events.append("its whole process did nothing, as no sample of the host was taken")

@@ -57,12 +57,12 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
         exchanges[exchange.run.run_id].append(exchange)
         groups[exchange.run.run_id].add(group)
     runs: dict[tuple[int, ...], list[list[Exchange]]] = defaultdict(list)
-    for run_id, own in exchanges.items():
-        runs[tuple(sorted(groups[run_id]))].append(own)
+    for run_id, members in exchanges.items():
+        runs[tuple(sorted(groups[run_id]))].append(members)
     if any(map(_is_crowded, exchanges.values())) and rows.has_rows:
         for together, of_runs in sorted(runs.items()):
             frame = rows.frame(rows.groups.filter(pl.col("group").is_in(together)), _COLUMNS)
-            own_rows = frame.filter(pl.col("run_id").is_in([one[0].run.run_id for one in of_runs]))
+            own_rows = frame.filter(pl.col("run_id").is_in([of_run[0].run.run_id for of_run in of_runs]))
             relays = _by_relay(together[0], of_runs, own_rows) if max(map(len, of_runs)) > 1 else []
             made["fan_out"].append(
                 {
@@ -147,7 +147,7 @@ def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame) -> dict[st
         values["discovery"] += filter(None, _numbers([met.get("bytes")]))
         here = machine_of(ping)
         recorders.append(exchanges[0].flows + sum(machine_of(relay) == here for relay in relays.values()))
-    p50 = {name: median(own) for name, own in values.items() if own}
+    p50 = {name: median(members) for name, members in values.items() if members}
     return {
         "runs": len(runs),
         "receivers": max(map(len, runs)),

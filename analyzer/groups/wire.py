@@ -159,8 +159,8 @@ def _records(traces: Iterable[Trace]) -> pl.DataFrame:
 def _joined(rows: pl.DataFrame, records: pl.DataFrame) -> pl.DataFrame:
     """Return the rows with a record of the way out; repeats of both ways are added, waits are the longer ones."""
     out = records.filter(relay_id=0).drop("relay_id")
-    both = rows.join(out, on=_KEY).join(records, on=[*_KEY, "relay_id"], how="left", suffix="_back")
-    return both.select(
+    joined = rows.join(out, on=_KEY).join(records, on=[*_KEY, "relay_id"], how="left", suffix="_back")
+    return joined.select(
         "rtt_ns",
         "latency_ns",
         repeats=pl.col("repeats").cast(pl.UInt32) + pl.col("repeats_back").fill_null(0),

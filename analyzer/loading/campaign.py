@@ -43,8 +43,8 @@ class Place:
         Raises:
             OptionError: there is no path, or one of several is in object storage.
         """
-        given = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
-        parts = tuple(dict.fromkeys(Path(path) for path in given))
+        arguments = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+        parts = tuple(dict.fromkeys(Path(path) for path in arguments))
         if not parts:
             raise OptionError("no path; give the folder that dds-record wrote into")
         if len(parts) == 1:
@@ -173,24 +173,24 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
     runs: dict[int, Run] = {}
     session_traces: dict[int, tuple[int, ...]] = {}
     run_traces: dict[int, tuple[int, ...]] = {}
-    for position, one in enumerate(loaded):
-        for session in one.trace.sessions:
+    for position, trace in enumerate(loaded):
+        for session in trace.trace.sessions:
             earlier = sessions.setdefault(session.session_id, session)
             sessions[session.session_id] = max(earlier, session, key=_session_age)
             session_traces[session.session_id] = (*session_traces.get(session.session_id, ()), position)
-        for run in one.trace.runs:
+        for run in trace.trace.runs:
             runs[run.run_id] = max(runs.setdefault(run.run_id, run), run, key=_run_age)
             run_traces[run.run_id] = (*run_traces.get(run.run_id, ()), position)
     campaign = Campaign(
         folder=path,
         sources=tuple(skipped),
-        traces=tuple(one.trace for one in loaded),
+        traces=tuple(trace.trace for trace in loaded),
         sessions=sessions,
         runs=runs,
         session_traces=session_traces,
         run_traces=run_traces,
-        events=index_events(one.parts for one in loaded),
-        event_counts=tuple(one.events for one in loaded),
+        events=index_events(trace.parts for trace in loaded),
+        event_counts=tuple(trace.events for trace in loaded),
     )
     return campaign.with_copies(())
 

@@ -186,8 +186,8 @@ class Card:
 
 
 def _find_pauses(logged: Int64, losses: Sequence[Losses]) -> list[tuple[int, int]]:
-    regular = [found for found in losses if found.regularity is not None]
-    rate_hz = sum(found.regularity.rate_hz for found in regular if found.regularity)
+    regular = [loss for loss in losses if loss.regularity is not None]
+    rate_hz = sum(loss.regularity.rate_hz for loss in regular if loss.regularity)
     if len(regular) < 2 or not rate_hz:
         return []
     steps_ns = np.diff(logged)
@@ -197,7 +197,7 @@ def _find_pauses(logged: Int64, losses: Sequence[Losses]) -> list[tuple[int, int
     return [
         (start, end)
         for start, end in pauses
-        if sum(any(_overlap(hole, start, end) for hole in found.holes) for found in regular) >= 2
+        if sum(any(_overlap(hole, start, end) for hole in loss.holes) for loss in regular) >= 2
     ]
 
 

@@ -127,13 +127,13 @@ def analyze_topics(
             holes += card.holes
             strips += card.strips
             health.append(card.health)
-            said = [*card.health.damages, *card.health.notes]
+            text = [*card.health.damages, *card.health.notes]
         else:
-            said = [*condition.damages, *condition.notes]
+            text = [*condition.damages, *condition.notes]
         status = "read" if not condition.damages else "truncated" if columns or not failure else "skipped"
-        detail = "; ".join(said[:_MOST_NOTES])
-        if len(said) > _MOST_NOTES:
-            detail += f"; and {len(said) - _MOST_NOTES} more"
+        detail = "; ".join(text[:_MOST_NOTES])
+        if len(text) > _MOST_NOTES:
+            detail += f"; and {len(text) - _MOST_NOTES} more"
         sources.append(Source(str(recording), status, detail, sum(map(len, columns.values()))))
     if not any(source.status != "skipped" for source in sources):
         reasons = "; ".join(f"{source.path}: {source.detail}" for source in sources[:3])

@@ -72,9 +72,9 @@ class Interval:
         return self.lower, self.upper
 
 
-def ranges_overlap(one: Range, other: Range) -> bool:
-    low = max(-math.inf if lower is None else lower for lower, _ in (one, other))
-    high = min(math.inf if upper is None else upper for _, upper in (one, other))
+def ranges_overlap(first: Range, other: Range) -> bool:
+    low = max(-math.inf if lower is None else lower for lower, _ in (first, other))
+    high = min(math.inf if upper is None else upper for _, upper in (first, other))
     return low <= high
 
 

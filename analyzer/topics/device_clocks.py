@@ -77,8 +77,8 @@ class DeviceClocks:
         return tuple(sorted(self._anchors))
 
     def machine_named(self, device: str) -> Machine | None:
-        named = [machine for machine in self._anchors if machine.device == device]
-        return max(named, key=lambda machine: max(self._anchors[machine]), default=None)
+        matching = [machine for machine in self._anchors if machine.device == device]
+        return max(matching, key=lambda machine: max(self._anchors[machine]), default=None)
 
     def convert(self, at_ns: Int64, start: Machine, end: Machine) -> Instants:
         path = self._path(start, end)
@@ -87,10 +87,12 @@ class DeviceClocks:
         bound_ns = np.zeros(len(at_ns), np.int64)
         for links in path:
             crossed = [link.across(at_ns) for link in links]
-            best = np.argmin([one.bound_ns for one in crossed], axis=0)
+            best = np.argmin([crossing.bound_ns for crossing in crossed], axis=0)
             rows = np.arange(len(at_ns))
-            at_ns = np.stack([one.at_ns for one in crossed])[best, rows]
-            bound_ns = np.minimum(bound_ns + np.stack([one.bound_ns for one in crossed])[best, rows], UNKNOWN_NS)
+            at_ns = np.stack([crossing.at_ns for crossing in crossed])[best, rows]
+            bound_ns = np.minimum(
+                bound_ns + np.stack([crossing.bound_ns for crossing in crossed])[best, rows], UNKNOWN_NS
+            )
         return Instants(at_ns, bound_ns)
 
     def of_wall(self, wall_ns: Int64, machine: Machine) -> Instants:
@@ -130,9 +132,9 @@ class DeviceClocks:
     def _path(self, start: Machine, end: Machine) -> list[list[_Link]] | None:
         """Return the links of the shortest way between machines; those of one clock are a step without links."""
         paths: dict[Machine, list[list[_Link]]] = {start: []}
-        left = deque([start])
-        while left:
-            here = left.popleft()
+        remaining = deque([start])
+        while remaining:
+            here = remaining.popleft()
             if here == end or self.share_clock(here, end):
                 return paths[here]
             for other in self._anchors:
@@ -141,7 +143,7 @@ class DeviceClocks:
                 links = self._links[here][other] if here in self._links and other in self._links[here] else []
                 if links or self.share_clock(here, other):
                     paths[other] = [*paths[here], *([links] if links else [])]
-                    left.append(other)
+                    remaining.append(other)
         return None
 
 
@@ -151,7 +153,7 @@ def _messages_by_pair(
     by_id = {session.session_id: machine_of_session(session) for session in sessions}
     pings = {run.run_id: by_id[session_id] for run in runs if (session_id := session_of_run(run)) in by_id}
     started = sorted(sessions, key=lambda session: session.wall_anchor_ns)
-    relays = {one.relay_id: machine_of_session(one) for one in started if one.relay_id is not None}
+    relays = {session.relay_id: machine_of_session(session) for session in started if session.relay_id is not None}
     stamps = ["publish_ns", "relay_in_ns", "relay_out_ns", "receive_ns"]
     under_way = pl.col("receive_ns") - pl.col("publish_ns") - pl.col("relay_out_ns") + pl.col("relay_in_ns")
     thinned = (
@@ -210,14 +212,14 @@ class ClockRequest:
             OptionError: this is not such a text.
         """
         words = text.split()
-        given = dict(word.partition("=")[::2] for word in words if word.partition("=")[0] in _KEYS)
+        arguments = dict(word.partition("=")[::2] for word in words if word.partition("=")[0] in _KEYS)
         folder = " ".join(word for word in words if word.partition("=")[0] not in _KEYS)
-        if not folder or not all(given.values()) or ("stamped" in given) != ("recorded" in given):
+        if not folder or not all(arguments.values()) or ("stamped" in arguments) != ("recorded" in arguments):
             raise OptionError(
                 f"--clock {text!r}: write a folder with traces of ping and relay between the two devices, and where it is not "
                 "clear which is which: 'runs/ stamped=robot recorded=laptop'"
             )
-        return cls(Path(folder), **given)
+        return cls(Path(folder), **arguments)
 
 
 class StampClock:

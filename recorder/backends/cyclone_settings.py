@@ -129,7 +129,7 @@ def _plugin_folder() -> Path | None:
     library = re.search(r"/\S*libddsc\S*\.so\S*", Path("/proc/self/maps").read_text())
     folder = Path(library[0]).parent if library else Path()
     folders = (folder, folder / "libddsc0debian")
-    return next((one for one in folders if (one / "libdds_security_auth.so").exists()), None)
+    return next((folder for folder in folders if (folder / "libdds_security_auth.so").exists()), None)
 
 
 def loaded_plugins() -> str:

@@ -64,11 +64,11 @@ class MiddlewareEnvironment:
 
 
 def join_environments(environments: Iterable[MiddlewareEnvironment]) -> MiddlewareEnvironment:
-    every = list(environments)
+    everything = list(environments)
     return MiddlewareEnvironment(
-        settings=tuple(dict.fromkeys(name for one in every for name in one.settings)),
-        configuration=tuple(dict.fromkeys(variable for one in every for variable in one.configuration)),
-        files=tuple(dict.fromkeys(name for one in every for name in one.files)),
+        settings=tuple(dict.fromkeys(name for item in everything for name in item.settings)),
+        configuration=tuple(dict.fromkeys(variable for item in everything for variable in item.configuration)),
+        files=tuple(dict.fromkeys(name for item in everything for name in item.files)),
     )
 
 

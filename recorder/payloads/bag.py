@@ -132,15 +132,15 @@ def _own_words(path: Path) -> Iterator[None]:
 
 
 def _chosen_topic(topics: Collection[RecordedTopic], topic: str, path: Path) -> RecordedTopic:
-    named = [other for other in topics if other.name.lstrip("/") == topic.lstrip("/")]
-    if not named:
+    matching = [other for other in topics if other.name.lstrip("/") == topic.lstrip("/")]
+    if not matching:
         names = sorted({other.name for other in topics})
         nearest = get_close_matches(topic, names, 1, 0) or ["nothing at all"]
         raise OptionError(f"{path} has no topic {topic}; the nearest of its {len(names)} is {nearest[0]}")
-    types = sorted({other.message_type for other in named})
+    types = sorted({other.message_type for other in matching})
     if len(types) > 1:
         raise OptionError(f"{path} has {topic} with several types ({', '.join(types)}), which cannot be sent as one")
-    return named[0]
+    return matching[0]
 
 
 def _types_of(topic: RecordedTopic) -> Typestore:

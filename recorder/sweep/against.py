@@ -58,8 +58,8 @@ def interleave(base: Plan, new: Plan) -> list[InterleavedRun]:
             for cell in group.cells:
                 index = indices[replace(cell, repeat=1).name]
                 pair = [(BASE, base, cell), (NEW, new, replace(new.cells[index], repeat=number))]
-                for side, plan, one in pair if (index + number) % 2 else reversed(pair):
-                    runs += [InterleavedRun(side, single) for single in group_by_relay(plan, [one])]
+                for side, plan, item in pair if (index + number) % 2 else reversed(pair):
+                    runs += [InterleavedRun(side, single) for single in group_by_relay(plan, [item])]
     return [replace(run, group=replace(run.group, number=number)) for number, run in enumerate(runs, start=1)]
 
 

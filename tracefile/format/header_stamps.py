@@ -191,15 +191,15 @@ class _Walk:
 
     def stamp_of(self, name: str) -> int | None:
         """Return the first stamp in a value of a type that has a header somewhere, None if its sequences are empty."""
-        for one in self.types.fields(name) or ():
-            if name == _HEADER and one.type == _TIME:
+        for item in self.types.fields(name) or ():
+            if name == _HEADER and item.type == _TIME:
                 return self.time()
-            if one.type not in self.with_header:
-                self.skip(one)
+            if item.type not in self.with_header:
+                self.skip(item)
                 continue
-            for _ in range(self.length(one)):
+            for _ in range(self.length(item)):
                 self.step()
-                stamp_ns = self.stamp_of(one.type)
+                stamp_ns = self.stamp_of(item.type)
                 if stamp_ns is not None:
                     return stamp_ns
         return None

@@ -86,5 +86,5 @@ def payload_chunk(declarations: bytes, batch: Sequence[tuple[int, Payload]], wri
             Message(channel_id, payload.log_time_ns, bytes(payload.data), payload.log_time_ns, number)
         )
     times = [payload.log_time_ns for _, payload in batch]
-    index: dict[int, Index] = {one: np.array(sorted(rows), np.uint64) for one, rows in entries.items()}
+    index: dict[int, Index] = {entry: np.array(sorted(rows), np.uint64) for entry, rows in entries.items()}
     return Chunk(memoryview(content), min(times), max(times), index)

@@ -58,7 +58,6 @@ DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 
 
 def open_page(page: Path) -> None:
-    """Open a page in the default browser, or print that there is no desktop."""
     import webbrowser
 
     if any(map(os.environ.get, DESKTOP_VARIABLES)) and webbrowser.open(page.absolute().as_uri()):
@@ -320,7 +319,6 @@ def _show_page(pages: list[Path], *, open_it: bool) -> None:
 
 
 def _parse_deadline(text: str | None) -> tuple[int | None, str]:
-    """Return the deadline in ns, None for none, and its metric."""
     from dds_trace.analyzer.groups.batch import DEADLINE_METRIC, DEADLINE_METRICS
 
     if text is None:

@@ -20,15 +20,11 @@ if TYPE_CHECKING:
 
 
 class Unsure(str, Enum):
-    """Exits of an inconclusive comparison."""
-
     PASS = "pass"  # noqa: S105 - no password: to let pass
     FAIL = "fail"
 
 
 class ComparisonReport(str, Enum):
-    """Kinds of report of a comparison."""
-
     TERMINAL = "terminal"
     MD = "md"
     JSON = "json"

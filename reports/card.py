@@ -34,8 +34,6 @@ CHARACTER, BOLD_CHARACTER = 0.56, 0.62
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Text on a base line; `anchor` is `start` or `end`."""
-
     x: float
     y: float
     size: float
@@ -47,8 +45,6 @@ class Words:
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A straight line."""
-
     ends: tuple[float, float, float, float]
     color: str
     width: float
@@ -56,8 +52,6 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """A filled circle."""
-
     x: float
     y: float
     radius: float

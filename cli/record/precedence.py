@@ -15,7 +15,6 @@ DEFAULT_DOMAIN = 10
 
 
 def overridden(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return option -> why its default in a file does not count."""
     role = None if values.get("role") is None else Role(values["role"])
     is_bridged = role in (None, Role.PING) and values.get("bridge") not in (None, "none")
     reasons = {}

@@ -86,7 +86,6 @@ def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path
 
 
 def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
-    """Record both sides and print how to compare them; return the exit code."""
     from dds_trace.recorder.sweep.against import run_against
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE

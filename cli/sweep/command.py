@@ -35,8 +35,6 @@ app = command_app(completes=True)
 
 
 class Printed(str, Enum):
-    """Role of the commands that `--print` shows."""
-
     RELAY = "relay"
 
 

@@ -31,7 +31,6 @@ LOOPBACK_MBIT_S = 10_000
 def dry_run(
     plan: Plan, out: Path, other: NewSide | None, until: Until | None, *, max_rate: bool, as_json: bool, rehearses: bool
 ) -> int:
-    """Show a sweep and check its options, or rehearse it; return the exit code."""
     from dds_trace.recorder.sweep.rehearsal import check_plan, rehearse_plan
     from dds_trace.recorder.sweep.search import search_plan
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
@@ -132,7 +131,6 @@ def _remarks(plan: Plan) -> list[str]:
 
 
 def _doubt(plan: Plan, cell: Cell) -> str:
-    """Return the end of a cell's line if its rate cannot be reached."""
     limit_mbit_s = (plan.link.rate_mbit_s if plan.link else 0) or LOOPBACK_MBIT_S
     payload_mbit_s = (cell.payload_bit_s or 0) / 1e6
     if payload_mbit_s <= limit_mbit_s:

@@ -32,7 +32,6 @@ def made_explanation(plan: Plan, size: str | None) -> Explanation:
 
 
 def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> int:
-    """Record what is missing of an explanation, and print it; return the exit code."""
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE, run_sweep
 

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 
 def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
-    """Return the precision at which a sweep ends, of a text like `latency_p99:5%`."""
     from dds_trace.analyzer.verdicts.false_alarms import check_statistic
     from dds_trace.recorder.sweep.plan.plan_file import check_runs
     from dds_trace.recorder.sweep.sweep import DEFAULT_MAX_PASSES, Until, parse_target

@@ -23,8 +23,6 @@ _OUTCOMES = {"passed": "passed", "regressed": "failed", "inconclusive": "undecid
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One threshold on one result."""
-
     result: GateResult
 
     @property
@@ -90,7 +88,6 @@ def shown(judged: Sequence[Judged]) -> list[str]:
 
 
 def exit_code_of(judged: Sequence[Judged]) -> int:
-    """Return the exit code of the worst outcome, 0 without any."""
     if not judged:
         return 0
     from dds_trace.analyzer.verdicts.gates import overall_outcome

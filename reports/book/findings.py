@@ -54,7 +54,6 @@ class FindingKind:
 
     @property
     def heading(self) -> str:
-        """As in `Loss (12)`."""
         return self.title if self.count == 1 else f"{self.title} ({self.count})"
 
     @property
@@ -94,7 +93,6 @@ def findings_info(analysis: Analysis, groups: Groups, values: Values) -> tuple[F
 
 
 def severity_counts(kinds: Sequence[FindingKind]) -> tuple[tuple[str, str], ...]:
-    """Count the kinds of each severity: (`warning`, `2 warnings`)."""
     counts = Counter(kind.severity for kind in kinds)
     return tuple(
         (severity, counted(counts[severity], word)) for severity, word in SEVERITIES.items() if counts[severity]

@@ -44,7 +44,6 @@ class Glance:
 
 
 def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -> Glance | None:
-    """Choose the message and place the dots; None without a median."""
     if table is None:
         return None
     blocks: dict[str, dict[str, SizeRow]]

@@ -50,7 +50,6 @@ def markdown(text: object) -> str:
 
 
 def format_added_ns(value_ns: float) -> str:
-    """Format a difference: `+1.25 ms`."""
     return f"+{format_duration(value_ns)}" if value_ns > 0 else format_duration(value_ns)
 
 
@@ -67,7 +66,6 @@ def format_ratio(value: float | None) -> str:
 
 
 def format_count(value: float | None) -> str:
-    """Format a whole number: `12,000`."""
     return MISSING if value is None else f"{int(value):,}"
 
 
@@ -200,7 +198,6 @@ class Groups:
 
 
 def groups_info(analysis: Analysis) -> Groups:
-    """List the groups of `analysis.summary`; group i is row i."""
     return groups_of(analysis.summary.to_dicts(), vendor_labels(analysis))
 
 
@@ -284,7 +281,6 @@ def way_words(bridge: str) -> str:
 
 
 def qos_label(series: Series) -> str:
-    """Describe the QoS, as in `reliable, volatile, keep_last 10`."""
     return printable(f"{series.reliability}, {series.durability}, {_history_label(series)}")
 
 

@@ -40,7 +40,6 @@ MOST_NAMED = 3
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:
-    """Say which share of the messages was lost, and where; empty without a loss."""
     planned, lost = _planned_and_lost(groups.groups, values)
     if not lost:
         return ""
@@ -128,7 +127,6 @@ def _on_pairs(pairs: Sequence[tuple[str, float]], count: int) -> str:
 
 
 def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[str, ...]:
-    """Say for each kind of data at which sizes which setup is fastest, and by which factor."""
     labels = contender_labels(answers, vendors)
     several_types = len({answer.data_type for answer in answers}) > 1
     compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
@@ -151,7 +149,6 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
 
 
 def tail_sentence(answers: Sequence[CaseAnswer]) -> str:
-    """Say that nothing is decided at p99; empty otherwise."""
     if any(answer.leader_p99 for answer in answers):
         return ""
     is_tested = any(setup.letters_p99 for answer in answers for setup in answer.contenders)
@@ -292,7 +289,6 @@ def _factor(case: CaseAnswer, percentile: str) -> float | None:
 
 
 def factor_words(factors: Sequence[float]) -> str:
-    """Return `1.2 to 3 times`."""
     low, high = (format_number(end) for end in (min(factors), max(factors)))
     if high == "1":
         return "less than 1.01 times"

@@ -94,7 +94,6 @@ class Intervals:
         return _value(self.episodes, metric, percentile, group) if percentile != "p50" else None
 
     def ends(self, metric: str, percentile: str, group: int) -> tuple[int | None, int | None]:
-        """Return lower and upper end, ns."""
         return _value(self.low_ns, metric, percentile, group), _value(self.high_ns, metric, percentile, group)
 
     def is_between_runs(self, metric: str, percentile: str, group: int) -> bool:
@@ -114,7 +113,6 @@ def _value(of_groups: Ends, metric: str, percentile: str, group: int) -> int | N
 
 
 def intervals_info(analysis: Analysis) -> Intervals:
-    """Collect the intervals; there are none without `analysis.details`."""
     height = analysis.summary.height
     low, high, episodes, is_between = (
         {metric: dict[str, list[int | None]]() for metric in METRIC_LABELS} for _ in range(4)

@@ -43,7 +43,6 @@ class Overview:
 
 
 def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]) -> Overview:
-    """Collect the facts; one without a value is left out."""
     facts = (
         Fact("Devices", _devices(analysis, groups)),
         Fact("Link", _listed(sorted({printable(one.connectivity) for one in groups.series}))),

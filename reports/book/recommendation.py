@@ -58,7 +58,6 @@ def _brief(
 
 
 def recommendation_info(recommendation: Recommendation | None, vendors: VendorLabels) -> Advice | None:
-    """Put a recommendation into words; None without one."""
     if recommendation is None:
         return None
     candidates = recommendation.candidates

@@ -167,7 +167,6 @@ class OwnCost:
 
 
 def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
-    """Collect the costs of each vendor and backend."""
     by_backend: dict[tuple[str, str], list[Session]] = {}
     for session in analysis.sessions:
         by_backend.setdefault((session.vendor, session.backend), []).append(session)
@@ -190,7 +189,6 @@ def own_costs(analysis: Analysis) -> tuple[OwnCost, ...]:
 
 
 def cost_words(costs: Sequence[OwnCost]) -> str:
-    """Describe the cost with the slowest middleware: `recording an event 2.1 µs (p99 4 µs)`."""
     parts = (
         ("recording an event", "record_median_ns", "record_p99_ns"),
         ("a message from a node to itself", "floor_median_ns", "floor_p99_ns"),
@@ -210,7 +208,6 @@ def cost_words(costs: Sequence[OwnCost]) -> str:
 
 
 def setting_words(analysis: Analysis) -> str:
-    """Describe the settings of the middlewares: `executor events; transport default; tuned false`."""
     values: dict[str, dict[str, None]] = {}
     for session in analysis.sessions:
         middleware = session.host.get("middleware")
@@ -227,7 +224,6 @@ def setting_words(analysis: Analysis) -> str:
 
 
 def version_words(analysis: Analysis) -> str:
-    """List the versions: `rclpy 7.1.6, fastrtps 2.14.5 or 2.14.6`."""
     values: dict[str, dict[str, None]] = {}
     for session in analysis.sessions:
         versions = session.host.get("versions")

@@ -57,7 +57,6 @@ class SizeCell:
 
     @property
     def times(self) -> tuple[tuple[str, bool], tuple[str, bool]]:
-        """Median and p99, each with whether it leads."""
         return (self.p50, self.leads_p50), (self.p99, self.leads_p99)
 
 
@@ -112,7 +111,6 @@ class SizeTable:
 
     @property
     def caption(self) -> str:
-        """What the rows show: `Latency of a typical run at 10 Hz, median / p99`."""
         return f"Latency of {self.whose} {self.rates}, median / p99"
 
     @property
@@ -121,7 +119,6 @@ class SizeTable:
 
 
 def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
-    """Arrange the answers by device pair, size and setup; None without any."""
     answers = analysis.details.answers
     if not answers:
         return None

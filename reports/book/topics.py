@@ -95,7 +95,6 @@ def _clock(row: Mapping[str, Any]) -> str:
 
 
 def topic_tables(analysis: Analysis) -> tuple[TopicTable, ...]:
-    """Tabulate the topics and the hops of chains; empty without taps."""
     tables = (
         TopicTable(
             "Topics",

@@ -107,7 +107,6 @@ def conditions_label(conditions: str) -> str:
 
 
 def place_label(ping_device: str, relay_device: str | None, connectivity: str, conditions: str = "") -> str:
-    """Name where something was measured, as in `pi-3 → pi-4, wired, 2 runs at once`."""
     parts = (device_pair(ping_device, relay_device), printable(connectivity), conditions_label(conditions))
     return ", ".join(part for part in parts if part)
 
@@ -154,7 +153,6 @@ def runs_words(row: Mapping[str, Any]) -> str:
 
 
 def received_words(row: Mapping[str, Any]) -> str:
-    """Return the shares that both sides received, as in `100 % → 98.5 %`."""
     shares = [format_ratio(row[f"{side}_received_ratio"]) for side in ("base", "new")]
     return " → ".join(dict.fromkeys(shares))
 

@@ -316,7 +316,6 @@ def _gates(
 
 
 def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
-    """Return what makes the sides unlike or unfit."""
     parts = (
         ("Not matched", comparison.ignored),
         ("Measured in turns", comparison.interleaved),

@@ -45,7 +45,6 @@ _TONES = {
 
 
 def render(info: ComparisonInfo, title: str) -> str:
-    """Return the page; `title` names the sides."""
     script = _asset("comparison", "comparison.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)

@@ -36,7 +36,6 @@ def with_article(statistic: str) -> str:
 
 
 def unjudged_words(statistics: Sequence[str]) -> list[str]:
-    """Return why statistics cannot be judged."""
     tails = [with_article(name) for name in statistics if name.startswith("p9")]
     others = [with_article(name) for name in statistics if not name.startswith("p9")]
     reasons = (("the runs differ too much", others), ("there are too few messages", tails))
@@ -50,12 +49,10 @@ def found_from_words(ratio: float | None) -> str:
 
 
 def time_words(value_ns: float | None) -> str:
-    """Format a time, as in `1.25 ms` or `lost`."""
     return LOST if value_ns is not None and math.isinf(value_ns) else format_duration(value_ns)
 
 
 def both_words(row: Mapping[str, Any]) -> str:
-    """Format the times of both sides, as in `1.02 ms → 1.21 ms`."""
     return f"{time_words(row['base_ns'])} → {time_words(row['new_ns'])}"
 
 
@@ -94,7 +91,6 @@ def change_words(ratio: float | None) -> str:
 
 
 def interval_words(row: Mapping[str, Any]) -> str:
-    """Format the interval of a ratio, as in `+12 to +25 %`."""
     ends = row["ratio_low"], row["ratio_high"]
     low, high = map(change_words, ends)
     if MISSING in (low, high) or low == high == LOST:
@@ -107,7 +103,6 @@ def _is_wide(low: float, high: float) -> bool:
 
 
 def change_with_interval(row: Mapping[str, Any]) -> str:
-    """Format a change with its interval: `+20 % (12 to 25)`."""
     interval = interval_words(row)
     short = interval.replace("+", "").removesuffix(" %")
     return change_words(row["ratio"]) + (f" ({short})" if interval != MISSING else "")

@@ -24,8 +24,6 @@ PART_LABELS = {
 
 @dataclass(frozen=True, slots=True)
 class MeanPart:
-    """One part of one group's mean response."""
-
     name: str
     mean_ns: int
     bound_ns: int | None

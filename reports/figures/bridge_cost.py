@@ -47,7 +47,6 @@ class BridgeCost(Faceted):
 
 
 def bridge_cost_info(book: Book) -> BridgeCost:
-    """Assign the rows of `details.bridge_costs` to their groups."""
     # The comparison pools domain ids, so a row belongs to the first of several groups.
     first: dict[tuple[object, ...], int] = {}
     for index, row in enumerate(book.analysis.summary.iter_rows(named=True)):
@@ -70,7 +69,6 @@ def bridge_cost_info(book: Book) -> BridgeCost:
 
 
 def cost_of(row: Mapping[str, Any]) -> Cost | None:
-    """Return the cost of a row of changes; None without a difference."""
     difference_ns = whole_ns(row["difference_ns"])
     if difference_ns is None:
         return None

@@ -41,7 +41,6 @@ def run_spread_info(book: Book, panels: str = "way", lines: str = "choice") -> S
 
 
 def run_spread_figure(info: Spread) -> Figure | LeftOut:
-    """Draw a mark per group over messages, in percent."""
     name, title = "run_spread", "Spread from run to run"
     if not info.panels:
         return LeftOut(name, title, "nothing was measured in three runs of its own.")

@@ -14,8 +14,6 @@ from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, 
 
 @dataclass(frozen=True, slots=True)
 class DomainDifference(Faceted):
-    """Pairs of groups that differ in the domain only."""
-
     pairs: tuple[tuple[int, int], ...]
     planned: Planned
 

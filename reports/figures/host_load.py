@@ -54,7 +54,6 @@ def host_load_info(book: Book) -> HostLoad:
 
 
 def host_load_figure(info: HostLoad) -> Figure | LeftOut:
-    """Draw latency, load and signal over one time axis."""
     name, title = "host_load", "Processor load, Wi-Fi signal and replayed link against latency"
     how_to_read = (
         "All panels share the time axis, so a latency that rises where the load rises or the signal falls has its cause below it; the load "

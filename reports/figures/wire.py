@@ -136,7 +136,6 @@ class FirstMessage(Faceted):
 
 
 def first_message_info(book: Book) -> FirstMessage:
-    """Collect `match_p50_ns` of `details.wire`."""
     rows = book.analysis.details.wire.select("group", "match_p50_ns").iter_rows()
     times_ns = {group: time for group, value in rows if (time := whole_ns(value)) is not None}
     facet = Facet("cell" if is_few(book) else "plane", "way")

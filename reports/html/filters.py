@@ -14,8 +14,6 @@ from ..book.verdicts import MODES
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One option of a filter: its name in the page's address and its label."""
-
     value: str
     label: str
 

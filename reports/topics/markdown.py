@@ -23,7 +23,6 @@ from .words import (
 
 
 def render(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:
-    """Return a section for each recording, with a table of its topics and what is missing."""
     lines = ["# Are these recordings whole?", ""]
     for health in report.recordings:
         topics = topics_of(report, health.path)

@@ -34,7 +34,6 @@ _THINNEST = 1.0
 
 
 def render(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:
-    """Return the page; equal input gives equal text."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(_asset("topics", "topics.html.j2")).render(
         policy="default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'",

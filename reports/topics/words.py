@@ -31,8 +31,6 @@ _EVIDENCE = {"sequence": "by sequence numbers", "recorder": "by the recorder's c
 
 @dataclass(frozen=True, slots=True)
 class JudgedTopic:
-    """A limit of `--fail-if` on one topic, and its outcome."""
-
     gate: TopicGate
     recording: str
     topic: str
@@ -40,14 +38,12 @@ class JudgedTopic:
 
 
 def clock_words(seconds: float) -> str:
-    """Return a time within a recording: `00:30`, `1:02:03`."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes:02}:{rest:02}"
 
 
 def seconds_words(seconds: float) -> str:
-    """Return a length of time: `2.55 s`, `4 min 10 s`."""
     if seconds < 120:
         return format_duration(seconds * 1e9)
     return f"{int(seconds) // 60} min {int(seconds) % 60} s"
@@ -130,7 +126,6 @@ def cells(row: Row) -> tuple[str, ...]:
 
 
 def topic_notes(row: Row) -> Iterator[str]:
-    """Yield what else is worth a word about a topic."""
     if _EVIDENCE.get(row["missing_from"]) and row["missing"]:
         yield f"{counted(row['missing'], 'message')} missing {_EVIDENCE[row['missing_from']]}"
     if row["missing_inside"]:

@@ -57,14 +57,6 @@ DESKTOP_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 """One of these is set on a desktop."""
 
 
-def open_page(page: Path) -> None:
-    import webbrowser
-
-    if any(map(os.environ.get, DESKTOP_VARIABLES)) and webbrowser.open(page.absolute().as_uri()):
-        return
-    print("no desktop here: open the file below in a browser, here or copied to another machine", file=sys.stderr)
-
-
 HTML, TERMINAL = "html", "terminal"
 """Kinds of report: `--open` opens a page, and the answer is always printed."""
 
@@ -312,9 +304,14 @@ def _judge_topics(analysis: Analysis, gates: list[Gate]) -> None:
 
 
 def _show_page(pages: list[Path], *, open_it: bool) -> None:
+    import webbrowser
+
     for page in pages:
-        if open_it:
-            open_page(page)
+        has_desktop = any(map(os.environ.get, DESKTOP_VARIABLES))
+        if open_it and not (has_desktop and webbrowser.open(page.absolute().as_uri())):
+            print(
+                "no desktop here: open the file below in a browser, here or copied to another machine", file=sys.stderr
+            )
         print(page.absolute().as_uri())
 
 

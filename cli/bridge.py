@@ -12,7 +12,7 @@ from dds_trace.recorder.choices import Side
 
 from .program import run_program
 from .quick_help import Version, argument, command_app, declare_command, option, starting
-from .table_options import given_values, read_record, with_options
+from .table_options import default_discovery, given_values, read_record, with_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -71,8 +71,6 @@ def main_command(
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.bridges.base import BRIDGED_TOPICS, BridgeOptions, Half, bridged_topic, load_bridge
     from dds_trace.recorder.option_table import CommandOptions
-
-    from .record.precedence import default_discovery
 
     if list_them:
         _list(as_json=as_json)

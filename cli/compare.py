@@ -150,16 +150,16 @@ def compare_command(
 def _text(
     report: ComparisonReport, info: "ComparisonInfo", comparison: "Comparison", title: str, shows_all: bool
 ) -> str:
-    from dds_trace.reports.comparison import ci, document, markdown, page, terminal
+    from dds_trace.reports.comparison import document, markdown, page, terminal
 
     if report is ComparisonReport.TERMINAL:
         return terminal.render(info, shows_all=shows_all)
     if report is ComparisonReport.MD:
         return markdown.render(info, shows_all=shows_all)
     renders = {
-        ComparisonReport.JUNIT: ci.render_junit,
-        ComparisonReport.GITHUB: ci.render_annotations,
-        ComparisonReport.BADGE: ci.render_badge,
+        ComparisonReport.JUNIT: document.render_junit,
+        ComparisonReport.GITHUB: document.render_annotations,
+        ComparisonReport.BADGE: document.render_badge,
     }
     if report in renders:
         return renders[report](info)

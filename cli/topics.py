@@ -13,8 +13,7 @@ from dds_trace.analyzer.recordings.topics import StampCorrector, TopicReport, an
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.base.errors import OptionError
 from dds_trace.base.streams import say
-from dds_trace.reports.topics import document, markdown, page
-from dds_trace.reports.topics.terminal import print_topics
+from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
 from dds_trace.reports.topics.words import JudgedTopic
 
 if TYPE_CHECKING:
@@ -25,9 +24,9 @@ if TYPE_CHECKING:
 
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
 _FILES = {
-    "html": ("topics.html", page.render),
-    "md": ("topics.md", markdown.render),
-    "json": ("topics.json", document.render),
+    "html": ("topics.html", render_page),
+    "md": ("topics.md", render_markdown),
+    "json": ("topics.json", render_json),
 }
 
 

@@ -78,16 +78,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif word in _OF_ANALYZE:
         _main_of("analyze")(given, name=PROGRAM, adapt=_adapt)
     elif word not in _MODULES:
-        run_command(partial(_show_help, given or [word]))
+
+        def show_help() -> None:
+            refuse_misspelt(PROGRAM, (*_MODULES, *_OF_ANALYZE), given or [word], takes_paths=False)
+            app(given or [word], prog_name=PROGRAM)
+
+        run_command(show_help)
     elif word == "record":
         _record(given[1:], is_completed=completed is not None)
     else:
         _main_of(word)(given[1:], name=PROGRAM if completed else f"{PROGRAM} {word}", adapt=_adapt)
-
-
-def _show_help(given: list[str]) -> None:
-    refuse_misspelt(PROGRAM, (*_MODULES, *_OF_ANALYZE), given, takes_paths=False)
-    app(given, prog_name=PROGRAM)
 
 
 def _record(given: list[str], *, is_completed: bool) -> None:

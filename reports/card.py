@@ -165,6 +165,9 @@ def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:
     groups = _groups_of_row(book, answer)
     labels = contender_labels(book.analysis.details.answers, book.groups.vendors)
     styles = choice_styles(book.facets)
+    message = (
+        f"{data_type_label(answer.data_type)} {format_size(answer.payload_bytes)} at {format_rate(answer.rate_hz)}"
+    )
     for setup in answer.contenders:
         label, at = labels[setup.name], setup.p50_ns
         group = groups.get((MODES.get(answer.domain_mode, answer.domain_mode), label))
@@ -172,15 +175,11 @@ def _measured(book: Book, answer: CaseAnswer) -> Iterator[Measured]:
         ends = (None, None) if group is None else book.intervals.ends("latency", "p50", group)
         bottom, top = ((at or 0) if end is None else end for end in ends)
         leads = answer.domain_mode == "same" and answer.leader_p50 == setup.name
-        yield Measured(label, _message_words(answer), color, at, min(bottom, at or 0), max(top, at or 0), leads)
+        yield Measured(label, message, color, at, min(bottom, at or 0), max(top, at or 0), leads)
 
 
 def _message(answer: CaseAnswer) -> tuple[object, ...]:
     return place_of(answer), answer.data_type, answer.payload_bytes, answer.rate_hz
-
-
-def _message_words(answer: CaseAnswer) -> str:
-    return f"{data_type_label(answer.data_type)} {format_size(answer.payload_bytes)} at {format_rate(answer.rate_hz)}"
 
 
 def _groups_of_row(book: Book, case: CaseAnswer) -> Mapping[tuple[str, str], int]:

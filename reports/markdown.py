@@ -23,7 +23,7 @@ from .book.groups import (
 from .book.numbers import Intervals, Values
 from .book.recommendation import COLUMNS
 from .book.sizes import HOW_TO_READ, SizeCell
-from .figures.bridge_cost import Cost, bridge_cost_info
+from .figures.costs import Cost, bridge_cost_info
 
 FILE_NAME = "report.md"
 MOST_GROUPS = 150

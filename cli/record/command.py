@@ -12,9 +12,8 @@ from dds_trace.recorder.option_table import OPTIONS, CommandOptions
 
 from ..program import ask_about_folder, run_program
 from ..quick_help import Version, command_app, declare_command
-from ..table_options import given_values, read_record, with_options
+from ..table_options import default_discovery, default_domain, given_values, overridden, read_record, with_options
 from . import status
-from .precedence import default_discovery, default_domain, overridden
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

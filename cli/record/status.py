@@ -27,16 +27,16 @@ def status_command(as_json: Annotated[bool, option("--json", "Print the list as 
 
     recordings = list_recordings()
     if as_json:
-        print(json.dumps([_as_json(recording) for recording in recordings]))
+        listed = [
+            {"state": one.state.value, "ring_is_left": one.waiting is not None, **asdict(one.entry)}
+            for one in recordings
+        ]
+        print(json.dumps(listed))
         return
     for recording in recordings:
         print("\n".join(printable(line, MAX_FINDING_CHARACTERS) for line in _lines(recording)))
     if not recordings:
         print("no recording runs on this machine")
-
-
-def _as_json(listed: Listed) -> dict[str, object]:
-    return {"state": listed.state.value, "ring_is_left": listed.waiting is not None, **asdict(listed.entry)}
 
 
 def _lines(listed: Listed) -> list[str]:

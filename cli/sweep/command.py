@@ -128,8 +128,7 @@ def main_command(
     from .against import new_side, run_sides
     from .dry_run import dry_run as dry_run_of
     from .explain import made_explanation, run_explanation
-    from .precision import precision
-    from .thresholds import read_thresholds
+    from .thresholds import precision, read_thresholds
 
     _refuse_together(
         {

@@ -1,4 +1,4 @@
-"""`[thresholds]` of a plan: what every result of a sweep has to meet, judged as the sweep ends."""
+"""`[thresholds]` of a plan, and `--until`: what the results of a sweep have to reach, judged by the analyzer."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from dds_trace.base.errors import OptionError
 from dds_trace.base.units import counted, format_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from dds_trace.analyzer.verdicts.gate import Gate
     from dds_trace.analyzer.verdicts.gates import GateResult
     from dds_trace.recorder.sweep.plan.plan import Plan
     from dds_trace.recorder.sweep.sweep import Until
+
 
 _OUTCOMES = {"passed": "passed", "regressed": "failed", "inconclusive": "undecided"}
 
@@ -93,3 +94,28 @@ def exit_code_of(judged: Sequence[Judged]) -> int:
     from dds_trace.analyzer.verdicts.gates import overall_outcome
 
     return overall_outcome([one.result for one in judged]).exit_code
+
+
+def precision(text: str, max_passes: int | None, plan: Plan) -> Until:
+    from dds_trace.analyzer.verdicts.false_alarms import check_statistic
+    from dds_trace.recorder.sweep.plan.plan_file import check_runs
+    from dds_trace.recorder.sweep.sweep import DEFAULT_MAX_PASSES, Until, parse_target
+
+    statistic, percent = parse_target(text)
+    check_statistic(statistic)
+    most = max(DEFAULT_MAX_PASSES, plan.run.repeats) if max_passes is None else max_passes
+    if most < plan.run.repeats:
+        raise OptionError(
+            f"--max-passes {most} is below the {plan.run.repeats} repeats of the plan; give at least as many"
+        )
+    check_runs("--max-passes", len(plan.cells), most)
+
+    def measure(folder: Path, runs: Mapping[str, tuple[int, ...]]) -> Mapping[str, float]:
+        from dds_trace.analyzer.pipeline import analyze
+        from dds_trace.analyzer.verdicts.false_alarms import half_widths
+
+        if not runs:  # nothing was recorded
+            return {}
+        return half_widths(analyze(folder, details=False).load_messages(), runs, statistic)
+
+    return Until(statistic, percent, most, measure)

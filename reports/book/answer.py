@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from typing import Any
 
 import polars as pl
@@ -14,14 +15,17 @@ from dds_trace.analyzer.analysis import Analysis, Details
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
+from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration
 
 from .groups import (
     METRIC_LABELS,
     Group,
     Groups,
+    Series,
     VendorLabels,
     data_type_label,
+    device_pair,
     domain_label,
     format_added_ns,
     format_count,
@@ -30,10 +34,17 @@ from .groups import (
     joined,
     way_words,
 )
-from .headline import avoid_sentence, bridge_sentence, loss_sentence, tail_sentence, where_sentence, winner_sentences
+from .headline import (
+    avoid_sentence,
+    bridge_sentence,
+    factor_words,
+    loss_sentence,
+    tail_sentence,
+    where_sentence,
+    winner_sentences,
+)
 from .numbers import Intervals, Values, finite
 from .outcomes import outcome_of
-from .places import place_sentence
 from .topics import topic_sentences
 from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, place_label, verdicts_info
 
@@ -207,17 +218,16 @@ def _level_remarks(groups: Groups, values: Values, metric: str) -> list[str]:
 
 def _bridge_remarks(costs: pl.DataFrame, vendors: VendorLabels) -> list[str]:
     rows = list(costs.filter(statistic="p50", metric="latency").iter_rows(named=True))
-    pairs = [_place_of_cost(row) for row in rows]
+    pairs = [
+        place_label(row["ping_device"], row["relay_device"], row["connectivity"], condition_of(str(row["setting"])))
+        for row in rows
+    ]
     ways: dict[str, list[dict[str, Any]]] = {}
     for row, pair in zip(rows, pairs, strict=True):
         where = f", on {pair}" if len(set(pairs)) > 1 else ""
-        ways.setdefault(f"{way_label(row, vendors)}{where}", []).append(row)
+        way = f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way_words(row['bridge'])}"
+        ways.setdefault(f"{way}{where}", []).append(row)
     return [f"{way}: {_bridge_remark(own)}" for way, own in ways.items()]
-
-
-def _place_of_cost(row: Mapping[str, Any]) -> str:
-    conditions = condition_of(str(row["setting"]))
-    return place_label(row["ping_device"], row["relay_device"], row["connectivity"], conditions)
 
 
 _BRIDGE_VERDICTS = {
@@ -266,10 +276,6 @@ def _added_words(rows: list[dict[str, Any]]) -> str:
 
 def _within(row: Mapping[str, Any]) -> str:
     return f", {row['basis']}" if row["basis"] == Basis.WITHIN_RUN.value else ""
-
-
-def way_label(row: Mapping[str, Any], vendors: VendorLabels) -> str:
-    return f"{vendors.of_pair(row['vendor'], row['relay_vendor'])}, {way_words(row['bridge'])}"
 
 
 _DEADLINE_LABELS = {"response": "response (planned send to reply)", "outbound": "way out", "return": "way back"}
@@ -327,3 +333,68 @@ def _unsent(values: Values) -> str:
         return ""
     more = counted(sum(counts), "more message was", "more messages were", text=format_count(sum(counts)))
     return f" {more} due and never sent, in {_of_results(sum(map(bool, counts)), len(counts))}; verdicts count them as lost."
+
+
+MOST_COMPARED = 3
+
+
+def place_sentence(groups: Groups, values: Values, intervals: Intervals) -> str:
+    """Say how many times as long a message takes over each link, and from each device, as over and from the fastest.
+
+    Factors are of results without losses whose intervals between runs do not overlap.
+    """
+    relays = {series.relay_device for series in groups.series}
+    same_relay = len(relays) == 1 and not relays & {series.ping_device for series in groups.series}
+
+    def device(series: Series) -> str:
+        return printable(series.ping_device) if same_relay else device_pair(series.ping_device, series.relay_device)
+
+    compared = partial(_against_fastest, groups, values, intervals)
+    parts = (
+        *compared("over", lambda one: printable(one.connectivity), lambda one: replace(one, connectivity="")),
+        *compared("from" if same_relay else "on", device, lambda one: replace(one, ping_device="", relay_device=None)),
+    )
+    return f"At the median a message takes {'; '.join(parts)}." if parts else ""
+
+
+def _against_fastest(
+    groups: Groups,
+    values: Values,
+    intervals: Intervals,
+    preposition: str,
+    name_of: Callable[[Series], str],
+    without: Callable[[Series], Series],
+) -> tuple[str, ...]:
+    if len({name_of(series) for series in groups.series}) < 2:
+        return ()
+    medians = values.times_ns["latency"]["p50"]
+    # Everything else alike -> name -> group.
+    alike: dict[Hashable, dict[str, int]] = {}
+    for group in groups.groups:
+        series, index = groups.series_of(group), group.index
+        is_whole = group.published == group.received and not values.plain["unsent"][index]
+        if is_whole and intervals.is_between_runs("latency", "p50", index):
+            alike.setdefault((group.cell, without(series)), {})[name_of(series)] = index
+    compared = [named for named in alike.values() if len(named) > 1]
+    if not compared:
+        return ()
+    won = Counter(min(named, key=lambda name: medians[named[name]] or 0) for named in compared)
+    (fastest, _), *_ = won.most_common(1)
+    parts = []
+    for name in dict.fromkeys(name for named in compared for name in sorted(named) if name != fastest):
+        pairs = [(named[name], named[fastest]) for named in compared if {name, fastest} <= named.keys()]
+        factors = [
+            own / base
+            for slow, fast in pairs
+            if (own := medians[slow]) and (base := medians[fast]) and _are_apart(intervals, own, slow, fast)
+        ]
+        unclear = f" (no clear difference in {len(pairs) - len(factors)} of {len(pairs)} comparisons)"
+        if factors:
+            noted = unclear if len(factors) < len(pairs) else ""
+            parts.append(f"{preposition} {name} {factor_words(factors)} as long{noted}")
+    return (f"{joined(parts[:MOST_COMPARED])} as {preposition} {fastest}",) if parts else ()
+
+
+def _are_apart(intervals: Intervals, own_ns: float, own: int, base: int) -> bool:
+    (own_low, own_high), (base_low, base_high) = (intervals.ends("latency", "p50", group) for group in (own, base))
+    return (own_low or 0) > (base_high or own_ns) or (own_high or own_ns) < (base_low or 0)

@@ -349,13 +349,9 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
         for own_links, pairs in pairs_of.items()
     ]
     counts = sorted({round(count) for count in values.plain["runs"] if count})
-    runs = f"; {_run_counts(counts)} of each" if counts else ""
+    fewest = f"{counts[0]} to " if len(counts) > 1 else ""
+    runs = f"; {fewest}{counted(counts[-1], 'run')} of each" if counts else ""
     return f"Measured on {_some(parts, 'more pairs of devices')}{runs}.{_busy(analysis)}"
-
-
-def _run_counts(counts: Sequence[int]) -> str:
-    most = counted(counts[-1], "run")
-    return most if len(counts) == 1 else f"{counts[0]} to {most}"
 
 
 def _busy(analysis: Analysis) -> str:

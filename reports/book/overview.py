@@ -43,10 +43,11 @@ class Overview:
 
 
 def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]) -> Overview:
+    conditions = {conditions_label(condition_of(one.setting)) for one in groups.series}
     facts = (
         Fact("Devices", _devices(analysis, groups)),
         Fact("Link", _listed(sorted({printable(one.connectivity) for one in groups.series}))),
-        Fact("Conditions", _conditions(groups)),
+        Fact("Conditions", "; ".join(sorted(conditions - {""}))),
         Fact("Middleware", _listed(_vendors(analysis, groups))),
         Fact("Domains", _listed(list(dict.fromkeys(domain_label(one) for one in groups.series)))),
         Fact("Messages", _messages(analysis)),
@@ -73,10 +74,6 @@ def _devices(analysis: Analysis, groups: Groups) -> str:
     if groups.series:
         return _listed(dict.fromkeys(device_label(one) for one in groups.series))
     return _listed(sorted({f"{printable(one.device)} ({printable(one.role)})" for one in analysis.sessions}))
-
-
-def _conditions(groups: Groups) -> str:
-    return "; ".join(sorted({conditions_label(condition_of(one.setting)) for one in groups.series} - {""}))
 
 
 def _vendors(analysis: Analysis, groups: Groups) -> list[str]:

@@ -10,7 +10,6 @@ from dds_trace.analyzer.model.parameters import SITE_COLUMNS
 from dds_trace.analyzer.model.setting import choice_of
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.statistics.percentiles import planned_messages
-from dds_trace.analyzer.verdicts.cases import Setting
 from dds_trace.analyzer.verdicts.job import Job
 from dds_trace.analyzer.verdicts.recommend import Candidate, Fit, Recommendation, place_of
 from dds_trace.base.printable import printable
@@ -61,7 +60,9 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
     if recommendation is None:
         return None
     candidates = recommendation.candidates
-    names = setting_labels([_choice(candidate.setting) for candidate in candidates], vendors)
+    site = dict.fromkeys(SITE_COLUMNS, "")
+    choices = [{**one.setting, **site, "setting": choice_of(str(one.setting["setting"]))} for one in candidates]
+    names = setting_labels(choices, vendors)
     pairs = [_pair(candidate) for candidate in candidates]
     several = len(set(pairs)) > 1
     full_names = [f"{name}, on {pair}" if several else name for name, pair in zip(names, pairs, strict=True)]
@@ -113,10 +114,6 @@ def _commands(recommendation: Recommendation) -> tuple[tuple[str, str], ...]:
         return ()
     setting = recommendation.candidates[unclear[0]].setting
     return recording_commands(setting, recommendation.job, _messages_of_run(recommendation)[1])
-
-
-def _choice(setting: Setting) -> Setting:
-    return {**setting, **dict.fromkeys(SITE_COLUMNS, ""), "setting": choice_of(str(setting["setting"]))}
 
 
 def _pair(candidate: Candidate) -> str:

@@ -125,7 +125,9 @@ def size_table(analysis: Analysis, vendors: VendorLabels) -> SizeTable | None:
     labels = contender_labels(answers, vendors)
     columns = _columns(answers, labels)
     rates = _shown_rates(answers)
-    late, groups = _late_by_key(analysis), _group_by_key(analysis)
+    late, groups = _late_by_key(analysis), dict[Key, int | None]()
+    for group, key in enumerate(_keys(analysis)):
+        groups[key] = None if key in groups else group
     answers_at: dict[str, list[CaseAnswer]] = {}
     for answer in sorted(answers, key=_order):
         answers_at.setdefault(place_of(answer), []).append(answer)
@@ -200,13 +202,6 @@ def _keys(analysis: Analysis) -> list[Key]:
 def _key(case: CaseAnswer, setup: Contender) -> Key:
     settings = (setup.setting[column] for column in CONTENDER_COLUMNS)
     return (*(getattr(case, field) for field in CASE_COLUMNS), case.conditions, *settings)
-
-
-def _group_by_key(analysis: Analysis) -> dict[Key, int | None]:
-    groups: dict[Key, int | None] = {}
-    for group, key in enumerate(_keys(analysis)):
-        groups[key] = None if key in groups else group
-    return groups
 
 
 def _cell(case: CaseAnswer, setup: Contender, groups: Mapping[Key, int | None]) -> SizeCell:

@@ -63,7 +63,8 @@ def topic_sentences(topics: pl.DataFrame) -> list[str]:
 
 def _sentence(row: Mapping[str, Any]) -> str:
     times = [
-        f"{label.lower()} {format_duration(row[f'{metric}_p50_ns'])}" + _tail(row[f"{metric}_p99_ns"])
+        f"{label.lower()} {format_duration(row[f'{metric}_p50_ns'])}"
+        + ("" if row[f"{metric}_p99_ns"] is None else f" (p99 {format_duration(row[f'{metric}_p99_ns'])})")
         for metric, label in TOPIC_METRICS.items()
         if row[f"{metric}_p50_ns"] is not None
     ]
@@ -72,10 +73,6 @@ def _sentence(row: Mapping[str, Any]) -> str:
     if row["reordered"]:
         parts.append(f"{format_count(row['reordered'])} out of order")
     return f"{printable(row['topic'])}, {_way(row)}: {'; '.join(parts)}."
-
-
-def _tail(value_ns: float | None) -> str:
-    return "" if value_ns is None else f" (p99 {format_duration(value_ns)})"
 
 
 def _received(row: Mapping[str, Any]) -> str:

@@ -233,7 +233,12 @@ def _answer(groups: Sequence[ComparedGroup]) -> str:
         where = f", most in {losing[0].label}" if several else ""
         parts.append(f"more is lost in {len(losing)} of {count}{where} ({received_words(losing[0].delivery)})")
     # A percentile that was lost is part of the losses.
-    slower = [(row, group) for group in groups for row in group.changes if _is_slower(row)]
+    slower = [
+        (row, group)
+        for group in groups
+        for row in group.changes
+        if row["verdict"] == "worse" and row["ratio"] is not None and math.isfinite(row["ratio"])
+    ]
     if slower:
         shown = [pair for pair in slower if pair[0] in pair[1].shown()]
         row, worst = max(shown or slower, key=lambda pair: pair[0]["ratio"])
@@ -248,10 +253,6 @@ def _answer(groups: Sequence[ComparedGroup]) -> str:
     parts += [f"{counts['faster']} faster"] if counts["faster"] else []
     sentence = "; ".join(parts)
     return f"{sentence[0].upper()}{sentence[1:]}."
-
-
-def _is_slower(row: Mapping[str, Any]) -> bool:
-    return row["verdict"] == "worse" and row["ratio"] is not None and math.isfinite(row["ratio"])
 
 
 def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -> str:
@@ -316,20 +317,17 @@ def _gates(
 
 
 def comparison_notes(comparison: Comparison) -> tuple[str, ...]:
+    unfinished = counted(sum(comparison.unfinished.values()), "run")
+    left_out = f"{unfinished} did not finish; what has less than half of the messages of the longest run is left out."
     parts = (
         ("Not matched", comparison.ignored),
         ("Measured in turns", comparison.interleaved),
         ("Unlike environments", comparison.environment),
         ("Order", [comparison.order] if comparison.order else []),
-        ("Unfinished", [_unfinished(comparison)] if any(comparison.unfinished.values()) else []),
+        ("Unfinished", [left_out] if any(comparison.unfinished.values()) else []),
         ("Finding of severity error", [error.text for error in comparison.errors]),
     )
     return tuple(f"{name}: {printable(text, MAX_FINDING_CHARACTERS)}" for name, texts in parts for text in texts)
-
-
-def _unfinished(comparison: Comparison) -> str:
-    runs = counted(sum(comparison.unfinished.values()), "run")
-    return f"{runs} did not finish; what has less than half of the messages of the longest run is left out."
 
 
 def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:

@@ -7,29 +7,27 @@ from collections.abc import Sequence
 from ..book.book import Book
 from . import (
     breakdown,
-    bridge_cost,
     clocks,
+    costs,
     distribution,
     domain_difference,
-    dots,
     fan_out,
     heatmap,
     host_load,
-    interference,
     lines,
-    recovery,
+    own_times,
     timeline,
     wire,
 )
 from .figure import Figure, FigureMaker, LeftOut, LineFigure, Scope, is_few
 
 FIGURES: list[FigureMaker | LineFigure] = [
-    dots.FIGURE,
+    costs.DOTS,
     lines.LATENCY_BY_RATE,
     lines.LATENCY_BY_SIZE,
     domain_difference.FIGURE,
-    bridge_cost.FIGURE,
-    interference.FIGURE,
+    costs.BRIDGE_COST,
+    costs.INTERFERENCE,
     fan_out.FIGURE,
     lines.RECEIVED,
     breakdown.FIGURE,
@@ -44,12 +42,12 @@ FIGURES: list[FigureMaker | LineFigure] = [
     lines.TRANSFER_RATE,
     wire.WIRE_COST,
     wire.SENT_AGAIN,
-    wire.FIRST_MESSAGE,
+    own_times.FIRST_MESSAGE,
     clocks.ONE_WAY,
     clocks.CLOCK,
     distribution.PERCENTILE_CURVE,
     distribution.ECDF,
-    recovery.FIGURE,
+    own_times.RECOVERY,
     timeline.FIGURE,
     host_load.FIGURE,
 ]
@@ -60,7 +58,7 @@ def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | L
     few = is_few(book)
     made = []
     for maker in FIGURES:
-        if maker is dots.FIGURE and not few:
+        if maker is costs.DOTS and not few:
             continue
         drawn = maker.draw(book)
         if few and not maker.few and isinstance(drawn, Figure):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..book.book import Book
 from ..book.numbers import whole_ns
-from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, is_few, plane_facet
+from .figure import Faceted, Figure, FigureMaker, LeftOut, Scope, facet_panels, facet_plan, plane_facet
 
 PART_LABELS = {
     "data": "Data, first time",
@@ -126,33 +126,3 @@ def sent_again_figure(info: SentAgain) -> Figure | LeftOut:
 
 
 SENT_AGAIN = FigureMaker(sent_again_info, sent_again_figure, Scope.CELL)
-
-
-@dataclass(frozen=True, slots=True)
-class FirstMessage(Faceted):
-    """Groups over their message; `times_ns` is group -> median time of its runs."""
-
-    times_ns: Mapping[int, int]
-
-
-def first_message_info(book: Book) -> FirstMessage:
-    rows = book.analysis.details.wire.select("group", "match_p50_ns").iter_rows()
-    times_ns = {group: time for group, value in rows if (time := whole_ns(value)) is not None}
-    facet = Facet("cell" if is_few(book) else "plane", "way")
-    return FirstMessage(facet, facet_panels(book, facet, times_ns.__contains__), times_ns)
-
-
-def first_message_figure(info: FirstMessage) -> Figure | LeftOut:
-    name, title = "first_message", "Time to the first message"
-    how_to_read = (
-        "Each mark is the time from the first announcement of the ping's participant to the first echo, with a relay that was already "
-        "running: how long a node that starts has to wait."
-    )
-    if not info.panels:
-        return LeftOut(name, title, "no DDS run was recorded with --wire.")
-    values = {str(group): time_ns for group, time_ns in info.times_ns.items()}
-    plan = facet_plan(info.facet, info.panels, value="own", values_ns=values, label=title)
-    return Figure(name, title, how_to_read, "lines", plan)
-
-
-FIRST_MESSAGE = FigureMaker(first_message_info, first_message_figure, opened=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import math
 from bisect import bisect_right
-from collections.abc import Iterable
-from dataclasses import asdict
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -27,13 +27,25 @@ from dds_trace.base.version import __version__
 from ..book.book import Book
 from ..book.facets import MADE_OF
 from ..book.findings import severity_counts, worst_first
-from ..book.groups import LATENCY_MEANING, METRIC_LABELS, METRIC_MENU, STATISTIC_LABELS, data_type_label, group_labels
+from ..book.groups import (
+    LATENCY_MEANING,
+    METRIC_LABELS,
+    METRIC_MENU,
+    STATISTIC_LABELS,
+    Cell,
+    Groups,
+    Series,
+    data_type_label,
+    device_label,
+    group_labels,
+    qos_label,
+)
 from ..book.next_command import recording_commands
 from ..book.overview import utc_words
 from ..book.sizes import HOW_TO_READ, SizeCell, SizeRow, SizeTable
+from ..book.verdicts import MODES
 from ..figures import drawn_figures, opened_figures
 from ..figures.figure import ATOMS, MOST_LINES, Figure, LeftOut, Scope
-from .filters import filters_info
 from .packing import json_island, packed, packed_script, policy_hash
 from .styles import line_styles
 
@@ -269,3 +281,53 @@ def _commands(book: Book) -> list[list[str]]:
         job = Job(row["data_type"], row["payload_bytes"], row["rate_hz"], 1, 0.5)
         made.append([command for _, command in recording_commands(row, job, 1)])
     return made
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    value: str
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """One filter of a page; `index` has the option of each group."""
+
+    key: str
+    label: str
+    options: tuple[Option, ...]
+    index: tuple[int, ...]
+
+
+def _same(text: str) -> Option:
+    return Option(text, text)
+
+
+_FILTERS: tuple[tuple[str, str, Callable[[Cell, Series], Option]], ...] = (
+    ("vendor", "Vendor", lambda _, s: _same(s.vendor_label)),
+    ("domain", "Domains", lambda _, s: Option(s.domain_mode, MODES.get(s.domain_mode, printable(s.domain_mode)))),
+    ("bridge", "Bridge", lambda _, s: _same(printable(s.bridge))),
+    ("data", "Data", lambda c, _: Option(printable(c.data_type), data_type_label(c.data_type))),
+    ("size", "Size", lambda c, _: Option(str(c.payload_bytes), format_size(c.payload_bytes))),
+    ("rate", "Rate", lambda c, _: Option(f"{c.rate_hz:g}", format_rate(c.rate_hz))),
+    ("qos", "QoS", lambda _, s: _same(qos_label(s))),
+    ("device", "Devices", lambda _, s: _same(device_label(s))),
+    ("backend", "Backend", lambda _, s: _same(printable(s.backend))),
+    ("serialization", "Serialization", lambda _, s: _same(printable(s.serialization))),
+    ("link", "Link", lambda _, s: _same(printable(s.connectivity))),
+    ("setting", "Setting", lambda _, s: Option(printable(s.setting), printable(s.setting) or "nothing else set")),
+)
+
+
+def filters_info(groups: Groups) -> tuple[Filter, ...]:
+    filters = []
+    for key, label, option_of in _FILTERS:
+        options = [option_of(groups.cell_of(group), groups.series_of(group)) for group in groups.groups]
+        by_series = sorted(groups.groups, key=lambda group: (group.series, group.cell))
+        distinct = list(dict.fromkeys(options[group.index] for group in by_series))
+        if all(option.value.replace(".", "", 1).isdigit() for option in distinct):
+            distinct.sort(key=lambda option: float(option.value))
+        if len(distinct) > 1:
+            rank = {option: index for index, option in enumerate(distinct)}
+            filters.append(Filter(key, label, tuple(distinct), tuple(rank[option] for option in options)))
+    return tuple(filters)

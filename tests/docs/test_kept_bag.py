@@ -7,7 +7,7 @@ import tarfile
 from pathlib import Path
 
 from dds_trace.analyzer.recordings.topics import analyze_topics
-from dds_trace.reports.topics.terminal import print_topics
+from dds_trace.reports.topics.renderers import print_topics
 
 DOCS = Path(__file__).parents[2] / "docs"
 

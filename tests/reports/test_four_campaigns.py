@@ -12,7 +12,7 @@ from dds_trace.analyzer.verdicts.compare import compare_roundtrips
 from dds_trace.analyzer.verdicts.gate import parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.comparison import ci
+from dds_trace.reports.comparison import document
 from dds_trace.reports.comparison import markdown as comparison_markdown
 from dds_trace.reports.comparison import page as comparison_page
 from dds_trace.reports.comparison import terminal as comparison_terminal
@@ -66,7 +66,7 @@ def test_a_comparison_is_in_the_words_of_a_report():
         comparison_terminal.render(info, shows_all=True),
         comparison_markdown.render(info, shows_all=True),
         visible_text(comparison_page.render(info, "main → branch")),
-        ci.render_junit(info),
+        document.render_junit(info),
     ]
     found = [set(OLD_WORDS.findall(html.unescape(text).lower())) for text in texts]
     assert all(words <= {"inconclusive"} for words in found), "the outcome of a gate is a code"

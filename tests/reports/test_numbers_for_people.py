@@ -25,7 +25,7 @@ from dds_trace.base.units import format_duration
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VENDORS, VendorLabels
 from dds_trace.reports.book.recommendation import recommendation_info
-from dds_trace.reports.comparison import ci, document
+from dds_trace.reports.comparison import document
 from dds_trace.reports.comparison import markdown as comparison_markdown
 from dds_trace.reports.comparison import page as comparison_page
 from dds_trace.reports.comparison import terminal as comparison_terminal
@@ -104,7 +104,7 @@ def test_comparisons_and_gates_have_numbers_for_people(name):
         comparison_terminal.render(info, shows_all=True),
         html.unescape(comparison_markdown.render(info, shows_all=True)),
         visible_text(comparison_page.render(info, "base → new")),
-        html.unescape(ci.render_junit(info)),
+        html.unescape(document.render_junit(info)),
         "\n".join(
             [said["said"], said["seen"], *said["notes"], *said["rules"], *(gate["reason"] for gate in said["gates"])]
         ),

@@ -10,8 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from dds_trace.analyzer.recordings.rows import qos_words
 from dds_trace.analyzer.recordings.topics import analyze_topics
-from dds_trace.reports.topics import document, markdown, page
-from dds_trace.reports.topics.terminal import print_topics
+from dds_trace.reports.topics.renderers import print_topics, render_json, render_markdown, render_page
 
 MS = 1_000_000
 START_NS = 1_700_000_000 * 10**9
@@ -70,7 +69,7 @@ def test_what_all_topics_lack_was_lost_inside_the_recorder(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "nothing for 1 s at 00:20" in shown
     assert "all topics: nothing for" in shown
-    for render in (document.render, markdown.render, page.render):
+    for render in (render_json, render_markdown, render_page):
         assert "/imu" in render(report)
 
 

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from dds_trace.analyzer.recordings.messages import find_recordings
 from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.base.errors import MissingEventsError, TraceFormatError
-from dds_trace.reports.topics.terminal import print_topics
+from dds_trace.reports.topics.renderers import print_topics
 from dds_trace.tracefile.mcapfile import blocks
 from dds_trace.tracefile.recordings import recorded
 from dds_trace.tracefile.recordings.read import read_messages

@@ -19,7 +19,8 @@ from report_schemas import REPORT
 from dds_trace.analyzer.pipeline import analyze
 from dds_trace.base.errors import OptionError
 from dds_trace.reports.book.book import Book
-from dds_trace.reports.figures.wire import first_message_info, sent_again_info, wire_cost_info
+from dds_trace.reports.figures.own_times import first_message_info
+from dds_trace.reports.figures.wire import sent_again_info, wire_cost_info
 from dds_trace.reports.reporters import render_report
 from dds_trace.tracefile.format.wire import rows_of_text
 from dds_trace.tracefile.reading.reader import read_trace

@@ -2,7 +2,7 @@ from analyses import MS, Measured, make_analysis
 
 from dds_trace.reports.book.facets import facets_info
 from dds_trace.reports.book.groups import Cell, group_labels, groups_info
-from dds_trace.reports.html.filters import filters_info
+from dds_trace.reports.html.page import filters_info
 from dds_trace.reports.html.styles import choice_styles
 
 

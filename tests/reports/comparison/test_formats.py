@@ -22,7 +22,7 @@ from dds_trace.analyzer.verdicts.comparison_rows import DISTRIBUTION_LEVELS
 from dds_trace.analyzer.verdicts.gate import parse_gate
 from dds_trace.analyzer.verdicts.gates import judge_gates
 from dds_trace.analyzer.verdicts.ignoring import match_without
-from dds_trace.reports.comparison import ci, document, markdown, page, terminal
+from dds_trace.reports.comparison import document, markdown, page, terminal
 from dds_trace.reports.comparison.info import comparison_info
 
 HOSTILE = "<script>alert(1)</script>|`a`](http://x)\n# h @you\x1b[31m\x00"
@@ -115,25 +115,25 @@ def test_markdown_of_nothing():
 
 def test_annotations_are_commands_of_one_line_and_the_badge_is_an_endpoint():
     _, info = compared(bridge=HOSTILE)
-    *lines, notice = ci.render_annotations(info).splitlines()
+    *lines, notice = document.render_annotations(info).splitlines()
     assert [line.partition(" ")[0] for line in lines] == ["::error", "::warning"]
     assert lines[0].startswith("::error title=latency_p50 > +10%25::")
     assert "+20 %25" in lines[0]
     assert notice == f"::notice title=latency::{info.said}".replace(" %", " %25")
-    assert json.loads(ci.render_badge(info)) == {
+    assert json.loads(document.render_badge(info)) == {
         "schemaVersion": 1,
         "label": "latency",
         "message": "regressed",
         "color": "red",
     }
     many_gates = replace(info, gates=info.gates * 30)
-    assert len(ci.render_annotations(many_gates).splitlines()) == ci.MOST_ANNOTATIONS
-    assert json.loads(ci.render_badge(replace(info, outcome=None)))["color"] == "lightgrey"
+    assert len(document.render_annotations(many_gates).splitlines()) == document.MOST_ANNOTATIONS
+    assert json.loads(document.render_badge(replace(info, outcome=None)))["color"] == "lightgrey"
 
 
 def test_junit_counts_and_names(sentences):
     _, info = compared()
-    root = ET.fromstring(ci.render_junit(info))
+    root = ET.fromstring(document.render_junit(info))
     assert root.tag == "testsuites"
     assert {k: root.get(k) for k in ("tests", "failures", "errors", "skipped")} == {
         "tests": "4",
@@ -152,7 +152,7 @@ def test_junit_counts_and_names(sentences):
     assert [len(cases[gate.text]) for gate in GATES] == [1, 0, 1, 0]
     assert "inconclusive" in cases[GATES[2].text].find("skipped").get("message")
     assert root.find("testsuite/system-out").text.startswith("Slower in 1 of 1 result")
-    assert ET.fromstring(ci.render_junit(comparison_info(compared()[0]))).get("tests") == "0"
+    assert ET.fromstring(document.render_junit(comparison_info(compared()[0]))).get("tests") == "0"
 
 
 @pytest.mark.parametrize("case", ["many", "lost", "ignored", "nothing"])
@@ -259,5 +259,5 @@ def test_hostile_strings_stay_strings():
         assert {line.count("|") for line in table.splitlines()} == {bars}
     assert "\x1b" not in terminal.render(info)
     assert Page(page.render(info, HOSTILE)).tags.count("script") == 1
-    root = ET.fromstring(ci.render_junit(info))
+    root = ET.fromstring(document.render_junit(info))
     assert "<script>" in root.find("testsuite/testcase").get("classname")

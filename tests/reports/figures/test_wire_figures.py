@@ -11,12 +11,11 @@ from analyses import MS, Measured, make_analysis
 from dds_trace.analyzer.groups.wire import WIRE_CLASS_SCHEMA, WIRE_REPEAT_SCHEMA, WIRE_SCHEMA
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.figures.figure import Figure, LeftOut, Line, Panel
+from dds_trace.reports.figures.own_times import first_message_figure, first_message_info
 from dds_trace.reports.figures.wire import (
     Repeats,
     SentAgain,
     WirePart,
-    first_message_figure,
-    first_message_info,
     sent_again_figure,
     sent_again_info,
     wire_cost_figure,

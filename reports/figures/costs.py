@@ -1,4 +1,4 @@
-"""How many times as long a message takes through a bridge, and the latency that it adds."""
+"""How many times as long a message takes through a bridge, with other flows or under a load, as without; and a few groups in one chart."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dds_trace.base.units import counted
 from ..book.book import Book
 from ..book.numbers import finite, whole_ns
 from ..book.verdicts import received_words, runs_words
-from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan
+from .figure import FEW_GROUPS, Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, is_few
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class BridgedCell:
-    """One message through one bridge: percentile -> cost, and the mean load of the bridge's processes."""
+    """One message: percentile -> cost, and the mean load of the bridge's processes."""
 
     costs: Mapping[str, Cost]
     bridge_cpu_percent: float | None
@@ -40,7 +40,7 @@ class BridgedCell:
 
 @dataclass(frozen=True, slots=True)
 class BridgeCost(Faceted):
-    """Groups through bridges with at least one cost; `lost` are those that lost too much for any."""
+    """Groups with at least one cost; `lost` are those that lost too much for any."""
 
     cells: Mapping[int, BridgedCell]
     lost: int = 0
@@ -93,4 +93,59 @@ def bridge_cost_figure(info: BridgeCost) -> Figure | LeftOut:
     return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
 
 
-FIGURE = FigureMaker(bridge_cost_info, bridge_cost_figure, few=False)
+BRIDGE_COST = FigureMaker(bridge_cost_info, bridge_cost_figure, few=False)
+
+
+def interference_info(book: Book) -> BridgeCost:
+    costs: dict[int, dict[str, Cost]] = {}
+    for row in book.analysis.details.interference.iter_rows(named=True):
+        if (cost := cost_of(row)) is not None:
+            costs.setdefault(row["group"], {})[row["statistic"]] = cost
+    cells = {group: BridgedCell(own, None) for group, own in costs.items()}
+    facet = Facet("plane", "place")
+    return BridgeCost(facet, facet_panels(book, facet, cells.__contains__), cells)
+
+
+def interference_figure(info: BridgeCost) -> Figure | LeftOut:
+    name, title = "interference", "What other flows and loads cost"
+    how_to_read = (
+        "Each mark is how many times as long a message takes with the other flows or the load that its setting names as without, with its "
+        "95 % interval and the difference; an interval that reaches the line shows no difference that these samples can prove."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "nothing was recorded both with and without other flows, or a load.")
+    cells = {str(group): cell for group, cell in info.cells.items()}
+    return Figure(name, title, how_to_read, "bridge_cost", facet_plan(info.facet, info.panels, cells=cells))
+
+
+INTERFERENCE = FigureMaker(interference_info, interference_figure)
+
+
+@dataclass(frozen=True, slots=True)
+class Dots:
+    """Groups from the top of the chart, and group through a bridge -> what that costs."""
+
+    groups: tuple[int, ...]
+    cells: Mapping[int, BridgedCell]
+
+
+def dots_info(book: Book) -> Dots:
+    groups = book.groups.in_order
+    if not is_few(book) or not any(book.values.timed(group.index) for group in groups):
+        return Dots((), {})
+    return Dots(tuple(group.index for group in groups if group.published), bridge_cost_info(book).cells)
+
+
+def dots_figure(info: Dots) -> Figure | LeftOut:
+    name, title = "dots", "Latency at a glance"
+    if not info.groups:
+        return LeftOut(name, title, f"no message was received, or there are more than {FEW_GROUPS} results.")
+    how_to_read = (
+        "Each line is one result: the dot is its time with the 95 % interval, followed by the share received and how many times as long a "
+        "message takes through a bridge as in the same domain; times are of the received messages."
+    )
+    cells = {str(group): cell for group, cell in info.cells.items()}
+    return Figure(name, title, how_to_read, "dots", {"groups": info.groups, "cells": cells}, follows=True)
+
+
+DOTS = FigureMaker(dots_info, dots_figure)

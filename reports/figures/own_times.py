@@ -1,0 +1,68 @@
+"""Times that a group has besides those of its messages: to the first message, and from the end of an outage to the first reply."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from statistics import median
+
+from ..book.book import Book
+from ..book.numbers import whole_ns
+from .figure import Facet, Faceted, Figure, FigureMaker, LeftOut, facet_panels, facet_plan, is_few
+
+
+@dataclass(frozen=True, slots=True)
+class OwnTimes(Faceted):
+    """`times_ns` is group -> median time of its runs."""
+
+    times_ns: Mapping[int, int]
+
+    def drawn(self, label: str) -> dict[str, object]:
+        values = {str(group): time_ns for group, time_ns in self.times_ns.items()}
+        return facet_plan(self.facet, self.panels, value="own", values_ns=values, label=label)
+
+
+def first_message_info(book: Book) -> OwnTimes:
+    rows = book.analysis.details.wire.select("group", "match_p50_ns").iter_rows()
+    times_ns = {group: time for group, value in rows if (time := whole_ns(value)) is not None}
+    facet = Facet("cell" if is_few(book) else "plane", "way")
+    return OwnTimes(facet, facet_panels(book, facet, times_ns.__contains__), times_ns)
+
+
+def first_message_figure(info: OwnTimes) -> Figure | LeftOut:
+    name, title = "first_message", "Time to the first message"
+    how_to_read = (
+        "Each mark is the time from the first announcement of the ping's participant to the first echo, with a relay that was already "
+        "running: how long a node that starts has to wait."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "no DDS run was recorded with --wire.")
+    return Figure(name, title, how_to_read, "lines", info.drawn(title))
+
+
+FIRST_MESSAGE = FigureMaker(first_message_info, first_message_figure, opened=False)
+
+
+def recovery_info(book: Book) -> OwnTimes:
+    """Collect the runs that came back; the settings of their groups name the outage."""
+    recoveries = book.analysis.details.recoveries
+    times: dict[int, list[int]] = {}
+    for group, back_ns in recoveries.filter(~recoveries["never"]).select("group", "back_ns").iter_rows():
+        times.setdefault(group, []).append(back_ns)
+    medians = {group: round(median(own)) for group, own in times.items()}
+    facet = Facet("rest", "link", "vendor")
+    return OwnTimes(facet, facet_panels(book, facet, medians.__contains__), medians)
+
+
+def recovery_figure(info: OwnTimes) -> Figure | LeftOut:
+    name, title = "recovery", "Coming back"
+    how_to_read = (
+        "Each mark is the time from the end of an outage, of the kind and length in the setting, to the first reply, median of the runs "
+        "that came back; a setup without a mark never did within the limit."
+    )
+    if not info.panels:
+        return LeftOut(name, title, "no sweep made an outage within a run.")
+    return Figure(name, title, how_to_read, "lines", info.drawn("Time to the first reply"))
+
+
+RECOVERY = FigureMaker(recovery_info, recovery_figure)

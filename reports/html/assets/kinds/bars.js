@@ -24,7 +24,7 @@ KINDS.bars = function bars(plan, width, all) {
   const isPicture = all?.page !== undefined; // its panels are too low for more than a number
   const finite = (panels) =>
     panels
-      .flatMap((panel) => panel.lines.flatMap((line) => line.points.map((point) => point.value)))
+      .flatMap((panel) => pointsOf(panel).map((point) => point.value))
       .filter(Number.isFinite);
   const tops = new Map(
     found.panels.map((panel) => [
@@ -40,17 +40,15 @@ KINDS.bars = function bars(plan, width, all) {
       150,
       ...found.panels.map(
         (panel) =>
-          new Set(panel.lines.flatMap((line) => line.points.map((point) => point.x))).size * panel.lines.length * 11,
+          new Set(pointsOf(panel).map((point) => point.x)).size * panel.lines.length * 11,
       ),
     ),
   );
   const panels = found.panels.map((panel) => {
-    const positions = [...new Set(panel.lines.flatMap((line) => line.points.map((point) => point.x)))].sort(
-      (a, b) => a - b,
-    );
+    const positions = [...new Set(pointsOf(panel).map((point) => point.x))].sort((a, b) => a - b);
     const top = tops.get(panel.row);
     const names = positions.map((at) => {
-      const { group } = panel.lines.flatMap((line) => line.points).find((point) => point.x === at);
+      const { group } = pointsOf(panel).find((point) => point.x === at);
       return facet.x === "size" ? cellOf(group).size : facet.x === "rate" ? digits(at) : labelIn(facet.x, group);
     });
     const thick = (0.75 * minWidth) / (positions.length * panel.lines.length);
@@ -195,13 +193,11 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
     const values = found.panels
       .filter((panel) => panel.row === row)
       .flatMap((panel) =>
-        panel.lines.flatMap((line) =>
-          line.points.flatMap(({ value }) => [
-            value.difference_ns,
-            value.low_ns ?? 0,
-            Math.min(value.high_ns ?? 0, 3 * Math.abs(value.difference_ns)),
-          ]),
-        ),
+        pointsOf(panel).flatMap(({ value }) => [
+          value.difference_ns,
+          value.low_ns ?? 0,
+          Math.min(value.high_ns ?? 0, 3 * Math.abs(value.difference_ns)),
+        ]),
       );
     const low = S * Math.min(0, ...values),
       high = S * Math.max(0, ...values);
@@ -241,12 +237,8 @@ KINDS.bridge_cost = function bridgeCost(plan, width, all) {
               ...cpu(group),
             ),
         });
-        trace.error_y = errorBars(
-          line.points.map((point) => of(point.value)[0]),
-          line.points.map((point) => of(point.value).slice(1)),
-          1 / scale,
-          trace.line.color,
-        );
+        const [valueOf, endsOf] = [({ value }) => of(value)[0], ({ value }) => of(value).slice(1)];
+        trace.error_y = errorBars(line.points, valueOf, endsOf, 1 / scale, trace.line.color);
         return trace;
       });
       return {

@@ -283,12 +283,7 @@ function percentileMarks(group) {
         restsOn(group, one.key),
       ),
   });
-  trace.error_y = errorBars(
-    named.map((one) => one.value),
-    named.map((one) => one.ends),
-    1 / S,
-    trace.marker.color,
-  );
+  trace.error_y = errorBars(named, (one) => one.value, (one) => one.ends, 1 / S, trace.marker.color);
   return [trace];
 }
 
@@ -333,7 +328,7 @@ function distribution(width, byRarity, all) {
     foot: groups.some(isLossy) ? "Faded curves are results that lost more than 1 % of their messages." : "",
   };
   if (byRarity) {
-    const isTick = (level) => level >= 0.5 && (level === 0.5 || Number.isInteger(Math.log10(Math.round(rarity(level)))));
+    const isTick = (level) => level === 0.5 || (level > 0.5 && Number.isInteger(Math.log10(Math.round(rarity(level)))));
     const ticks = levels.filter(isTick);
     const deepest = Math.max(...groups.map((group) => rarity(levels[curves[group].length - 1])));
     const panel = {

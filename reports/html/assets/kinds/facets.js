@@ -217,8 +217,11 @@ function sharesBeside(lines, traces) {
   return beside.length <= 16 ? beside : [];
 }
 
-/** Error bars of plotly for values with ends in the same unit; a missing end has no bar. */
-function errorBars(values, ends, factor, color) {
+const pointsOf = (panel) => panel.lines.flatMap((line) => line.points);
+
+/** Error bars of plotly for values of points with ends in the same unit; a missing end has no bar. */
+function errorBars(points, valueOf, endsOf, factor, color) {
+  const ends = points.map(endsOf);
   // A value may lie outside of its interval, which is of the typical run: then nothing reaches from it to the nearer
   // end.
   const reach = (value, end, way) =>
@@ -230,8 +233,8 @@ function errorBars(values, ends, factor, color) {
     color,
     thickness: 1.1,
     width: 3,
-    array: values.map((value, place) => reach(value, ends[place] && ends[place][1], 1)),
-    arrayminus: values.map((value, place) => reach(value, ends[place] && ends[place][0], -1)),
+    array: points.map((point, place) => reach(valueOf(point), ends[place]?.[1], 1)),
+    arrayminus: points.map((point, place) => reach(valueOf(point), ends[place]?.[0], -1)),
   };
 }
 

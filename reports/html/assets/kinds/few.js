@@ -44,12 +44,7 @@ KINDS.dots = function dots(plan, width) {
           ),
       });
       const bars = INTERVALS()
-        ? errorBars(
-            points.map((point) => point.value),
-            points.map((point) => intervalOf(point.group)),
-            1 / S,
-            trace.marker.color,
-          )
+        ? errorBars(points, (point) => point.value, (point) => intervalOf(point.group), 1 / S, trace.marker.color)
         : undefined;
       return bars ? { ...trace, error_x: bars } : trace;
     });

@@ -113,7 +113,7 @@ const SHARES = {
 
 /** The axis along which marks are: {x, notes, shapes, weight, place(point)}; `joined` where lines make sense. */
 function alongAxis(x, panel, title, width = Infinity) {
-  const points = panel.lines.flatMap((line) => line.points);
+  const points = pointsOf(panel);
   const positions = [...new Set(points.map((point) => point.x))].sort((a, b) => a - b);
   const rank = new Map(positions.map((at, place) => [at, place]));
   const count = panel.lines.length;
@@ -157,7 +157,7 @@ KINDS.lines = function lines(plan, width, all) {
   const { x, lines: dimension } = found.facet;
   const left = [];
   const kept = found.panels.filter((panel) => {
-    const points = panel.lines.flatMap((line) => line.points);
+    const points = pointsOf(panel);
     const why = value.flat?.(points.map((point) => point.value))
       ? value.flatSaid
       : ["size", "rate", "place"].includes(x) && new Set(points.map((point) => point.x)).size < 2
@@ -166,7 +166,7 @@ KINDS.lines = function lines(plan, width, all) {
     if (why) left.push([why, panel.title]);
     return !why;
   });
-  const every = kept.flatMap((panel) => panel.lines.flatMap((line) => line.points));
+  const every = kept.flatMap(pointsOf);
   const log = value.axis === timeAxis && view.scale === "linear" ? "row" : "all";
   const axes = new Map();
   const intervals = value.intervals && INTERVALS();
@@ -179,7 +179,7 @@ KINDS.lines = function lines(plan, width, all) {
         value.axis(
           kept
             .filter((one) => log === "all" || one.row === share)
-            .flatMap((one) => one.lines.flatMap((line) => line.points.flatMap(reach))),
+            .flatMap((one) => pointsOf(one).flatMap(reach)),
         ),
       );
     return { share, y: axes.get(share) };
@@ -203,12 +203,7 @@ KINDS.lines = function lines(plan, width, all) {
           ),
       });
       const bars = intervals
-        ? errorBars(
-            line.points.map((point) => point.value),
-            line.points.map((point) => intervalOf(point.group)),
-            1 / S,
-            trace.marker.color,
-          )
+        ? errorBars(line.points, ({ value: own }) => own, ({ group }) => intervalOf(group), 1 / S, trace.marker.color)
         : undefined;
       return bars ? { ...trace, error_y: bars } : trace;
     });
@@ -281,7 +276,7 @@ function leftOutSaid(left) {
 }
 
 function diagonal(panel) {
-  const all = panel.lines.flatMap((line) => line.points.map((point) => point.x));
+  const all = pointsOf(panel).map((point) => point.x);
   const ends = [Math.min(...all), Math.max(...all)];
   return {
     type: "scatter",
@@ -425,13 +420,12 @@ KINDS.fan_out = function fanOut(plan, width, all) {
     title,
     traces: lines.map(({ look, points }) => {
       const shown = points.filter((point) => point[key] !== null);
-      const values = shown.map((point) => point[key]);
       const hover = (point) =>
         groupHover(point.group, `${plan.of}: ${point.count}`, `${label}: ${formatNs(point[key])}`);
       const trace = marks(look, shown, { x: (point) => point.count, y: (point) => point[key] * S, hover });
       if (key !== "last_ns") return trace;
-      const ends = shown.map((point) => [point.first_ns, point.last_ns]);
-      return { ...trace, error_y: errorBars(values, ends, 1 / S, trace.marker.color) };
+      const ends = (point) => [point.first_ns, point.last_ns];
+      return { ...trace, error_y: errorBars(shown, (point) => point[key], ends, 1 / S, trace.marker.color) };
     }),
     x: () => ({ type: "linear", title: axisTitle(plan.of), zeroline: false, rangemode: "tozero", tickformat: "d" }),
     y: timeAxis(

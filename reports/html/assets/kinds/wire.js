@@ -65,12 +65,8 @@ Object.assign(KINDS, {
               `${label} p50: ${formatNs(point.p50_ns)}, max: ${formatNs(point.max_ns)}`,
             ),
         });
-        trace.error_y = errorBars(
-          points.map((point) => point.p50_ns),
-          points.map((point) => [point.p50_ns, point.max_ns]),
-          1 / S,
-          trace.marker.color,
-        );
+        const ends = ({ p50_ns: median, max_ns: most }) => [median, most];
+        trace.error_y = errorBars(points, (point) => point.p50_ns, ends, 1 / S, trace.marker.color);
         return trace;
       }),
       x: () => ({

@@ -91,7 +91,6 @@ def collect_details(
 
 
 def details_not_requested() -> Details:
-    """Make empty details; the frames have their columns."""
     no_batch = Batch((), np.empty(0, np.uint32), all_exchanges=0, whole=True)
     no_roundtrips = pair_exchanges([], {}, details=False)
     frames = {name: make(no_batch, no_roundtrips) for name, make in DETAIL_MAKERS.items()}

@@ -62,8 +62,6 @@ HTML, TERMINAL = "html", "terminal"
 
 
 def _kinds_of(table: Mapping[str, object], name: str, help_: str) -> OptionInfo:
-    """Return an option of keys of a table."""
-
     def check(kinds: list[str] | None) -> list[str] | None:
         for kind in kinds or ():
             if kind not in table:

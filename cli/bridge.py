@@ -130,7 +130,6 @@ def _list(*, as_json: bool) -> None:
 
 
 def _print_configuration(bridge: Bridge, options: BridgeOptions) -> None:
-    """Print the configuration; name the halves on stderr."""
     from dds_trace.recorder.bridges.base import split_halves
 
     parts = split_halves(bridge, options)
@@ -151,7 +150,6 @@ def _check(bridge: Bridge, options: BridgeOptions) -> None:
 
 
 def _run(name: str, options: BridgeOptions) -> None:
-    """Run the bridge until SIGINT or SIGTERM; print the log's end if the program fails."""
     from dds_trace.recorder.bridges.process.running import open_bridge
     from dds_trace.recorder.host.process import stop_at_signals
 

@@ -68,8 +68,6 @@ OWN_ONLY = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Default:
-    """The value of an option in a file."""
-
     value: object
     path: Path
 

@@ -58,7 +58,6 @@ def run_program(
 
 
 def refuse_misspelt(name: str, commands: Collection[str], given: Sequence[str], *, takes_paths: bool = True) -> None:
-    """Raise an `OptionError` if the first word is nearly a command, or no command where there are no paths."""
     word = given[0] if given else "-"
     meant = get_close_matches(word, commands, n=1, cutoff=CLOSE_ENOUGH)
     if word.startswith("-") or (takes_paths and (not meant or Path(word).exists())):

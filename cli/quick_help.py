@@ -59,7 +59,6 @@ class QuickHelpCommand(DefaultedCommand):
 
 
 def _filled(text: str, indent: str, width: int) -> str:
-    """Return a paragraph in lines; no name breaks at its hyphen."""
     lines = textwrap.wrap(
         text,
         max(width, len(indent) + 20),
@@ -72,7 +71,6 @@ def _filled(text: str, indent: str, width: int) -> str:
 
 
 def option(name: str, help: str, *, also: str = "", show_default: bool = False, **more: Any) -> OptionInfo:  # noqa: A002 - typer's word
-    """Return an option; `name` has the metavar after a space, `also` is another name."""
     flag, _, metavar = name.partition(" ")
     flags = (flag, also) if also else (flag,)
     info: OptionInfo = typer.Option(*flags, metavar=metavar or None, help=help, show_default=show_default, **more)

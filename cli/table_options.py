@@ -29,7 +29,6 @@ _COMMON = (
 
 
 def with_options(names: Iterable[str], *, in_panels: bool) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return the decorator that makes rows parameters of a command that takes `**values`."""
     order = list(Panel)
 
     def rank(name: str) -> tuple[int, int]:
@@ -113,7 +112,6 @@ def default_domain() -> int:
 
 
 def default_discovery(*, is_open: bool = True) -> Discovery:
-    """Return the discovery range of ROS 2's environment, by default the subnet, or this machine unless `is_open`."""
     is_local = (
         os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
         or os.environ.get("ROS_LOCALHOST_ONLY") == "1"

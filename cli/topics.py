@@ -81,7 +81,6 @@ def _judge(report: TopicReport, gates: Sequence[TopicGate]) -> Iterator[JudgedTo
 
 
 def _ends(row: Mapping[str, Any], holes: pl.DataFrame, metric: str) -> tuple[float | None, float | None]:
-    """Return the interval of a topic's value; None at an end that is not known."""
     if metric == "jitter":
         return row["jitter_ns"], row["jitter_ns"]
     if metric.startswith("age"):

@@ -92,8 +92,6 @@ class FileMode(Enum):
 
 
 class QosPolicy(str, Enum):
-    """A value of a QoS policy, equal to its text in a trace (`Qos`)."""
-
     __str__ = str.__str__
 
 

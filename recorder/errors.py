@@ -6,8 +6,6 @@ from dds_trace.base.errors import TraceError
 
 
 class NoEchoError(TraceError):
-    """No relay answered a ping in time."""
-
     exit_code = 8
 
 
@@ -18,8 +16,6 @@ class NothingHeardError(TraceError):
 
 
 class StoppedError(TraceError):
-    """Recording that was stopped (Ctrl-C, SIGTERM) before its first echo."""
-
     exit_code = 130  # as shells report Ctrl-C
 
 
@@ -30,8 +26,6 @@ class NotAppliedError(TraceError):
 
 
 class RelayLostError(TraceError):
-    """Relay that stopped answering in the middle of a run."""
-
     exit_code = 12
 
 

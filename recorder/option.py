@@ -23,8 +23,6 @@ _T = TypeVar("_T")
 
 
 class Panel(str, Enum):
-    """Sections of the help, in order."""
-
     OUTPUT = "Role and output"
     MESSAGE = "Message (ping)"
     SCHEDULE = "Schedule (ping)"
@@ -159,7 +157,6 @@ def options_of(record: Any) -> dict[str, Option]:
 
 
 def changed_settings(record: object) -> Iterator[tuple[str, Json]]:
-    """Yield each setting that is not its default."""
     assert is_dataclass(record)
     for column in fields(record):
         value = getattr(record, column.name)

@@ -145,7 +145,6 @@ _TABLES = {"--backend": BACKEND_MODULES, "--bridge": BRIDGE_MODULES}
 
 
 def choices_of(row: Option) -> list[str]:
-    """Return the values of an option, the default first; empty where it takes any of its kind."""
     values = [str(value.value) for value in row.kind] if issubclass(row.kind, Enum) else [*_TABLES.get(row.name, ())]
     default = getattr(row.field_default, "value", row.field_default)
     return list(dict.fromkeys([str(default), *values])) if values and default is not None else values

@@ -22,7 +22,6 @@ AGE_UNITS_S = {"s": 1, "min": 60, "h": 3600, "d": 86_400}
 
 
 def parse_percentage(name: str, text: str) -> float:
-    """Return the share, 0 to 1, of `1%` or `0.5 %`."""
     try:
         share = float(text.strip().removesuffix("%")) / 100
     except ValueError:
@@ -33,7 +32,6 @@ def parse_percentage(name: str, text: str) -> float:
 
 
 def parse_pairs(name: str, texts: Iterable[str], example: str) -> dict[str, str]:
-    """Return keys and values of `KEY=VALUE` texts; errors show `example`."""
     pairs = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -48,7 +46,6 @@ def parse_topics(texts: Iterable[str]) -> tuple[str, ...]:
 
 
 def parse_rate_or_max(text: str) -> float:
-    """Return a rate in Hz, infinite for `max`."""
     try:
         rate_hz = math.inf if text == "max" else float(text)
     except ValueError:
@@ -59,22 +56,18 @@ def parse_rate_or_max(text: str) -> float:
 
 
 def parse_rates(texts: Iterable[str]) -> dict[str, float]:
-    """Return topic -> Hz of texts such as `/camera/image=30`."""
     pairs = parse_pairs("--expect", texts, "/camera/image=30")
     return {name: parse_rate(text, f"--expect {name}") for name, text in pairs.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Rotation:
-    """When a relay starts a new file, and how many it keeps, with the current one."""
-
     file_bytes: int | None = None
     age_s: float | None = None
     keep: int | None = None
 
     @classmethod
     def parse(cls, text: str) -> Rotation:
-        """Return the value of `--rotate`: a size, an age, or both with a comma."""
         file_bytes: int | None = None
         age_s: float | None = None
         for part in text.split(","):
@@ -90,7 +83,6 @@ class Rotation:
         return cls(file_bytes, age_s)
 
     def check(self, destination: TraceDestination) -> None:
-        """Refuse limits that no file can keep, and a destination that cannot be several files."""
         limits.check(limits.FILE_BYTES, self.file_bytes, "--rotate")
         limits.check(limits.FILE_AGE_S, self.age_s, "--rotate")
         limits.check(limits.RETAINED_FILES, self.keep, "--keep")
@@ -111,7 +103,6 @@ class KeepFree:
 
     @classmethod
     def parse(cls, text: str) -> KeepFree:
-        """Return the value of `--keep-free`: a size, or a percentage of the disk."""
         if text.strip().endswith("%"):
             return cls(parse_percentage("--keep-free", text), None)
         return cls(1.0, parse_size(text, "--keep-free"))
@@ -134,7 +125,6 @@ def check_call(
     *,
     is_one_way: bool = False,
 ) -> None:
-    """Refuse options that a call, or its absence, does not allow."""
     if call is Call.NONE:
         if clients > 1 or response_bytes is not None:
             raise OptionError("--clients and --response-size need --call service or action")

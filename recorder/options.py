@@ -39,8 +39,6 @@ BEACON_RATES_HZ = (1.0, 5.0)
 
 @dataclass(frozen=True, slots=True)
 class PingOptions:
-    """The options of a ping."""
-
     data: str = detail(
         "binary",
         "--data KIND",
@@ -189,7 +187,6 @@ class PingOptions:
     )
 
     def check(self) -> None:
-        """Refuse values that make no sense."""
         check_fields(self)
         check_data(self.data)
         for name, pairs in (("--label", self.labels), ("--setting", self.settings)):
@@ -207,8 +204,6 @@ class PingOptions:
 
 @dataclass(frozen=True, slots=True)
 class TapOptions:
-    """The options of a tap."""
-
     topics: tuple[str, ...] = detail(
         (),
         "--topics NAMES",
@@ -239,7 +234,6 @@ class TapOptions:
     )
 
     def check(self) -> None:
-        """Refuse values that make no sense."""
         check_fields(self)
         if not self.topics:
             raise OptionError("name the topics that the tap listens to: --topics /camera/image,/tf, or '/camera/*'")
@@ -378,7 +372,6 @@ class RecordOptions:
     )
 
     def check(self) -> None:
-        """Refuse values that make no sense (`OptionError`), and an output that exists (`OutputExistsError`)."""
         destination = self.destination
         check_fields(self)
         check_fields(self.node)

@@ -53,7 +53,6 @@ def check_options(options: RecordOptions) -> None:
 
 
 def _check_data(ping: PingOptions) -> None:
-    """Check existence and size of the data; a live topic cannot be checked."""
     if is_live(ping.data):
         check_rate(ping, is_live=True)
         return

@@ -23,7 +23,6 @@ class _Boot:
 
 
 def boot_id_of(session: Session) -> str | None:
-    """Return the kernel's id of the session's boot; None for an older recorder."""
     boot_id = session.extra.get("boot_id")
     return boot_id if isinstance(boot_id, str) and boot_id else None
 
@@ -33,7 +32,6 @@ def machine_of(session: Session) -> str:
 
 
 def share_boot(first: Session, other: Session | None) -> bool | None:
-    """Return whether two sessions are of one boot; None where a boot id is missing."""
     ids = boot_id_of(first), boot_id_of(other) if other is not None else None
     return None if None in ids else ids[0] == ids[1]
 
@@ -59,13 +57,11 @@ def ping_boots(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, in
 
 
 def ping_wall_offsets(sessions: Iterable[Session], runs: Iterable[Run]) -> dict[int, int]:
-    """Return the ping's wall clock minus its monotonic clock in ns, by run_id, where known."""
     offsets = {session.session_id: _monotonic_zero_ns(session) for session in sessions}
     return {run.run_id: offsets[s] for run in runs if (s := session_of_run(run)) in offsets}
 
 
 def session_of_run(run: Run) -> int:
-    """Return the id of the ping session that a run names, or -1."""
     try:
         return int(str(run.extra["session_id"]), 16)
     except (KeyError, ValueError):

@@ -52,7 +52,6 @@ class Stretch:
 
     @property
     def steps_barely(self) -> bool:
-        """Whether the jump is barely more than its bound."""
         return abs(self.step_ns) < _BARELY * self.step_bound_ns
 
     def is_fast(self, way: int) -> bool:
@@ -143,7 +142,6 @@ def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:
 
 
 def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int64, bound_ns: Int64) -> Slew:
-    """Take the longest pair of knots that proves nearly the fastest rate."""
     one, other = np.triu_indices(len(at_ns), 1)
     lasted_ns = np.maximum(at_ns[other] - at_ns[one], 1).astype(np.float64)
     gain_ns = (offset_ns[other] - offset_ns[one]).astype(np.float64)

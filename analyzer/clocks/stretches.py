@@ -83,7 +83,6 @@ def _check_parts(points: OffsetIntervals, before: _Limits) -> tuple[bool, _Limit
 
 
 def _last_surely_before(points: OffsetIntervals, start: int, step: int) -> int:
-    """Return the index after the last message before `step` that the clock after it cannot explain."""
     if step == len(points):
         return step
     after, before = points.part(step, step + _MESSAGES_AFTER_STEP), points.part(start, step)

@@ -70,8 +70,6 @@ class ClusterEngine(Engine):
 
 @dataclass(frozen=True, slots=True)
 class _EventsOfTrace:
-    """Events that the worker that needs them reads from their trace."""
-
     path: Path
     analysis: str
     key: EventKey

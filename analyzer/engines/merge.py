@@ -26,8 +26,6 @@ from .process import BatchResult
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
-    """The results of all batches of a campaign."""
-
     summary: Summary
     frames: Frames
     copies: tuple[Copies, ...]

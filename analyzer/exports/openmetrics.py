@@ -29,7 +29,6 @@ _TOPIC_LABELS = ("topic", "message_type", "ping_device", "relay_device", "clock"
 
 
 def openmetrics_text(analysis: Analysis) -> str:
-    """Return the exposition: groups have their parameters as labels, topics their devices."""
     groups, topics = analysis.summary.to_dicts(), analysis.topics.to_dicts()
     lines = [line for metric in METRICS.values() for line in _times(metric.name, metric.label, groups, PARAMETER_NAMES)]
     lines += [line for name, label in TOPIC_METRICS.items() for line in _times(name, label, topics, _TOPIC_LABELS)]

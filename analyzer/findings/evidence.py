@@ -121,13 +121,11 @@ class Evidence:
         return f"{session.role} on {session.device} ({files})"
 
     def run_name(self, run_id: int) -> str:
-        """Name a run: `run 1122334455667788 (ping.mcap)`."""
         traces = self.campaign.run_traces.get(run_id, ())
         return f"run {run_id:016x}" + (f" ({self.campaign.names(traces)})" if traces else "")
 
 
 def exchange_name(exchange: Exchange) -> str:
-    """Name an exchange: `run 1122334455667788, relay 0000beef on beta`."""
     device = f" on {exchange.relay.device}" if exchange.relay else ""
     return f"run {exchange.run.run_id:016x}, relay {exchange.relay_id:08x}{device}"
 

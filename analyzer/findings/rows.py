@@ -28,8 +28,6 @@ Place = Callable[[Evidence, Row], tuple[str, tuple[int, ...]]]
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A frame of the evidence, and what its rows are about."""
-
     subject: Subject
     frame: Callable[[Evidence], pl.DataFrame]
     place: Place

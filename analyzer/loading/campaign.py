@@ -73,7 +73,6 @@ class Place:
 
     @property
     def own_folders(self) -> set[Path]:
-        """Default folders of results, of all parts and of each; they are not searched for traces."""
         default_outputs = {Place.of(part).default_output for part in self.parts}
         return default_outputs if self._is_scattered else default_outputs | {self.default_output}
 
@@ -201,7 +200,6 @@ def _session_age(session: Session) -> tuple[int, bool, int]:
 
 
 def part_of(session: Session) -> int:
-    """Return the number of a file within its recording (`--rotate`), 1 for a single file."""
     part = session.extra.get("part")
     return part if isinstance(part, int) else 1
 

@@ -41,8 +41,6 @@ EventIndex = Mapping[EventKey, tuple[EventPart, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Copies:
-    """Number of events of one trace that earlier traces (`others`) have."""
-
     trace: int
     events: int
     others: tuple[int, ...]

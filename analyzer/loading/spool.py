@@ -50,8 +50,6 @@ class SpooledPiece:
 
 @dataclass(frozen=True, slots=True)
 class SpooledEvents:
-    """Where the events of one stage, run and relay are in a file."""
-
     file: Path
     pieces: tuple[SpooledPiece, ...]
 

@@ -52,7 +52,6 @@ def environment_of(ping: Session, relay: Session | None) -> str:
 
 
 def environment_differences(sides: Iterable[Sides]) -> dict[str, list[str]]:
-    """Return the fields in which environments differ: `ping kernel` -> its values as JSON, sorted."""
     values: dict[str, set[str]] = defaultdict(set)
     for pair in sides:
         for role, session in zip(("ping", "relay"), pair, strict=True):

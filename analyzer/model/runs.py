@@ -45,7 +45,6 @@ class RunRows:
         return Run(value[has_value], self.rows["publish_ns"].to_numpy()[has_value])
 
     def survivors(self, metric: str) -> Run:
-        """Return a metric of the messages that have it, ns."""
         value, sent_ns = self.rows[f"{metric}_ns"], self.rows["publish_ns"]
         if value.null_count():
             has_value = value.is_not_null()
@@ -58,7 +57,6 @@ class RunRows:
 
     @property
     def sent_ns(self) -> pl.Series:
-        """T1 of every message that left."""
         return self.rows.filter(pl.col("outcome") != UNSENT)["publish_ns"]
 
     @cached_property

@@ -52,8 +52,6 @@ class RecordingHealth:
 
 
 class Card:
-    """Everything that is found in one recording."""
-
     def __init__(self, path: str, columns: Sequence[TopicMessages], condition: Condition) -> None:
         self._path, self._notes = path, [*condition.notes]
         logged = np.sort(np.concatenate([topic.column("log_ns") for topic in columns]))

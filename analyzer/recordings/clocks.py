@@ -45,7 +45,6 @@ def set_back(topic: str, log_ns: Int64) -> Iterator[str]:
 
 
 def stamp_jumps(topic: str, log_ns: Int64, stamp_ns: Int64) -> Iterator[str]:
-    """Yield a note if stamps jump against the log times, or run over the end of a counter."""
     steps_ns = np.diff(stamp_ns) - np.diff(log_ns)
     ages_ns = log_ns - stamp_ns
     jumps = np.flatnonzero(np.abs(steps_ns) > _JUMP_NS)

@@ -60,7 +60,6 @@ class Regularity:
 
     @property
     def rate_hz(self) -> float:
-        """Messages per second while none is missing."""
         return self.in_pattern / self.period_ns * 1e9
 
 
@@ -83,7 +82,6 @@ def find_regularity(times_ns: Int64) -> Regularity | None:
 
 
 def joined(parts: Sequence[Regularity]) -> Regularity:
-    """Return the regularity of a topic from its publishers one by one; holes are when all stopped."""
     first = parts[0]
     holes = [hole for hole in first.holes if all(_has_hole(part, hole) for part in parts[1:])]
     rate = sum(part.rate_hz for part in parts)

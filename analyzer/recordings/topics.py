@@ -47,7 +47,6 @@ class TopicReport:
 
     @property
     def verdict(self) -> str:
-        """The worst verdict of all recordings; `damaged` if one could not be read at all."""
         verdicts = {health.verdict for health in self.recordings}
         if any(source.status != "read" for source in self.sources) or DAMAGED in verdicts:
             return DAMAGED
@@ -64,7 +63,6 @@ class StampCorrector(Protocol):
 
 
 def _correct(columns: Collection[TopicMessages], clock: StampCorrector) -> list[str]:
-    """Replace the stamps of topics by corrected ones; return notes."""
     times = {}
     for topic in columns:
         log_ns, stamp_ns = topic.column("log_ns"), topic.column("stamp_ns")

@@ -137,7 +137,6 @@ def _read_manifest(folder: Path) -> Manifest:
 
 
 def _earlier_files(folder: Path) -> tuple[SavedFile, ...]:
-    """Return the files of a save of any version; none of a missing or empty folder."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return ()
     try:

@@ -55,7 +55,6 @@ _PLAIN = frozenset({str, int, bool})
 
 
 def to_json(value: object, not_finite: Callable[[float], object] = str) -> object:
-    """Return a record, or a value in one, as `json` writes it; `not_finite` replaces a float that JSON lacks."""
     if value is None or type(value) in _PLAIN:  # nearly all values of a table
         return value
     if isinstance(value, float):

@@ -79,8 +79,6 @@ def _check(quantile: float, confidence: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Percentile:
-    """Null for fewer than `needs` messages, where it would interpolate towards the maximum."""
-
     name: str
     quantile: float
     needs: int

@@ -60,8 +60,6 @@ class _Link:
 
 
 class DeviceClocks:
-    """Clocks of the machines of `sessions`, fitted by the round trips `rows` of `runs`."""
-
     def __init__(self, sessions: Collection[Session], runs: Collection[Run], rows: RowStore) -> None:
         self._anchors: dict[Machine, list[tuple[int, int]]] = defaultdict(list)
         for session in sessions:
@@ -223,8 +221,6 @@ class ClockRequest:
 
 
 class StampClock:
-    """Clocks that place stamps of a bag on its recorder's clock."""
-
     def __init__(self, request: ClockRequest, sessions: Sequence[Session], runs: Sequence[Run], rows: RowStore) -> None:
         self._request = request
         self._clocks = DeviceClocks(sessions, runs, rows)

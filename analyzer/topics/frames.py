@@ -41,8 +41,6 @@ median absolute deviation of the intervals between arrivals."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Topics:
-    """Frames `topics` (`TOPIC_SCHEMA`), `topic_messages` (`TOPIC_MESSAGE_SCHEMA`) and `topic_hops` (`HOP_SCHEMA`)."""
-
     topics: pl.DataFrame
     topic_messages: pl.DataFrame
     topic_hops: pl.DataFrame

@@ -40,8 +40,6 @@ SEQUENCE, SOURCE, CONTENT = ("publication_sequence",), ("source_ns", "content_ha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """One publisher at all its taps, and the columns that identify its messages."""
-
     heard: tuple[Heard, ...]
     key: Key
 

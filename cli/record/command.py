@@ -109,7 +109,6 @@ def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
 
 
 def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOptions:
-    """Return the options; domains are by default from ROS 2's environment."""
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions
@@ -151,7 +150,6 @@ COMMANDS: Mapping[str, typer.Typer] = {"status": status.app}
 def main(
     arguments: Sequence[str] | None = None, *, name: str = "dds-record", adapt: Callable[[Any], object] | None = None
 ) -> None:
-    """Run `dds-record` with these arguments, by default the process's; its product is the trace, not stdout."""
     run_program(name, app, COMMANDS, arguments, adapt=adapt, needs_stdout=False)
 
 

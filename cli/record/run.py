@@ -95,7 +95,6 @@ _STYLES = {Health.OK: "green", Health.LATE: "yellow", Health.STALE: "red"}
 
 
 def live_table(rows: Sequence[LiveRow]) -> Table:
-    """Return a tap's topics as a table; ages are by this device's clock."""
     table = Table(box=None, pad_edge=False)
     for name in ("topic", "state", "rate", "expected", "age", "age p99", "missing"):
         table.add_column(name, justify="left" if name in ("topic", "state") else "right")
@@ -151,7 +150,6 @@ def record_until_stopped(options: RecordOptions, *, as_json: bool, fail_if_lost:
 
 
 def print_result(recorded: Recorded, *, as_json: bool, fail_if_lost: float | None = None) -> None:
-    """Print the result; raise its error, or `LossesError` above `fail_if_lost`."""
     trace = recorded.trace
     error = _error_of(recorded, fail_if_lost)
     if as_json:

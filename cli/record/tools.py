@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 
 def recover_trace(path: Path, out: Path | None = None) -> None:
-    """Close the trace at `path`, or make a whole copy of another program's recording; print its path and what was recovered."""
     from dds_trace.tracefile.recovery.recordings import is_of_others, recover_recording
     from dds_trace.tracefile.recovery.recover import recover  # reads traces: a recording needs no SQLite
 
@@ -45,7 +44,6 @@ class _Notes:
 
 
 def report_own_cost(out: Path | None, backend: str, options: NodeOptions) -> None:
-    """Print the recorder's own cost, on the disk of `out`, and the client library's floor if there is one."""
     # The nearest existing folder is on the same disk.
     folder = None if out is None else next(folder for folder in out.absolute().parents if folder.is_dir())
     cost = measure_recorder_cost(folder)

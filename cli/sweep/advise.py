@@ -42,7 +42,6 @@ _INCOMPLETE = "not everything was recorded"
 
 
 def check_advisable(plan: Plan) -> None:
-    """Refuse a plan if no file of one vendor decides its results."""
     faults = {
         "another device": plan.has_two_devices,
         "[[flows]]": bool(plan.flows),
@@ -97,7 +96,6 @@ def _advise(plan: Plan, vendor: str, folder: Path) -> Advice:
 
 
 def _look(plan: Plan, paths: Sequence[Path], folder: Path) -> dict[str, float]:
-    """Record the default and every configuration; return the response of each against the default's, empty without a default's."""
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.verdicts.advice import first_look
     from dds_trace.recorder.sweep.run.progress import make_progress

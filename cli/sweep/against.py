@@ -37,7 +37,6 @@ class NewSide:
 def new_side(
     text: str, base_path: Path, base: Plan, installed: Callable[[], Collection[tuple[str, str | None]]]
 ) -> NewSide:
-    """Return the side that `--against` names: a plan, the folder of a Python environment, or `SAME`."""
     from dds_trace.base.files import expand_home
     from dds_trace.recorder.sweep.plan.cells import environment_name
     from dds_trace.recorder.sweep.plan.plan_file import read_plan
@@ -77,7 +76,6 @@ def shown_sides(base: Plan, other: NewSide) -> tuple[dict[str, object], list[str
 
 
 def side_folders(base: Plan, other: NewSide, out: Path) -> list[tuple[Plan, Path, tuple[str, ...] | None]]:
-    """Return plan, folder and `dds-record` of each side; None for this installation's."""
     from dds_trace.recorder.sweep.against import BASE, NEW
 
     folder = out / _name(base, other)

@@ -54,7 +54,6 @@ def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> in
 
 
 def answer(explanation: Explanation, folder: Path) -> tuple[dict[str, Answer | None], dict[str, str]]:
-    """Return setup -> answer from the recordings in a folder, and what they read back as not applied."""
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.verdicts.explain import (
         AS_IS,

@@ -31,7 +31,6 @@ class Judged:
         return _OUTCOMES[self.result.outcome.value]
 
     def to_json(self) -> dict[str, object]:
-        """Return an entry of `thresholds` in the JSON output; times in ns, null where unknown or infinite."""
         numbers = {name: getattr(self.result, name) for name in ("measured", "low", "high")}
         return {
             "threshold": self.result.gate.text,
@@ -57,7 +56,6 @@ def _value(gate: Gate, value: float | None) -> str:
 
 
 def read_thresholds(plan: Plan, until: Until | None, *, is_judged: bool) -> list[Gate]:
-    """Return the gates of a plan; refuse what could not be judged before the first recording."""
     if not plan.thresholds:
         return []
     from dds_trace.analyzer.statistics.intervals import MIN_RUNS

@@ -80,6 +80,5 @@ def read_snapshot(pid: int | None = None) -> Snapshot:
 
 
 def read_applied(started: Applied | None = None, pid: int | None = None) -> Applied:
-    """Return what a process really uses: at the start of a run, or with `started` at its end too."""
     snapshot = read_snapshot(pid)
     return Applied(snapshot) if started is None else replace(started, end=snapshot)

@@ -103,7 +103,6 @@ def interface_named(cyclonedds_uri: str) -> str:
 
 
 def configuration_texts(cyclonedds_uri: str) -> list[str]:
-    """Return the XML of each part of CYCLONEDDS_URI, inline or of a file; empty for a missing file."""
     parts = re.split(r",(?=\s*(?:<|file:|/))", cyclonedds_uri)
     return [part if part.lstrip().startswith("<") else _file_text(part) for part in parts]
 

@@ -27,8 +27,6 @@ MOST_OVERHEAD = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """Messages that one side sent (warm-up included) and received between its two snapshots."""
-
     sent: int
     received: int
     payload_bytes: int

@@ -63,7 +63,6 @@ class Difference:
 
 
 def differences(requested: Asked, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
-    """Return every setting that was not applied; `traffic` is between the snapshots, or was sent in vain for an echo."""
     results = [rule(requested, applied, traffic) for rule in _RULES]
     return tuple(difference for difference in results if difference is not None)
 

@@ -80,7 +80,6 @@ class _Mapped:
 
 
 def read_memory(pid: int | None = None, folder: Path = SHM) -> tuple[SharedMemory, ...] | None:
-    """Return the middlewares' shared memory of a process, by name; None if it may not be inspected."""
     process = Path("/proc") / str(os.getpid() if pid is None else pid)
     memory: tuple[SharedMemory, ...] = ()
     for _ in range(_ATTEMPTS):

@@ -22,7 +22,6 @@ BACKEND_MODULES = {
 
 
 def load_backend(name: str) -> Backend:
-    """Return a backend without importing its middleware; raise an `OptionError` if there is none."""
     if name not in BACKEND_MODULES:
         raise OptionError(f"there is no backend {name!r}; choose one of {', '.join(BACKEND_MODULES)}")
     backend: Backend = import_module(BACKEND_MODULES[name]).BACKEND

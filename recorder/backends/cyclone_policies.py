@@ -17,7 +17,6 @@ FOREVER_NS = (1 << 63) - 1
 
 
 def cyclone_qos(qos: Qos, priority: int | None = None) -> Any:
-    """Return a quality of service as the package has it; raise an `OptionError` for a policy that it lacks."""
     from cyclonedds.qos import Policy
     from cyclonedds.qos import Qos as CycloneQos
 

@@ -318,7 +318,6 @@ class _BuiltinReaders:
 
 
 def _shown_topic(name: str) -> str:
-    """Return the ROS name of a topic of DDS; one outside ROS has no slash."""
     return name.removeprefix("rt") if name.startswith("rt/") else name
 
 
@@ -336,7 +335,6 @@ def _opaque_type(type_name: str) -> Any:
 
 
 def _configured_domain(domain_id: int, settings: str) -> Any:
-    """Open the domain with our settings; None if another node has done so."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 

@@ -62,7 +62,6 @@ DDS_TYPES: dict[str, dict[str, str]] = {
 
 
 def split_type(text: str) -> tuple[str, int | None]:
-    """Return element type and length: 0 for a sequence, None for a single value."""
     element, bracket, length = text.removesuffix("]").partition("[")
     return element, int(length or 0) if bracket else None
 
@@ -79,7 +78,6 @@ def dds_name(type_name: str) -> str:
 
 
 def ros_name(dds_type: str) -> str:
-    """Return `sensor_msgs/msg/Image` for `sensor_msgs::msg::dds_::Image_`; any other name as it is."""
     parts = re.fullmatch(r"(\w+)::(\w+)::dds_::(\w+)_", dds_type)
     return dds_type if parts is None else "/".join(parts.groups())
 

@@ -76,7 +76,6 @@ def mismatches(offered: Qos, requested: Qos) -> list[str]:
 def incompatible_pairs(
     topic: str, publishers: Iterable[Endpoint], subscriptions: Sequence[Endpoint], own_name: str
 ) -> Iterator[str]:
-    """Yield a line for each pair that can never match and includes the node `own_name`."""
     for publisher in publishers:
         for subscription in subscriptions:
             names = publisher.node_name, subscription.node_name

@@ -333,7 +333,6 @@ class _ZenohSubscription:
 
 
 def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
-    """Return zenoh's configuration; raise an `OptionError` if the ping has no relay."""
     multicast = MULTICAST in options.peers
     shared_memory = _SHARED_MEMORY[options.transport]
     if options.security is not Security.OFF:
@@ -376,7 +375,6 @@ def zenoh_configuration(options: NodeOptions) -> dict[str, Any]:
 
 
 def _added_to_own(configuration: Mapping[str, Any]) -> Any:
-    """Add to the file that ZENOH_CONFIG names; an `OptionError` names what zenoh does not know in it."""
     import zenoh
 
     path = os.environ.get("ZENOH_CONFIG")

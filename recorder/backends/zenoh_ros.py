@@ -37,7 +37,6 @@ def data_key(domain_id: int, topic: str, type_name: str) -> str:
 
 
 def parse_attachment(data: bytes) -> Attachment:
-    """Parse both layouts: numbers after their names, or without; anything else is an empty attachment."""
     if len(data) < 2 * _NUMBER.size + _GID_BYTES:
         return Attachment()
     sequence_at, time_at = 0, _NUMBER.size

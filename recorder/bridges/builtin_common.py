@@ -45,7 +45,6 @@ def options_to_json(options: BridgeOptions) -> str:
 
 
 def options_from_json(path: Path) -> BridgeOptions:
-    """Read what `options_to_json` wrote; raise a `TraceFormatError` for other content."""
     try:
         values = json.loads(path.read_text())
         qos = values["qos"]
@@ -70,7 +69,6 @@ def options_from_json(path: Path) -> BridgeOptions:
 
 
 def open_side(side: BridgeSide, options: BridgeOptions) -> Node:
-    """Open a ROS 2 node in a domain, not started."""
     return open_node(
         "ros2",
         NodeOptions(
@@ -107,7 +105,6 @@ class Forwarder:
 
 
 def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
-    """Print `UP_LINE` and forward until SIGINT or SIGTERM; raise the error of a node."""
     stop = stop_at_signals()
     for node in nodes:
         node.start()
@@ -124,7 +121,6 @@ def serve(nodes: Sequence[Node], forwarder: Forwarder, what: str) -> None:
 
 
 def run(main: Callable[[Path], None]) -> None:
-    """Call `main` with the file of the command line; print a `TraceError` as one line."""
     try:
         main(Path(sys.argv[1]))
     except TraceError as error:

@@ -17,7 +17,6 @@ from .process.running import RunningBridge, open_bridge
 def open_requested_bridge(
     options: RecordOptions, ping: PingOptions, data_type: DataType, stack: ExitStack
 ) -> RunningBridge | None:
-    """Open the requested bridge until `stack` ends; errors as for `open_bridge`."""
     bridge_options = check_requested_bridge(options, ping, data_type)
     if bridge_options is None:
         return None

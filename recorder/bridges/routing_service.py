@@ -152,7 +152,6 @@ def _properties(values: Mapping[str, str]) -> Element:
 
 
 def _types(type_names: list[str]) -> tuple[Element, ...]:
-    """Return `types` with the known of `type_names`; the program discovers others."""
     needed: set[str] = set()
     for name in type_names:
         _collect(name, needed)

@@ -32,7 +32,6 @@ def zenoh_link(options: BridgeOptions, mode: str) -> dict[str, object]:
 
 
 def plugin_configuration(plugin: str, settings: Mapping[str, object], options: BridgeOptions) -> str:
-    """Return a bridge's configuration as JSON, which is JSON5."""
     return json.dumps({"plugins": {plugin: settings}, **zenoh_link(options, mode="router")}, indent=2) + "\n"
 
 

@@ -93,7 +93,6 @@ def _interface_mtus() -> dict[str, int]:
 
 
 def wifi_signals() -> dict[str, dict[str, float]]:
-    """Return `link_quality`, `signal_dbm` and `noise_dbm` of each wireless interface with a link."""
     signals: dict[str, dict[str, float]] = {}
     for line in (read_text("/proc/net/wireless") or "").splitlines()[2:]:
         interface, _, remainder = line.partition(":")

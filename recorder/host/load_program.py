@@ -45,7 +45,6 @@ def copy() -> None:
 
 
 def send(host: str) -> None:
-    """Send datagrams at `NETWORK_BIT_S`, or as fast as a slower line takes them."""
     data, next_s, address = bytes(DATAGRAM_BYTES), time.monotonic(), socket.gethostbyname(host)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         while True:

@@ -105,7 +105,6 @@ def bound_udp_ports(root: Path = PROC) -> set[int]:
 
 
 def ephemeral_ports(root: Path = PROC) -> range:
-    """Return the ports that the kernel gives to any program; none if it does not report them."""
     numbers = " ".join(_lines(root / "sys/net/ipv4/ip_local_port_range")).split()
     return range(int(numbers[0]), int(numbers[1]) + 1) if len(numbers) > 1 else range(0)
 

@@ -245,7 +245,6 @@ class ClosedConnections:
         self._link.bind((0, _TCP_DESTROYED_GROUP))
 
     def read(self) -> dict[int, TcpConnection]:
-        """Return the connections that ended since the last call, by cookie."""
         ended: dict[int, TcpConnection] = {}
         # BlockingIOError: no more. ENOBUFS: so many ended at once that some are missing; their last reading counts.
         with suppress(OSError):

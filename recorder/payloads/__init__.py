@@ -30,7 +30,6 @@ def data_types() -> dict[str, DataType]:
 
 
 def find_data_type(name: str) -> DataType:
-    """Return a data type; raise an `OptionError` if there is none."""
     types = data_types()
     if name not in types:
         *usages, last = (source.usage for source in sources().values())
@@ -82,7 +81,6 @@ def _split_source(data: str) -> tuple[Source | None, str]:
 
 
 def served_data_types(type_names: Iterable[str] = ()) -> tuple[DataType, ...]:
-    """Return a relay's data types: the built-in ones, and one for each further message type."""
     own_types = _own_types()
     further = dict.fromkeys(name for name in type_names if name not in own_types)
     return (*data_types().values(), *map(header_data_type, further))

@@ -114,7 +114,6 @@ def _rates_hz(times_ns: Sequence[int]) -> tuple[float | None, float | None, int]
 
 
 def split_topic(where: str) -> tuple[str, str]:
-    """Split `PATH#TOPIC`; raise an `OptionError` if one is missing."""
     name, hash_sign, topic = where.rpartition("#")
     if not (hash_sign and name and topic) or "\0" in where:
         raise OptionError(f"--data bag:{where}: write bag:PATH#TOPIC, for example bag:drive.mcap#/camera/image")
@@ -159,8 +158,6 @@ def _types_of(topic: RecordedTopic) -> Typestore:
 
 
 class _Stamper:
-    """Converts messages of one topic to CDR with room for the stamp."""
-
     def __init__(self, topic: RecordedTopic, path: Path, own_types: Mapping[str, DataType]) -> None:
         store, type_name = _types_of(topic), topic.message_type
         is_ros1 = topic.encoding == "ros1"

@@ -24,7 +24,6 @@ _ENCODING_OFFSET = 72
 
 
 def make_payload(size_bytes: int | None, seed: int, stop: threading.Event | None = None, /) -> Payload:
-    """Make up one image (33 KB by default)."""
     size = DEFAULT_BYTES if size_bytes is None else size_bytes
     if not 1 <= size <= MAX_BYTES:
         raise OptionError(f"--size {size}: a binary payload has 1 to {MAX_BYTES} bytes")

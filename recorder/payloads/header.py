@@ -46,7 +46,6 @@ def _refuse_to_make(
 def recognize_data_type(
     type_name: str, first_field_type: str, where: str, own_types: Mapping[str, DataType]
 ) -> DataType:
-    """Return the data type of other programs' messages; without a header it is an `OptionError` at `where`."""
     if type_name in own_types:
         return own_types[type_name]
     if first_field_type.replace("/msg/", "/") != "std_msgs/Header":

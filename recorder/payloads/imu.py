@@ -45,7 +45,6 @@ def _message(numbers: Sequence[float]) -> Message:
 
 
 def load_payload(where: str, stop: threading.Event | None = None) -> Payload:
-    """Read a file of `COLUMNS`, separated by commas or spaces: a message for each row, and their mean rate."""
     path = Path(where)
     times_s: list[float] = []
     messages: list[Message] = []

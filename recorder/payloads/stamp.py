@@ -140,8 +140,6 @@ class RawStampPlace:
 
 
 class HeaderStampPlace:
-    """The stamp in `header.frame_id` of a message object."""
-
     def write(self, message: RosMessage, run_id: int, sequence: int, relay_id: int = 0) -> None:
         message.header.frame_id = stamp_text(run_id, sequence, relay_id).decode()
 

@@ -144,7 +144,6 @@ class LiveFeed:
 
 
 def _batch_starts(times_ns: Sequence[int]) -> list[int]:
-    """Return the indices of messages after a long gap: of all but the first message where there are no batches."""
     gaps_ns = [after - before for before, after in pairwise(times_ns)]
     return [number for number, gap_ns in enumerate(gaps_ns, 1) if 2 * gap_ns > max(gaps_ns)]
 
@@ -154,7 +153,6 @@ def shows_rate(sent_ns: Sequence[int]) -> bool:
 
 
 def rate_of(sent_ns: Sequence[int]) -> float:
-    """Return the mean rate of messages, Hz; of batches from the first message of one to the first of another."""
     times_ns = sorted(sent_ns)
     starts = _batch_starts(times_ns)
     has_batches = 1 < len(starts) < len(times_ns) - 1

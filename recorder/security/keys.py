@@ -197,7 +197,6 @@ class _Authority:
 
 
 def governance(level: Security) -> str:
-    """Return what a domain protects; nobody takes part without a certificate."""
     kinds = _PROTECTED[level]
     content = f"""<domain_access_rules><domain_rule>
 {_DOMAINS}

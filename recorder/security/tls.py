@@ -78,7 +78,6 @@ class TlsSocket:
                 return 0
 
     def sendmsg(self, parts: Sequence[bytes | bytearray | memoryview]) -> int:
-        """Send all bytes of some parts, from one thread at a time, and return their number."""
         sent = 0
         with self._using:
             for part in parts:
@@ -123,7 +122,6 @@ def speaks_tls(host: str, port: int) -> bool | None:
 
 
 def unlike_tls(addresses: Iterable[tuple[str, int]], *, is_secured: bool) -> str:
-    """Return in words that a program at one of the addresses has TLS and we have not, or the other way round."""
     for host, port in addresses:
         if speaks_tls(host, port) is (not is_secured):
             other = "without TLS" if is_secured else "with TLS (--security)"

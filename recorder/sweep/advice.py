@@ -30,7 +30,6 @@ PACED_SHARE, PERIOD_MS = 0.8, 10
 
 
 def bundles(vendor: str, plan: Plan) -> dict[str, str]:
-    """Return name -> text of a configuration; empty for a vendor without known settings."""
     largest_bytes = max((cell.size or 0 for cell in plan.cells), default=0)
     rate_byte_s = plan.link.rate_mbit_s * 1e6 / 8 if plan.link else 0.0
     if vendor == "fastdds":
@@ -46,7 +45,6 @@ def bundles(vendor: str, plan: Plan) -> dict[str, str]:
 
 
 def write_bundles(vendor: str, plan: Plan, folder: Path) -> list[Path]:
-    """Write each bundle to a file; return their paths."""
     texts = {
         folder / f"{name}{'.json5' if vendor == 'zenoh' else '.xml'}": text
         for name, text in bundles(vendor, plan).items()

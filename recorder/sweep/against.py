@@ -26,16 +26,12 @@ BASE, NEW = "base", "new"
 
 @dataclass(frozen=True, slots=True)
 class InterleavedRun:
-    """One cell of one side, with a relay of its own."""
-
     side: str
     group: CellGroup
 
 
 @dataclass(frozen=True, slots=True)
 class AgainstOutcome:
-    """Results of two sides, and the folder with their folders."""
-
     folder: Path
     base: SweepOutcome
     new: SweepOutcome

@@ -108,7 +108,6 @@ def is_segment_name(name: str) -> bool:
 
 
 def segment_of(first: str, number: int, host: int) -> str:
-    """Return the segment of one of several relays (1, 2 ...) on a host (0, 1 ...) from the first one's."""
     return first if number == 1 else f"{first.removesuffix('.mcap')}.{number}-{host}.mcap"
 
 

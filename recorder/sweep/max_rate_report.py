@@ -74,7 +74,6 @@ def max_rate_csv(answers: list[MaxRate]) -> str:
 
 
 def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
-    """Return an SVG figure: a bar for each answer on a logarithmic axis."""
     height = _TOP_PX + _ROW_PX * len(answers) + 20
     lines = [_HEAD.format(width=_LABEL_PX + _BAR_PX + 200, height=height, search=search)]
     lines += [

@@ -113,7 +113,6 @@ class _Rehearsal:
         self._too_old: set[str] = set()  # environments
 
     def refused_cells(self, group: CellGroup) -> dict[Cell, str]:
-        """Rehearse a relay and its pings; return refused cells with the reason."""
         reasons = {cell: self._refusal(self._ping_arguments(cell)) for cell in group.cells}
         accepted = [cell for cell, reason in reasons.items() if reason is None]
         relay_reason = self._rehearse_relay(group) if accepted else None
@@ -147,7 +146,6 @@ class _Rehearsal:
         return _refusal(self._check_arguments, arguments, self._scratch)
 
     def _unless_old(self, environment: str, reason: str | None) -> str | None:
-        """Return the reason; if the environment has no `--check`, print a note and return None."""
         if reason is None or not environment or _TOO_OLD not in reason:
             return reason
         if environment not in self._too_old:

@@ -38,8 +38,6 @@ _ROUNDED = 1.01
 
 
 class RateAnswer(Enum):
-    """Meaning of a rate."""
-
     FOUND = "found"
     AT_LEAST = "at least"  # the plan's highest rate is sustained, or the steps ran out while the rate still rose
     BELOW = "below"  # not even the lowest rate of the plan is
@@ -145,7 +143,6 @@ def round_rate(rate_hz: float) -> float:
 
 
 def why_not_sustained(search: Search, rate_hz: float, result: CellResult) -> str:
-    """Return why a run did not sustain its rate; empty if it did."""
     achieved_hz = result.achieved_rate_hz or 0.0
     percentile = f"p{search.percentile:g}"
     response_ms = result.response_ms[percentile] if result.response_ms else math.inf

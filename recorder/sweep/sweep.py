@@ -142,7 +142,6 @@ def _complete_runs(plan: Plan, runner: Runner, passes: int) -> Iterator[tuple[st
 def run_search(
     plan: Plan, out: Path, progress: SweepProgress, *, command: Sequence[str] | None = None
 ) -> tuple[Path, list[MaxRate]]:
-    """Search the highest rate of each cell; return the folder of the trials and the answers."""
     plan = search_plan(plan)
     folder = out / plan.name
     with (

@@ -117,8 +117,6 @@ _IP_FIELDS = {
 
 @dataclass(frozen=True, slots=True)
 class IpCounts:
-    """Kernel counters of a run, of all programs in the network namespace."""
-
     reassembly_requested: int = 0
     reassembly_ok: int = 0
     reassembly_failed: int = 0
@@ -136,8 +134,6 @@ def ip_counts(totals: Mapping[str, int], before: Mapping[str, int]) -> IpCounts:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceCount:
-    """Counters of interface `name` over the run, of all traffic (`/proc/net/dev`), as its driver counts."""
-
     name: str
     sent_bytes: int = 0
     sent_packets: int = 0

@@ -95,7 +95,6 @@ class PacketRing:
         self._socket.bind((self.interface, _ETH_P_ALL))
 
     def read(self) -> FrameBatch:
-        """Return the frames of all blocks that are ready; `release` gives these back to the kernel."""
         words, block_words = self._words, self._block_bytes // 4
         headers: list[int] = []
         while self._unreleased < self._blocks:

@@ -36,8 +36,6 @@ class Sender(NamedTuple):
 
 
 class Stream(NamedTuple):
-    """A writer on one interface, by participant prefix and entity id."""
-
     direction: Direction
     interface: str
     prefix: bytes
@@ -82,7 +80,6 @@ class WireTally:
 
     @property
     def unfollowed_datagrams(self) -> int:
-        """Datagrams, since `begin`, in which a fragment was missing or out of order where a header is."""
         return self._fragments.lost_trails - self._lost_before
 
     def take_rows(self, run_id: int | None = None) -> MessageRows:

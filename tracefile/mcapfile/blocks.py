@@ -70,7 +70,6 @@ class Block:
 
     @property
     def steps(self) -> int:
-        """Cost of the block in steps over one record; events are almost free."""
         return BLOCK_STEPS + CHUNK_STEPS * self.chunks + self.scan.steps
 
     def offset(self, position: int) -> int:
@@ -116,7 +115,6 @@ class BlockJobs:
         yield from self._chunks_so_far()
 
     def _headers(self) -> Iterator[RecordHeader]:
-        """Yield the headers of the data section; a caller that reads more advances `_at`."""
         self._at = len(MAGIC)
         data_ended = False
         while True:
@@ -132,7 +130,6 @@ class BlockJobs:
                 yield header
 
     def _next_header(self) -> RecordHeader | None:
-        """Return the header at `_at`, or after damage there; None at the end."""
         while True:
             try:
                 return self.file.header_at(self._at, _WALKED)
@@ -207,7 +204,6 @@ class BlockJobs:
         return Block(data, scan, starts, True, split_by_channel(scan.events(data)), notes, memory, len(chunks))
 
     def _resume_after(self, torn: TornRecordError) -> int | None:
-        """Return where reading resumes after a damaged record; None if it cannot."""
         if self.summary is None:
             self.truncated = f"ends early, {torn}; everything complete before it is used"
             return None

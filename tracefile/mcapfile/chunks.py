@@ -150,13 +150,11 @@ class UnpackMemory:
         self._records = bytearray()
 
     def packed(self, size: int) -> memoryview:
-        """Return space for packed bytes; previous content is lost."""
         if len(self._packed) < size:
             self._packed = bytearray(size)
         return memoryview(self._packed)[:size]
 
     def records(self, size: int) -> memoryview:
-        """Return space for unpacked bytes: the existing memory, or a new and empty one if it is too small."""
         if len(self._records) < size:
             self._records = bytearray(size)
         return memoryview(self._records)[:size]

@@ -41,8 +41,6 @@ class TornRecordError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RecordHeader:
-    """A record that is completely in its file."""
-
     opcode: int
     offset: int
     length: int
@@ -187,7 +185,6 @@ class Summary:
                     continue
 
     def message_counts(self) -> dict[int, int] | None:
-        """Return channel id -> number of messages by the statistics; None without statistics."""
         statistics = next(self.parsed(Statistics), None)
         return None if statistics is None else statistics.channel_message_counts
 

@@ -32,8 +32,6 @@ _FEW_CHANNELS = 6  # ids in so small a range are searched one by one, faster tha
 
 
 class ChannelEvents(NamedTuple):
-    """Events of one channel, copied out of the scanned buffer."""
-
     channel_id: int
     last_number: int
     events: Records

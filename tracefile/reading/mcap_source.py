@@ -72,7 +72,6 @@ class McapSource:
         return sum(self._numbered.values())
 
     def expected_events(self) -> dict[Stage, int]:
-        """Return each stage's events by the statistics, or else the number that fits into the chunks."""
         counts = self._claimed
         most = self._file.size  # a claim of more than one event per packed byte is not believed
         if counts is None:
@@ -140,7 +139,6 @@ class McapSource:
             yield event_batch(packed)
 
     def _add_single(self, content: memoryview, offset: int, batch: Batch, packed: list[tuple[Stage, bytes]]) -> None:
-        """Add a message that is not in an array: a text, an event that was packed by itself, or a foreign one."""
         if len(content) < MESSAGE_HEADER.size:
             return
         channel_id, _, log_time_ns, _ = MESSAGE_HEADER.unpack_from(content)
@@ -210,7 +208,6 @@ def _blocks_ahead() -> int:
 
 
 def read_first_session(path: Path) -> Session | None:
-    """Return the session in a file's first chunk; None if the file is not our recorder's."""
     try:
         with RecordFile(path) as file:
             chunk = PackedChunk.at(file, file.header_at(len(MAGIC), frozenset({Opcode.CHUNK})))

@@ -75,7 +75,6 @@ class Source(Protocol):
 
 
 def event_batch(singles: Sequence[tuple[Stage, bytes]]) -> Batch:
-    """Return a batch of single messages; those that are not events count as unreadable."""
     events: dict[Stage, list[bytes]] = {}
     unreadable = 0
     for stage, data in singles:

@@ -129,7 +129,6 @@ class SqliteSource:
         yield last
 
     def _faults(self) -> dict[int, str]:
-        """Return topic id -> why the messages of this event topic cannot be events."""
         faults = {}
         for topic_id, name, kind, encoding in self._topics:
             if name in STAGE_OF_TOPIC and encoding != "cdr":
@@ -178,7 +177,6 @@ class _Rows:
         self._bytes = 0
 
     def add(self, topic: str, timestamp: object, data: object, *, faulty: bool) -> None:
-        """Add a row; what rosbag2 never writes is unreadable."""
         stage = STAGE_OF_TOPIC.get(topic)
         if not isinstance(data, bytes) or not isinstance(timestamp, int) or faulty:
             self._unreadable += stage is not None

@@ -61,8 +61,6 @@ Item: TypeAlias = "WalkedMessage | Attachment | Metadata"
 
 
 class _Unpacked:
-    """The records of a chunk, read as the records of a file."""
-
     def __init__(self, data: bytes | bytearray | memoryview) -> None:
         self._data = bytes(data)
         self.size = len(data)
@@ -152,7 +150,6 @@ class McapWalk:
         return at
 
     def _next_record(self, at: int) -> int | None:
-        """Return where the next record after damage is; None if there is none."""
         resumed_at = self._resume(self._file, at)
         self._is_in_damage = True
         if resumed_at is not None:
@@ -172,7 +169,6 @@ class McapWalk:
             self.notes.append(f"the bytes from {at + len(MAGIC)} on follow the end of the MCAP file and were ignored")
 
     def _record_at(self, source: RecordFile | _Unpacked, at: int) -> RecordHeader | None:
-        """Return the record at an offset, None if there is none; a chunk by its own fields."""
         try:
             header = source.header_at(at)
         except TornRecordError:
@@ -264,7 +260,6 @@ class McapWalk:
             yield from self._doubtful_chunk(chunk, "it is cut off")
 
     def _chunk(self, chunk: PackedChunk, *, uses_damaged: bool) -> Generator[Item, None, bool]:
-        """Yield the messages of a chunk; return whether it is sound."""
         self._unpacked_bytes += chunk.unpacked_bytes
         self.is_unpacked &= not chunk.compression
         if self._unpacked_bytes > most_unpacked_bytes(chunk.data_offset + chunk.packed_bytes):

@@ -72,8 +72,6 @@ def _compare(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str,
 
 
 class _UnpackedBytes:
-    """The bytes that the messages of a file, packed by themselves, may still unpack to."""
-
     def __init__(self, size_bytes: int) -> None:
         self._left = most_unpacked_bytes(size_bytes)
 

@@ -66,20 +66,16 @@ class Condition:
 
 
 class Budget:
-    """The messages that a file of some size may have."""
-
     def __init__(self, size_bytes: int) -> None:
         self._messages = _UNSUSPECTED_MESSAGES + size_bytes // _MESSAGE_BYTES
 
     def take(self) -> None:
-        """Count one message; raise an `UnreadableError` beyond the bound."""
         self._messages -= 1
         if self._messages < 0:
             raise UnreadableError("it has more messages than so few bytes hold")
 
 
 def checked_time(time_ns: int) -> int:
-    """Return a time; raise an `UnreadableError` if no clock shows it."""
     if not -LATEST_NS <= time_ns <= LATEST_NS:
         raise UnreadableError(f"{time_ns} ns is not a time")
     return time_ns

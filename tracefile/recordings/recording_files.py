@@ -80,7 +80,6 @@ def copied_messages(topic: str, copies: int) -> Iterator[str]:
 
 
 def missing_messages(claimed: Mapping[str, int], delivered: Mapping[str, int], who: str) -> Iterator[tuple[str, str]]:
-    """Yield topic and note of each topic with fewer or more messages than claimed."""
     for topic, count in claimed.items():
         got = delivered.get(topic, 0)
         if got != count:

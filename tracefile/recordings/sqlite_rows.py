@@ -86,7 +86,6 @@ def sqlite_messages(path: Path, condition: Condition) -> Iterator[RawMessage]:
 def _unreached_rows(
     path: Path, budget: Budget, seen: set[int], topics: dict[int, RecordedTopic]
 ) -> list[tuple[int, int, int, bytes]]:
-    """Return the messages of all pages that are not `seen`, by row id; topics are added to `topics`."""
     rows, definitions = list[tuple[int, int, int, bytes]](), dict[str, tuple[str, str]]()
     for row_id, values in _rows_of_pages(path, budget):
         kinds = [type(value) for value in values]
@@ -207,7 +206,6 @@ _SIZES = (0, 1, 2, 3, 4, 6, 8)
 
 
 def _values(payload: bytes) -> list[Any]:
-    """Return the columns of a row; numbers with a point are None."""
     head_end, at = _varint(payload, 0)
     kinds = []
     while at < head_end:

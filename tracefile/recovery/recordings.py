@@ -59,8 +59,6 @@ class RecordingRecovery:
 
 @dataclass(slots=True)
 class _NewFile:
-    """One file while it is written."""
-
     path: Path
     messages: int = 0
     unchecked: int = 0

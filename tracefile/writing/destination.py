@@ -38,7 +38,6 @@ class TraceDestination:
 
     @property
     def is_bag(self) -> bool:
-        """Whether a rosbag2 folder is written."""
         return self.path.suffix != ".mcap"
 
     @property

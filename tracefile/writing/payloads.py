@@ -76,7 +76,6 @@ class PayloadQueue:
 
 
 def payload_chunk(declarations: bytes, batch: Sequence[tuple[int, Payload]], written: Mapping[int, int]) -> Chunk:
-    """Return the chunk of pairs of channel id and payload; `written` counts the file's messages by channel id."""
     content, entries = bytearray(declarations), dict[int, list[tuple[int, int]]]()
     for channel_id, payload in batch:
         rows_so_far = entries.setdefault(channel_id, [])

@@ -174,7 +174,6 @@ class TraceSink(EventPacker):
                 self._flush()
 
     def _flush(self) -> bool:
-        """Move the ring's events so far, then the texts; return whether all of it is in the file."""
         return not self._is_paused and self._flush_to(self._files, self._head)
 
     def _flush_to(self, files: TraceFiles, head: int) -> bool:

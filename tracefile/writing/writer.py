@@ -114,7 +114,6 @@ class TraceWriter:
 
     @property
     def time_range_ns(self) -> tuple[int, int]:
-        """Earliest and latest log time, ns since 1970."""
         return self._first_ns, self._last_ns
 
     def write_events(self, slots: Slots) -> None:
@@ -188,7 +187,6 @@ class TraceWriter:
         self.abandon()
 
     def abandon(self) -> None:
-        """Close the file without summary, unless it is closed already."""
         if self._is_open:
             os.close(self._descriptor)
         self._is_open = False
@@ -298,7 +296,6 @@ class TraceWriter:
             raise output_error(self.path, cause) from cause
 
     def _change(self) -> int:
-        """Return the error number of what another program did, 0 for nothing."""
         status = os.fstat(self._descriptor)
         if status.st_nlink == 0:
             return errno.ENOENT
@@ -348,7 +345,6 @@ class TraceFiles:
         self.drained += len(slots)
 
     def finish(self) -> OutputError | None:
-        """Close the file with its summary; return what prevented it."""
         try:
             self.writer.finish()
             if self._destination.is_bag:

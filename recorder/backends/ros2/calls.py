@@ -37,8 +37,6 @@ _PROBE = "dt1:" + 16 * "0"
 
 
 class Ros2CallNode(Ros2Node):
-    """A `CallNode` with services or actions as its data topics."""
-
     _response: _Response
     """Of the latest way back; its server is created next."""
     _take_response: Receive[CallMessage]
@@ -81,7 +79,6 @@ class _Response:
 
 
 def _conversion_ns(*messages: RosMessage) -> int:
-    """Return the time to serialize and deserialize each message object once, ns."""
     client, times_ns = import_module("rclpy.serialization"), []
     for _ in range(CONVERSIONS):
         began_ns = time.monotonic_ns()

@@ -122,7 +122,6 @@ _LAYOUTS = {
 
 
 def localhost_profile(transport: Transport, buffer_bytes: int | None = None) -> str:
-    """Return a profile that keeps UDP, SHM or LARGE_DATA on this machine; others are an `OptionError`."""
     if transport not in _LAYOUTS:
         raise OptionError(f"--transport {transport.value}: ROS 2's own LOCALHOST range does that")
     if buffer_bytes is not None and transport is not Transport.UDP:
@@ -182,7 +181,6 @@ _SIZED = {Transport.DEFAULT: (_SHM, _UDP), Transport.UDP: (_UDP,), Transport.SHM
 def requested_profile(
     transport: Transport, *, tuned: bool, is_local: bool = True, sizes: Sizes = VENDORS_SIZES
 ) -> str | None:
-    """Return the profile for these options, None if there is nothing to set or the variable can do it."""
     if any(sizes):
         chosen = Transport.UDP if tuned and transport is Transport.DEFAULT else transport
         names = [name if is_local or name != _UDP else _NETWORK_UDP for name in _SIZED[chosen]]
@@ -203,7 +201,6 @@ def requested_profile(
 def profile_environment(
     path: Path, environment: Mapping[str, str] = os.environ, *, is_local: bool = True
 ) -> dict[str, str]:
-    """Return the variables that load the profile at `path`; a profile of the user's is an `OptionError`."""
     for name in PROFILE_VARIABLES:
         if environment.get(name):
             raise OptionError(
@@ -246,7 +243,6 @@ _loaded: list[str | None] = []
 
 @contextmanager
 def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]]:
-    """Give the node of the block its transport and tuning; yield settings for the session."""
     is_local = options.discovery is Discovery.LOCALHOST
     is_fastdds = ros_middleware(rmw).vendor == "fastdds"
     text = None

@@ -59,7 +59,6 @@ def _debian_name(rmw: str) -> str:
 
 
 def check_installed() -> None:
-    """Raise a `BackendUnavailableError` without rclpy, or for a ROS middleware on which it does not run."""
     if not has_package("rclpy"):
         raise BackendUnavailableError(f"ROS 2's Python client rclpy is not installed; {INSTALL}")
     rmw = os.environ.get("RMW_IMPLEMENTATION")
@@ -101,7 +100,6 @@ def set_security(options: NodeOptions) -> None:
 
 
 def set_transport(options: NodeOptions, rmw: str) -> None:
-    """Set the variable of Fast DDS's transports beyond this machine; errors as for `check_vendor`."""
     requested = (options.transport.value, options.tuned)
     builtin = VENDORS["fastdds"].builtin_transports
     check_vendor(options, rmw)

@@ -45,7 +45,6 @@ class Router:
 
 
 def open_router(rmw: str, discovery: Discovery, patience_s: float = PATIENCE_S) -> Router:
-    """Return the router for nodes of `rmw`; raise a `BackendUnavailableError` if there is none."""
     middleware = ros_middleware(rmw)
     if not middleware.router:
         return Router()

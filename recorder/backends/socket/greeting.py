@@ -76,7 +76,6 @@ def _is_name(text: object) -> bool:
 
 
 def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:
-    """Open a socket at `address`; raise an `OptionError` if the port is taken."""
     bound = socket.socket(socket.AF_INET, kind)
     try:
         if kind is socket.SOCK_STREAM:  # ended connections do not block the port

@@ -166,7 +166,6 @@ def _resolve(address: tuple[str, int]) -> tuple[str, int]:
 
 
 def prepare_connection(connection: socket.socket, name: str | None, buffer_bytes: int | None) -> str:
-    """Set congestion control and buffers of a TCP socket, if given; return the congestion control that the kernel reports."""
     if buffer_bytes is not None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, buffer_bytes)

@@ -322,7 +322,6 @@ class _TcpPeer:
                 self._writing.wake()
 
     def _send_rest(self, remainder: memoryview) -> None:
-        """Send the rest; raise a `BlockingIOError` once the peer reads too little."""
         while remainder:
             began_s = time.monotonic()
             sent = self._connection.send(remainder)

@@ -159,7 +159,6 @@ class UdpLinks:
             receive(message)
 
     def _parse(self, datagram: memoryview, address: Address) -> tuple[str, bytearray]:
-        """Return topic (empty: none) and message that a datagram completes; a ValueError names the kind of a fault."""
         if len(datagram) < _HEADER.size:
             raise ValueError(MALFORMED)
         number, index, count, name_bytes = _HEADER.unpack_from(datagram)

@@ -85,7 +85,6 @@ def descendants() -> list[int]:
 
 
 def end_all(program: subprocess.Popen[bytes], drain: Drain, patience_s: float) -> int:
-    """End the program and its children; return how many children outlived it."""
     for number in STOP_SIGNALS:
         if program.poll() is not None:
             break
@@ -104,8 +103,6 @@ def end_all(program: subprocess.Popen[bytes], drain: Drain, patience_s: float) -
 
 
 class Drain:
-    """The reader of the program's output."""
-
     def __init__(self, program: subprocess.Popen[bytes], log: BoundedLog) -> None:
         assert program.stdout is not None
         self._log = log
@@ -133,7 +130,6 @@ class Drain:
                     return
 
     def _take(self, timeout_s: float | None) -> bool:
-        """Handle what waits; return whether there was output."""
         ready = {key.fd for key, _ in self._selector.select(timeout_s)}
         if sys.stdin.fileno() in ready:
             word = os.read(sys.stdin.fileno(), 64)
@@ -165,7 +161,6 @@ def say(line: str) -> None:
 
 
 def main() -> int:
-    """Run the program to its end; return its exit code, or 128 + signal."""
     with contextlib.suppress(OSError):  # a recorder's --realtime is not the bridge's
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     folder, up_pattern, patience_s, command = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3]), sys.argv[4:]

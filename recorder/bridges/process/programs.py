@@ -24,7 +24,6 @@ def program_on_path(name: str, folder: Path | None = None) -> Path | None:
 
 
 def reported_version(program: Path, *arguments: str) -> str:
-    """Return the first line with a version, else an empty text."""
     try:
         completed = subprocess.run(
             [str(program), *arguments],
@@ -43,7 +42,6 @@ def reported_version(program: Path, *arguments: str) -> str:
 
 
 def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
-    """Return the discovery range for a program with ROS 2: the variables of Jazzy and of Humble."""
     localhost = options.discovery is Discovery.LOCALHOST
     return {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST" if localhost else "SUBNET",

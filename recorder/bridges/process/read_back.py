@@ -29,7 +29,6 @@ class ProgramReadBack:
         self._applied: Applied | None = None
 
     def read(self) -> None:
-        """Read what the program uses, if it still runs."""
         if self._applied is None:
             self._pid = self._pid_with_sockets()
         applied = read_applied(self._applied, self._pid)
@@ -57,7 +56,6 @@ class ProgramReadBack:
 
     @property
     def not_applied(self) -> tuple[Difference, ...]:
-        """The requested settings that the program does not use, each once."""
         if self._applied is None:
             return ()
         name = self._bridge.name
@@ -71,7 +69,6 @@ class ProgramReadBack:
         return tuple(by_setting.values())
 
     def fields(self) -> dict[str, Json]:
-        """Return `asked` (a list, by domain), `applied` and `not_applied` of the program; empty before `read`."""
         if self._applied is None:
             return {}
         return {

@@ -28,8 +28,6 @@ UP_TIMEOUT_S = 20.0
 
 
 class BridgeState(Enum):
-    """Progress of a bridge."""
-
     STARTING = "starting"
     READY = "ready"  # an echo has come back through it
     STOPPED = "stopped"  # was ready until it was asked to stop
@@ -78,7 +76,6 @@ class RunningBridge:
 
     @property
     def failure(self) -> str | None:
-        """How a program ended by itself; None while all run."""
         failed = self._failed_half()
         if failed is None or failed.program.report is None:
             return None
@@ -101,7 +98,6 @@ class RunningBridge:
         return {half.label: half.program.pid for half in self._halves}
 
     def read_applied(self) -> tuple[Difference, ...]:
-        """Read what the programs use; return what was not applied."""
         for half in self._halves:
             half.read_back.read()
         return tuple(setting for half in self._halves for setting in half.read_back.not_applied)
@@ -141,7 +137,6 @@ class RunningBridge:
         return next((part for part in self._halves if part.half is half), default).program.log_tail()
 
     def wait_until_up(self, timeout_s: float) -> None:
-        """Wait for all programs; raise a `BridgeError` if one ends or is late."""
         deadline = time.monotonic() + timeout_s
         for half in self._halves:
             while not half.program.is_up:
@@ -155,7 +150,6 @@ class RunningBridge:
         self.check()
 
     def stop(self) -> None:
-        """End all programs; a second call does nothing."""
         for half in self._halves:
             half.program.stop()
         self._stopped = True
@@ -195,7 +189,6 @@ def open_bridge(name: str, options: BridgeOptions, *, up_timeout_s: float = UP_T
 
 
 def find_program(bridge: Bridge) -> Path:
-    """Return the program's path; raise a `BackendUnavailableError` if it is not on this machine."""
     program = bridge.find()
     if program is None:
         raise BackendUnavailableError(f"the bridge {bridge.name} is not installed; {bridge.install}")

@@ -36,8 +36,6 @@ OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 @dataclass(frozen=True, slots=True)
 class GuardReport:
-    """The end of a program."""
-
     asked: bool
     """Whether it still ran when it was asked to stop."""
     exit_code: int
@@ -100,7 +98,6 @@ class SupervisedProgram:
 
     @property
     def is_up(self) -> bool:
-        """Whether the log matched `up_pattern`; always true without a pattern."""
         return self._up_pattern is None or (self._folder / "up").exists()
 
     def log_tail(self) -> str:
@@ -125,7 +122,6 @@ class SupervisedProgram:
         return ProgramLoad(sum(cpu for cpu, _ in loads), sum(memory for _, memory in loads), len(loads))
 
     def stop(self) -> None:
-        """End the program, its children and the guard; a second call does nothing."""
         assert self._guard.stdin is not None
         self._stopping = True
         with contextlib.suppress(BrokenPipeError):  # the guard has ended
@@ -169,7 +165,6 @@ def killing_signal(exit_code: int) -> signal.Signals | None:
 
 
 def describe_end(exit_code: int, last_line: str) -> str:
-    """Return how a program ended: `killed by signal 9 (SIGKILL)`, or its log's last line."""
     number = killing_signal(exit_code)
     if number is None:
         return last_line

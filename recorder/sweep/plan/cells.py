@@ -46,7 +46,6 @@ class Key:
 
 
 def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default_words: str = "") -> _T:
-    """Return a dataclass field that is a key of a plan; with the arguments of `Key`."""
     kind = str if default is None or isinstance(default, tuple | Enum) else type(default)
     shown = default.value if isinstance(default, Enum) else default
     key = Key(meaning, limit, unit, default_words, kind, shown, isinstance(default, tuple))
@@ -56,8 +55,6 @@ def plan_key(default: _T, limit: Limit, meaning: str, *, unit: str = "", default
 
 @dataclass(frozen=True, slots=True)
 class PlanAxis(Key):
-    """A key of `[axes]`, of one value or a list."""
-
     takes_list: bool = True
     option: str = ""
     for_relay: bool = False
@@ -65,7 +62,6 @@ class PlanAxis(Key):
 
     @property
     def choices(self) -> list[str]:
-        """Allowed values; empty for any."""
         return choices_of(self.row) if self.row else []
 
 
@@ -206,7 +202,6 @@ class Cell:
 
     @property
     def middleware(self) -> str:
-        """The middlewares of ping and relay: `ros2-fastrtps`, `ros2-fastrtps to cyclonedds`."""
         ping = _middleware_name(self.backend, self.rmw)
         relay = _middleware_name(self.relay.backend, self.relay.rmw)
         return ping if relay == ping else f"{ping} to {relay}"
@@ -254,7 +249,6 @@ class Cell:
 
     @property
     def changed_axes(self) -> list[str]:
-        """Values in the name, because they are not the default."""
         values = [(name, getattr(self, name)) for name in OTHER_AXES]
         return [_other_name(name, value) for name, value in values if value != DEFAULTS[name]]
 
@@ -287,7 +281,6 @@ def _middleware_name(backend: str, rmw: str | None) -> str:
 
 
 def environment_name(folder: str) -> str:
-    """Return the name of a Python environment: its folder, or the one around a `.venv`."""
     path = expand_home(folder).absolute()
     return path.parent.name if path.name in {".venv", "venv"} else path.name
 

@@ -45,7 +45,6 @@ class Drive:
         return self.rows[-1][0]
 
     def between(self, started_ns: int, first_ns: int, last_ns: int) -> Iterator[tuple[int, Row]]:
-        """Yield what is valid at `first_ns`, and each change up to `last_ns`, of a drive that started at `started_ns`."""
         length_ns = round(self.length_s * SECOND_NS)
         valid: Row | None = None
         for turn in itertools.count(max(0, (first_ns - started_ns) // length_ns)):
@@ -64,7 +63,6 @@ class Drive:
 
 @cache
 def read_drive(path: str) -> Drive:
-    """Read a drive; raise an `OptionError` with file and line for anything else."""
     try:
         with open_regular(Path(path)) as file:
             data = file.read(MOST_BYTES + 1)

@@ -38,7 +38,6 @@ class Flow:
 
 
 def flow_cells(cell: Cell, flows: Sequence[Flow]) -> Iterator[Cell]:
-    """Yield the cells of one setup: each flow by itself, every pair, and all."""
     sizes = dict.fromkeys((1, 2, len(flows)))
     for together in (chosen for size in sizes for chosen in combinations(flows, size)):
         for flow in together:

@@ -63,7 +63,6 @@ class Link:
 
     @property
     def drive(self) -> Drive | None:
-        """What the file says; None without one."""
         return read_drive(self.file) if self.file else None
 
     @property
@@ -81,7 +80,6 @@ class Link:
 
     @property
     def setting(self) -> str:
-        """The link as a run's setting: `wifi-54(delay_ms=1,rate_mbit_s=54)`."""
         applied = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "name"}
         file = applied.pop("file")
         if self.drive is not None:

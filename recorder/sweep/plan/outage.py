@@ -4,8 +4,6 @@ from enum import Enum
 
 
 class OutageBy(Enum):
-    """What ends the connection for a while."""
-
     LINK = "link"  # the ping's interface goes down, and comes up with its address
     ADDRESS = "address"  # likewise, and comes up with another address
     LOSS = "loss"  # the link stays up, and every packet is lost

@@ -31,8 +31,6 @@ PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9)
 
 
 class Order(Enum):
-    """Order of the cells."""
-
     LISTED = "listed"
     SHUFFLED = "shuffled"
     ALTERNATING = "alternating"  # a shuffled pass, then the same backwards, then another one ...
@@ -105,14 +103,11 @@ class RunSettings:
         return (self.messages_at(rate_hz, outage_s) + self.warmup) / rate_hz
 
     def measures_own_cost(self, number: int) -> bool:
-        """Return whether pass `number` (1, 2 ...) measures what recording and the client library cost."""
         return not self.own_cost_passes or number <= self.own_cost_passes
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceSettings:
-    """`[devices.ping]` or `[devices.relay]`."""
-
     name: str | None = plan_key(None, limits.NAME, "name of the device in the trace", default_words="its host name")
     ssh: str | None = plan_key(
         None,
@@ -163,8 +158,6 @@ class Exclusion:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The table `[search]`, for `--max-rate`."""
-
     min_rate: float = plan_key(1.0, limits.RATE_HZ, "lowest rate tried", unit="Hz")
     max_rate: float = plan_key(2000.0, limits.RATE_HZ, "highest rate tried", unit="Hz")
     loss_percent: float = plan_key(0.1, limits.PERCENT, "largest share of lost messages of a rate that works", unit="%")
@@ -191,8 +184,6 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """The table `[network]`, for two sides on one machine."""
-
     namespaces: bool = plan_key(
         False,
         limits.FLAG,

@@ -68,7 +68,6 @@ def read_plan(path: Path, installed: FindInstalled = tuple, *, by_hand: bool = F
 
 
 def parse_plan(text: str, name: str, where: str, installed: FindInstalled = tuple, *, by_hand: bool = False) -> Plan:
-    """Return the plan in a TOML text; `where` names it in errors."""
     root = TomlTable.parse(text, where, PLAN_LIMITS)
     root.allow(*TABLES[""].words)
     axes = [_axis_values(table) for table in root.tables("axes")] or [{}]
@@ -355,7 +354,6 @@ def _axis_values(table: TomlTable, ignore: Collection[str] = ()) -> AxisValues:
 
 
 def _axis_value(table: TomlTable, name: str, value: object) -> AxisValue:
-    """Return the value of an axis as `Cell` has it; an empty text means None."""
     axis, default = AXES[name], DEFAULTS[name]
     if value == "" and default is None:
         return None

@@ -29,7 +29,6 @@ RELAY_OVERHEAD_S = 1.0
 
 
 def start_lead_s(pings: int) -> float:
-    """Return the time in which pings that send together start and find their relay; 0 for one."""
     return 3.0 + pings if pings > 1 else 0.0
 
 
@@ -53,7 +52,6 @@ def number_groups(groups: Iterable[CellGroup], first: int = 1) -> list[CellGroup
 
 
 def schedule_pass(plan: Plan, cells: Iterable[Cell], number: int) -> list[CellGroup]:
-    """Return these cells of pass `number` (1, 2 ...), grouped by relay."""
     groups = group_by_relay(plan, [replace(cell, repeat=number) for cell in cells])
     return _ORDERS[plan.run.order](groups, plan.run.seed, number)
 
@@ -96,8 +94,6 @@ def group_by_relay(plan: Plan, cells: Iterable[Cell]) -> list[CellGroup]:
 
 @dataclass(frozen=True, slots=True)
 class Remaining:
-    """An estimate of the remaining time."""
-
     seconds: float
 
     def __str__(self) -> str:

@@ -131,7 +131,6 @@ PLAN_LIMITS: Mapping[str, Mapping[str, Limit]] = {
 
 
 def axis_choices(name: str) -> list[str]:
-    """Return the values that an axis takes, the default first; empty for any of its type."""
     return [*AXES[name].choices, *([INSTALLED] if name == "backend" else [])]
 
 
@@ -179,7 +178,6 @@ def _table(name: str) -> Schema:
 
 
 def _reference(table: str, name: str, key: Key) -> Schema:
-    """Return a key; three tables share `[axes]`."""
     return {"$ref": f"#/$defs/{name}"} if name in TABLES["axes"].keys and key.takes_list else _key(table, name, key)
 
 
@@ -229,7 +227,6 @@ _SPECIAL_AXES: Mapping[str, Callable[[Key], Schema]] = {"rate": _rate, "data": _
 
 
 def _words(limit: limits.Words) -> Schema:
-    """Return length and pattern of a text; all engines share this syntax."""
     pattern = r"[^\x00]*"
     if limit is not limits.TEXT:
         pattern = f"(?:{limit.pattern.pattern})".replace(r"\Z", "$")

@@ -42,7 +42,6 @@ class Message:
 
 
 def parse_messages(text: str) -> list[Message]:
-    """Read messages with their rates: `binary 33KB @ 20, imu @ 100`."""
     return [_message(part.strip()) for part in text.split(",")]
 
 
@@ -64,7 +63,6 @@ def _message(text: str) -> Message:
 
 
 def parse_comparisons(text: str) -> list[str]:
-    """Read words of `COMPARISONS` with commas between them, or `nothing`."""
     words = [word for word in re.split(r"[,\s]+", text.strip()) if word and word != NOTHING]
     for word in words:
         if word not in COMPARISONS:

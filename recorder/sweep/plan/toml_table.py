@@ -40,8 +40,6 @@ _KIND_NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class TomlTable:
-    """One table, with its dotted key and the limits of all tables."""
-
     values: Mapping[str, object]
     path: str
     key: str = ""
@@ -64,7 +62,6 @@ class TomlTable:
         return TomlTable(self.take(key, dict, {}), self.path, f"{self.key}.{key}".lstrip("."), self.validators)
 
     def tables(self, key: str) -> list[TomlTable]:
-        """Return an array of tables; a single table counts as an array of one."""
         if isinstance(self.values.get(key), dict):
             return [self.table(key)]
         return [
@@ -87,7 +84,6 @@ class TomlTable:
         return kind(value) if is_number else value  # type: ignore[call-arg,return-value]  # float of an int
 
     def choose(self, key: str, value: object, choices: Collection[str]) -> str:
-        """Return `value` if it is one of `choices`; the error names the nearest one, or all."""
         if not isinstance(value, str) or value not in choices:
             near = limits.nearest(value if isinstance(value, str) else "", choices)
             raise OptionError(f"{self.where}: {key} is {limits.shown(value)}; {near}")

@@ -57,7 +57,6 @@ class GroupRelay:
         self._hopeless: CellFailedError | None = None
 
     def serve(self) -> str:
-        """Start the relay unless it runs, and return its segment."""
         if self._hopeless is not None:
             raise self._hopeless
         if not self._running:

@@ -114,7 +114,6 @@ class Runner:
             self._progress.end()
 
     def prepare(self, cells: Collection[Cell]) -> int:
-        """Resume, check that relays can start, and leave out cells without their middleware; return how many are done."""
         self.resume()
         done = sum(map(self._is_done, cells))
         if done < len(cells):
@@ -138,7 +137,6 @@ class Runner:
         }
 
     def resume(self) -> None:
-        """Split the segments of an interrupted sweep; delete its unfinished cells."""
         for segment in self.state.segments:
             self._collect(segment)
         if foreign := clear_parts(self._parts):

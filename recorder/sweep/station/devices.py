@@ -45,11 +45,9 @@ class RelayDevice:
         """Check that relays of this version can start there."""
 
     def rehearse(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002 - the signature of all devices
-        """Start a relay with `--check`; return why it cannot start."""
         return None
 
     def rehearse_half(self, arguments: Sequence[str]) -> str | None:  # noqa: ARG002
-        """Look for the program of a half; return why it cannot start."""
         return None
 
     def prepare(self) -> None:

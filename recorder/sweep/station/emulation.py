@@ -62,7 +62,6 @@ def count_traffic(namespace: str) -> EndCounters:
 
 
 def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
-    """Return words for `tc qdisc add`: a token bucket, and netem unless the forwarder does the rest."""
     disciplines: list[list[str]] = []
     parent = ["root"]
     if link.rate_mbit_s:
@@ -82,7 +81,6 @@ def queue_disciplines(link: Link, *, kernel_does_all: bool) -> list[list[str]]:
 
 
 def open_tap(name: str, namespace: str) -> int:
-    """Open a TAP device as `INTERFACE` of a namespace; return its non-blocking descriptor."""
     try:
         descriptor = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
         fcntl.ioctl(descriptor, _TUNSETIFF, struct.pack("16sH14x", name.encode(), _IFF_TAP | _IFF_NO_PI))

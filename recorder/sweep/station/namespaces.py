@@ -112,7 +112,6 @@ class NamespacePair:
         self._say(f"start {self._drive_started_ns}" if starts else "rest")
 
     def set_queue(self, queue_ms: float) -> None:
-        """Let frames wait for the full line for another time, 0 for the link's own."""
         assert self.link is not None
         self._shaped = replace(self.link, queue_ms=queue_ms or self.link.queue_ms)
         disciplines = queue_disciplines(self._shaped, kernel_does_all=self._forwarder is None)
@@ -122,7 +121,6 @@ class NamespacePair:
                 self._renew_disciplines(side)
 
     def cut(self, by: OutageBy) -> None:
-        """Cut the link: the ping's interface goes down, or everything that either side sends is lost."""
         if by is not OutageBy.LOSS:
             ip("-n", self.ping.namespace, "link", "set", INTERFACE, "down")
             return

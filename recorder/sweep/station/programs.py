@@ -89,7 +89,6 @@ class Program:
 
     @property
     def exit_code(self) -> int | None:
-        """Exit code (negative for a signal), None while it runs."""
         return self._process.poll()
 
     @property
@@ -125,7 +124,6 @@ class Program:
         return self._process.wait()
 
     def last_words(self) -> str:
-        """Return the signal that killed it, or its last output after `PROGRAM: `."""
         with self.log.open("rb") as file:
             file.seek(max(0, self.log.stat().st_size - LAST_WORDS_BYTES))
             text = file.read().decode(errors="replace").replace("\r", "\n")

@@ -124,7 +124,6 @@ class Wire:
         return self._in_flight[0][0] if self._in_flight else None
 
     def report(self) -> dict[str, float | None]:
-        """Return frames by fate and the lateness of carried ones, since the preceding report."""
         report: dict[str, float | None] = {
             **{fate: self._counts[fate] for fate in ("carried", "lost", "in_outage", "overflow", "refused")},
             "lateness_p50_us": quantile(self._lateness_us, 0.50),

@@ -165,7 +165,6 @@ def _ports_match(ports: Sequence[PortRange], target: str) -> list[_Step]:
 
 
 def _follow(number: int) -> list[_Step]:
-    """Read the submessage with its header at position A, and put the next one's there; `done` at the packet's end."""
     little, zero, advance, inside = (f"{name}_{number}" for name in ("little", "zero", "advance", "inside"))
     have, skip, at_end = (f"{name}_{number}" for name in ("have", "skip", "end"))
     return [

@@ -199,7 +199,6 @@ class FragmentTable(Generic[Owner]):
         self._datagrams[key] = _Datagram(owner, datagram_bytes, next_at, carried)
 
     def continue_with(self, key: Hashable, piece: Piece) -> tuple[Owner, list[Submessage]] | None:
-        """Return the datagram's owner and the submessages that begin in this fragment; None if its first is unknown."""
         datagram = self._datagrams.get(key)
         if datagram is None:
             return None

@@ -101,7 +101,6 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BufferedReader:
 
 
 def read_into(descriptor: int, target: memoryview, offset: int) -> int:
-    """Fill `target` from `offset` on; return how many bytes there were."""
     total = 0
     while total < len(target):  # the kernel returns at most 2 GiB at once
         count = os.preadv(descriptor, [target[total:]], offset + total)
@@ -156,6 +155,5 @@ _ADVICE = {
 
 
 def output_error(path: Path, err: OSError, what: str = "the trace") -> OutputError:
-    """Return the error for a failed write: what the system's number means, and what to do."""
     advice = _ADVICE.get(err.errno or 0, f"{err.strerror}; check the disk")
     return OutputError(f"{path}: cannot write {what}: {advice}")

@@ -93,8 +93,6 @@ class Words:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """One of a few values of one type."""
-
     choices: tuple[str, ...] | tuple[float, ...]
 
     def fault(self, value: object) -> str | None:
@@ -130,8 +128,6 @@ class FilePath:
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """True or false."""
-
     def fault(self, value: object) -> str | None:
         return None if isinstance(value, bool) else "write true or false"
 
@@ -148,7 +144,6 @@ def check(limit: Limit, value: object, where: str) -> None:
 
 
 def nearest(word: str, choices: Collection[str]) -> str:
-    """Return what to write instead of a wrong word: the nearest choice, or all."""
     import difflib  # noqa: PLC0415 - only errors need it, and each command loads this module
 
     near = difflib.get_close_matches(word[:_COMPARED_CHARACTERS], choices, n=1)
@@ -156,7 +151,6 @@ def nearest(word: str, choices: Collection[str]) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a refused value on one line, at most 80 characters."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int):
@@ -171,7 +165,6 @@ def shown(value: object) -> str:
 
 
 def is_utf8(text: str) -> bool:
-    """Return whether the text has no lone surrogate, as bytes of another encoding leave them."""
     try:
         text.encode()
     except UnicodeEncodeError:

@@ -65,7 +65,6 @@ class PlainStream:
             self.rich_proxied_file = PlainStream(stream, has_escapes=True)
 
     def write(self, text: str) -> int:
-        """Write text; return its length."""
         try:
             self._stream.write(self._without_commands(text if self._has_escapes else plain(text)))
         except OSError as err:
@@ -102,7 +101,6 @@ class PlainStream:
 
 @contextmanager
 def plain_streams() -> Iterator[PlainStream]:
-    """Replace stdout and stderr by plain streams within the block; yield stdout."""
     before = sys.stdout, sys.stderr
     for stream in before:
         if isinstance(stream, TextIOWrapper):  # escape what its encoding lacks

@@ -76,7 +76,6 @@ class _SharedJob(Generic[T]):
         return self.future.result()
 
     def done_here(self) -> bool:
-        """Do the job unless a thread of the pool has it; return whether it was done here."""
         if not self.cancel():
             return False
         self.future = InlineExecutor().submit(self.job)

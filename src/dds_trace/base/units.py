@@ -35,12 +35,10 @@ _NUMBER = re.compile(r"(\d+(?:\.\d+)?)", re.ASCII)
 
 
 def by_number(text: str) -> tuple[tuple[str | float, ...], str]:
-    """Return the key that sorts texts by the numbers within them: `outage=2s` before `outage=12s`."""
     return tuple(float(part) if index % 2 else part for index, part in enumerate(_NUMBER.split(text))), text
 
 
 def counted(count: float, singular: str, many: str = "", *, text: str = "") -> str:
-    """Return a count with its noun, `2 messages`; `many` is an irregular plural, `text` the printed count."""
     noun = singular if count == 1 else many or f"{singular}s"
     return f"{text or count} {noun}"
 
@@ -52,7 +50,6 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 
 def format_quantity(value: float | None, units: Mapping[str, float]) -> str:
-    """Write three digits in the largest unit (name -> factor, descending) that fits; `MISSING` if not finite."""
     if value is None or not math.isfinite(value):
         return MISSING
     # 999.96 would be written as 1000: the larger unit takes it.
@@ -61,7 +58,6 @@ def format_quantity(value: float | None, units: Mapping[str, float]) -> str:
 
 
 def three_digits(value: float) -> str:
-    """Write three significant digits without exponent or trailing zeros; whole numbers stay whole."""
     if value == 0:
         return "0"
     decimals = max(0, 2 - math.floor(math.log10(abs(value)) + 1e-12))
@@ -70,7 +66,6 @@ def three_digits(value: float) -> str:
 
 
 def format_number(value: float) -> str:
-    """Write a number to three digits: `1.25`, `12,300`."""
     rounded = float(f"{value:.3g}")
     return f"{rounded:,.0f}" if abs(rounded) >= 1000 else three_digits(rounded)
 
@@ -89,12 +84,10 @@ def parse_duration(text: str, what: str = "duration") -> int:
 
 
 def format_duration(value_ns: float | None, unit: str | None = None) -> str:
-    """Write a duration to three digits: `812 ns`, `1.25 ms`; in `unit` of `UNIT_NS` if given."""
     return format_quantity(value_ns, _SHOWN_NS if unit is None else {unit.replace("us", "µs"): UNIT_NS[unit]})
 
 
 def spell_duration(duration_ns: int, digits: int = 15) -> str:
-    """Write a duration as `parse_duration` reads it, in the largest unit that it fills: `20ms`."""
     unit = next((unit for unit, factor in UNIT_NS.items() if duration_ns >= factor), "ns")
     return f"{duration_ns / UNIT_NS[unit]:.{digits}g}{unit}"
 
@@ -135,7 +128,6 @@ def parse_size(text: str, what: str = "size") -> int:
 
 
 def format_size(size_bytes: int) -> str:
-    """Write a size exactly, with at most one decimal: `33 KB`, `1.5 MB`, `1 KiB`, `1405 B`."""
     for unit, factor in _DECIMAL_BYTES.items():
         if size_bytes >= factor > 1 and size_bytes % (factor / 10) == 0:
             return f"{size_bytes / factor:.15g} {unit}"
@@ -146,7 +138,6 @@ def format_size(size_bytes: int) -> str:
 
 
 def spell_size(size_bytes: int) -> str:
-    """Write a size as `parse_size` reads it, in whole decimal units: `33KB`, `1500KB`, `91B`."""
     whole = (unit for unit, size in _DECIMAL_BYTES.items() if size_bytes >= size and size_bytes % size == 0)
     unit = next(whole, "B")
     return f"{size_bytes // _DECIMAL_BYTES[unit]}{unit}"

@@ -139,7 +139,9 @@ def _analyze(
     origin = provenance(campaign, exchanges)
     with RowWriter(drafted.get("roundtrips"), origin) as writer:
         results = _write_rows(
-            engine.process(batches, campaign.events), writer, lambda done: step(PAIRING, done / len(batches))
+            engine.process(batches, campaign.events),
+            writer,
+            lambda batches_done: step(PAIRING, batches_done / len(batches)),
         )
         merged = merge_results(results, grouping, sketch=not options.rows)
     step(JUDGING, 0.0)
@@ -193,11 +195,11 @@ def _no_step(name: str, share: float) -> None:
 
 
 def _write_rows(
-    outputs: Iterable[BatchOutput], writer: RowWriter, done: Callable[[int], None]
+    outputs: Iterable[BatchOutput], writer: RowWriter, advance: Callable[[int], None]
 ) -> Iterator[BatchResult]:
     """Write the rows of every batch, and then wait for its result: a large batch is measured meanwhile."""
     for number, output in enumerate(outputs):
-        done(number)
+        advance(number)
         writer.write(output.tables())
         result = output.result()
         del output  # its rows are written

@@ -47,6 +47,6 @@ class AnalysisBar:
 
     def _draw(self, name: str, share: float, words: str) -> None:
         names = list(SHARES)
-        self.share = max(self.share, sum(SHARES[one] for one in names[: names.index(name)]) + SHARES[name] * share)
+        self.share = max(self.share, sum(SHARES[step] for step in names[: names.index(name)]) + SHARES[name] * share)
         if self._progress is not None:
             self._progress.update(self._progress.tasks[0].id, completed=self.share, description=words)

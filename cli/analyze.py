@@ -89,10 +89,10 @@ def _overridden(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _refuse_with_topics(values: Mapping[str, Any]) -> None:
-    given = [name for name in _NOT_OF_TOPICS if values[name]]
-    if given:
+    refused = [name for name in _NOT_OF_TOPICS if values[name]]
+    if refused:
         spelled = {"shows_all": "all"}
-        options = ", ".join(f"--{spelled.get(name, name).replace('_', '-')}" for name in given)
+        options = ", ".join(f"--{spelled.get(name, name).replace('_', '-')}" for name in refused)
         raise OptionError(f"--topics reads recordings, not traces of ours; leave out {options}")
 
 
@@ -264,9 +264,9 @@ def main_command(
     written[:0] = analysis.outputs.values()
     for path in written:
         print(f"Wrote {path}")
-    left = [name for name in RESULT_NAMES if target / name not in written and (target / name).is_file()]
-    if left and earlier is not None and earlier != read_provenance(target):
-        say(f"{target}: {', '.join(left)}: of an earlier analysis of other traces, and not replaced")
+    stale = [name for name in RESULT_NAMES if target / name not in written and (target / name).is_file()]
+    if stale and earlier is not None and earlier != read_provenance(target):
+        say(f"{target}: {', '.join(stale)}: of an earlier analysis of other traces, and not replaced")
     _show_page([path for path in written if path.suffix == ".html"], open_it=open_it)
     if gates:
         _judge_topics(analysis, gates)

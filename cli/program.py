@@ -76,11 +76,11 @@ def take_completed_command(program: str, app: typer.Typer, commands: Collection[
     text = os.environ.get(variable, "")
     first, _, others = text.partition("\n" if "\n" in text else " ")
     name = next(iter(others.split()), "")
-    rest = others[len(name) :]
-    if name not in commands or not rest[:1].isspace():  # without a space after it the word itself is being typed
+    remainder = others[len(name) :]
+    if name not in commands or not remainder[:1].isspace():  # without a space after it the word itself is being typed
         return None
     typer.main.get_command(app)  # an app that completes sets it up for all
-    os.environ[variable] = first + rest
+    os.environ[variable] = first + remainder
     if BASH_POSITION in os.environ:
         os.environ[BASH_POSITION] = str(int(os.environ[BASH_POSITION]) - 1)
     return name
@@ -157,7 +157,7 @@ def _extra_with(module: str) -> str | None:
 
     package = module.partition(".")[0]
     for requirement in requires("dds-trace") or ():
-        named = _EXTRA.match(requirement)
-        if named is not None and named["package"].lower() == package:
-            return named["extra"]
+        matched = _EXTRA.match(requirement)
+        if matched is not None and matched["package"].lower() == package:
+            return matched["extra"]
     return None

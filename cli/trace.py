@@ -122,14 +122,16 @@ _NAMES = (
 
 def _adapt(command: Any, role: Role | None = None) -> None:
     command.help = _renamed(command.help)
-    command.params = [one for one in command.params if one.name not in ("install_completion", "show_completion")]
-    for one in command.params:
-        one.help = _renamed(one.help or "")
-        row = OPTIONS.get(one.name)
+    command.params = [
+        parameter for parameter in command.params if parameter.name not in ("install_completion", "show_completion")
+    ]
+    for parameter in command.params:
+        parameter.help = _renamed(parameter.help or "")
+        row = OPTIONS.get(parameter.name)
         if role is not None and row is not None:
-            one.hidden = one.name == "role" or (bool(row.roles) and role not in row.roles)
-        if "--config" in getattr(one, "opts", ()):  # --print-config shows the values in force, as everywhere
-            one.opts = ["--config"]
+            parameter.hidden = parameter.name == "role" or (bool(row.roles) and role not in row.roles)
+        if "--config" in getattr(parameter, "opts", ()):  # --print-config shows the values in force, as everywhere
+            parameter.opts = ["--config"]
 
 
 def _renamed(text: str) -> str:

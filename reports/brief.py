@@ -144,10 +144,10 @@ def _thresholds(book: Book) -> list[Text]:
         judged = [
             (result, rows.place) for rows in sizes.places if rows.thresholds and (result := rows.thresholds[index])
         ]
-        worst, place = min(judged, key=lambda pair: order.index(pair[0].outcome), default=(None, ""))
+        worst, site = min(judged, key=lambda pair: order.index(pair[0].outcome), default=(None, ""))
         if worst is None or worst.outcome == "pass":
             passed += [choice] if worst else []
             continue
-        on = f" on {place}" if len(sizes.places) > 1 else ""
+        on = f" on {site}" if len(sizes.places) > 1 else ""
         lines += _marked(FAIL if worst.outcome == "fail" else OPEN, f"{choice}{on}: {worst.why}")
     return [*lines, *(_marked(PASS, ", ".join(passed)) if passed else [])]

@@ -148,10 +148,12 @@ def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
     for by_place in ordered:
         cases = by_place[places_alike(by_place)[0][0]]
         if any(outcome_of(case).is_decided for case in cases):
-            every = [case for own in by_place.values() for case in own]
-            return PointKind.FASTEST, winner_sentences(every, book.groups.vendors)[0], cases
+            all_cases = [case for own in by_place.values() for case in own]
+            return PointKind.FASTEST, winner_sentences(all_cases, book.groups.vendors)[0], cases
     sentences = book.answer.sentences
-    kind, sentence = next((one for one in sentences if one[0] is not PointKind.LOSS), sentences[0])
+    kind, sentence = next(
+        (sentence_of for sentence_of in sentences if sentence_of[0] is not PointKind.LOSS), sentences[0]
+    )
     return kind, sentence, ordered[0][places_alike(ordered[0])[0][0]] if ordered else ()
 
 

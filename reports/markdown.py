@@ -86,13 +86,13 @@ def _sizes(book: Book) -> Iterator[str]:
     table = book.sizes
     if table is None:
         return
-    for place in table.places:
-        rows = [(markdown(row.size), *map(_size_cell, row.cells)) for row in place.rows]
-        if place.thresholds:
-            outcomes = ("" if threshold is None else markdown(threshold.text) for threshold in place.thresholds)
+    for site in table.places:
+        rows = [(markdown(row.size), *map(_size_cell, row.cells)) for row in site.rows]
+        if site.thresholds:
+            outcomes = ("" if threshold is None else markdown(threshold.text) for threshold in site.thresholds)
             rows.insert(0, (markdown(table.deadline), *outcomes))
         heads = ("Size", *map(markdown, table.choices))
-        yield f"{markdown(table.caption)}, on {markdown(place.place)}:"
+        yield f"{markdown(table.caption)}, on {markdown(site.place)}:"
         yield "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, ("---",) * len(heads), *rows))
     yield HOW_TO_READ
 
@@ -115,7 +115,9 @@ def _findings(book: Book) -> str:
     parts = [_table(("Severity", "Finding", "Where", "What", "What to do"), rows)]
     for kind in kinds:
         if len(kind.listed) > 1:
-            listed = _list(f"{markdown(one.where)}: {markdown(one.what)}" for one in kind.listed)
+            listed = _list(
+                f"{markdown(observation.where)}: {markdown(observation.what)}" for observation in kind.listed
+            )
             parts.append(f"<details><summary>{markdown(kind.heading)}</summary>\n\n{listed}\n\n</details>")
     return "\n\n".join(parts)
 
@@ -159,12 +161,12 @@ def _groups(book: Book) -> str:
         for group in groups[:MOST_GROUPS]
     ]
     names = (f"{METRIC_LABELS[metric]} {STATISTIC_LABELS[name]}" for name in SHOWN_STATISTICS)
-    left = len(groups) - len(rows)
+    hidden = len(groups) - len(rows)
     has_own_share = any(share is not None for share in values.plain["own_share"])
     notes = (
         _INTERVAL_NOTE if intervals.low_ns.get(metric) or intervals.high_ns.get(metric) else "",
         OWN_SHARE_NOTE if has_own_share else "",
-        f"{counted(left, 'more result is', 'more results are')} in `summary.parquet`." if left else "",
+        f"{counted(hidden, 'more result is', 'more results are')} in `summary.parquet`." if hidden else "",
     )
     table = _table((*_MESSAGE_COLUMNS, "Own share", "Received", "Runs", *names), rows)
     title = f"{METRIC_LABELS[metric]} of all messages that were received:"
@@ -215,8 +217,8 @@ def _bridge_costs(book: Book) -> str:
     return "\n\n".join([table, HOW_TO_READ_COSTS, *_more(len(cells) - len(rows))])
 
 
-def _more(left: int) -> list[str]:
-    return [f"{counted(left, 'more result is', 'more results are')} in the JSON report."] if left > 0 else []
+def _more(hidden: int) -> list[str]:
+    return [f"{counted(hidden, 'more result is', 'more results are')} in the JSON report."] if hidden > 0 else []
 
 
 def _added(cost: Cost | None) -> str:

@@ -118,17 +118,17 @@ def _sizes(book: Book) -> list[RenderableType]:
     if sizes is None:
         return []
     parts: list[RenderableType] = []
-    for place in sizes.places:
-        parts.append(Text(f"{sizes.caption}, on {place.place}", style="bold"))
+    for site in sizes.places:
+        parts.append(Text(f"{sizes.caption}, on {site.place}", style="bold"))
         for start in range(0, len(sizes.choices), MOST_CHOICES):
             shown = slice(start, start + MOST_CHOICES)
             table = _new_table()
             table.add_column("Size", width=15)
             for choice in sizes.choices[shown]:
                 table.add_column(Text(choice), width=20)
-            if place.thresholds:
-                table.add_row(Text(sizes.deadline), *map(_threshold, place.thresholds[shown]))
-            for row in place.rows:
+            if site.thresholds:
+                table.add_row(Text(sizes.deadline), *map(_threshold, site.thresholds[shown]))
+            for row in site.rows:
                 table.add_row(Text(row.size), *map(_size_cell, row.cells[shown]))
             parts += [table, Text()]
     return [*parts, Text(HOW_TO_READ, style="dim"), Text()]

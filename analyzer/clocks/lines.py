@@ -62,10 +62,10 @@ def lower_hulls(time: Float64, height: Float64) -> Intp:
     rows, columns = time.shape
     last = columns - 1
     corners = [np.zeros(rows, np.intp)]
-    left, corner = np.arange(rows), corners[0]
+    open_rows, corner = np.arange(rows), corners[0]
     column = np.arange(columns)
-    while last and len(left):
-        at = np.arange(len(left)), corner
+    while last and len(open_rows):
+        at = np.arange(len(open_rows)), corner
         run, slope = time - time[at][:, None], height - height[at][:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             slope /= run
@@ -74,11 +74,11 @@ def lower_hulls(time: Float64, height: Float64) -> Intp:
         np.copyto(slope, np.inf, where=column <= corner[:, None])
         corner = last - slope[:, ::-1].argmin(axis=1)
         following = np.full(rows, last)
-        following[left] = corner
+        following[open_rows] = corner
         corners.append(following)
         goes_on = corner < last
         if not goes_on.all():
-            left, corner, time, height = left[goes_on], corner[goes_on], time[goes_on], height[goes_on]
+            open_rows, corner, time, height = open_rows[goes_on], corner[goes_on], time[goes_on], height[goes_on]
     return np.stack(corners, axis=1)
 
 
@@ -237,10 +237,12 @@ def _hulls(points: OffsetIntervals, edges: Intp, centre: Float64) -> Iterator[tu
     """Yield messages, instants from the centre and heights of each window's hull: of upper, then of negated lower ends."""
     heights = points.upper, -points.lower
     lowest = [lowest_of_parts(height, edges) for height in heights]
-    both = np.concatenate(lowest)
+    lowest_pair = np.concatenate(lowest)
     # Both at once: a step costs little more for twice as many rows.
-    corners = lower_hulls(points.time[both], np.concatenate([h[at] for h, at in zip(heights, lowest, strict=True)]))
+    corners = lower_hulls(
+        points.time[lowest_pair], np.concatenate([h[at] for h, at in zip(heights, lowest, strict=True)])
+    )
     for height, at, columns in zip(heights, lowest, np.split(corners, 2), strict=True):
         is_last = (columns == columns[:, -1:]).all(axis=0)
-        own = np.take_along_axis(at, columns[:, : np.count_nonzero(~is_last) + 1], axis=1)
-        yield own, points.time[own] - centre[:, None], height[own]
+        columns_at = np.take_along_axis(at, columns[:, : np.count_nonzero(~is_last) + 1], axis=1)
+        yield columns_at, points.time[columns_at] - centre[:, None], height[columns_at]

@@ -103,8 +103,8 @@ def find_slews(stretches: Sequence[Stretch], at_ns: Int64, offset_ns: Int64, bou
         if position not in slewed and is_bent(at_ns[is_own], offset_ns[is_own], bound_ns[is_own]):
             knots = _few(is_own)
             at_knots = at_ns[knots], offset_ns[knots], bound_ns[knots]
-            both = [_of_best_pair(position + 1, position + 1, way, *at_knots) for way in (1, -1)]
-            yield max(both, key=lambda slew: abs(slew.rate_ppm) - slew.bound_ppm)
+            pairs = [_of_best_pair(position + 1, position + 1, way, *at_knots) for way in (1, -1)]
+            yield max(pairs, key=lambda slew: abs(slew.rate_ppm) - slew.bound_ppm)
 
 
 def is_bent(at_ns: Int64, offset_ns: Int64, bound_ns: Int64) -> bool:
@@ -142,10 +142,10 @@ def _chains(stretches: Sequence[Stretch]) -> Iterator[tuple[int, int]]:
 
 
 def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int64, bound_ns: Int64) -> Slew:
-    one, other = np.triu_indices(len(at_ns), 1)
-    lasted_ns = np.maximum(at_ns[other] - at_ns[one], 1).astype(np.float64)
-    gain_ns = (offset_ns[other] - offset_ns[one]).astype(np.float64)
-    unsure_ns = (bound_ns[other] + bound_ns[one]).astype(np.float64)
+    first_knot, other = np.triu_indices(len(at_ns), 1)
+    lasted_ns = np.maximum(at_ns[other] - at_ns[first_knot], 1).astype(np.float64)
+    gain_ns = (offset_ns[other] - offset_ns[first_knot]).astype(np.float64)
+    unsure_ns = (bound_ns[other] + bound_ns[first_knot]).astype(np.float64)
     # Not the fastest pair: a knot of a bent window may be wrong by more than its bound.
     enough = lasted_ns >= min(WINDOW_NS, lasted_ns.max())
     proven = np.where(enough, (way * gain_ns - unsure_ns) / lasted_ns, -np.inf)
@@ -153,7 +153,7 @@ def _of_best_pair(first: int, after: int, way: int, at_ns: Int64, offset_ns: Int
     return Slew(
         first=first,
         after=after,
-        start_ns=int(at_ns[one[best]]),
+        start_ns=int(at_ns[first_knot[best]]),
         end_ns=int(at_ns[other[best]]),
         rate_ppm=float(gain_ns[best] / lasted_ns[best] * 1e6),
         bound_ppm=float(unsure_ns[best] / lasted_ns[best] * 1e6),

@@ -138,10 +138,10 @@ def _fit_levels(points: OffsetIntervals, start: Intp, stop: Intp) -> Windows:
         lines = Lines.through(remaining, start, stop)
         is_whole = lines.exist & ~_are_bent(remaining, start, stop, lines)
         if is_whole.any():
-            own, own_start, own_stop = lines.take(is_whole), start[is_whole], stop[is_whole]
-            windows = Windows.of(remaining, own_start, own_stop, own)
+            whole, own_start, own_stop = lines.take(is_whole), start[is_whole], stop[is_whole]
+            windows = Windows.of(remaining, own_start, own_stop, whole)
             span = slice(int(own_start[0]), int(own_stop[-1]))
-            _narrow(remaining, own_start, own_stop, own)
+            _narrow(remaining, own_start, own_stop, whole)
             if origin is not None:
                 points.lower[origin[span]], points.upper[origin[span]] = remaining.lower[span], remaining.upper[span]
                 windows = replace(windows, start=origin[own_start], stop=origin[own_stop - 1] + 1)
@@ -195,26 +195,26 @@ def _narrow(points: OffsetIntervals, start: Intp, stop: Intp, lines: Lines) -> N
     following = np.append(start[1:], stop[-1])
     for first, after in _blocks(start, stop, _CACHED_MESSAGES):
         span = slice(first, after)
-        here = slice(int(start[first]), int(following[after - 1]))
+        window = slice(int(start[first]), int(following[after - 1]))
         edges, part = (start[span], stop[span], following[span]), lines.take(span)
-        x = points.time[here] - np.repeat(part.centre, edges[2] - edges[0])
-        low = _least(-points.lower[here], part.below, *edges, x)
+        x = points.time[window] - np.repeat(part.centre, edges[2] - edges[0])
+        low = _least(-points.lower[window], part.below, *edges, x)
         np.negative(low, out=low)
-        high = _least(points.upper[here], part.above, *edges, x)
+        high = _least(points.upper[window], part.above, *edges, x)
         none = low > high
         if none.any():
-            low[none], high[none] = points.lower[here][none], points.upper[here][none]
-        points.lower[here], points.upper[here] = low, high
+            low[none], high[none] = points.lower[window][none], points.upper[window][none]
+        points.lower[window], points.upper[window] = low, high
 
 
-def _least(own: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:
+def _least(heights: Float64, boundary: Boundary, start: Intp, stop: Intp, following: Intp, x: Float64) -> Float64:
     edges = np.concatenate([start[:, None], boundary.breaks + 1, stop[:, None], following[:, None]], axis=1)
     lengths = np.diff(edges).ravel()
     nothing = np.zeros((len(start), 1))  # a message between two windows keeps its own height
     least = np.repeat(np.concatenate([boundary.slope, nothing], axis=1), lengths)
     least *= x
     least += np.repeat(np.concatenate([boundary.height, nothing + np.inf], axis=1), lengths)
-    np.minimum(least, own, out=least)
+    np.minimum(least, heights, out=least)
     touched = boundary.breaks.ravel() - start[0]
-    least[touched] = own[touched]  # without the rounding of the lines that meet there
+    least[touched] = heights[touched]  # without the rounding of the lines that meet there
     return least

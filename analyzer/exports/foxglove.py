@@ -114,11 +114,13 @@ def _in_order(roundtrips: pl.DataFrame, ping_wall: Mapping[int, int]) -> pl.Data
     missing = [pl.lit(None, pl.Int64).alias(f"{name}_ns") for name in TIMES if f"{name}_ns" not in roundtrips.columns]
     keys = ["vendor", "bridge", "data_type", "payload_bytes", "rate_hz", "run_id", "relay_id"]
     names = roundtrips.select(keys).unique()
-    named = names.with_columns(pl.Series("topic", [topic_name(row) for row in names.iter_rows(named=True)], pl.String))
+    with_topics = names.with_columns(
+        pl.Series("topic", [topic_name(row) for row in names.iter_rows(named=True)], pl.String)
+    )
     return (
         roundtrips.with_columns(missing)
         .with_columns(log_ns=(pl.col("publish_ns") + offset).clip(0))
-        .join(named.select("run_id", "relay_id", *keys[:5], "topic"), on=keys, how="left", nulls_equal=True)
+        .join(with_topics.select("run_id", "relay_id", *keys[:5], "topic"), on=keys, how="left", nulls_equal=True)
         .sort("log_ns", "run_id", "relay_id", "sequence")
     )
 

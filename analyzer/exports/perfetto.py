@@ -63,19 +63,22 @@ def write_perfetto(analysis: Analysis, path: Path) -> None:
                 builder.write_packet(packet)
             return tracks[key]
 
-        for one in slices:
-            ends = free[one.device, one.lane]
-            lane = next((number for number, end_ns in enumerate(ends) if end_ns <= one.begin_ns), len(ends))
-            ends[lane : lane + 1] = [one.end_ns]
-            device = track((one.device, "", 0), one.device, None)
-            uuid = track((one.device, one.lane, lane), one.lane, device)
-            for kind, at_ns in ((TrackEvent.TYPE_SLICE_BEGIN, one.begin_ns), (TrackEvent.TYPE_SLICE_END, one.end_ns)):
+        for event in slices:
+            ends = free[event.device, event.lane]
+            lane = next((number for number, end_ns in enumerate(ends) if end_ns <= event.begin_ns), len(ends))
+            ends[lane : lane + 1] = [event.end_ns]
+            device = track((event.device, "", 0), event.device, None)
+            uuid = track((event.device, event.lane, lane), event.lane, device)
+            for kind, at_ns in (
+                (TrackEvent.TYPE_SLICE_BEGIN, event.begin_ns),
+                (TrackEvent.TYPE_SLICE_END, event.end_ns),
+            ):
                 packet = builder.create_packet()
                 packet.timestamp, packet.trusted_packet_sequence_id = at_ns, _SEQUENCE
                 packet.track_event.type, packet.track_event.track_uuid = kind, uuid
                 if kind == TrackEvent.TYPE_SLICE_BEGIN:
-                    packet.track_event.name = printable(one.name)
-                    packet.track_event.flow_ids.append(one.message)
+                    packet.track_event.name = printable(event.name)
+                    packet.track_event.flow_ids.append(event.message)
                 builder.write_packet(packet)
 
 

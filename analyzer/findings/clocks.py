@@ -85,8 +85,8 @@ def slow_slews(evidence: Evidence) -> Iterator[Observation]:
     gains: dict[str, float] = {}
     sessions = evidence.details.host_samples.group_by(["device", "session_id"], maintain_order=True)
     for (device, _), samples in sessions:
-        both = samples.drop_nulls(["monotonic_ns", "monotonic_raw_ns"])
-        rate_ppm = slewed_ppm(*(both[n].to_numpy() for n in ("monotonic_ns", "monotonic_raw_ns")))
+        clocks = samples.drop_nulls(["monotonic_ns", "monotonic_raw_ns"])
+        rate_ppm = slewed_ppm(*(clocks[n].to_numpy() for n in ("monotonic_ns", "monotonic_raw_ns")))
         if abs(rate_ppm) > abs(gains.get(str(device), 0.0)):
             gains[str(device)] = rate_ppm
     for device, rate_ppm in gains.items():

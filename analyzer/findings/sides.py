@@ -35,11 +35,11 @@ def overlapping_pings(evidence: Evidence) -> Iterator[Observation]:
         group_of_run.setdefault(exchange.run.run_id, group)
     shared: dict[tuple[int, int], list[Overlap]] = defaultdict(list)
     for overlap in find_overlaps(exchange.span() for exchange in evidence.grouping.exchanges):
-        one, other = sorted((group_of_run[overlap.one], group_of_run[overlap.other]))
-        (flow, own_with), (other_flow, other_with) = flows_of(settings[one]), flows_of(settings[other])
+        first, other = sorted((group_of_run[overlap.one], group_of_run[overlap.other]))
+        (flow, own_with), (other_flow, other_with) = flows_of(settings[first]), flows_of(settings[other])
         is_planned = flow in other_with and other_flow in own_with
-        if (one != other or not overlap.is_mutual) and not is_planned:
-            shared[one, other].append(overlap)
+        if (first != other or not overlap.is_mutual) and not is_planned:
+            shared[first, other].append(overlap)
     for pair, overlaps in sorted(shared.items()):
         groups = tuple(dict.fromkeys(pair))
         count = counted(len(overlaps), "pair of runs", "pairs of runs")

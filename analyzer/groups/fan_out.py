@@ -50,7 +50,7 @@ _MESSAGE = ("run_id", "sequence")
 
 def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFrame) -> dict[str, pl.DataFrame]:
     """Return the frames of `FAN_OUT_FRAMES` by name, empty where all runs have one receiver and one sender."""
-    made: dict[str, list[dict[str, object]]] = {"fan_out": [], "fan_out_positions": []}
+    rows_of: dict[str, list[dict[str, object]]] = {"fan_out": [], "fan_out_positions": []}
     exchanges: dict[int, list[Exchange]] = defaultdict(list)
     groups: dict[int, set[int]] = defaultdict(set)
     for exchange, group in zip(grouping.exchanges, grouping.group_of_exchange.tolist(), strict=True):
@@ -64,7 +64,7 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
             frame = rows.frame(rows.groups.filter(pl.col("group").is_in(together)), _COLUMNS)
             own_rows = frame.filter(pl.col("run_id").is_in([of_run[0].run.run_id for of_run in of_runs]))
             relays = _by_relay(together[0], of_runs, own_rows) if max(map(len, of_runs)) > 1 else []
-            made["fan_out"].append(
+            rows_of["fan_out"].append(
                 {
                     "group": together[0],
                     "groups": " ".join(map(str, together)),
@@ -72,8 +72,8 @@ def fan_out_frames(grouping: Grouping, rows: RowStore, host_samples: pl.DataFram
                     **_costs(of_runs, host_samples),
                 }
             )
-            made["fan_out_positions"] += relays
-    return {name: pl.DataFrame(made[name], schema) for name, schema in FAN_OUT_FRAMES.items()}
+            rows_of["fan_out_positions"] += relays
+    return {name: pl.DataFrame(rows_of[name], schema) for name, schema in FAN_OUT_FRAMES.items()}
 
 
 def _is_crowded(exchanges: Sequence[Exchange]) -> bool:
@@ -145,8 +145,8 @@ def _costs(runs: Sequence[Sequence[Exchange]], samples: pl.DataFrame) -> dict[st
         values["matched"] += [max(times)] if (times := _numbers(met.get("matched_ns"))) else []
         values["missed"] += [sum(_numbers(met.get("missed")))] if times else []
         values["discovery"] += filter(None, _numbers([met.get("bytes")]))
-        here = machine_of(ping)
-        recorders.append(exchanges[0].flows + sum(machine_of(relay) == here for relay in relays.values()))
+        ping_machine = machine_of(ping)
+        recorders.append(exchanges[0].flows + sum(machine_of(relay) == ping_machine for relay in relays.values()))
     p50 = {name: median(members) for name, members in values.items() if members}
     return {
         "runs": len(runs),

@@ -189,13 +189,13 @@ def age_of_information(rows: pl.DataFrame, received: str) -> pl.LazyFrame:
     Returns:
         `updates`, `mean_ns` over the time from the first to the last, `peak_mean_ns`, `peak_max_ns`.
     """
-    made, came = pl.col("planned_ns"), pl.col(received)
+    planned, came = pl.col("planned_ns"), pl.col(received)
     updates = rows.lazy().select("exchange", "planned_ns", received).drop_nulls(received)
-    peak, fallen = came.shift(-1) - made, (came - made).filter(came.shift(-1).is_not_null())
+    peak, fallen = came.shift(-1) - planned, (came - planned).filter(came.shift(-1).is_not_null())
     area = peak.drop_nulls().cast(pl.Float64) ** 2 - fallen.cast(pl.Float64) ** 2
     return (
         updates.sort("exchange", received, "planned_ns")
-        .filter((made > made.cum_max().shift()).fill_null(True).over("exchange"))
+        .filter((planned > planned.cum_max().shift()).fill_null(True).over("exchange"))
         # Of several updates at one instant the last one counts: the others were never the newest.
         .filter((came != came.shift(-1)).fill_null(True).over("exchange"))
         .group_by("exchange")

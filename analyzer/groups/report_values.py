@@ -30,12 +30,12 @@ def curves(distributions: pl.DataFrame) -> dict[tuple[int, str], tuple[int, ...]
     ordered = distributions.sort("group", "metric", "value_ns")
     values_ns, counts = ordered["value_ns"].to_numpy(), ordered["count"].to_numpy().astype(np.int64)
     lengths = ordered.group_by("group", "metric", maintain_order=True).agg(buckets=pl.len())
-    made, start = {}, 0
+    curve_of, start = {}, 0
     for group, metric, buckets in lengths.iter_rows():
         part = slice(start, start + buckets)
-        made[group, metric] = _curve(values_ns[part], counts[part])
+        curve_of[group, metric] = _curve(values_ns[part], counts[part])
         start += buckets
-    return made
+    return curve_of
 
 
 def _curve(values_ns: NDArray[np.float64], counts: NDArray[np.int64]) -> tuple[int, ...]:

@@ -40,15 +40,15 @@ def shape_frame(batch: Batch, roundtrips: RoundTrips) -> pl.DataFrame:
     }
     sent_ns = roundtrips.measured["publish_ns"].to_numpy()
     for number, exchange in enumerate(batch.exchanges):
-        here = slice(*roundtrips.bounds[number : number + 2].tolist())
-        latency_ns = columns[_metric_of(exchange)][here]
+        exchange_rows = slice(*roundtrips.bounds[number : number + 2].tolist())
+        latency_ns = columns[_metric_of(exchange)][exchange_rows]
         came = latency_ns > 0
         rows.append(
             {
                 "group": int(batch.group_of_exchange[number]),
                 "run_id": exchange.run.run_id,
                 "relay_id": exchange.relay_id,
-                **shape_of(chosen_of(came, latency_ns), chosen_of(came, sent_ns[here])),
+                **shape_of(chosen_of(came, latency_ns), chosen_of(came, sent_ns[exchange_rows])),
             }
         )
     return pl.DataFrame(rows, schema=SHAPE_SCHEMA, strict=False)

@@ -249,8 +249,8 @@ def _nothing_found(path: Path, skipped: Sequence[Source]) -> str:
     foreign = any(source.detail.endswith(FOREIGN_HINT) for source in skipped)
     named_files = [f"{source.path} ({source.detail.removesuffix(FOREIGN_HINT)})" for source in skipped[:_NAMED_AT_MOST]]
     more = len(skipped) - len(named_files)
-    named = "; ".join(named_files) + (f"; and {more} more" if more > 0 else "")
-    named += FOREIGN_HINT if foreign else ""
+    listed = "; ".join(named_files) + (f"; and {more} more" if more > 0 else "")
+    listed += FOREIGN_HINT if foreign else ""
     return f"{path}: no trace here" + (
-        f": looked at {named}" if named else ", the folder is empty; give the folder that dds-record wrote into"
+        f": looked at {listed}" if listed else ", the folder is empty; give the folder that dds-record wrote into"
     )

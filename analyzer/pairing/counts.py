@@ -68,8 +68,8 @@ def count_messages(
     """Count the messages of one exchange: its row of `COUNT_SCHEMA`."""
     t0, t1, t2 = published.scheduled_ns, published.publish_ns, paired.receive_ns
     t3, t4 = paired.relay_in_ns, paired.relay_out_ns
-    replied, relayed, left = t2 != MISSING, t3 != MISSING, t4 != MISSING
-    through = relayed & left
+    replied, relayed, returned = t2 != MISSING, t3 != MISSING, t4 != MISSING
+    through = relayed & returned
     rtt_ns, intermediate_ns = t2 - t1, t4 - t3
     replies_ns = chosen_of(replied, t2)
     gaps = [
@@ -85,13 +85,13 @@ def count_messages(
         "duplicated": np.count_nonzero(paired.duplicates),
         "reordered": np.count_nonzero(paired.reordered),
         "relay_gaps": np.count_nonzero(replied & ~through),
-        "early": np.count_nonzero(replied & left & (t2 < t4)),
+        "early": np.count_nonzero(replied & returned & (t2 < t4)),
         "unscheduled": np.count_nonzero(t0 == MISSING),
         "negative_rtt": np.count_nonzero(replied & (rtt_ns < 0)),
         "negative_intermediate": np.count_nonzero(through & (intermediate_ns < 0)),
         "negative_latency": np.count_nonzero(replied & through & (rtt_ns - intermediate_ns < 0)),
         "publish_span_ns": _span_ns(t1, t1),
-        "relay_span_ns": _span_ns(chosen_of(relayed, t3), chosen_of(left, t4)),
+        "relay_span_ns": _span_ns(chosen_of(relayed, t3), chosen_of(returned, t4)),
         "reply_span_ns": _span_ns(replies_ns, replies_ns),
         "relayed": np.count_nonzero(relayed),
         "replied": np.count_nonzero(replied),

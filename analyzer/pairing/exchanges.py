@@ -237,9 +237,9 @@ def find_ping_session(
     campaign: Campaign, run: Run, traces: set[int], first_ns: int, doubts: list[Doubt]
 ) -> Session | None:
     """Return the session that the run names, else that of the traces with its T1; several become a `Doubt`."""
-    named = campaign.sessions.get(session_of_run(run))
-    if named is not None:
-        return named
+    session = campaign.sessions.get(session_of_run(run))
+    if session is not None:
+        return session
     candidates = _sessions_in(campaign, traces.union(campaign.run_traces[run.run_id]), "ping")
     if len(candidates) > 1:
         doubts.append(Doubt("ping", run.run_id, 0, tuple(s.session_id for s in candidates)))

@@ -39,7 +39,7 @@ def pair_devices(clock_fits: pl.DataFrame, clock_knots: pl.DataFrame, boots: Map
         .partition_by(*_PAIR, maintain_order=True, as_dict=True, include_key=True)
     )
     for key, fits in clock_fits.partition_by(*_PAIR, maintain_order=True, as_dict=True).items():
-        own = knots.get(key, clock_knots.clear()).select(clock_knots.columns)
+        knots_of_pair = knots.get(key, clock_knots.clear()).select(clock_knots.columns)
         segments = list(fits.iter_rows(named=True))
         stretches = [
             Stretch(
@@ -52,8 +52,8 @@ def pair_devices(clock_fits: pl.DataFrame, clock_knots: pl.DataFrame, boots: Map
             )
             for segment in segments
         ]
-        at_ns, offset_ns, bound_ns = (own[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
-        yield DevicePair(segments, own, tuple(find_slews(stretches, at_ns, offset_ns, bound_ns)))
+        at_ns, offset_ns, bound_ns = (knots_of_pair[n].to_numpy() for n in ("at_ns", "offset_ns", "bound_ns"))
+        yield DevicePair(segments, knots_of_pair, tuple(find_slews(stretches, at_ns, offset_ns, bound_ns)))
 
 
 ONE_WAY_COLUMNS = ("outbound_ns", "return_ns", "clock_bound_ns")
@@ -164,11 +164,11 @@ class _FitInput:
     messages: RelayedMessages
 
 
-def _usable(stamps: Mapping[str, NDArray[np.int64]], here: slice, damaged: Sequence[str]) -> NDArray[np.bool_]:
-    t1, t3, t4, t2 = (stamps[name][here] for name in _FOUR_STAMPS)
+def _usable(stamps: Mapping[str, NDArray[np.int64]], rows: slice, damaged: Sequence[str]) -> NDArray[np.bool_]:
+    t1, t3, t4, t2 = (stamps[name][rows] for name in _FOUR_STAMPS)
     usable: NDArray[np.bool_] = t2 - t1 >= t4 - t3
     for name in damaged:
-        stamp = stamps[name][here]
+        stamp = stamps[name][rows]
         usable &= (stamp >= _LEAST_SANE_NS) & (stamp < _SANE_NS)
     return usable
 

@@ -42,9 +42,9 @@ def utc_columns(
         for session, first, after in zip(sessions_of_exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
             if session is None or abs(session.wall_ns(0)) >= _SANE_NS:
                 continue
-            here = instants_ns[first:after]
-            is_valid = (here >= session.monotonic_anchor_ns) & (here < _SANE_NS)
-            np.add(here, session.wall_ns(0), out=utc_ns[first:after], where=is_valid)
+            part = instants_ns[first:after]
+            is_valid = (part >= session.monotonic_anchor_ns) & (part < _SANE_NS)
+            np.add(part, session.wall_ns(0), out=utc_ns[first:after], where=is_valid)
         columns.append(null_where_missing(column.name, utc_ns).cast(column.dtype))
     return columns
 

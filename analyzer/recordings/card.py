@@ -75,8 +75,8 @@ class Card:
         self.rows: list[Row] = []
         self.holes: list[dict[str, object]] = []
         self.strips: list[tuple[float, ...]] = []
-        for topic, topic_times, found in zip(columns, times, losses, strict=True):
-            self._add(topic, topic_times, found, pauses)
+        for topic, topic_times, loss in zip(columns, times, losses, strict=True):
+            self._add(topic, topic_times, loss, pauses)
         has_holes = pauses or any((row["missing_low"] or 0) for row in self.rows)
         duration_ns = self._end_ns - self._start_ns
         paused_ns = sum(end - start for start, end in pauses)
@@ -107,12 +107,12 @@ class Card:
         self, columns: Sequence[TopicMessages], times: Sequence[TopicTimes], losses: Sequence[Losses]
     ) -> None:
         other_clock: dict[str, float] = {}
-        for topic, topic_times, found in zip(columns, times, losses, strict=True):
+        for topic, topic_times, loss in zip(columns, times, losses, strict=True):
             name, stamped = topic.topic.name, topic_times.stamp_ns != NONE
             self._notes += copied_messages(name, topic.copies)
             self._notes += set_back(name, topic.column("log_ns"))
-            if found.clock_steps:
-                steps = counted(found.clock_steps, "time")
+            if loss.clock_steps:
+                steps = counted(loss.clock_steps, "time")
                 self._notes.append(
                     f"the recorder's clock was set forward {steps}: the stamps of {name} go on without a gap"
                 )

@@ -120,9 +120,9 @@ class TopicTimes:
         for times_ns in (self.publish_ns, self.stamp_ns):
             if (times_ns == NONE).any() or not of_one_clock(np.sort(times_ns)).all():
                 continue
-            found = find_regularity(np.sort(times_ns))
-            if found is not None and found.jitter_ns / found.period_ns < jitter / 2:
-                best, jitter = times_ns, found.jitter_ns / found.period_ns
+            regularity = find_regularity(np.sort(times_ns))
+            if regularity is not None and regularity.jitter_ns / regularity.period_ns < jitter / 2:
+                best, jitter = times_ns, regularity.jitter_ns / regularity.period_ns
                 shift_ns = int(np.median(self.log_ns - times_ns)) or 1
         return np.sort(best), shift_ns
 

@@ -88,9 +88,9 @@ _QOS_NUMBERS = {
 
 def qos_words(profiles: str) -> str:
     """Return the first QoS profile of YAML in words: `reliable, volatile, keep_last 10`."""
-    found: dict[str, str] = {}
+    policies: dict[str, str] = {}
     for key, value in _QOS_KEYS.findall(profiles):
-        found.setdefault(key, _QOS_NUMBERS.get(key, {}).get(value, value))
-    if found.get("history") == "keep_last" and "depth" in found:
-        found["history"] += f" {found['depth']}"
-    return ", ".join(found[key] for key in ("reliability", "durability", "history") if found.get(key, "0") != "0")
+        policies.setdefault(key, _QOS_NUMBERS.get(key, {}).get(value, value))
+    if policies.get("history") == "keep_last" and "depth" in policies:
+        policies["history"] += f" {policies['depth']}"
+    return ", ".join(policies[key] for key in ("reliability", "durability", "history") if policies.get(key, "0") != "0")

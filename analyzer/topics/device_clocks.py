@@ -132,15 +132,15 @@ class DeviceClocks:
         paths: dict[Machine, list[list[_Link]]] = {start: []}
         remaining = deque([start])
         while remaining:
-            here = remaining.popleft()
-            if here == end or self.share_clock(here, end):
-                return paths[here]
+            machine = remaining.popleft()
+            if machine == end or self.share_clock(machine, end):
+                return paths[machine]
             for other in self._anchors:
                 if other in paths:
                     continue
-                links = self._links[here][other] if here in self._links and other in self._links[here] else []
-                if links or self.share_clock(here, other):
-                    paths[other] = [*paths[here], *([links] if links else [])]
+                links = self._links[machine][other] if machine in self._links and other in self._links[machine] else []
+                if links or self.share_clock(machine, other):
+                    paths[other] = [*paths[machine], *([links] if links else [])]
                     remaining.append(other)
         return None
 
@@ -255,10 +255,10 @@ class StampClock:
         by_way = {way: self._fitting(way, chosen) for way in self._ways}
         fitting = [way for way, placed_topics in by_way.items() if placed_topics]
         if len(fitting) != 1 and chosen and len(self._ways) > 1:
-            one, other = self._ways[0]
+            forward, other = self._ways[0]
             raise OptionError(
                 f"--clock: the stamps fit {'both devices' if fitting else 'no device'}; say which stamped and which recorded: "
-                f"'{self._request.folder} stamped={one} recorded={other}'"
+                f"'{self._request.folder} stamped={forward} recorded={other}'"
             )
         (stamped, recorded) = fitting[0] if fitting else self._ways[0]
         placed_topics = by_way[stamped, recorded]

@@ -54,15 +54,17 @@ def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
     if not has_taps(campaign):
         return Topics.none()
     clocks = DeviceClocks(campaign.sessions.values(), campaign.runs.values(), rows)
-    deliveries = [one for stream in find_streams(heard_by_taps(campaign)) for one in deliver(stream, clocks)]
-    deliveries = [one for one in deliveries if len(one.messages)]
+    deliveries = [delivery for stream in find_streams(heard_by_taps(campaign)) for delivery in deliver(stream, clocks)]
+    deliveries = [delivery for delivery in deliveries if len(delivery.messages)]
     sources = find_sources(deliveries)
-    deliveries = [with_ages(one, stamper(number, deliveries, sources), clocks) for number, one in enumerate(deliveries)]
+    deliveries = [
+        with_ages(delivery, stamper(number, deliveries, sources), clocks) for number, delivery in enumerate(deliveries)
+    ]
     by_result: dict[tuple[str, str, str], list[Delivery]] = defaultdict(list)
-    for one in deliveries:
-        by_result[one.heard.topic, origin_name(one), one.heard.session.device].append(one)
+    for delivery in deliveries:
+        by_result[delivery.heard.topic, origin_name(delivery), delivery.heard.session.device].append(delivery)
     ordered = [by_result[key] for key in sorted(by_result)]
-    messages = [_with_parameters(one) for parts in ordered for one in parts]
+    messages = [_with_parameters(delivery) for parts in ordered for delivery in parts]
     return Topics(
         pl.DataFrame([_topic_row(parts) for parts in ordered], TOPIC_SCHEMA),
         pl.concat(messages) if messages else pl.DataFrame(schema=TOPIC_MESSAGE_SCHEMA),
@@ -105,7 +107,7 @@ def _with_parameters(delivery: Delivery) -> pl.DataFrame:
 
 
 def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
-    messages = pl.concat([one.messages for one in deliveries])
+    messages = pl.concat([delivery.messages for delivery in deliveries])
     arrivals = [np.sort(part.to_numpy()) for part in _arrivals_by_tap(deliveries)]
     periods = np.concatenate([np.diff(part) for part in arrivals])
     lasted_ns = int(sum(part[-1] - part[0] for part in arrivals))
@@ -117,9 +119,9 @@ def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
         "message_type": deliveries[0].heard.message_type,
         "ping_device": origin_name(deliveries[0]),
         "relay_device": deliveries[0].heard.session.device,
-        "clock": ", ".join(sorted({one.clock for one in deliveries})),
-        "publishers": len({one.heard.publisher for one in deliveries}),
-        "runs": len({one.heard.session.session_id for one in deliveries}),
+        "clock": ", ".join(sorted({delivery.clock for delivery in deliveries})),
+        "publishers": len({delivery.heard.publisher for delivery in deliveries}),
+        "runs": len({delivery.heard.session.session_id for delivery in deliveries}),
         "published": len(messages),
         "received": received,
         **{name: outcomes.get(name, 0) for name in ("lost_outbound", "lost_unknown")},
@@ -142,6 +144,6 @@ def _topic_row(deliveries: Sequence[Delivery]) -> dict[str, object]:
 
 def _arrivals_by_tap(deliveries: Sequence[Delivery]) -> Iterator[pl.Series]:
     sessions: dict[int, list[pl.Series]] = defaultdict(list)
-    for one in deliveries:
-        sessions[one.heard.session.session_id].append(one.messages["relay_in_ns"].drop_nulls())
+    for delivery in deliveries:
+        sessions[delivery.heard.session.session_id].append(delivery.messages["relay_in_ns"].drop_nulls())
     yield from map(pl.concat, sessions.values())

@@ -65,7 +65,7 @@ def stamper(number: int, deliveries: Sequence[Delivery], sources: Mapping[int, i
 
 def hop_rows(deliveries: Sequence[Delivery], sources: Mapping[int, int]) -> Iterator[dict[str, object]]:
     """Yield rows of `HOP_SCHEMA`, by chain: one for each delivery with ages that is on the way to no other."""
-    has_age = [one.messages["age_ns"].null_count() < len(one.messages) for one in deliveries]
+    has_age = [delivery.messages["age_ns"].null_count() < len(delivery.messages) for delivery in deliveries]
     ends = [number for number, is_aged in enumerate(has_age) if is_aged and number not in sources.values()]
     for chain, end in enumerate(ends):
         path = [deliveries[number] for number in _path_to(end, sources)]
@@ -74,16 +74,16 @@ def hop_rows(deliveries: Sequence[Delivery], sources: Mapping[int, int]) -> Iter
 
 
 def _hops(path: Sequence[Delivery]) -> Iterator[dict[str, object]]:
-    for number, one in enumerate(path):
-        topic, origin, here = one.heard.topic, origin_name(one), one.heard.session.device
+    for number, hop in enumerate(path):
+        topic, origin, device = hop.heard.topic, origin_name(hop), hop.heard.session.device
         if number:
-            times = _processing_ns(path[number - 1], one)
+            times = _processing_ns(path[number - 1], hop)
             yield _hop((path[number - 1].heard.topic, topic), ("receive", "publish"), (origin, origin), times)
         else:
-            times = one.messages["stamp_to_publish_ns"].drop_nulls().to_numpy()
+            times = hop.messages["stamp_to_publish_ns"].drop_nulls().to_numpy()
             yield _hop((topic, topic), ("stamp", "publish"), (origin, origin), times)
-        times, bound_ns = one.messages["one_way_ns"].drop_nulls().to_numpy(), one.messages["bound_ns"].max()
-        yield {**_hop((topic, topic), ("publish", "receive"), (origin, here), times), "bound_ns": bound_ns}
+        times, bound_ns = hop.messages["one_way_ns"].drop_nulls().to_numpy(), hop.messages["bound_ns"].max()
+        yield {**_hop((topic, topic), ("publish", "receive"), (origin, device), times), "bound_ns": bound_ns}
 
 
 def _hop(topics: tuple[str, str], events: tuple[str, str], devices: tuple[str, str], times: Int64) -> dict[str, object]:

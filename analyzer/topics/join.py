@@ -86,23 +86,23 @@ MESSAGE_COLUMNS = {
 
 def find_streams(heard: Sequence[Heard]) -> Iterator[Stream]:
     by_topic: dict[str, list[Heard]] = defaultdict(list)
-    for one in heard:
-        by_topic[one.topic].append(one)
+    for tap in heard:
+        by_topic[tap.topic].append(tap)
     for on_topic in by_topic.values():
         by_publisher: dict[str, list[Heard]] = defaultdict(list)
-        for number, one in enumerate(on_topic):
-            by_publisher[one.publisher or f"unknown {number}"].append(one)
-        left = [
-            Stream(tuple(parts), SEQUENCE if all(one.has_sequence for one in parts) else SOURCE)
+        for number, tap in enumerate(on_topic):
+            by_publisher[tap.publisher or f"unknown {number}"].append(tap)
+        unmatched = [
+            Stream(tuple(parts), SEQUENCE if all(tap.has_sequence for tap in parts) else SOURCE)
             for parts in by_publisher.values()
         ]
-        while left:
-            stream = left.pop(0)
-            for other in list(left):
+        while unmatched:
+            stream = unmatched.pop(0)
+            for other in list(unmatched):
                 key = _shared_key(stream, other)
                 if key is not None:
                     stream = Stream((*stream.heard, *other.heard), key)
-                    left.remove(other)
+                    unmatched.remove(other)
             yield stream
 
 
@@ -120,20 +120,20 @@ def _shared_key(one: Stream, other: Stream) -> Key | None:
 
 
 def deliver(stream: Stream, clocks: DeviceClocks) -> Iterator[Delivery]:
-    arrivals = [_arrivals(one, stream.key) for one in stream.heard]
+    arrivals = [_arrivals(tap, stream.key) for tap in stream.heard]
     sent = _sent(stream.key, arrivals)
     origin, is_assumed = _origin(stream, arrivals, clocks)
     machine = stream.heard[0].machine if origin is None else origin
     sent = _with_publish(stream, arrivals, sent, machine, clocks)
-    for one, arrived in zip(stream.heard, arrivals, strict=True):
-        messages = _messages(stream.key, one, arrived, sent, machine, clocks)
-        clock = "assumed" if is_assumed else "same" if clocks.share_clock(machine, one.machine) else "fit"
+    for tap, arrived in zip(stream.heard, arrivals, strict=True):
+        messages = _messages(stream.key, tap, arrived, sent, machine, clocks)
+        clock = "assumed" if is_assumed else "same" if clocks.share_clock(machine, tap.machine) else "fit"
         if origin is None or messages["bound_ns"].null_count() == len(messages):
             clock = "unknown"
             messages = messages.with_columns(pl.lit(None, pl.Int64).alias(name) for name in _BY_CLOCK)
         missing = [pl.lit(None, pl.Int64).alias(name) for name in _BY_CLOCK if name not in messages.columns]
         messages = messages.with_columns(missing).select(pl.col(n).cast(t) for n, t in MESSAGE_COLUMNS.items())
-        yield Delivery(one, origin, clock, messages)
+        yield Delivery(tap, origin, clock, messages)
 
 
 def _arrivals(heard: Heard, key: Key) -> pl.DataFrame:
@@ -194,9 +194,9 @@ def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceCloc
         return possible[0], False
     if len(stream.machines) == 1:
         return None, False
-    here = stream.machines[0]
+    machine = stream.machines[0]
     reached = [
-        clocks.convert(part["received_ns"].to_numpy(), one.machine, here) for one, part in _zip(stream, arrivals)
+        clocks.convert(part["received_ns"].to_numpy(), one.machine, machine) for one, part in _zip(stream, arrivals)
     ]
     if any((one.bound_ns >= NOT_BOUNDED_NS).all() for one in reached):
         return None, False
@@ -205,9 +205,11 @@ def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceCloc
         for number, (part, one) in enumerate(zip(arrivals, reached, strict=True))
     ]
     all_taps = pl.concat(heard_by).with_columns(late_ns=pl.col("at_ns") - pl.col("at_ns").min().over(stream.key))
-    both = all_taps.filter(pl.len().over(stream.key) > 1)
+    at_both = all_taps.filter(pl.len().over(stream.key) > 1)
     # The fastest messages show the way, others wait for a processor.
-    fastest = both.group_by("tap").agg(pl.col("late_ns").quantile(FASTEST), pl.col("late_ns").mean().alias("mean_ns"))
+    fastest = at_both.group_by("tap").agg(
+        pl.col("late_ns").quantile(FASTEST), pl.col("late_ns").mean().alias("mean_ns")
+    )
     taps = fastest.sort("late_ns", "mean_ns", "tap")["tap"]
     return (stream.heard[taps[0]].machine if len(taps) else None), False
 
@@ -251,8 +253,8 @@ def _with_publish(
 def _messages(
     key: Key, heard: Heard, arrived: pl.DataFrame, sent: pl.DataFrame, machine: Machine, clocks: DeviceClocks
 ) -> pl.DataFrame:
-    own = arrived.select(*key, "duplicates", "reordered", relay_in_ns=pl.col("received_ns"))
-    joined = sent.join(own, on=key, how="left", maintain_order="left")
+    arrivals_here = arrived.select(*key, "duplicates", "reordered", relay_in_ns=pl.col("received_ns"))
+    joined = sent.join(arrivals_here, on=key, how="left", maintain_order="left")
     reached = clocks.convert(joined["relay_in_ns"].fill_null(0).to_numpy(), heard.machine, machine)
     publish_ns, publish_bound_ns = joined["publish_ns"].to_numpy(), joined["publish_bound_ns"].to_numpy()
     bound_ns = np.minimum(reached.bound_ns, NOT_BOUNDED_NS) + publish_bound_ns

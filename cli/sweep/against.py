@@ -127,7 +127,7 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
 
 def say_missing(missing: Mapping[str, str], side: str = "") -> None:
     for reason in dict.fromkeys(missing.values()):
-        first, *more = [name for name, own in missing.items() if own == reason]
+        first, *more = [name for name, cause in missing.items() if cause == reason]
         say(f"{side}{first}{f' and {len(more)} more' if more else ''}: {reason}")
 
 

@@ -178,14 +178,14 @@ def main_command(
 
 
 def _refuse_together(kinds: dict[str, object], dependent: dict[str, object]) -> None:
-    given = [name for name, value in kinds.items() if value]
-    if len(given) > 1:
+    chosen = [name for name, value in kinds.items() if value]
+    if len(chosen) > 1:
         reason = (
             "they start the programs of both devices and cannot wait for a person"
-            if "--print" in given
+            if "--print" in chosen
             else "each is another kind of sweep"
         )
-        raise OptionError(f"{' and '.join(given)} cannot be combined: {reason}; remove one")
+        raise OptionError(f"{' and '.join(chosen)} cannot be combined: {reason}; remove one")
     (option, value), (needed, other) = dependent.items()
     if value is not None and other is None:
         raise OptionError(f"{option} needs {needed}; give both or remove it")
@@ -204,30 +204,30 @@ def _sweep(plan: Plan, out: Path, as_json: bool, until: Until | None, gates: Seq
     if plan.by_hand:
         for line in relay_commands(plan):
             progress.note(line)
-    done = run_sweep(plan, out, progress, until=until)
-    complete = done.cells - len(done.missing)
-    judged = judge(done.folder, gates) if gates and complete else []
+    outcome = run_sweep(plan, out, progress, until=until)
+    complete = outcome.cells - len(outcome.missing)
+    judged = judge(outcome.folder, gates) if gates and complete else []
     if as_json:
-        result = {"folder": str(done.folder), "cells": done.cells, "missing": done.missing}
+        result = {"folder": str(outcome.folder), "cells": outcome.cells, "missing": outcome.missing}
         if until is not None:  # JSON has no infinity
             result["too_wide"] = {
-                name: width if math.isfinite(width) else None for name, width in done.too_wide.items()
+                name: width if math.isfinite(width) else None for name, width in outcome.too_wide.items()
             }
         if gates:
-            result["thresholds"] = [one.to_json() for one in judged]
+            result["thresholds"] = [judgement.to_json() for judgement in judged]
         print(json.dumps(result))
     else:
-        print(f"Wrote {done.folder}")
-        print(f"{complete} of {counted(done.cells, 'recording is', 'recordings are')} complete")
+        print(f"Wrote {outcome.folder}")
+        print(f"{complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
         print("".join(f"{line}\n" for line in shown(judged)), end="")
-    say_missing(done.missing)
-    for name, width in done.too_wide.items():
+    say_missing(outcome.missing)
+    for name, width in outcome.too_wide.items():
         assert until is not None
         precision = f"known to +-{width:.1f} %" if math.isfinite(width) else "without a two-sided interval"
         print(f"{name}: {until.statistic} is {precision} after the last repeat", file=sys.stderr)
-    if done.missing:
+    if outcome.missing:
         return INCOMPLETE_EXIT_CODE
-    return exit_code_of(judged) or (TOO_WIDE_EXIT_CODE if done.too_wide else 0)
+    return exit_code_of(judged) or (TOO_WIDE_EXIT_CODE if outcome.too_wide else 0)
 
 
 def _search(plan: Plan, out: Path, as_json: bool) -> int:

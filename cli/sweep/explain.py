@@ -37,20 +37,20 @@ def run_explanation(explanation: Explanation, out: Path, *, as_json: bool) -> in
 
     from .against import say_missing
 
-    done = run_sweep(explanation.plan, out, make_progress(plain_console(stderr=True)))
-    answers, left_out = answer(explanation, done.folder) if len(done.missing) < done.cells else ({}, {})
+    outcome = run_sweep(explanation.plan, out, make_progress(plain_console(stderr=True)))
+    answers, left_out = answer(explanation, outcome.folder) if len(outcome.missing) < outcome.cells else ({}, {})
     left_out = {**explanation.left_out, **left_out}
     if as_json:
         explained = [{"setup": name, **(asdict(one) if one else {})} for name, one in answers.items()]
-        result = {"folder": str(done.folder), "cells": done.cells, "missing": done.missing}
+        result = {"folder": str(outcome.folder), "cells": outcome.cells, "missing": outcome.missing}
         print(json.dumps({**result, "explained": explained, "left_out": left_out}))
     else:
-        print(f"Wrote {done.folder}")
+        print(f"Wrote {outcome.folder}")
         for setup in explanation.setups:
             print("\n".join(_lines(explanation, setup, answers.get(setup.name))))
         print("".join(f"not varied: {_WORDS.get(name, name)}: {reason}\n" for name, reason in left_out.items()), end="")
-    say_missing(done.missing)
-    return INCOMPLETE_EXIT_CODE if done.missing else 0
+    say_missing(outcome.missing)
+    return INCOMPLETE_EXIT_CODE if outcome.missing else 0
 
 
 def answer(explanation: Explanation, folder: Path) -> tuple[dict[str, Answer | None], dict[str, str]]:
@@ -70,7 +70,9 @@ def answer(explanation: Explanation, folder: Path) -> tuple[dict[str, Answer | N
     varied = {key for setup in explanation.setups for key in setup.pairs}
     answers = {}
     for setup in explanation.setups:
-        pairs = {key: (one.name, other.name) for key, (one, other) in setup.pairs.items() if key not in refused}
+        pairs = {
+            key: (base_run.name, other.name) for key, (base_run, other) in setup.pairs.items() if key not in refused
+        }
         cells = setup.pairs[AS_IS]
         if explanation.is_of_rates and NATIVE not in pairs and cells[0].backend == "ros2":
             pairs[CLIENT] = f"{cells[0].name} {CLIENT}", f"{cells[1].name} {CLIENT}"
@@ -84,29 +86,29 @@ def answer(explanation: Explanation, folder: Path) -> tuple[dict[str, Answer | N
     return answers, {key: reason for key, reason in refused.items() if key in varied}
 
 
-def _lines(explanation: Explanation, setup: ExplainedSetup, found: Answer | None) -> Iterator[str]:
+def _lines(explanation: Explanation, setup: ExplainedSetup, result: Answer | None) -> Iterator[str]:
     from dds_trace.recorder.sweep.explain import AS_IS
 
     before, after = setup.pairs[AS_IS]
-    if found is None:
+    if result is None:
         yield f"{setup.name}: not measured"
     elif explanation.is_of_rates:
-        yield f"{setup.name}: from {before.rate:g} Hz to {after.rate:g} Hz the median rises by {_shown(found.rise, format_duration)}"
-        if not found.rise.is_sure:
+        yield f"{setup.name}: from {before.rate:g} Hz to {after.rate:g} Hz the median rises by {_shown(result.rise, format_duration)}"
+        if not result.rise.is_sure:
             yield "  no rise is shown here: record more repeats, or on a quieter machine"
             return
-        yield from (f"  {one.name}: {_shown(one, format_duration)}, {one.share:.0%}" for one in found.shares)
+        yield from (f"  {cause.name}: {_shown(cause, format_duration)}, {cause.share:.0%}" for cause in result.shares)
         yield from (
-            f"  with {_WORDS[one.name]}: less by {_shown(one, format_duration)}, {one.share:.0%}"
-            for one in found.removed
+            f"  with {_WORDS[cause.name]}: less by {_shown(cause, format_duration)}, {cause.share:.0%}"
+            for cause in result.removed
         )
     else:
         sizes = f"{format_size(after.size or 0)} as at {format_size(before.size or 0)}"
-        yield f"{setup.name}: the median takes {_shown(found.rise, '{:.3g}'.format)} times as long at {sizes}"
-        for one in found.removed:
-            words = set(setup.pairs[one.name][0].changed_axes) - set(before.changed_axes)
-            yield f"  with {' '.join(sorted(words))}: {_shown(one, '{:.3g}'.format)} times less"
-        yield f"  what moves it: {found.cause or ('not known' if found.rise.is_sure else 'no jump is shown here')}"
+        yield f"{setup.name}: the median takes {_shown(result.rise, '{:.3g}'.format)} times as long at {sizes}"
+        for cause in result.removed:
+            words = set(setup.pairs[cause.name][0].changed_axes) - set(before.changed_axes)
+            yield f"  with {' '.join(sorted(words))}: {_shown(cause, '{:.3g}'.format)} times less"
+        yield f"  what moves it: {result.cause or ('not known' if result.rise.is_sure else 'no jump is shown here')}"
 
 
 def _shown(effect: Effect, shown: Callable[[float], str]) -> str:

@@ -82,7 +82,7 @@ def judge(folder: Path, gates: Sequence[Gate]) -> list[Judged]:
 def shown(judged: Sequence[Judged]) -> list[str]:
     if not judged:
         return []
-    failing = [str(one) for one in judged if one.outcome != "passed"]
+    failing = [str(judgement) for judgement in judged if judgement.outcome != "passed"]
     return [*failing, f"{len(judged) - len(failing)} of {counted(len(judged), 'threshold')} passed"]
 
 
@@ -91,7 +91,7 @@ def exit_code_of(judged: Sequence[Judged]) -> int:
         return 0
     from dds_trace.analyzer.verdicts.gates import overall_outcome
 
-    return overall_outcome([one.result for one in judged]).exit_code
+    return overall_outcome([judgement.result for judgement in judged]).exit_code
 
 
 def precision(text: str, max_passes: int | None, plan: Plan) -> Until:

@@ -130,12 +130,12 @@ def _receive_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None
 
 
 def _segment(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:
-    own = [file.size_bytes for file in _memory_of(requested, applied) if file.role == SEGMENT and file.is_own]
+    sizes = [file.size_bytes for file in _memory_of(requested, applied) if file.role == SEGMENT and file.is_own]
     asked_bytes = requested.segment_bytes
-    if requested.vendor != "fastdds" or not asked_bytes or not own or asked_bytes <= max(own) <= 2 * asked_bytes:
+    if requested.vendor != "fastdds" or not asked_bytes or not sizes or asked_bytes <= max(sizes) <= 2 * asked_bytes:
         return None
-    words = f"asked for a segment of {asked_bytes:,} bytes, the mapped one has {max(own):,}"
-    return Difference(Setting.SEGMENT, str(asked_bytes), str(max(own)), words)
+    words = f"asked for a segment of {asked_bytes:,} bytes, the mapped one has {max(sizes):,}"
+    return Difference(Setting.SEGMENT, str(asked_bytes), str(max(sizes)), words)
 
 
 def _send_buffer(requested: Asked, applied: Applied, _traffic: Traffic | None) -> Difference | None:

@@ -140,16 +140,16 @@ class ConnextNode(ThreadedNode):
 
     def look_at(self, topic: str) -> TopicView:
         qos = self.options.qos  # Connext does not report own endpoints
-        own = Qos(qos.reliability, qos.durability, "", 0, qos.extra)
+        reported = Qos(qos.reliability, qos.durability, "", 0, qos.extra)
         publishers = self._endpoints(self._participant.publication_reader, topic)
         subscriptions = self._endpoints(self._participant.subscription_reader, topic)
         publishers += [
-            Endpoint(self.options.name, ros_name(writer.writer.type_name), own)
+            Endpoint(self.options.name, ros_name(writer.writer.type_name), reported)
             for writer in self._writers
             if not writer.writer.closed and writer.writer.topic_name == dds_topic(topic)
         ]
         subscriptions += [
-            Endpoint(self.options.name, ros_name(reader.type_name), own)
+            Endpoint(self.options.name, ros_name(reader.type_name), reported)
             for reader, _ in self._readers
             if reader.topic_name == dds_topic(topic)
         ]

@@ -173,8 +173,8 @@ class CycloneNode(ThreadedNode):
         # has a message.
         waitset, patience_ns = self._waitset, round(ROUND_S * SECOND_NS)
         addresses = (c_void_p * MAX_TRIGGERS)()
-        library, own = waitset._dll_handle, waitset._ref  # noqa: SLF001
-        wait = partial(library.dds_waitset_wait, own, addresses, MAX_TRIGGERS, patience_ns)
+        library, handle = waitset._dll_handle, waitset._ref  # noqa: SLF001
+        wait = partial(library.dds_waitset_wait, handle, addresses, MAX_TRIGGERS, patience_ns)
         take = _take()
 
         def receive_round() -> None:

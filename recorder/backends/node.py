@@ -353,8 +353,8 @@ class Node(ABC):
 
     def explain_security(self) -> str:
         """Return in words that the other side is secured and this one is not, or the other way round; slow."""
-        place = self.middleware.backend, str(self.options.domain_id), self.options.discovery.value
-        return unlike_participant(self.participant_names(), self.options.security, place)
+        network = self.middleware.backend, str(self.options.domain_id), self.options.discovery.value
+        return unlike_participant(self.participant_names(), self.options.security, network)
 
     def participant_names(self) -> list[str]:
         """Return the names of the participants (ROS: nodes) seen so far, the own one included."""

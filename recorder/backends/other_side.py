@@ -33,13 +33,13 @@ def name_of_participant(name: str, security: Security) -> str:
     return name if security is Security.OFF else f"{name}_{security.value.replace('-', '_')}"
 
 
-def unlike_participant(names: Iterable[str], security: Security, place: Iterable[str]) -> str:
+def unlike_participant(names: Iterable[str], security: Security, network: Iterable[str]) -> str:
     """Return in words that there is a relay with security, or next to a secured node one without; the node sees `names`.
 
     `place` is the node's backend, domain and discovery range.
     """
     secured = security is not Security.OFF
-    for name in sorted(_names_without_security(*place) if secured else names):
+    for name in sorted(_names_without_security(*network) if secured else names):
         match = _SECURED_NAME.fullmatch(name)
         if name.startswith("dds_trace_relay_") and bool(match) is not secured:
             level = f"with --security {match[1].replace('_', '-')}" if match else "without --security"
@@ -47,9 +47,9 @@ def unlike_participant(names: Iterable[str], security: Security, place: Iterable
     return ""
 
 
-def _names_without_security(*place: str) -> Iterable[str]:
+def _names_without_security(*network: str) -> Iterable[str]:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("ROS_SECURITY_")}
-    command = [sys.executable, "-c", _LOOK, *place]
+    command = [sys.executable, "-c", _LOOK, *network]
     try:
         completed = subprocess.run(command, env=environment, capture_output=True, timeout=LOOK_PATIENCE_S, check=True)
         return map(str, json.loads(completed.stdout))

@@ -139,7 +139,7 @@ class ZenohNode(Node):
         keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
         publications = [parse_token(key) or _own_publication(key) for key in sorted(keys)]
         return [
-            *(one for one in publications if one is not None and matches(one.topic)),
+            *(publication for publication in publications if publication is not None and matches(publication.topic)),
             *(Publication(text, "") for text in matches.texts if not text.startswith("/")),  # keys outside ROS
         ]
 

@@ -103,8 +103,8 @@ class ClockEstimate:
             return None
         origin = windows[0]
         rows = [
-            (1 / max(one.width_ns, 1) ** 2, one.at_ns - origin.at_ns, one.middle_ns - origin.middle_ns)
-            for one in windows
+            (1 / max(window.width_ns, 1) ** 2, window.at_ns - origin.at_ns, window.middle_ns - origin.middle_ns)
+            for window in windows
         ]
         total = sum(weight for weight, _, _ in rows)
         mean_at, mean_offset = (sum(row[0] * row[column] for row in rows) / total for column in (1, 2))

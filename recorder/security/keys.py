@@ -131,14 +131,14 @@ def make_keys(path: Path, level: Security) -> None:
         folder = draft / "enclaves" / side
         folder.mkdir(parents=True)
         certificate, key = authority.issue(f"dds_trace_{side}")
-        own = {
+        files = {
             "cert.pem": certificate.public_bytes(Encoding.PEM),
             "key.pem": key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()),
             "permissions.p7s": authority.sign_text(
                 permissions(f"CN=dds_trace_{side}", *(f"{time:%Y-%m-%dT%H:%M:%S}" for time in authority.valid))
             ),
         }
-        for name, data in {**signed, **own}.items():
+        for name, data in {**signed, **files}.items():
             (folder / name).write_bytes(data)
     (draft / LEVEL_FILE).write_text(level.value)
     with suppress(OSError):  # the other side was faster

@@ -27,18 +27,18 @@ def reader_of(type_name: str, members: Members) -> Callable[[bytes], int | None]
 
 def definition_of(type_name: str, members: Members) -> str:
     """Return the text of a type and of those that it is made of, without constants; empty if one of them is unknown."""
-    left, sections = [plain_name(type_name)], dict[str, str]()
-    while left:
-        name = left.pop(0)
+    remaining, sections = [plain_name(type_name)], dict[str, str]()
+    while remaining:
+        name = remaining.pop(0)
         if name in sections or "/" not in name:
             continue
         fields = _fields(name, members)
         if fields is None:
             return _definition(type_name)
         sections[name] = "".join(
-            f"{one.type.replace('octet', 'byte')}{_brackets(one.length)} {one.name}\n" for one in fields
+            f"{field.type.replace('octet', 'byte')}{_brackets(field.length)} {field.name}\n" for field in fields
         )
-        left += [one.type for one in fields]
+        remaining += [field.type for field in fields]
     first, *others = sections.items()
     return first[1] + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)
 
@@ -48,12 +48,12 @@ def _brackets(length: int | None) -> str:
 
 
 def _fields(name: str, members: Members) -> Fields | None:
-    package, slash, rest = name.partition("/")
+    package, slash, short_name = name.partition("/")
     if not slash:
         return None
-    full_name = f"{package}/msg/{rest}"
-    found = members(full_name) or DDS_TYPES.get(full_name)
-    return None if found is None else tuple(_field(member, text) for member, text in found.items())
+    full_name = f"{package}/msg/{short_name}"
+    definition = members(full_name) or DDS_TYPES.get(full_name)
+    return None if definition is None else tuple(_field(member, text) for member, text in definition.items())
 
 
 def _field(name: str, text: str) -> Field:

@@ -209,11 +209,11 @@ class Tap:
         """Take the topic's publishers from the graph; a message without source is then of the only one, or of any."""
         if {p.publisher for p in publications} == {p.publisher for p in topic.publications} and topic.publications:
             return
-        left = {p.publisher for p in topic.publications} - {p.publisher for p in publications}
+        ended = {p.publisher for p in topic.publications} - {p.publisher for p in publications}
         topic.publications = publications
         topic.streams.pop(None, None)
         for stream in self.streams:
-            if stream.publication.topic == topic.name and stream.publisher in left and stream.stopped_at is None:
+            if stream.publication.topic == topic.name and stream.publisher in ended and stream.stopped_at is None:
                 self._note(f"{topic.name}: its publisher {stream.publication.node_name} left")
                 self._stop(stream)
 
@@ -279,8 +279,8 @@ class Tap:
             only = publications[0] if len(publications) == 1 else None
             return (None if only is None else only.publisher), only or Publication(topic.name, topic.type_name)
         publisher = self._node.publisher_of(source)
-        named = [publication for publication in publications if publication.publisher == publisher]
-        likely = named or (publications if len(publications) == 1 else [])
+        matching = [publication for publication in publications if publication.publisher == publisher]
+        likely = matching or (publications if len(publications) == 1 else [])
         return publisher, next(iter(likely), Publication(topic.name, topic.type_name, publisher))
 
     def _describe(self, stream: Stream, state: State) -> None:

@@ -56,15 +56,15 @@ FIGURES: list[FigureMaker | LineFigure] = [
 def drawn_figures(book: Book) -> list[tuple[FigureMaker | LineFigure, Figure | LeftOut]]:
     """Draw every figure; for a few groups the chart of dots replaces those that need more."""
     few = is_few(book)
-    made = []
+    figures = []
     for maker in FIGURES:
         if maker is costs.DOTS and not few:
             continue
         drawn = maker.draw(book)
         if few and not maker.few and isinstance(drawn, Figure):
             drawn = LeftOut(drawn.name, drawn.title, "so few results are in the first figure, all in one.")
-        made.append((maker, drawn))
-    return made
+        figures.append((maker, drawn))
+    return figures
 
 
 MOST_OPENED_PANELS = 9

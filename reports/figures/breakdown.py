@@ -44,7 +44,7 @@ def breakdown_info(book: Book) -> Breakdown:
         parts.setdefault(group, []).append(MeanPart(part, round(mean_ns), whole_ns(bound_ns)))
     facet = plane_facet(book)
     panels = facet_panels(book, facet, parts.__contains__)
-    return Breakdown(facet, panels, {group: tuple(own) for group, own in parts.items()})
+    return Breakdown(facet, panels, {group: tuple(values) for group, values in parts.items()})
 
 
 def breakdown_figure(info: Breakdown) -> Figure | LeftOut:

@@ -151,12 +151,12 @@ def facet_panels(book: Book, facet: Facet, drawn: Test = lambda _: True, least: 
         (_, first), *_ = next(iter(lines.values()))
         names = [facets.label(key, first) for key in (*columns, *rows) if facets.varies(key)]
         title = ", ".join(filter(None, names)) or facets.label("data", first)
-        made = [Line(line, *map(tuple, zip(*sorted(own), strict=True))) for line, own in sorted(lines.items())]
-        parts = -(-len(made) // MOST_LINES)
-        most = -(-len(made) // parts)
+        drawn_lines = [Line(line, *map(tuple, zip(*sorted(own), strict=True))) for line, own in sorted(lines.items())]
+        parts = -(-len(drawn_lines) // MOST_LINES)
+        most = -(-len(drawn_lines) // parts)
         for part in range(parts):
             ending = f" ({part + 1} of {parts})" if parts > 1 else ""
-            panels.append(Panel(f"{title}{ending}", tuple(made[part * most : (part + 1) * most]), part + 1))
+            panels.append(Panel(f"{title}{ending}", tuple(drawn_lines[part * most : (part + 1) * most]), part + 1))
     return tuple(panels)
 
 

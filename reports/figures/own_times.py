@@ -49,7 +49,7 @@ def recovery_info(book: Book) -> OwnTimes:
     times: dict[int, list[int]] = {}
     for group, back_ns in recoveries.filter(~recoveries["never"]).select("group", "back_ns").iter_rows():
         times.setdefault(group, []).append(back_ns)
-    medians = {group: round(median(own)) for group, own in times.items()}
+    medians = {group: round(median(values)) for group, values in times.items()}
     facet = Facet("rest", "link", "vendor")
     return OwnTimes(facet, facet_panels(book, facet, medians.__contains__), medians)
 

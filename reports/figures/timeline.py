@@ -75,7 +75,7 @@ def timeline_figure(info: Timeline) -> Figure | LeftOut:
     )
     if not info.groups:
         return LeftOut(name, title, "no message was published.")
-    groups = {str(one.group): one for one in info.groups}
+    groups = {str(row.group): row for row in info.groups}
     outages = {str(group): spans for group, spans in info.outages.items()}
     plan = {"groups": groups, "decimated": info.decimated, "outages": outages}
     return Figure(name, title, how_to_read, "timeline", plan)
@@ -97,7 +97,7 @@ def _outages(book: Book) -> dict[int, tuple[tuple[float, float], ...]]:
         if run_id in origin_ns and end_ns is not None and len(group_spans) < MOST_OUTAGES:
             start, end = ((ns - origin_ns[run_id]) / 1e9 for ns in (start_ns, end_ns))
             group_spans.append((round(start, 4), round(end, 4)))
-    return {group: tuple(sorted(own)) for group, own in spans.items() if own}
+    return {group: tuple(sorted(outages)) for group, outages in spans.items() if outages}
 
 
 def _slices(

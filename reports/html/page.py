@@ -95,8 +95,8 @@ def live_script() -> str:
 
 
 def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
-    made = drawn_figures(book)
-    drawn = [(maker, figure) for maker, figure in made if isinstance(figure, Figure)]
+    figures = drawn_figures(book)
+    drawn = [(maker, figure) for maker, figure in figures if isinstance(figure, Figure)]
     unpack, plotly, script = _asset(UNPACK_SCRIPT), get_plotlyjs(), "\n".join(map(_asset, scripts))
     unit = _common_unit(book.sizes)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -128,7 +128,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         campaign_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CAMPAIGN],
         cell_figures=[(maker, figure) for maker, figure in drawn if maker.scope is Scope.CELL],
         opened=opened_figures(book, drawn),
-        left_out=[figure for _, figure in made if isinstance(figure, LeftOut)],
+        left_out=[figure for _, figure in figures if isinstance(figure, LeftOut)],
         environment=book.environment,
         record_tables=book.record_tables,
         topic_tables=book.topic_tables,
@@ -154,7 +154,7 @@ def _common_unit(table: SizeTable | None) -> str:
 
 
 def _medians_ns(table: SizeTable | None) -> list[float]:
-    rows = [row for place in (table.places if table else ()) for row in (*place.rows, *place.further)]
+    rows = [row for site in (table.places if table else ()) for row in (*site.rows, *site.further)]
     return [cell.p50_ns for row in rows for cell in row.cells if cell and _is_time(cell.p50_ns)]
 
 
@@ -204,12 +204,14 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
             if values.has(key)
         ],
         "statistics": [{"key": key, "label": label} for key, label in STATISTIC_LABELS.items()],
-        "filters": [{"key": one.key, "label": one.label, "options": one.options} for one in filters],
+        "filters": [
+            {"key": filtering.key, "label": filtering.label, "options": filtering.options} for filtering in filters
+        ],
         "groups": {
             "count": len(groups.groups),
             "series": [group.series for group in groups.groups],
             "cell": [group.cell for group in groups.groups],
-            "filters": {one.key: one.index for one in filters},
+            "filters": {filtering.key: filtering.index for filtering in filters},
         },
         "series": [
             {"label": label, "domain": series.domain_mode, "commands": commands}
@@ -275,12 +277,12 @@ def _island(book: Book, figures: list[Figure]) -> dict[str, object]:
 def _commands(book: Book) -> list[list[str]]:
     rows = book.analysis.summary.to_dicts()
     first = {group.series: group.index for group in reversed(book.groups.groups)}
-    made = []
+    commands = []
     for series in range(len(book.groups.series)):
         row = rows[first[series]]
         job = Job(row["data_type"], row["payload_bytes"], row["rate_hz"], 1, 0.5)
-        made.append([command for _, command in recording_commands(row, job, 1)])
-    return made
+        commands.append([command for _, command in recording_commands(row, job, 1)])
+    return commands
 
 
 @dataclass(frozen=True, slots=True)

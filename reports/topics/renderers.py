@@ -64,8 +64,13 @@ def render_json(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:
         ],
         "topics": topics,
         "gates": [
-            {"gate": one.gate.text, "recording": one.recording, "topic": one.topic, "outcome": one.outcome.value}
-            for one in judged
+            {
+                "gate": outcome.gate.text,
+                "recording": outcome.recording,
+                "topic": outcome.topic,
+                "outcome": outcome.outcome.value,
+            }
+            for outcome in judged
         ],
         "sources": [asdict(source) for source in report.sources],
     }
@@ -126,8 +131,8 @@ def render_markdown(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> 
         rows = [row for row, _, _ in topics]
         lines += [f"## {markdown(health.path)}", "", f"**{markdown(verdict_words(health, rows))}**", ""]
         lines += [f"{markdown(facts_words(health, len(rows)))}.", ""]
-        said = [*pause_lines(health), *health.damages, *health.notes]
-        lines += [*(f"- {markdown(line)}" for line in said), ""] if said else []
+        notes = [*pause_lines(health), *health.damages, *health.notes]
+        lines += [*(f"- {markdown(line)}" for line in notes), ""] if notes else []
         lines += [f"| {' | '.join(COLUMNS)} | Time |", f"|---|{'---:|' * (len(COLUMNS) - 1)}---|"]
         for row, _, strip in topics:
             shown = strip_text(strip, is_periodic=row["missing_from"] != "").replace(" ", "\u2007")
@@ -138,7 +143,7 @@ def render_markdown(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> 
             for line in (*hole_lines(row, holes), *topic_notes(row))
         ]
         lines += ["", *about, ""]
-    lines += [f"- {markdown(f'{one.outcome.value}: {one.gate.text}, {one.topic}')}" for one in judged]
+    lines += [f"- {markdown(f'{outcome.outcome.value}: {outcome.gate.text}, {outcome.topic}')}" for outcome in judged]
     return "\n".join([*lines, "", HOW_TO_READ, ""])
 
 
@@ -154,7 +159,7 @@ def render_page(report: TopicReport, judged: Sequence[JudgedTopic] = ()) -> str:
         columns=COLUMNS,
         width=STRIP_WIDTH,
         recordings=[_recording(report, health) for health in report.recordings],
-        judged=[(one.outcome.value, one.gate.text, printable(one.topic)) for one in judged],
+        judged=[(outcome.outcome.value, outcome.gate.text, printable(outcome.topic)) for outcome in judged],
         how_to_read=HOW_TO_READ,
     )
 
@@ -189,9 +194,9 @@ def _blocks(
     if not row["missing_from"]:
         part = STRIP_WIDTH / len(strip)
         return [(round(at * part, 1), round(part, 1), "some", "") for at, share in enumerate(strip) if share]
-    left = (row["start_ns"] - health.start_ns) / 1e9 * scale
+    start = (row["start_ns"] - health.start_ns) / 1e9 * scale
     width = row["duration_ns"] / 1e9 * scale
-    drawn = [(round(left, 1), round(width, 1), "there", "")]
+    drawn = [(round(start, 1), round(width, 1), "there", "")]
     for hole in holes:
         title = f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])}"
         kind = "inside" if hole["inside"] else "hole"

@@ -38,9 +38,9 @@ class JudgedTopic:
 
 
 def clock_words(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, seconds_part = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes:02}:{rest:02}"
+    return f"{hours}:{minutes:02}:{seconds_part:02}" if hours else f"{minutes:02}:{seconds_part:02}"
 
 
 def seconds_words(seconds: float) -> str:
@@ -52,12 +52,12 @@ def seconds_words(seconds: float) -> str:
 def verdict_words(health: RecordingHealth, rows: Sequence[Row]) -> str:
     lacking = [row for row in rows if row["missing_low"]]
     missing = sum(row["missing"] for row in lacking)
-    said = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
+    sentence = f"{missing:,} {'message is' if missing == 1 else 'messages are'} missing on {len(lacking)} of {counted(len(rows), 'topic')}"
     if health.verdict == "damaged":
         damages = counted(len(health.damages), "damage")
-        return f"damaged: {damages}" + (f"; {said} of what can be read" if lacking else "")
+        return f"damaged: {damages}" + (f"; {sentence} of what can be read" if lacking else "")
     if health.verdict == "holes":
-        return f"holes: {said}" if lacking else f"holes: all topics stopped {counted(len(health.pauses), 'time')}"
+        return f"holes: {sentence}" if lacking else f"holes: all topics stopped {counted(len(health.pauses), 'time')}"
     unknown = sum(row["missing"] is None for row in rows)
     more = f" (of {counted(unknown, 'topic')} nothing is known: not periodic)" if unknown else ""
     return f"whole: nothing is known to be missing{more}"
@@ -91,10 +91,10 @@ def hole_lines(row: Row, holes: Sequence[Row]) -> Iterator[str]:
         inside = ", as of all topics" if hole["inside"] else ""
         count = counted(hole["missing"], "message") if hole["missing"] else "none was sent"
         yield f"nothing for {seconds_words(hole['duration_s'])} at {clock_words(hole['start_s'])} ({count}{inside})"
-    left = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
-    if left > 0:
+    elsewhere = (row["missing"] or 0) - sum(hole["missing"] for hole in shown)
+    if elsewhere > 0:
         more = "more " if shown else ""
-        yield f"{left:,} {more}{'message is' if left == 1 else 'messages are'} missing, in short holes"
+        yield f"{elsewhere:,} {more}{'message is' if elsewhere == 1 else 'messages are'} missing, in short holes"
 
 
 def missing_words(row: Row) -> str:

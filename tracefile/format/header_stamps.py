@@ -174,14 +174,14 @@ class _Walk:
             raise ValueError("longer than the message")
         return int(value)
 
-    def length(self, one: Field) -> int:
+    def length(self, field: Field) -> int:
         """Return how many values follow; in version 2 their size comes first unless they are numbers."""
-        if one.length is None:
+        if field.length is None:
             return 1
-        if self.widest == 4 and one.type not in _SIZES:
+        if self.widest == 4 and field.type not in _SIZES:
             self.align(4)
             self.at += 4
-        return one.length if one.length >= 0 else self.count()
+        return field.length if field.length >= 0 else self.count()
 
     def time(self) -> int:
         self.align(4)
@@ -209,8 +209,8 @@ class _Walk:
         if self.steps < 0:
             raise ValueError("too much before the stamp")
 
-    def skip(self, one: Field) -> None:
-        length, size = self.length(one), _SIZES.get(one.type)
+    def skip(self, field: Field) -> None:
+        length, size = self.length(field), _SIZES.get(field.type)
         if size is not None:
             if length:
                 self.align(size)
@@ -218,14 +218,14 @@ class _Walk:
             return
         for _ in range(length):
             self.step()
-            if one.type == "string":
+            if field.type == "string":
                 length_bytes = self.count()
                 self.at += length_bytes
-            elif one.type in _PAIR_OF_32_BITS:
+            elif field.type in _PAIR_OF_32_BITS:
                 self.align(4)
                 self.at += 8
             else:
-                fields = self.types.fields(one.type)
+                fields = self.types.fields(field.type)
                 if fields is None:
                     raise ValueError("unknown type")
                 self.at += not fields and self.is_cdr  # an empty structure has one byte

@@ -167,7 +167,7 @@ def _inspect(trace: Path) -> _KilledTrace:
     ring, fault = _read_ring(ring_file, counts.tickets, sessions[-1] if sessions else None)
     if ring is not None and ring.recording:
         raise OptionError(f"{trace} is still being recorded; stop the recorder first")
-    if ring is not None and sessions and ring.session.session_id not in {one.session_id for one in sessions}:
+    if ring is not None and sessions and ring.session.session_id not in {session.session_id for session in sessions}:
         raise TraceFormatError(
             ring_file, f"this ring belongs to another recording than {trace.name}; move one of them away"
         )

@@ -90,12 +90,12 @@ def set_discovery_range(discovery: Discovery) -> None:
 
 def set_security(options: NodeOptions) -> None:
     if options.keys is not None:
-        own = enclave(options.keys, listens=options.listens)
+        enclave_name = enclave(options.keys, listens=options.listens)
         os.environ |= {
             "ROS_SECURITY_ENABLE": "true",
             "ROS_SECURITY_STRATEGY": "Enforce",
-            "ROS_SECURITY_KEYSTORE": str(own.parents[1]),
-            "ROS_SECURITY_ENCLAVE_OVERRIDE": f"/{own.name}",
+            "ROS_SECURITY_KEYSTORE": str(enclave_name.parents[1]),
+            "ROS_SECURITY_ENCLAVE_OVERRIDE": f"/{enclave_name.name}",
         }
 
 

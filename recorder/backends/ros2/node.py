@@ -137,8 +137,8 @@ class Ros2Node(ThreadedNode):
 
     def _is_local(self, guid: bytes) -> bool | None:
         infos = self._node.get_publishers_info_by_topic("/parameter_events")
-        own = next((bytes(info.endpoint_gid) for info in infos if info.node_name == self.options.name), b"")
-        return own[:_HOST_BYTES] == guid[:_HOST_BYTES] if own[:2] == guid[:2] == _FAST_DDS else None
+        own_gid = next((bytes(info.endpoint_gid) for info in infos if info.node_name == self.options.name), b"")
+        return own_gid[:_HOST_BYTES] == guid[:_HOST_BYTES] if own_gid[:2] == guid[:2] == _FAST_DDS else None
 
     def create_tap(self, topic: str, type_name: str, receive: TapReceive, *, qos: Qos) -> Subscription:
         on_message = _with_sequence(receive, stamps_reception=ros_middleware(running_rmw()).stamps_reception)
@@ -415,9 +415,9 @@ def _other_definitions(topic: str, infos: Sequence[Any], own_name: str) -> Itera
     """Yield a line for each endpoint of another definition than ours: Fast DDS would misread its messages."""
     hashes = [(info, str(getattr(info, "topic_type_hash", ""))) for info in infos]
     hashes = [(info, text) for info, text in hashes if text.startswith("RIHS")]  # other vendors have none
-    own = {info.topic_type: text for info, text in hashes if info.node_name == own_name}
+    our_types = {info.topic_type: text for info, text in hashes if info.node_name == own_name}
     for info, text in hashes:
-        if text != own.get(info.topic_type, text):
+        if text != our_types.get(info.topic_type, text):
             yield f"{topic}: {info.node_name}'s {info.topic_type} has the same name and another definition"
 
 

@@ -23,13 +23,15 @@ def middlewares_of(cell: Cell) -> Middlewares:
 def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, str]:
     reasons: dict[tuple[str, str | None, str | None, bool], str | None] = {}
 
-    def reason_of(backend: str, rmw: str | None, own: str | None, *, is_remote: bool) -> str | None:
-        key = backend, rmw, own, is_remote
+    def reason_of(backend: str, rmw: str | None, middleware: str | None, *, is_remote: bool) -> str | None:
+        key = backend, rmw, middleware, is_remote
         if key not in reasons:
             reasons[key] = None if is_remote else _missing_here(backend, rmw)
             # Only the middleware itself knows which keys it knows.
-            if is_remote or (not reasons[key] and (own is not None or load_backend(backend).environment.sources())):
-                arguments = relay_arguments(plan, Cell(backend=backend, rmw=rmw, configuration=own))
+            if is_remote or (
+                not reasons[key] and (middleware is not None or load_backend(backend).environment.sources())
+            ):
+                arguments = relay_arguments(plan, Cell(backend=backend, rmw=rmw, configuration=middleware))
                 reasons[key] = device.rehearse(arguments)
         return reasons[key]
 

@@ -22,7 +22,7 @@ CELL_WIDTH = 25
 class SweepProgress:
     """Receiver of the steps of a sweep; ignores them."""
 
-    def begin(self, cells: int, done: int) -> None:
+    def begin(self, cells: int, complete: int) -> None:
         """Start with the number of cells (0: not fixed), and of complete ones."""
 
     def relay(self, name: str) -> None:
@@ -46,10 +46,10 @@ class PlainProgress(SweepProgress):
         self._console = console
         self._cells = self._done = 0
 
-    def begin(self, cells: int, done: int) -> None:
-        self._cells, self._done = cells, done
-        if done:
-            self.note(f"{done} of {counted(cells, 'recording is', 'recordings are')} there already")
+    def begin(self, cells: int, complete: int) -> None:
+        self._cells, self._done = cells, complete
+        if complete:
+            self.note(f"{complete} of {counted(cells, 'recording is', 'recordings are')} there already")
 
     def relay(self, name: str) -> None:
         self.note(f"relay: {name}")
@@ -77,9 +77,9 @@ class RichProgress(PlainProgress):
         )
         self._task = self._progress.add_task("sweep", cell="", left="")
 
-    def begin(self, cells: int, done: int) -> None:
-        super().begin(cells, done)
-        self._progress.update(self._task, total=cells or None, completed=done)
+    def begin(self, cells: int, complete: int) -> None:
+        super().begin(cells, complete)
+        self._progress.update(self._task, total=cells or None, completed=complete)
         self._progress.start()
 
     def cell(self, name: str, remaining: Remaining) -> None:

@@ -104,9 +104,9 @@ class Runner:
 
     def run(self, groups: list[CellGroup]) -> None:
         cells = [cell for group in groups for cell in group.cells]
-        done = self.prepare(cells)
+        complete = self.prepare(cells)
         self.state.planned = len(cells)
-        self._progress.begin(len(cells), done)
+        self._progress.begin(len(cells), complete)
         try:
             for group in groups:
                 self.run_group(group, cells)
@@ -115,12 +115,12 @@ class Runner:
 
     def prepare(self, cells: Collection[Cell]) -> int:
         self.resume()
-        done = sum(map(self._is_done, cells))
-        if done < len(cells):
+        complete = sum(map(self._is_done, cells))
+        if complete < len(cells):
             self._station.device.prepare()
             self._station.device.clear(self.state.segments)
             self._leave_out(cells)
-        return done
+        return complete
 
     def _is_done(self, cell: Cell) -> bool:
         return self.state[cell.name].done
@@ -163,8 +163,8 @@ class Runner:
         relay = GroupRelay(
             self._station.within(group.need.environment).device,
             [
-                (place.host, relay_arguments(self.plan, group.need, group.cells[0].repeat, place))
-                for place in relay_places(group.need)
+                (position.host, relay_arguments(self.plan, group.need, group.cells[0].repeat, position))
+                for position in relay_places(group.need)
             ],
             half_arguments(self.plan, group) if group.bridge else None,
             self._segment_names(group),

@@ -41,12 +41,12 @@ def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[s
         station.device.prepare()
         try:
             for number, name in enumerate(names):
-                given = ["--device", name] if name else []
+                device_option = ["--device", name] if name else []
                 segment = segment_of(SEGMENT, number + 1, number)
-                long = [*words, *given, "--duration", str(int(TIMEOUT_S))]
+                long = [*words, *device_option, "--duration", str(int(TIMEOUT_S))]
                 others[segment] = station.device.start(long, segment)
             command = [*station.ping_command, *words, "--duration", str(SECONDS), "--out", str(out)]
-            done = subprocess.run(
+            ended = subprocess.run(
                 command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False, errors="replace"
             )
         finally:
@@ -61,8 +61,8 @@ def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[s
     except (TraceError, OSError, subprocess.TimeoutExpired) as error:
         note(f"the clocks of both devices were not compared: {error}")
         return
-    lines = _latest(done.stderr)
-    last = (done.stderr.splitlines() or ["no answer"])[-1]
+    lines = _latest(ended.stderr)
+    last = (ended.stderr.splitlines() or ["no answer"])[-1]
     for line in [*lines.values(), *seen] or [f"the clocks of both devices were not compared: {last}"]:
         note(line)
     for name in names:

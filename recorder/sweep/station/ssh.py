@@ -162,11 +162,11 @@ class SshDevice(RelayDevice):
                 process.kill()
                 process.communicate()
             errors.seek(0)
-            said = errors.read(MOST_ANSWER_BYTES).decode(errors="replace").strip().splitlines()
+            answer = errors.read(MOST_ANSWER_BYTES).decode(errors="replace").strip().splitlines()
         if fault is not None:
             raise BackendUnavailableError(f"{self._host}: {fault}; look at the device and its network")
         if code != 0:
-            lines = said or [f"status {code}"]
+            lines = answer or [f"status {code}"]
             raise BackendUnavailableError(
                 f"{self._host}: {lines[-1]}; try it by hand: ssh -- {shlex.quote(self._host)}"
             )
@@ -189,8 +189,8 @@ def _copy(source: IO[bytes], output: BinaryIO, errors: BinaryIO, most_bytes: int
 
 
 def quoted_path(path: str) -> str:
-    home, rest = ("~/", path[2:]) if path.startswith("~/") else ("", path)
-    return home + (shlex.quote(rest) if rest else "")
+    home, relative = ("~/", path[2:]) if path.startswith("~/") else ("", path)
+    return home + (shlex.quote(relative) if relative else "")
 
 
 def folder_there(plan: str, folder: Path) -> str:

@@ -89,9 +89,9 @@ class InlineExecutor(Executor):
     """An executor without threads: `submit` does the job, and raises what it raises."""
 
     def submit(self, fn: Callable[..., T], /, *args: object, **kwargs: object) -> Future[T]:
-        done: Future[T] = Future()
-        done.set_result(fn(*args, **kwargs))
-        return done
+        future: Future[T] = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
 
 
 class FastLock:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from dds_trace.tracefile.writing.sink import TraceSink
 
     from ..applied.carried import Traffic
-    from ..backends.node import Node, Publisher, RawMessage
+    from ..backends.node import Publisher, RawMessage
     from ..roles.ping import AnyPing
 
 TIMEOUT_S = 2.0
@@ -42,7 +42,16 @@ _NOT_SYNCHRONIZED = 0x40
 
 
 def time_service() -> str:
-    return _chrony() or _timedatectl() or _kernel()
+    if words := chrony_words(_output("chronyc", "-c", "tracking")):
+        return words
+    value = _output("timedatectl", "show", "--property=NTPSynchronized", "--value").strip()
+    if value in ("yes", "no"):
+        return f"timedatectl: {'synchronized' if value == 'yes' else 'not synchronized'}"
+    correction = read_adjtimex()
+    if correction is None:
+        return "kernel: state of the clock unknown"
+    is_synchronized = not int(str(correction["status"])) & _NOT_SYNCHRONIZED
+    return f"kernel: {'synchronized' if is_synchronized else 'not synchronized'}"
 
 
 def _output(*command: str) -> str:
@@ -58,10 +67,6 @@ def _output(*command: str) -> str:
     return done.stdout if done.returncode == 0 else ""
 
 
-def _chrony() -> str:
-    return chrony_words(_output("chronyc", "-c", "tracking"))
-
-
 def chrony_words(tracking: str) -> str:
     columns = tracking.strip().split(",")
     if len(columns) <= _LEAP:
@@ -74,19 +79,6 @@ def chrony_words(tracking: str) -> str:
         )
     except ValueError:
         return ""
-
-
-def _timedatectl() -> str:
-    value = _output("timedatectl", "show", "--property=NTPSynchronized", "--value").strip()
-    return {"yes": "timedatectl: synchronized", "no": "timedatectl: not synchronized"}.get(value, "")
-
-
-def _kernel() -> str:
-    correction = read_adjtimex()
-    if correction is None:
-        return "kernel: state of the clock unknown"
-    is_synchronized = not int(str(correction["status"])) & _NOT_SYNCHRONIZED
-    return f"kernel: {'synchronized' if is_synchronized else 'not synchronized'}"
 
 
 DATA = "string"
@@ -207,15 +199,12 @@ class BeaconRecording(BaseRecording):
         self._report()
         progress, session = self.progress(), self.session
         if not progress.clocks and not self.rehearses:
-            return Recorded(None, session, progress, error=_lonely(self.node))
+            error = NothingHeardError(
+                f"no other beacon answered in domain {self.node.options.domain_id}: start `dds-record --role beacon` on "
+                "another device with the same --domain, --discovery and --backend"
+            )
+            return Recorded(None, session, progress, error=error)
         return Recorded(trace, session, progress, self.run, self.upkeep.shortage)
-
-
-def _lonely(node: Node) -> NothingHeardError:
-    return NothingHeardError(
-        f"no other beacon answered in domain {node.options.domain_id}: start `dds-record --role beacon` on another device "
-        "with the same --domain, --discovery and --backend"
-    )
 
 
 def _run_once_met(ping: AnyPing, sink: TraceSink, enough: threading.Event, hopeless: threading.Event) -> Run | None:

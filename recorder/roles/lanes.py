@@ -81,13 +81,12 @@ def call_lane(calls: CallNode) -> Lane[CallMessage, CallMessage]:
 
 class Clients(Generic[SentT]):
     def __init__(self, publishers: Sequence[Publisher[SentT]]) -> None:
-        self._turns = cycle(publishers)
-        self.publish = publishers[0].publish if len(publishers) == 1 else self._publish_in_turn
+        turns = cycle(publishers)
+        self.publish = (
+            publishers[0].publish if len(publishers) == 1 else lambda message, /: next(turns).publish(message)
+        )
         self.callers = [publisher for publisher in publishers if isinstance(publisher, Caller)]
         self._publishers = publishers
-
-    def _publish_in_turn(self, message: SentT, /) -> None:
-        next(self._turns).publish(message)
 
     def are_matched(self) -> bool:
         return all(caller.is_matched() for caller in self.callers)

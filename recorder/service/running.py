@@ -175,13 +175,10 @@ def _read_entry(path: Path) -> Listed | None:
             return Listed(entry, State.RUNNING if is_seen else State.UNSEEN)
         if not path.exists():
             return None
-        return Listed(entry, State.KILLED, _waiting_trace(Path(entry.path), int(entry.session_id, 16)))
+        trace = Path(entry.path)
+        files = (trace, *later_files(trace, int(entry.session_id, 16)))  # or one after its last update
+        return Listed(entry, State.KILLED, next((file for file in files if ring_path(file).exists()), None))
     return None
-
-
-def _waiting_trace(path: Path, session_id: int) -> Path | None:
-    """Return the file of the ring that was left: the entry's, or one after its last update."""
-    return next((file for file in (path, *later_files(path, session_id)) if ring_path(file).exists()), None)
 
 
 def _parse(text: bytes) -> Entry | None:

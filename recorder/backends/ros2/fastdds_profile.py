@@ -14,13 +14,14 @@ transports, and the options are refused if the user has a profile.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import tempfile
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from dds_trace.base.errors import OptionError
+from dds_trace.base.errors import BackendUnavailableError, OptionError
 
 from ...applied.asked import PROFILE_VARIABLES
 from ...applied.vendors import BUFFER_BYTES, ros_middleware
@@ -29,7 +30,7 @@ from ..sizes import VENDORS_SIZES, Sizes
 from .installation import NO_TUNING, package_version, set_transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ..node import NodeOptions
 
@@ -262,3 +263,31 @@ def applied_transport(options: NodeOptions, rmw: str) -> Iterator[dict[str, str]
     with nullcontext() if text is None else loaded_profile(text, is_local=is_local):
         _loaded[:] = [text]
         yield {} if text is None else {"profile": f"written by dds-trace{where}"}
+
+
+class _SerializedMessage(ctypes.Structure):
+    """`rcl_serialized_message_t` of rcl/types.h; its allocator is not used."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_void_p),
+        ("buffer_length", ctypes.c_size_t),
+        ("buffer_capacity", ctypes.c_size_t),
+        ("allocator", ctypes.c_void_p * 5),
+    )
+
+
+def publish_unlocked(handle: Any) -> Callable[[bytes | bytearray], None]:
+    """Return the function that publishes a serialized message; rclpy's own keeps the interpreter's lock until it is sent."""
+    publish = ctypes.CDLL("librcl.so").rcl_publish_serialized_message
+    publish.argtypes = (ctypes.c_void_p, ctypes.POINTER(_SerializedMessage), ctypes.c_void_p)
+
+    def send(message: bytes | bytearray) -> None:
+        size = len(message)
+        data = (ctypes.c_char * size).from_buffer(message if isinstance(message, bytearray) else bytearray(message))
+        serialized = _SerializedMessage(ctypes.addressof(data), size, size)
+        with handle:
+            status = publish(handle.pointer, ctypes.byref(serialized), None)
+        if status:
+            raise BackendUnavailableError(f"ROS 2 cannot publish {size} bytes (status {status})")
+
+    return send

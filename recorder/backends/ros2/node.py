@@ -19,9 +19,10 @@ from dds_trace.base.errors import BackendUnavailableError, OptionError
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ...applied.vendors import ros_middleware
-from ...choices import ExecutorKind
+from ...choices import ExecutorKind, Transport
 from ..node import LAST_ACKNOWLEDGEMENT_S, ROUND_S, Endpoint, Middleware, Publication, ThreadedNode, TopicView
 from ..qos import DURATION_POLICIES, duration_extra, incompatible_pairs, requested_durations
+from .fastdds_profile import publish_unlocked
 from .installation import INSTALL, package_version
 
 if TYPE_CHECKING:
@@ -75,7 +76,12 @@ class Ros2Node(ThreadedNode):
         self._incompatible: dict[str, set[str]] = {}
 
     def create_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RawMessage]:
-        return self._open_publisher(_RawPublisher, topic, type_name, qos)
+        opened = self._open_publisher(_RawPublisher, topic, type_name, qos)
+        if (
+            self.options.transport is Transport.LARGE_DATA
+        ):  # over TCP, which blocks while the other device does not read
+            opened.publish = publish_unlocked(opened.publisher.handle)  # type: ignore[method-assign]
+        return opened
 
     def create_object_publisher(self, topic: str, type_name: str, *, qos: Qos | None = None) -> Publisher[RosMessage]:
         return self._open_publisher(_ObjectPublisher, topic, type_name, qos)
@@ -227,18 +233,18 @@ class Ros2Node(ThreadedNode):
 class _ObjectPublisher:
     def __init__(self, node: Any, publisher: Any) -> None:
         self._node = node
-        self._publisher = publisher
+        self.publisher = publisher
 
     def publish(self, message: RosMessage, /) -> None:
-        self._publisher.publish(message)
+        self.publisher.publish(message)
 
     def wait_until_acknowledged(self) -> None:
         duration = _rclpy().duration.Duration(seconds=LAST_ACKNOWLEDGEMENT_S)
         with suppress(Exception):  # it is closed, or an older rclpy cannot wait
-            self._publisher.wait_for_all_acked(duration)
+            self.publisher.wait_for_all_acked(duration)
 
     def close(self) -> None:
-        self._node.destroy_publisher(self._publisher)
+        self._node.destroy_publisher(self.publisher)
 
 
 class _RawPublisher(_ObjectPublisher):
@@ -253,7 +259,7 @@ class _RawPublisher(_ObjectPublisher):
             with self._handle:
                 self._handle.publish_raw(message)
         except TypeError:
-            self._publisher.publish(bytes(message))
+            self.publisher.publish(bytes(message))
 
 
 @dataclass(slots=True)

@@ -57,7 +57,10 @@ class Outage:
             left_s = self._seconds - (time.monotonic_ns() - self._began_ns) / 1e9
             if left_s <= _LONGEST_WAIT_S:
                 time.sleep(max(left_s, 0.0))
-                self._restore()
+                if self._by is OutageBy.RELAY:
+                    self._serve()
+                elif self._pair is not None:
+                    self._pair.restore(self._by)
                 self._ended_ns = time.monotonic_ns()
 
     def report(self) -> OutageReport | None:
@@ -85,12 +88,6 @@ class Outage:
         else:
             assert self._pair is not None  # the plan was checked
             self._pair.cut(self._by)
-
-    def _restore(self) -> None:
-        if self._by is OutageBy.RELAY:
-            self._serve()
-        elif self._pair is not None:
-            self._pair.restore(self._by)
 
 
 _LONGEST_WAIT_S = 0.25

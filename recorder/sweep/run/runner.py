@@ -57,11 +57,6 @@ ENDED_CODES = (0, RelayLostError.exit_code)
 """Exit codes of a ping with a trace that counts: while the relay runs, silence is the loss that the cell measures."""
 
 
-def _wait_for_all(programs: Iterable[Program], poll_s: float) -> list[int] | None:
-    codes = [program.wait(poll_s) for program in programs]
-    return None if None in codes else [code for code in codes if code is not None]
-
-
 def _check_programs(programs: Iterable[Program]) -> None:
     """Raise a `CellFailedError` if one of several pings has failed: the others would run without it."""
     for program in programs:
@@ -143,7 +138,11 @@ class Runner:
             self._progress.note(f"{self._parts} contains {', '.join(foreign)}, which no sweep wrote; not deleted")
 
     def run_group(self, group: CellGroup, all_cells: list[Cell]) -> None:
-        waiting = [cells for cells in recorded_together(group.cells) if any(map(self._is_waiting, cells))]
+        waiting = [
+            cells
+            for cells in recorded_together(group.cells)
+            if any(not (self._is_done(cell) or middlewares_of(cell) in self._missing) for cell in cells)
+        ]
         if not waiting:
             return
         with self.relay(group) as relay:
@@ -154,9 +153,6 @@ class Runner:
                 for cell in cells:
                     self._progress.cell(cell.name, remaining)
                 self.record_together(cells, relay)
-
-    def _is_waiting(self, cell: Cell) -> bool:
-        return not (self._is_done(cell) or middlewares_of(cell) in self._missing)
 
     @contextlib.contextmanager
     def relay(self, group: CellGroup) -> Iterator[GroupRelay]:
@@ -258,16 +254,19 @@ class Runner:
         began_s = time.monotonic()
         lead_s = start_lead_s(len(drafts))
         start = ["--start-at", f"{time.time() + lead_s:.3f}"] if lead_s else []
-        run = self.plan.run
+        run, station = self.plan.run, self._station
         longest_s = max(run.planned_seconds(cell.rate, cell.outage) for cell in drafts)
-        limit_s = START_ALLOWANCE_S + self._station.wait_s + lead_s + longest_s + run.cutoff_seconds
+        limit_s = START_ALLOWANCE_S + station.wait_s + lead_s + longest_s + run.cutoff_seconds
         programs: dict[Cell, Program] = {}
         ended: dict[Cell, int] = {}
         try:
             for cell, draft in drafts.items():
-                programs[cell] = self._start_ping(cell, draft, start)
+                arguments = ping_arguments(self.plan, cell, station.wait_s, station.relay_address, station.further)
+                command = [*station.within(cell.environment).ping_command, *arguments, *start, "--out", str(draft)]
+                programs[cell] = Program(command, draft.with_name(draft.name + ".log"), lock=station.lock)
             poll_s = POLL_S if drive_link is None else START_POLL_S
-            while _wait_for_all(programs.values(), poll_s) is None and time.monotonic() - began_s < limit_s:
+            # All are waited for in turn.
+            while None in [one.wait(poll_s) for one in programs.values()] and time.monotonic() - began_s < limit_s:
                 relay.check()
                 _check_programs(programs.values())
                 if not ring_path(next(iter(drafts.values()))).exists():  # the first message follows
@@ -311,12 +310,6 @@ class Runner:
                 hopeless=True,
             )
         return link
-
-    def _start_ping(self, cell: Cell, draft: Path, start: Sequence[str]) -> Program:
-        station = self._station
-        arguments = ping_arguments(self.plan, cell, station.wait_s, station.relay_address, station.further)
-        command = [*station.within(cell.environment).ping_command, *arguments, *start, "--out", str(draft)]
-        return Program(command, draft.with_name(draft.name + ".log"), lock=station.lock)
 
     def _read(self, draft: Path, program: Program, code: int, *, cut_off: bool) -> CellResult:
         if cut_off and code == -signal.SIGKILL:

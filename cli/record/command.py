@@ -134,7 +134,9 @@ def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOpt
         ping=read_record(PingOptions, given) if command.role is Role.PING else None,
         tap=read_record(TapOptions, given) if command.role is Role.TAP else None,
         tap_qos=chosen_qos(given.get("reliability"), given.get("durability"), given.get("depth")),
-        beacon_rate_hz=given.get("rate_hz", BEACON_RATE_HZ) if command.role is Role.BEACON else None,
+        beacon_rate_hz=OPTIONS["rate_hz"].read(given.get("rate_hz", BEACON_RATE_HZ))
+        if command.role is Role.BEACON
+        else None,
     )
     if command.keep is None:
         return options

@@ -9,12 +9,14 @@ import signal
 import sys
 import tarfile
 from contextlib import ExitStack
+from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
+import typer
 from bags import points, write_bag2
-from doc_examples import DOCS, PAGES, command_lines, examples
+from doc_examples import DOCS, PAGES, command_lines, examples, lines_in_text
 from processes import RunningCommand
 from trace_files import SAMPLES, copy_sample
 
@@ -185,3 +187,28 @@ def test_a_tutorial_leads_to_its_answer(page, made, desk, tmp_path, monkeypatch,
                     done = command.finish()
                     assert done.status == 0, (line, done.stderr)
     assert [name for name in made if not Path(name).is_file()] == []
+
+
+@pytest.mark.parametrize("line", lines_in_text())
+def test_options_within_a_sentence_are_those_of_the_program(line):
+    program, *words = shlex.split(line)
+    if program == "dds-trace":
+        role = words[:1] == ["record"] and not words[1].startswith("--")
+        program, words = f"dds-{words[0]}", [*(["--role", words[1]] if role else []), *words[1 + role :]]
+    command = click_command({"dds-compare": "dds-analyze compare"}.get(program, program), words)
+    assert {word for word in words if word.startswith("--")} <= {
+        name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)
+    }
+    if program == "dds-record" and "--role" in words and not re.search(r"\b[A-Z]{3,}\b", line):
+        taken = []
+        topics = ["--topics", "/scan"] if "tap" in words and "--topics" not in words else []
+        command.main([*words, *topics, "--out", "new.mcap"], standalone_mode=False, obj=taken.append)
+        taken[0].check()
+
+
+def click_command(program, words):
+    first, *chosen = program.split()
+    parts = {"dds-record": "record.command", "dds-sweep": "sweep.command"}
+    module = import_module(f"dds_trace.cli.{parts.get(first, first[4:])}")
+    name = (*chosen, *words)[0]
+    return typer.main.get_command(getattr(module, "COMMANDS", {}).get(name, module.app))

@@ -14,6 +14,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = [path for path in sorted(DOCS.rglob("*.md")) if "results" not in path.parts]
 
 FENCE = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
+OPTIONS_IN_TEXT = re.compile(r"`(dds-[a-z]+ [^`]*--[a-z][^`]*)`")
 COMMAND = re.compile(r"^(?: {4}(?:\w+'s device +)?)?(?P<line>dds-(?:record|bridge|sweep|analyze) .+)$", re.MULTILINE)
 
 
@@ -43,3 +44,9 @@ def command_lines() -> Iterator[tuple[Path, str]]:
     for path in PAGES:
         for found in COMMAND.finditer(path.read_text(encoding="utf-8")):
             yield path, re.sub(r"\s+#.*$", "", found["line"])
+
+
+def lines_in_text() -> list[str]:
+    """Every command with options within a sentence of the README or a page of docs/, its results included."""
+    texts = [path.read_text(encoding="utf-8") for path in (DOCS.parent / "README.md", *sorted(DOCS.rglob("*.md")))]
+    return list(dict.fromkeys(" ".join(line.split()) for text in texts for line in OPTIONS_IN_TEXT.findall(text)))

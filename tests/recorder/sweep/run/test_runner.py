@@ -21,7 +21,7 @@ from dds_trace.recorder.sweep.run.state import Status
 from dds_trace.recorder.sweep.search import RateAnswer
 from dds_trace.recorder.sweep.station.programs import Program
 from dds_trace.recorder.sweep.station.station import open_station
-from dds_trace.recorder.sweep.sweep import run_search
+from dds_trace.recorder.sweep.sweep import run_search, run_sweep
 from dds_trace.tracefile.format.events import Stage
 from dds_trace.tracefile.reading.reader import read_trace
 
@@ -200,6 +200,25 @@ def test_a_recording_that_does_not_end_is_killed_and_the_sweep_goes_on(desk, mon
     assert "SIGKILL" in reason
     assert desk.state(FIRST).reason == reason
     assert desk.state(SECOND).status is Status.COMPLETE
+
+
+@pytest.mark.middleware
+def test_a_real_recording_that_stands_still_is_killed_and_the_sweep_goes_on(tmp_path, monkeypatch, domain_id):
+    monkeypatch.setattr(runner_module, "START_ALLOWANCE_S", 0.0)
+    monkeypatch.setattr(Program.stop, "__defaults__", (1.0,))
+    started = []
+
+    def start(*arguments, **named):
+        started.append(Program(*arguments, **named))
+        if len(started) == 1:
+            started[0]._process.send_signal(signal.SIGSTOP)
+        return started[-1]
+
+    monkeypatch.setattr(runner_module, "Program", start)
+    run = f"messages = 20\nattempts = 1\nsettle_seconds = 0\ncutoff_seconds = 0\ndomain = {domain_id}"
+    plan = parse_plan(f'[run]\n{run}\n[axes]\nbackend = "socket"\nrate = [20, 40]\n', "plan", "plan.toml")
+    (reason,) = run_sweep(plan, tmp_path, Heard()).missing.values()
+    assert "SIGKILL" in reason
 
 
 def test_search_of_the_highest_rate_goes_on_where_it_was_interrupted(desk):

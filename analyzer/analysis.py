@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ from .saving.folder import read_folder, write_folder
 from .saving.records import Content, from_json, to_json
 from .topics.frames import TOPIC_MESSAGE_SCHEMA, TOPIC_SCHEMA
 from .topics.hops import HOP_SCHEMA
+from .verdicts.judgements import judgement_frame
 
 if TYPE_CHECKING:
     import os
@@ -89,6 +90,12 @@ class Details:
     recommendation: Recommendation | None = None
     requested: bool = True
     deadline_metric: str = "response"
+
+    @property
+    def judgements(self) -> pl.DataFrame:
+        """What is said of the setups of each answer, a row each (`judgements.JUDGEMENT_SCHEMA`)."""
+        rows = ((answer.words, row) for answer in self.answers for row in answer.judgements)
+        return judgement_frame(replace(row, subject=f"{row.subject}; {words}") for words, row in rows)
 
     def __repr__(self) -> str:
         """Return the frames with their heights."""

@@ -18,7 +18,7 @@ from .groups.fan_out import FAN_OUT_FRAMES, fan_out_frames
 from .groups.frames import DETAIL_MAKERS, Frames
 from .groups.host_samples import host_sample_frame
 from .groups.intervals import INTERVAL_SCHEMA, ONE_WAY_SCHEMA, interval_rows, one_way_rows
-from .groups.recovery import RECOVERY_SCHEMA, recovery_frame
+from .groups.recovery import RECOVERY_SCHEMA, outage_spans, recovery_frame
 from .groups.wire import no_wire_frames, wire_frames
 from .loading.campaign import Campaign
 from .model.columns import ROUNDTRIP_COLUMNS, SUMMARY_COLUMNS
@@ -63,12 +63,14 @@ def collect_details(
         "intervals": _by_group(frames["intervals"], pl.DataFrame(intervals, INTERVAL_SCHEMA)),
         "one_way": _by_group(frames["one_way"], pl.DataFrame(one_way, ONE_WAY_SCHEMA)),
     }
+    recoveries = recovery_frame(campaign.traces, grouping, rows)
     with ThreadPoolExecutor(1, thread_name_prefix="clocks") as pool:
         clock_fits = pool.submit(lambda: segment_table(fit_devices(frames["clock_knots"], boots)))
         answers = find_answers(
             judged,
             passes=passes,
             wall_offsets_ns=ping_wall_offsets(campaign.sessions.values(), campaign.runs.values()),
+            outages_ns=outage_spans(recoveries),
             options=options.ranking,
         )
     host_samples = host_sample_frame(campaign.traces)
@@ -80,7 +82,7 @@ def collect_details(
         bridge_costs=find_bridge_costs(judged, passes),
         interference=find_interference(judged, passes),
         head_of_line=find_head_of_line(judged, passes),
-        recoveries=recovery_frame(campaign.traces, grouping, rows),
+        recoveries=recoveries,
         **wire_frames(campaign.traces, campaign.runs, grouping, rows)._asdict(),
         answers=answers,
         deadline_ns=options.deadline_ns,

@@ -29,6 +29,7 @@ from coverage_campaigns import (
 )
 from coverage_comparisons import looks_table, losses_table, results_table
 from coverage_intervals import interval_tables
+from coverage_kinds import advice_table, changes_table, dependent_table, kinds_table, late_table
 from simulated import Table
 
 if TYPE_CHECKING:
@@ -44,6 +45,11 @@ TABLES: dict[str, Callable[[int], Table]] = {
     "losers": losers_table,
     "deadlines": deadlines_table,
     "until": until_table,
+    "leaders-kinds": kinds_table,
+    "leaders-dependent": dependent_table,
+    "comparisons-kinds": changes_table,
+    "advice": advice_table,
+    "deadlines-kinds": late_table,
 }
 INTERVALS = "intervals"
 
@@ -66,9 +72,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tables", nargs="*", choices=[[], INTERVALS, *TABLES], help="which; all without any")
     parser.add_argument("--quick", action="store_true", help="200 samples a cell")
+    parser.add_argument("--samples", type=int, metavar="COUNT", help="as many samples a cell")
     parser.add_argument("--write", type=Path, metavar="FOLDER", help="write coverage-TABLE.csv and coverage.md")
     options = parser.parse_args()
-    samples = 200 if options.quick else 1000
+    samples = options.samples or (200 if options.quick else 1000)
     missed: list[str] = []
     for name in options.tables or (INTERVALS, *TABLES):
         started = time.perf_counter()

@@ -17,7 +17,8 @@ from dds_trace.analyzer.statistics.distributions import student_quantile
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS
 from dds_trace.analyzer.verdicts.false_alarms import until_confidence
 from dds_trace.analyzer.verdicts.job import Job
-from dds_trace.analyzer.verdicts.ranking import Kind, SetupRuns, find_losers, rank_setups
+from dds_trace.analyzer.verdicts.judgements import PROVEN
+from dds_trace.analyzer.verdicts.ranking import Kind, SetupRuns, judge_losers, rank_setups
 from dds_trace.analyzer.verdicts.recommend import Fit, recommend_settings
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ DESIGNS: dict[str, Draw] = {
 }
 
 
-def _kinds(median: Float64, tail: Float64) -> list[Kind]:
+def kinds_of(median: Float64, tail: Float64) -> list[Kind]:
     return [
         Kind(
             "",
@@ -100,7 +101,7 @@ def _kinds(median: Float64, tail: Float64) -> list[Kind]:
 def _campaign(generator: np.random.Generator, draw: Draw, shape: tuple[int, int, int]) -> list[Kind]:
     """Draw a campaign in which p99 follows the median of its run in part."""
     median = draw(generator, shape)
-    return _kinds(median, 0.7 * median + math.sqrt(1 - 0.7**2) * draw(generator, shape))
+    return kinds_of(median, 0.7 * median + math.sqrt(1 - 0.7**2) * draw(generator, shape))
 
 
 MANY = 100
@@ -187,7 +188,7 @@ def found_leaders_table(samples: int) -> Table:
                 median = independent(generator, (kinds, setups, repeats))
                 median[:, 1:] += math.log(ratio)
                 called += sum(
-                    rankings["p50"].leader == "0" for rankings in rank_setups(_kinds(median, np.zeros_like(median)))
+                    rankings["p50"].leader == "0" for rankings in rank_setups(kinds_of(median, np.zeros_like(median)))
                 )
             where = f"{repeats} repeats, {setups} setups, {ratio:g} x"
             cells.append(table.at_least(bar if kinds == 1 else 0.0, called, kinds * samples, where))
@@ -207,6 +208,10 @@ def _lossy(generator: np.random.Generator, draw: DrawLosses, kinds: int, shares:
         )
         for _ in range(kinds)
     ]
+
+
+def _losers(campaign: list[Kind]) -> list[set[str]]:
+    return [{row.subject for row in rows if row.verdict == PROVEN} for rows in judge_losers(campaign)]
 
 
 LOSER_SETUPS = (2, 6)
@@ -231,13 +236,13 @@ def losers_table(samples: int) -> Table:
 
             cells = []
             for kinds in counts:
-                false = sum(any(find_losers(_lossy(generator, draw, kinds, (0.02,) * setups))) for _ in range(samples))
+                false = sum(any(_losers(_lossy(generator, draw, kinds, (0.02,) * setups))) for _ in range(samples))
                 where = f"{name}, {setups} setups, {kinds} kinds"
                 cells.append(table.at_most(MOST_FALSE_LOSERS, false, samples, where))
             for kinds in (1, 6):
                 unlike = (0.05, *(0.005,) * (setups - 1))
                 found = sum(
-                    sum("0" in names for names in find_losers(_lossy(generator, draw, kinds, unlike)))
+                    sum("0" in names for names in _losers(_lossy(generator, draw, kinds, unlike)))
                     for _ in range(samples)
                 )
                 cells.append(percent(found, kinds * samples))

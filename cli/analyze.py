@@ -342,7 +342,7 @@ def _report_topics(
 ) -> None:
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.topics.device_clocks import ClockRequest, StampClock
-    from dds_trace.analyzer.verdicts.topic_gate import parse_topic_gate
+    from dds_trace.analyzer.verdicts.gate import parse_topic_gate
 
     from .topics import report_topics
 

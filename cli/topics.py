@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from dds_trace.analyzer.verdicts.topic_gate import TopicGate
+    from dds_trace.analyzer.verdicts.gate import TopicGate
 
 HOLES_EXIT_CODE, DAMAGED_EXIT_CODE = 30, 31
 _FILES = {

@@ -36,6 +36,7 @@ from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import GateResult
 from dds_trace.analyzer.verdicts.ignoring import IGNORABLE_COLUMNS
 from dds_trace.analyzer.verdicts.job import Job
+from dds_trace.analyzer.verdicts.judgements import Claim, Judgement
 from dds_trace.analyzer.verdicts.recommend import Recommendation
 from dds_trace.reports import document
 from dds_trace.reports.book.answer import Conclusion
@@ -54,6 +55,7 @@ HEX_ID = {"type": "string", "pattern": "^[0-9a-f]{16}$"}
 TYPES: dict[object, str] = {str: "string", int: "integer", float: "number", bool: "boolean"}
 TYPES |= {Mapping: "object", Qos: "object"}
 NAMES = {one.__name__: one for one in (CaseAnswer, Contender, DataVerdict, Finding, Interval, Job, Recommendation)}
+NAMES |= {"Judgement": Judgement, "Claim": Claim}
 NAMES |= {"Setting": Mapping, "JsonObject": Mapping, "Mapping": Mapping, "Sequence": Sequence}
 NAMES |= {"Gate": Mapping, "GateOutcome": GateOutcome}
 SHARED = {Contender: "contender", Interval: "interval"}
@@ -73,8 +75,8 @@ NULL_PARAMETERS = {"rmw", "relay_vendor", "relay_backend", "ping_domain_id", "re
 ADDED = {
     Conclusion: {"points", "outcome", "kinds"},
     DataVerdict: {"place", "within_one_run"},
-    CaseAnswer: {"leader_p50", "leader_p99", "repeats_p50", "repeats_p99", "interleaved", "drift_ratio"},
-    Finding: {"subject"},
+    CaseAnswer: {"leader_p50", "leader_p99", "repeats_p50", "repeats_p99", "interleaved", "drift_ratio", "judgements"},
+    Finding: {"subject", "cure"},
     Contender: {"p50_ns", "p99_ns", "letters_p50", "letters_p99"},
 }
 """Fields that were added to format 1: a report of an earlier version does not have them."""
@@ -174,16 +176,16 @@ def of_dtype(dtype: pl.DataType | type[pl.DataType]) -> Schema:
     return {"type": "number" if dtype.is_float() else {pl.String: "string", pl.Boolean: "boolean"}[type(dtype)]}
 
 
-def of_frame(name: str, frame: pl.DataFrame) -> Schema:
+def of_frame(name: str, frame: pl.DataFrame, text: str = "") -> Schema:
     """Return the schema of the rows of a frame of `Details`."""
     columns = {}
     for column, dtype in frame.schema.items():
         schema = dict(HEX_ID) if column in {"run_id", "session_id"} else of_dtype(dtype)
         is_full = column in NEVER_NULL or (name, column) == ("wire", "payload_bytes")
         columns[column] = schema if is_full else or_null(schema)
-        if column == "basis":
+        if column == "basis" and name != "judgements":
             columns[column] = NARROW["answers.basis"]
-    rows = a_list(an_object(columns), described(Details)[name])
+    rows = a_list(an_object(columns), text or described(Details)[name])
     return or_null({**rows, "description": f"{rows['description']}. Null where the analysis was made without details"})
 
 
@@ -243,6 +245,9 @@ def report_schema() -> Schema:
         "topics": of_topics(TOPIC_SCHEMA, "topics that taps heard, one for each pair of devices"),
         "topic_hops": of_topics(HOP_SCHEMA, "what each hop of a chain of topics takes"),
         **{name: of_frame(name, getattr(details, name)) for name in DETAIL_FRAMES},
+        "judgements": of_frame(
+            "judgements", details.judgements, "what is said of the setups of each answer, a row each"
+        ),
         "answers": or_null(a_list(of_record(CaseAnswer, "answers"), f"{words['answers']}. {without}")),
         "deadline_ns": {"type": ["integer", "null"], "description": words["deadline_ns"]},
         "deadline_metric": {"type": "string", "description": words["deadline_metric"]},
@@ -255,7 +260,7 @@ def report_schema() -> Schema:
     added = {
         name
         for name in properties
-        if name in (*DETAIL_FRAMES, "topics", "topic_hops", "answers", "deadline_ns", "deadline_metric")
+        if name in (*DETAIL_FRAMES, "judgements", "topics", "topic_hops", "answers", "deadline_ns", "deadline_metric")
     }
     return {
         "$schema": DIALECT,

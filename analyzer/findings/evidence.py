@@ -42,6 +42,7 @@ class Observation:
     groups: tuple[int, ...] = ()
     effect: float = 1.0
     blanks: Mapping[str, object] = field(default_factory=dict)
+    cure: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +161,9 @@ class Check:
         for seen in self.observe(evidence):
             action = self.action.format(**seen.blanks)
             seen_there = seen.where, seen.what, action, seen.groups
-            yield Finding(self.severity, self.code, *seen_there, effect=seen.effect, subject=self.subject)
+            yield Finding(
+                self.severity, self.code, *seen_there, effect=seen.effect, subject=self.subject, cure=seen.cure
+            )
 
 
 def check(code: str, severity: Severity, subject: Subject, action: str) -> Callable[[Observe], Check]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import polars as pl
@@ -78,12 +79,13 @@ def losses(evidence: Evidence) -> Iterator[Observation]:
             cause = next(filter(None, (find(members[group], row) for find in _CAUSES)), None)
             seen = f"; {cause.seen}" if cause else ""
             cure = cause.cure if cause else _PERHAPS[members[group][0][0].run.qos.reliability]
-            yield evidence.result(
+            observation = evidence.result(
                 group,
                 f"{lost} of {counted(published, 'message')} ({percent(lost, published)}) did not come back: {where}{seen}.",
                 lost / published,
                 cure=cure,
             )
+            yield replace(observation, cure=cure if cause else "")
 
 
 _Member = tuple["Exchange", dict[str, int]]

@@ -15,6 +15,7 @@ from ..model.parameters import CASE_COLUMNS
 from ..pairing.flows import Overlap, find_overlaps
 from ..verdicts.cases import CONDITIONS, partition_groups, with_conditions
 from ..verdicts.interference import flows_of
+from ..verdicts.judgements import Claim, Reason
 from .evidence import Evidence, Observation, check, percent, some
 
 
@@ -74,6 +75,25 @@ def recorded_in_sequence(evidence: Evidence) -> Iterator[Observation]:
             some(evidence.group_names[group] for group in groups),
             f"With {counted(len(answers), 'kind')} of message, nearly all runs of one setup preceded all runs of another, so a "
             f"machine that changes looks like a difference between setups{tests}.",
+            tuple(groups),
+        )
+
+
+@check(
+    "dependent_passes",
+    Severity.WARNING,
+    Subject.RESULT,
+    "A pause between the passes, a restart of what runs on between them, or more passes may help.",
+)
+def dependent_passes(evidence: Evidence) -> Iterator[Observation]:
+    """Passes depend on each other."""
+    rows = [row for one in evidence.details.answers for row in one.of_claim(Claim.FASTEST, "latency_p50")]
+    groups = sorted({row.group for row in rows if row.reason == Reason.DEPENDENT.value and row.group is not None})
+    if groups:
+        yield Observation(
+            some(evidence.group_names[group] for group in groups),
+            f"With {counted(len(groups), 'kind')} of message, passes that follow each other are more alike than distant ones, so they "
+            "show less than as many independent ones, and no setup is called the fastest.",
             tuple(groups),
         )
 

@@ -275,6 +275,7 @@ CHECKS: tuple[Check, ...] = (
     ),
     sides.overlapping_pings,
     sides.recorded_in_sequence,
+    sides.dependent_passes,
     sides.unlike_versions,
     sides.wireless_on_one_machine,
     groups.mixed_labels,

@@ -76,6 +76,13 @@ def recovery_frame(traces: Iterable[Trace], grouping: Grouping, rows: RowStore) 
     return pl.DataFrame(recoveries, RECOVERY_SCHEMA).sort("group", "began_ns")
 
 
+def outage_spans(recoveries: pl.DataFrame) -> dict[int, tuple[int, int | None]]:
+    """Return run_id -> when its outage began, and when the first reply after it came, ns; None where none came."""
+    back_ns = pl.col("ended_ns") + pl.col("back_ns")
+    rows = recoveries.select("run_id", "began_ns", back_ns.alias("back_ns")).iter_rows()
+    return {run_id: (began_ns, ended_ns) for run_id, began_ns, ended_ns in rows}
+
+
 def recovery_of(rows: pl.DataFrame, outage: OutageTimes) -> Mapping[str, object]:
     """Return how one run came back, from its round trips; a message that several relays had counts once."""
     began_ns, ended_ns = outage["began_ns"], outage["ended_ns"]

@@ -50,6 +50,7 @@ class Finding:
         count: findings in it; more than one only for the last of very many.
         effect: share of the messages or of the value that it affects, 0 to 1.
         subject: what `where` names.
+        cure: what removes the cause that the traces prove; empty without.
     """
 
     severity: Severity
@@ -61,3 +62,4 @@ class Finding:
     count: int = 1
     effect: float = 1.0
     subject: Subject = Subject.RESULT
+    cure: str = ""

@@ -26,13 +26,6 @@ from .tails import Tail, episodes_of, tails_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Units:
-    """Independent observations of a statistic: one for each run, or for each few neighbouring runs.
-
-    Attributes:
-        values: float64, infinite where a lost message sets it.
-        episodes: beyond the quantile in all runs; None for a mean, and where no value is beyond.
-    """
-
     values: Float64
     messages: int
     independent: int
@@ -161,8 +154,6 @@ def _interval_of_units(units: Units, statistic: Statistic, confidence: float) ->
 
 
 class Scale(Enum):
-    """The scale on which statistics of runs are averaged."""
-
     LOGARITHM = "logarithm"
     LINEAR = "linear"  # some statistic is zero or negative: a one-way time within the clocks' error
     RECIPROCAL = "reciprocal"  # some statistic is infinite: its reciprocal is 0, and an average has an end
@@ -211,7 +202,6 @@ def _median(values: Float64) -> float:
 
 
 def _intervals_within(group: Runs, statistics: Sequence[Statistic], confidence: float) -> list[Interval]:
-    """Return intervals within the series of all runs; the value is the summary's (Hyndman and Fan's definition 7)."""
     if not statistics:
         return []
     joined, runs = group.joined, len(group)

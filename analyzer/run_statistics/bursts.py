@@ -62,14 +62,6 @@ def share_inflation(indices: Indices, messages: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells in which neighbouring messages of several series are added up.
-
-    Attributes:
-        lengths: messages of each series.
-        widths: int64, messages in each cell.
-        offsets: the first cell of each series and the number of all.
-    """
-
     lengths: tuple[int, ...]
     widths: Int64
     offsets: Indices
@@ -94,7 +86,6 @@ class Cells:
 
     @cached_property
     def blocks(self) -> tuple[tuple[slice, slice], ...]:
-        """Neighbouring series with equally many cells: which series, and which cells."""
         counts = self.offsets[1:] - self.offsets[:-1]
         first = [0, *(np.flatnonzero(counts[1:] != counts[:-1]) + 1).tolist(), len(counts)]
         offsets = self.offsets.tolist()
@@ -102,7 +93,6 @@ class Cells:
 
     @cached_property
     def projections(self) -> tuple[Float64, ...]:
-        """For each of `blocks` the projections of all messages: near zero, except for cells of different widths."""
         return tuple(
             _projections(self.widths[cells].reshape(series.stop - series.start, -1).astype(np.float64))
             for series, cells in self.blocks

@@ -1,9 +1,4 @@
-"""What changed from one side's runs to the other's: difference, ratio, their intervals, a verdict; and what would be detected.
-
-With three runs a side the runs decide: Welch's test of the logarithms of the runs' statistics, or Student's test repeat
-by repeat where a sweep measured both sides in the same repeats. With fewer runs the interval is within one run, and
-there is no verdict.
-"""
+"""What changed between two sides' runs (Welch's test of their logarithms, Student's repeat by repeat), and what would be detected."""
 
 from __future__ import annotations
 
@@ -18,8 +13,9 @@ from ..statistics.distributions import shift_for_power, student_quantile
 from ..statistics.intervals import Basis, Interval
 from ..statistics.power import POWER, smallest_shift
 from .between_runs import Estimate, Scale, Units, estimates_of_runs, scale_of
-from .runs import Run, Runs, Statistic, Values
-from .two_samples import Ends, StudentTest, fieller_ends, mover_ends, paired_test, permutation_p_value, welch_test
+from .runs import Float64, Run, Runs, Statistic, Values
+from .setups import ENOUGH_RUNS, campaign_variance, spreads_are_alike
+from .two_samples import Ends, fieller_ends, mover_ends, paired_test, permutation_p_value, welch_test
 
 Passes = tuple[Sequence[int], Sequence[int]]
 """For each run of the base and of the new side the repeat of the sweep it was measured in."""
@@ -39,8 +35,6 @@ def probability_of_superiority(base: Values, new: Values) -> float | None:
 
 
 class Verdict(Enum):
-    """What the interval of a change says about the new side."""
-
     BETTER = "better"
     WORSE = "worse"
     SAME = "same"  # the whole interval is within the tolerance
@@ -49,14 +43,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One statistic of one group on both sides. What the samples do not support is None.
-
-    Attributes:
-        basis: between runs only if both sides have three.
-        ratio: new / base, infinite where the new side lost too much; None where a side is not above zero.
-        p_value: of a difference like this between equal sides; None within one run.
-        smallest_ratio: the smallest ratio above 1 that these runs would have detected with a probability of 80 %.
-    """
+    """One statistic of one group on both sides. What the samples do not support is None."""
 
     base: Interval
     new: Interval
@@ -95,8 +82,45 @@ def change_of_runs(
     return change_of_estimates(before, after, passes)
 
 
+@dataclass(frozen=True, slots=True)
+class LeastVariances:
+    run: float = 0.0
+    pair: float = 0.0
+
+
+def least_variances(sides: Iterable[tuple[Estimate, Estimate, Passes | None]]) -> LeastVariances:
+    """Return the mean variances of a statistic over the groups of a comparison; 0 where they are alike by Bartlett's test.
+
+    Few runs of two modes agree by chance in some of many groups, whose difference a test would take for certain.
+    """
+    runs: dict[tuple[int, int], list[Float64]] = {}
+    pairs: dict[int, list[Float64]] = {}
+    for base, new, passes in sides:
+        if base.units is None or new.units is None:
+            continue
+        if scale_of(np.concatenate([base.units.values, new.units.values])) is not Scale.LOGARITHM:
+            continue
+        for side, units in enumerate((base.units, new.units)):
+            logs = np.log(units.values)
+            runs.setdefault((side, len(logs)), []).append(logs - logs.mean())
+        paired = _pairs(base.units, new.units, passes)
+        if paired is not None:
+            apart = paired[1] - paired[0]
+            pairs.setdefault(len(apart), []).append(apart - apart.mean())
+    return LeastVariances(_least(runs.values()), _least(pairs.values()))
+
+
+def _least(residuals: Iterable[list[Float64]]) -> float:
+    stacked = [np.array(rows) for rows in residuals]
+    return 0.0 if not stacked or spreads_are_alike(stacked) else campaign_variance(stacked)
+
+
 def change_of_estimates(
-    base: Estimate, new: Estimate, passes: Passes | None = None, p_of_losses: float = 1.0
+    base: Estimate,
+    new: Estimate,
+    passes: Passes | None = None,
+    p_of_losses: float = 1.0,
+    least: LeastVariances = LeastVariances(),
 ) -> Change:
     """Return the change between two estimates of one statistic; `passes` are the repeats of both sides' runs.
 
@@ -110,15 +134,22 @@ def change_of_estimates(
         return Change(*sides, Basis.BETWEEN_RUNS)
     if scale is Scale.RECIPROCAL:
         return _change_of_reciprocals(*sides, base.units, new.units, p_of_losses)
-    compare = _change_of_logarithms if scale is Scale.LOGARITHM else _change_of_values
-    return compare(*sides, base.units, new.units, passes)
+    if scale is Scale.LINEAR:
+        return _change_of_values(*sides, base.units, new.units)
+    return _change_of_logarithms(*sides, base.units, new.units, passes, least)
 
 
 def _change_of_logarithms(
-    base: Interval, new: Interval, base_units: Units, new_units: Units, passes: Passes | None
+    base: Interval, new: Interval, base_units: Units, new_units: Units, passes: Passes | None, least: LeastVariances
 ) -> Change:
     logs = np.log(base_units.values), np.log(new_units.values)
-    test = _paired_where_possible(base_units, new_units, passes) or welch_test(*logs)
+    paired = _pairs(base_units, new_units, passes)
+    is_few = min(map(len, logs)) < ENOUGH_RUNS
+    test = (
+        welch_test(*logs, least.run if is_few else 0.0)
+        if paired is None
+        else paired_test(*paired, least.pair if is_few else 0.0)
+    )
     reach = test.reach(base.confidence)
     before, after = (
         _exponential_ends(float(values.mean()), reach * error)
@@ -144,20 +175,20 @@ def _change_of_logarithms(
     )
 
 
-def _paired_where_possible(base: Units, new: Units, passes: Passes | None) -> StudentTest | None:
+def _pairs(base: Units, new: Units, passes: Passes | None) -> tuple[Float64, Float64] | None:
     if passes is None or any(len(side) != side.runs for side in (base, new)):
         return None
     common, base_index, new_index = np.intersect1d(*passes, return_indices=True)
     if not len(common) == len(base) == len(new):
         return None
-    return paired_test(np.log(base.values)[base_index], np.log(new.values)[new_index])
+    return np.log(base.values)[base_index], np.log(new.values)[new_index]
 
 
 def _exponential_ends(logarithm: float, reach: float) -> Ends:
     return math.exp(logarithm), math.exp(logarithm - reach), math.exp(logarithm + reach)
 
 
-def _change_of_values(base: Interval, new: Interval, base_units: Units, new_units: Units, _: object) -> Change:
+def _change_of_values(base: Interval, new: Interval, base_units: Units, new_units: Units) -> Change:
     test = welch_test(base_units.values, new_units.values)
     reach = test.reach(base.confidence) * test.error
     return Change(
@@ -175,7 +206,6 @@ def _change_of_values(base: Interval, new: Interval, base_units: Units, new_unit
 def _change_of_reciprocals(
     base: Interval, new: Interval, base_units: Units, new_units: Units, p_of_losses: float
 ) -> Change:
-    """Compare mean reciprocals: base over new is new / base of the statistic."""
     above, below = 1 / base_units.values, 1 / new_units.values
     if not above.any() and not below.any():  # everything is lost on both sides
         return Change(base, new, Basis.BETWEEN_RUNS)
@@ -251,6 +281,9 @@ class DetectableChange:
         told: groups whose runs allow a verdict and an estimate of the smallest change.
         smallest_ratio: a group that became slower by this much or more, whichever it is and though no other did, would
             have been called slower with a probability of at least 80 %; None without such an estimate.
+        least_ratio: the same of the group in which the least is found; in the others it takes more, up to `smallest_ratio`.
+        least_result: row of `Comparison.delivery` of that group.
+        most_result: row of the group in which it takes most.
     """
 
     metric: str
@@ -258,23 +291,28 @@ class DetectableChange:
     groups: int
     told: int
     smallest_ratio: float | None
+    least_ratio: float | None = None
+    least_result: int | None = None
+    most_result: int | None = None
 
 
 def detectable_changes(
-    changes: Iterable[tuple[str, str, Change]], confidence: float, same_within: float
+    changes: Iterable[tuple[str, str, int, Change]], confidence: float, same_within: float
 ) -> tuple[DetectableChange, ...]:
-    families: dict[tuple[str, str], list[Change]] = {}
-    for metric, statistic, change in changes:
-        families.setdefault((metric, statistic), []).append(change)
+    families: dict[tuple[str, str], list[tuple[int, Change]]] = {}
+    for metric, statistic, result, change in changes:
+        families.setdefault((metric, statistic), []).append((result, change))
     detectable = []
     for (metric, statistic), family in families.items():
-        tests = sum(change.p_value is not None for change in family)
-        ratios = [
-            ratio
-            for change in family
+        tests = sum(change.p_value is not None for _, change in family)
+        ratios = sorted(
+            (ratio, result)
+            for result, change in family
             if (ratio := smallest_detectable_ratio(change, tests, confidence, same_within)) is not None
-        ]
-        detectable.append(DetectableChange(metric, statistic, len(family), len(ratios), max(ratios, default=None)))
+        )
+        least, most = (ratios[0], ratios[-1]) if ratios else ((None, None), (None, None))
+        found = most[0], least[0], least[1], most[1]
+        detectable.append(DetectableChange(metric, statistic, len(family), len(ratios), *found))
     return tuple(detectable)
 
 

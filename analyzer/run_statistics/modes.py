@@ -96,12 +96,6 @@ TREND_P_VALUE = 0.001
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """How a series moves from start to end.
-
-    Attributes:
-        change: end over start less one, along the line of Theil and Sen through the block medians.
-    """
-
     change: float
     p_value: float
 

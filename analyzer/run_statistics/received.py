@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statistics.distributions import poisson_limits, student_quantile
+from ..statistics.distributions import poisson_cdf, poisson_limits, student_cdf, student_quantile
 from ..statistics.intervals import MIN_EPISODES, MIN_RUNS, Basis, Interval
-from ..statistics.power import smallest_shift
+from ..statistics.power import holm_adjusted, smallest_shift
 from .bursts import COSINES, episode_sizes, share_inflation
 from .change import Verdict
 from .two_samples import StudentTest, mover_ends, welch_test
@@ -76,10 +76,6 @@ def _independent(events: Sequence[Bools], share: float, n: int) -> float:
 
 
 def _few_episodes(sizes: Int64, n: int, confidence: float) -> tuple[float, float]:
-    """Return the ends of the share of messages in a Poisson number of episodes.
-
-    The upper end takes an episode to be as long as an average message's one, the lower end as the mean one.
-    """
     fewest, most = poisson_limits(len(sizes), confidence)
     if not len(sizes):
         return 0.0, min(most / n, 1.0)
@@ -125,14 +121,7 @@ def loss_test(base: Float64, new: Float64, least_variance: float) -> StudentTest
 
 @dataclass(frozen=True, slots=True)
 class DeliveryChange:
-    """Received ratios of both sides; what the samples do not support is None.
-
-    Attributes:
-        difference: new - base, between -1 and 1.
-        basis: between runs only if both sides have three.
-        smallest_drop: the smallest loss of share that these runs would have detected with a probability of 80 %; None where not
-            even the loss of everything would be.
-    """
+    """Received ratios of both sides; what the samples do not support is None."""
 
     base: Interval
     new: Interval
@@ -208,3 +197,79 @@ def _shares(angle: float, reach: float) -> tuple[float, float, float]:
 
 def _share(angle: float) -> float:
     return math.sin(min(max(angle, 0.0), math.pi / 2)) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class LossExcess:
+    lost: int
+    messages: int
+    low: float | None = None
+    high: float | None = None
+    p_value: float | None = None
+    p_adjusted: float | None = None
+
+    @property
+    def share(self) -> float:
+        return self.lost / self.messages if self.messages else 0.0
+
+    def is_sure(self, confidence: float = 0.95) -> bool:
+        if self.p_value is None or self.p_adjusted is None:
+            return False
+        return self.p_value <= (1 - confidence) / 2 and self.p_adjusted <= 1 - confidence
+
+
+def loss_excesses(groups: Sequence[Sequence[Bools]], limit: float, confidence: float = 0.95) -> list[LossExcess]:
+    """Test for each group of runs, from what each message received, whether more than `limit` is lost in the long run.
+
+    Fewer than `MIN_EPISODES` episodes are a Poisson number of equal ones, of the size that an average loss's has. From there on
+    Student's test of the runs' angles (`_loss_angles`) decides, with at least the variance of as many such episodes. Few runs hide how
+    much they differ: the test that is adjusted by Holm takes the ratio of both variances from all groups.
+    """
+    measured = [_Losses([run for run in runs if len(run)]) for runs in groups]
+    tested = [one for one in measured if one.runs >= MIN_RUNS]
+    lossy = [one for one in tested if one.lost > 1]
+    degrees = sum(one.runs - 1 for one in lossy)
+    ratio = sum((one.runs - 1) * one.variance / one.least for one in lossy) / max(1, degrees)
+    adjusted = iter(
+        holm_adjusted([one.p_value(limit, max(1.0, ratio) * one.least, degrees) for one in tested]).tolist()
+    )
+    return [
+        LossExcess(
+            *(one.lost, one.messages, *one.ends(confidence)),
+            p_value=one.p_value(limit, one.least, one.runs - 1),
+            p_adjusted=next(adjusted),
+        )
+        if one.runs >= MIN_RUNS
+        else LossExcess(one.lost, one.messages)
+        for one in measured
+    ]
+
+
+class _Losses:
+    def __init__(self, received: Sequence[Bools]) -> None:
+        indices = [np.flatnonzero(~run) for run in received]
+        self.runs, self.lost, self.messages = len(received), sum(map(len, indices)), sum(map(len, received))
+        sizes = [episode_sizes(lost, len(run)) for lost, run in zip(indices, received, strict=True)]
+        self.sizes = np.concatenate([np.empty(0, np.int64), *sizes])
+        self.episode = float(np.square(self.sizes).sum() / self.lost) if self.lost else 1.0
+        angles = np.array(
+            [math.asin(math.sqrt(len(lost) / len(run))) for lost, run in zip(indices, received, strict=True)]
+        )
+        self.angle = float(angles.mean()) if self.runs else 0.0
+        self.least = self.episode * self.runs / (4 * max(1, self.messages))
+        self.variance = max(float(angles.var(ddof=1)) if self.runs > 1 else 0.0, self.least)
+
+    def p_value(self, limit: float, variance: float, degrees: float) -> float:
+        if len(self.sizes) < MIN_EPISODES:
+            equal = int(self.lost / self.episode)
+            return 1 - poisson_cdf(equal - 1, limit * self.messages / self.episode) if equal else 1.0
+        error = math.sqrt(max(variance, self.variance) / self.runs)
+        return student_cdf((math.asin(math.sqrt(limit)) - self.angle) / error, degrees)
+
+    def ends(self, confidence: float) -> tuple[float, float]:
+        reach = student_quantile((1 + confidence) / 2, self.runs - 1) * math.sqrt(self.variance / self.runs)
+        low, high = _share(self.angle - reach), _share(self.angle + reach)
+        if len(self.sizes) < MIN_EPISODES:
+            low, high = _few_episodes(self.sizes, self.messages, confidence)
+        share = self.lost / max(1, self.messages)
+        return min(low, share), max(high, share)

@@ -60,7 +60,6 @@ class SendTimes:
         return np.array([mean_distance(times) if len(times) else 1.0 for times in self.by_run])
 
     def positions(self, indices: Indices, events: Indices) -> Float64:
-        """Return `bursts.positions_of` each run; `events` is the number of indices of each."""
         since_first = self.sent_ns[indices] - self._first_ns.repeat(events)
         positions: Float64 = since_first / self._distances_ns.repeat(events)
         return positions
@@ -68,8 +67,6 @@ class SendTimes:
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """The level of each run, by which its values are divided, or which is subtracted."""
-
     values: tuple[float, ...]
     is_ratio: bool
 
@@ -173,14 +170,12 @@ class Runs:
         return Runs((joined,))
 
     def positions(self, indices: Indices, offsets: Indices) -> Float64:
-        """Return when messages were sent, in mean distances of their run's messages; `offsets` are the first index of each run."""
         if len(self) == 1:
             return positions_of(indices, self.runs[0].sent_ns)
         return self.times.positions(indices, offsets[1:] - offsets[:-1])
 
 
 def joined_runs(runs: Sequence[Run]) -> Run:
-    """Return several runs as one series, one after the other; a single run as it is."""
     if not runs:
         return Run(np.empty(0))
     if len(runs) == 1:

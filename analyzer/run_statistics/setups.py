@@ -4,12 +4,14 @@ The logarithm of a run's statistic is `x[k, c, i]` of kind of message k, setup c
 is known with P - 1 degrees of freedom. Where the spreads of the kinds are alike by Bartlett's test (1937), a setup has
 one spread, the mean of the kinds' variances, with `(P - 1) (tr S)^2 / tr(S^2)` degrees (S the covariance of the kinds
 over the repeats; F. E. Satterthwaite, Biometrics Bulletin 2, 1946): with one relay for all sizes these move together
-and count as one. A kind that spreads more than the others by an F test keeps its own. Rates, true and
-false: docs/explanation/statistics.md.
+and count as one. A kind that spreads more than the others by an F test keeps its own. Few runs of two modes agree by
+chance, so where spreads are unlike, none of fewer than `ENOUGH_RUNS` is below the campaign's. Rates, true and false:
+docs/explanation/statistics.md.
 """
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +21,8 @@ from string import ascii_letters
 import numpy as np
 from numpy.typing import NDArray
 
-from ..statistics.distributions import chi_square_cdf, incomplete_beta
+from ..statistics.distributions import chi_square_cdf, incomplete_beta, student_cdf
+from ..statistics.intervals import MIN_RUNS
 from .two_samples import StudentTest
 
 Float64 = NDArray[np.float64]
@@ -34,23 +37,25 @@ MORE_UP_TO = 0.05
 """P value of an F test up to which one kind of message keeps its own spread."""
 
 
+ENOUGH_RUNS = 5
+"""Runs from which on a spread may be smaller than the campaign's: three runs of two modes are of one in a quarter of all cases."""
+
+DEPENDENT_UP_TO, DEPENDENT_UP_TO_OF_ONE = 0.05, 0.01
+"""P value up to which passes are taken to depend on each other, of several kinds of message and of one, where only long campaigns show it;
+it costs as many campaigns of independent passes their leader."""
+
+TOGETHER_FROM = 3.0
+"""Squared length of the sum of independent series, over the expected one, that one in twenty exceeds."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunLogarithms:
-    """The logarithms of the statistics of one setup's runs with one kind of message.
-
-    Attributes:
-        values: float64, in the order of the repeats.
-        repeats: the repeats; setups' spreads are pooled over kinds with equal ones.
-    """
-
     values: Float64
     repeats: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class SetupMean:
-    """The mean of a setup's logarithms, the variance of this mean, and the degrees of freedom of the variance."""
-
     mean: float
     variance: float
     degrees: float
@@ -64,7 +69,6 @@ class SetupMean:
 
 
 def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
-    """Return the mean of every setup with every kind of message, its spread pooled over the kinds where they are alike."""
     pools: dict[Hashable, list[Key]] = defaultdict(list)
     for (kind, setup), own in runs.items():
         pools[setup, own.repeats].append((kind, setup))
@@ -72,6 +76,7 @@ def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
         pool: np.array([runs[key].values - runs[key].values.mean() for key in keys]) for pool, keys in pools.items()
     }
     is_pooled = spreads_are_alike(residuals.values())
+    least = 0.0 if is_pooled else campaign_variance(residuals.values())
     means: dict[Key, SetupMean] = {}
     for pool, keys in pools.items():
         rows = residuals[pool]
@@ -79,8 +84,41 @@ def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
         for index, (key, row) in enumerate(zip(keys, rows, strict=True)):
             has_own = not is_pooled or spreads_more(rows, index)
             variance, degrees = pooled_variance(row[np.newaxis]) if has_own else pooled
+            if len(row) < ENOUGH_RUNS:
+                variance = max(variance, least)
             means[key] = SetupMean(float(runs[key].values.mean()), variance / len(row), degrees)
     return means
+
+
+def campaign_variance(residuals: Iterable[Float64]) -> float:
+    """Return the mean variance of a run over all kinds and setups; `residuals` have shape (kinds, repeats)."""
+    variances = [np.square(own).sum(axis=1) / (own.shape[1] - 1) for own in residuals]
+    return float(np.concatenate(variances).mean())
+
+
+def passes_depend(runs: Iterable[RunLogarithms], kinds: int) -> bool:
+    """Return whether neighbouring repeats are more alike than distant ones, over all kinds and setups together.
+
+    J. von Neumann's ratio (Annals of Mathematical Statistics 12, 1941) of the squared steps to the squared residuals is 2 on average for
+    independent normal repeats, whatever their spread, with the variance `4 (n - 2) / ((n - 1) (n + 1))` for n of them. Series that move
+    together, as the sizes of one relay, count as fewer.
+    """
+    by_repeats: dict[int, list[Float64]] = defaultdict(list)
+    for own in runs:
+        residual = own.values - own.values.mean()
+        if len(residual) >= MIN_RUNS and residual.any():
+            by_repeats[len(residual)].append(residual)
+    deficit = variance = 0.0
+    for repeats, rows in by_repeats.items():
+        series = np.array(rows)
+        weights = np.square(series).sum(axis=1)
+        together = np.square((np.sqrt(weights)[:, None] * series).sum(axis=0)).sum() / np.square(weights).sum()
+        deficit += float((2 * weights - np.square(np.diff(series, axis=1)).sum(axis=1)).sum())
+        of_ratio = 4 * (repeats - 2) / ((repeats - 1) * (repeats + 1))
+        is_together = together > min(TOGETHER_FROM, 0.75 * len(series))
+        variance += of_ratio * float(np.square(weights).sum()) * (float(together) if is_together else 1.0)
+    level = DEPENDENT_UP_TO if kinds > 1 else DEPENDENT_UP_TO_OF_ONE
+    return deficit > 0 and student_cdf(-deficit / math.sqrt(variance), math.inf) <= level
 
 
 def pooled_variance(residuals: Float64) -> tuple[float, float]:
@@ -93,7 +131,6 @@ def pooled_variance(residuals: Float64) -> tuple[float, float]:
 
 
 def spreads_are_alike(residuals: Iterable[Float64]) -> bool:
-    """Return whether no setup has unlike spreads over the kinds: Bartlett's statistic within each, summed."""
     statistic, freedom = 0.0, 0
     for own in residuals:
         kinds, repeats = own.shape
@@ -110,7 +147,6 @@ def spreads_are_alike(residuals: Iterable[Float64]) -> bool:
 
 
 def spreads_more(residuals: Float64, index: int) -> bool:
-    """Return whether one kind of message spreads more than the others, by an F test: few repeats hide one noisy kind from Bartlett's."""
     if len(residuals) < 2:
         return False
     (own, degrees), (others, others_degrees) = (

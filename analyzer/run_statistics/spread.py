@@ -19,12 +19,7 @@ from .tails import inflations_of
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Standard deviations of the logarithm of a statistic of one run; 0.05 is 5 %.
-
-    Attributes:
-        between: from run to run; 0 if the runs differ by less than their messages explain.
-        within: what longer runs would average away, the root mean square over the runs.
-    """
+    """Standard deviations of the logarithm of a statistic of one run; 0.05 is 5 %."""
 
     between: float | None
     within: float | None
@@ -99,7 +94,6 @@ def runs_to_settle_ratio(change: Change, limit: float) -> int | None:
 
 
 def runs_to_settle_value(interval: Interval, limit: float) -> int | None:
-    """Return the runs after which an interval very likely is on one side of a limit; see `runs_to_settle_ratio`."""
     if interval.value is None or not 0 < interval.value < math.inf:
         return None
     return _runs_to_decide(interval.value / limit, (interval.unit_spread, 0.0), interval)
@@ -119,7 +113,6 @@ SMALL_GROUP = 20_000
 
 
 def spreads_of_groups(groups: Sequence[Runs], statistics: Sequence[Statistic]) -> list[list[Spread]]:
-    """Return the spread of each statistic, a quantile, in each group; each run has a message."""
     if not groups:
         return []
     quantiles = [statistic.quantile for statistic in statistics if statistic.quantile is not None]

@@ -121,14 +121,6 @@ def indices_beyond(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tail:
-    """The messages of one run beyond a quantile of its group.
-
-    Attributes:
-        sizes: int64, messages of each episode.
-        streaks: unbroken streaks of messages; None for as many as episodes.
-        bursts: bursts of the group's tail, if few enough to limit it.
-    """
-
     messages: int
     sizes: Int64
     inflation: float
@@ -167,7 +159,6 @@ def beyond_quantiles(runs: Runs, quantiles: Sequence[float]) -> list[Beyond]:
 
 
 def tails_of(runs: Runs, quantiles: Sequence[float]) -> list[list[Tail]]:
-    """Return for each quantile the tail of each run; several quantiles cost little more than one."""
     if not quantiles:
         return []
     levels = [level_below(quantile) for quantile in quantiles]
@@ -286,7 +277,6 @@ def _longest_streak(streaks: int, probability: float) -> float:
 
 
 def _merged_streaks(streaks: Streaks, longest: float, gap: float, messages: int) -> tuple[Float64, Float64]:
-    """Return the first and last position of each burst: long streaks, merged across a few fast messages."""
     first, last, sizes = streaks
     is_long = sizes > longest
     first, last = first[is_long], last[is_long]

@@ -52,10 +52,10 @@ def welch_test(base: Float64, new: Float64, least_variance: float = 0.0) -> Stud
     return StudentTest(float(new.mean() - base.mean()), errors[0], errors[1], degrees, 0)
 
 
-def paired_test(base: Float64, new: Float64) -> StudentTest:
-    """Return the test of the differences of pairs (Student, 1908)."""
+def paired_test(base: Float64, new: Float64, least_variance: float = 0.0) -> StudentTest:
+    """Return the test of the differences of pairs (Student, 1908); `least_variance` is a lower bound of the variance of one."""
     apart = new - base
-    error = float(apart.std(ddof=1)) / math.sqrt(2 * len(apart))
+    error = math.sqrt(max(float(apart.var(ddof=1)), least_variance) / (2 * len(apart)))
     return StudentTest(float(apart.mean()), error, error, len(apart) - 1, len(apart))
 
 

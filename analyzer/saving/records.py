@@ -14,6 +14,7 @@ from ..model.finding import Finding, Source
 from ..statistics.intervals import Interval
 from ..verdicts.answers import CaseAnswer
 from ..verdicts.job import Job
+from ..verdicts.judgements import Judgement
 from ..verdicts.recommend import Recommendation
 
 Record = TypeVar("Record")
@@ -25,6 +26,7 @@ _NAMES = {
     "Finding": Finding,
     "Interval": Interval,
     "Job": Job,
+    "Judgement": Judgement,
     "Mapping": Mapping,
     "Recommendation": Recommendation,
     "Setting": Mapping[str, str | int | float | None],

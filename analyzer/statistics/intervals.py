@@ -30,8 +30,6 @@ Range = tuple[float | None, float | None]
 
 
 class Basis(Enum):
-    """What an interval has seen vary."""
-
     BETWEEN_RUNS = "between runs"  # holds for another run of the same kind
     WITHIN_RUN = "within one run"  # no verdict follows from it
 

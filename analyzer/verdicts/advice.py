@@ -30,7 +30,6 @@ def first_look(messages: pl.DataFrame, tried: Mapping[int, tuple[str, int]]) -> 
 
 
 def pays(comparison: Comparison) -> bool:
-    """Return whether a result is better by its verdict and none is worse by its own interval, in time or messages received."""
     if comparison.barred or len(comparison.only_base) or comparison.delivery["is_dead"].any():
         return False
     verdicts = {*comparison.rows["verdict"], *comparison.delivery["verdict"]}

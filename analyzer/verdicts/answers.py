@@ -1,27 +1,23 @@
-"""Answers: which middleware and bridge is fastest for which kind of message, and where the traces are inconclusive.
-
-For each kind of message the medians of the setups are compared, and their p99 where all have an interval for it: a verdict for
-each (`ranking`). Lost messages count as infinitely late. A setup that receives significantly less than another one, or that a report
-advises against because of its losses, never leads.
-"""
+"""Answers: which setup is fastest for which kind of message; what loses significantly more, or over `LOSSY_SHARE`, never leads."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
-from operator import attrgetter
 from typing import Any
 
+import numpy as np
 import polars as pl
 
+from ..model.names import group_words
 from ..model.parameters import CASE_COLUMNS, CONTENDER_COLUMNS
 from ..model.runs import RunRows
-from ..run_statistics.between_runs import estimates_of_runs
+from ..model.setting import parse_setting
+from ..run_statistics.received import Bools, LossExcess, loss_excesses
 from ..run_statistics.runs import Statistic
-from ..statistics.intervals import Basis, Interval
+from ..statistics.intervals import Basis, Interval, Range
 from .cases import (
     CONDITIONS,
     Contender,
@@ -29,13 +25,26 @@ from .cases import (
     GroupRows,
     Setting,
     contender_names,
-    is_lossy,
     is_too_large,
     partition_groups,
     with_conditions,
 )
+from .judgements import LOSSY_SHARE, PROVEN, Claim, Judgement, exceeds_lossy_share, judged_losses
 from .matching import MatchedGroup
-from .ranking import Kind, Ranking, RankingOptions, SetupRuns, find_losers, rank_setups
+from .ranking import Kind, Ranking, RankingOptions, SetupRuns, judge_losers, rank_setups
+
+_WORDS = (
+    "data_type",
+    "payload_bytes",
+    "rate_hz",
+    "domain_mode",
+    "connectivity",
+    "ping_device",
+    "relay_device",
+    "conditions",
+)
+FAMILY = ("connectivity", "domain_mode", "data_type", "ping_device", "relay_device", "conditions")
+"""Fields of an answer that differ between families, whose spreads are pooled."""
 
 _ROW_COLUMNS = ("run_id", "relay_id", "publish_ns", "latency_ns", "rtt_ns", "outcome")
 
@@ -70,6 +79,7 @@ class CaseAnswer:
         repeats_p99: the same of the p99.
         interleaved: False if some setups of three runs or more were recorded one after the other.
         drift_ratio: the smallest drift between these that a test would call a difference of medians.
+        judgements: who is the fastest, slower, loses more, and is not to be used; `subject` and `base` are names of setups.
     """
 
     connectivity: str
@@ -92,6 +102,14 @@ class CaseAnswer:
     repeats_p99: int | None = None
     interleaved: bool = True
     drift_ratio: float | None = None
+    judgements: tuple[Judgement, ...] = ()
+
+    @property
+    def words(self) -> str:
+        return group_words({name: getattr(self, name) for name in _WORDS}, _WORDS)
+
+    def of_claim(self, claim: Claim, statistic: str = "") -> list[Judgement]:
+        return [row for row in self.judgements if row.claim is claim and statistic in ("", row.statistic)]
 
 
 def find_answers(
@@ -100,12 +118,15 @@ def find_answers(
     passes: Mapping[int, int] | None = None,
     *,
     wall_offsets_ns: Mapping[int, int] | None = None,
+    outages_ns: Mapping[int, Range] | None = None,
     options: RankingOptions = RankingOptions(),  # noqa: B008 - frozen
 ) -> tuple[CaseAnswer, ...]:
     """Answer each kind of message of at most `cases.MOST_COMPARED_ROWS` round trips, sorted by `CASE_COLUMNS`.
 
     `confidence` is of the intervals, and of the verdicts of all kinds together; `passes` is run_id -> repeat of the
-    sweep; `wall_offsets_ns` is run_id -> wall clock minus the clock of its stamps (the order of other runs is trusted).
+    sweep; `wall_offsets_ns` is run_id -> wall clock minus the clock of its stamps (the order of other runs is trusted);
+    `outages_ns` is run_id -> start and end (None: of the run) of an outage that the sweep made: what is lost in it speaks
+    against no setup.
     """
     if not rows.has_rows:
         return ()
@@ -119,12 +140,20 @@ def find_answers(
         confidence=confidence,
         passes=passes or {},
         wall_offsets_ns=wall_offsets_ns or {},
+        outages_ns=outages_ns or {},
     )
     cases = [measure(part) for part in parts if not is_too_large(part)]  # rows of one in memory at a time
-    losers = find_losers([case.kind() for case in cases], confidence)
-    cases = [case.with_losers(names) for case, names in zip(cases, losers, strict=True)]
+    losers = judge_losers([case.kind() for case in cases], confidence)
+    cases = [
+        case.with_losers({row.subject for row in rows if row.verdict == PROVEN})
+        for case, rows in zip(cases, losers, strict=True)
+    ]
+    excesses = iter(loss_excesses([setup.outside for case in cases for setup in case.setups.values()], LOSSY_SHARE))
     rankings = rank_setups([case.kind() for case in cases], confidence, options)
-    return tuple(_answer(case, ranking, confidence) for case, ranking in zip(cases, rankings, strict=True))
+    return tuple(
+        _answer(case, ranking, confidence, [*rows, *case.judged_losses(excesses)])
+        for case, ranking, rows in zip(cases, rankings, losers, strict=True)
+    )
 
 
 def without_sockets(groups: pl.DataFrame) -> pl.DataFrame:
@@ -142,6 +171,8 @@ class _Setup:
     runs: SetupRuns
     received: Interval
     survivors_ns: Mapping[str, float | None]
+    outside: tuple[Bools, ...]
+    group: int
     loses_more: bool = False
 
 
@@ -158,9 +189,18 @@ class _Case:
         return all(interval.is_two_sided for interval in intervals)
 
     def kind(self) -> Kind:
-        family = tuple(self.columns[name] for name in _HEADLINE_KEY)
+        family = tuple(self.columns[name] for name in FAMILY)
         percentiles = tuple(_STATISTICS) if self.has_tails else ("p50",)
         return Kind(family, {name: setup.runs for name, setup in self.setups.items()}, percentiles)
+
+    def group_of(self, name: str) -> int:
+        return (self.setups.get(name) or next(iter(self.setups.values()))).group
+
+    def judged_losses(self, excesses: Iterator[LossExcess]) -> Iterator[Judgement]:
+        for (name, setup), excess in zip(self.setups.items(), excesses, strict=False):
+            is_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
+            if row := judged_losses(name, excess, setup.group, is_requested=is_requested):
+                yield row
 
     def with_losers(self, losers: Collection[str]) -> _Case:
         setups = {
@@ -177,17 +217,23 @@ def _measure_case(
     confidence: float,
     passes: Mapping[int, int],
     wall_offsets_ns: Mapping[int, int],
+    outages_ns: Mapping[int, Range],
 ) -> _Case:
     groups: dict[str, tuple[Setting, MatchedGroup]] = {}
+    first_groups: dict[str, int] = {}
     setting: Setting
     for part in partition_groups(case, CONTENDER_COLUMNS):
         setting = part.select(CONTENDER_COLUMNS).row(0, named=True)
-        groups[names[tuple(setting.values())]] = setting, MatchedGroup(rows.frame(part, _ROW_COLUMNS))
+        name = names[tuple(setting.values())]
+        first_groups[name] = int(part["group"][0])
+        groups[name] = setting, MatchedGroup(rows.frame(part, _ROW_COLUMNS))
     received = {name: group.received_ratio(confidence) for name, (_, group) in groups.items()}
-    usable = {name for name, interval in received.items() if not is_lossy(interval)} or set(groups)
+    usable = {name for name, one in received.items() if not exceeds_lossy_share(1.0 - (one.value or 0.0))} or set(
+        groups
+    )
     setups = {}
     for name, (setting, group) in groups.items():
-        estimates = estimates_of_runs(group.delivered("latency"), list(_STATISTICS.values()), confidence)
+        estimates = group.estimates("latency", list(_STATISTICS.values()), confidence)
         setups[name] = _Setup(
             setting,
             SetupRuns(
@@ -199,8 +245,19 @@ def _measure_case(
             ),
             received[name],
             {key: group.of_survivors("latency", statistic) for key, statistic in _STATISTICS.items()},
+            tuple(_outside(run, outages_ns.get(run.run_id)) for run in group.runs),
+            first_groups[name],
         )
     return _Case(case.select(*CASE_COLUMNS, CONDITIONS).row(0, named=True), setups)
+
+
+def _outside(run: RunRows, outage_ns: Range | None) -> Bools:
+    if outage_ns is None:
+        return run.received
+    sent_ns = run.rows["publish_ns"].to_numpy()
+    start_ns, end_ns = outage_ns
+    is_within = (sent_ns >= (start_ns or 0)) & (sent_ns < (np.inf if end_ns is None else end_ns))
+    return np.asarray(run.received[~is_within])
 
 
 def _repeats(runs: Sequence[RunRows], passes: Mapping[int, int]) -> tuple[int, ...]:
@@ -217,7 +274,7 @@ def _starts_ns(runs: Sequence[RunRows], wall_offsets_ns: Mapping[int, int]) -> t
     return tuple(starts) if len(starts) == len(runs) else ()
 
 
-def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float) -> CaseAnswer:
+def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, losses: Sequence[Judgement]) -> CaseAnswer:
     median, tail = rankings["p50"], rankings.get("p99")
     leaders = list(dict.fromkeys(ranking.leader for ranking in rankings.values() if ranking.leader))
     percentile = "p99" if tail is not None and (tail.leader or not median.leader) else "p50"
@@ -247,6 +304,14 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float) -> 
         repeats_p99=_repeats_to_decide(tail, confidence) if tail else None,
         interleaved=median.is_interleaved,
         drift_ratio=median.drift_ratio,
+        judgements=(
+            *(
+                replace(row, group=case.group_of(row.subject))
+                for name, one in rankings.items()
+                for row in one.judgements(f"latency_{name}", confidence)
+            ),
+            *losses,
+        ),
     )
 
 
@@ -269,57 +334,4 @@ def _contender(name: str, setup: _Setup, percentile: str, rankings: Mapping[str,
         p99_ns=intervals["p99"].value,
         letters_p50=rankings["p50"].letters[name],
         letters_p99=rankings["p99"].letters[name] if "p99" in rankings else "",
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Lead:
-    """A setup that leads clearly in so many cases."""
-
-    name: str
-    cases: int
-
-
-@dataclass(frozen=True, slots=True)
-class Headline:
-    """The answers for one device pair, link, set of conditions, domain mode and data type in one line.
-
-    `cases` have at least two setups; of these some lead, `inconclusive` have no clear leader, `within_one_run` for lack of three runs.
-    """
-
-    connectivity: str
-    domain_mode: str
-    data_type: str
-    cases: int
-    leads: tuple[Lead, ...]
-    inconclusive: int
-    only_one: int
-    ping_device: str = ""
-    relay_device: str | None = None
-    conditions: str = ""
-    within_one_run: int = 0
-
-
-_HEADLINE_KEY = ("connectivity", "domain_mode", "data_type", "ping_device", "relay_device", "conditions")
-
-
-def find_headlines(answers: Sequence[CaseAnswer]) -> tuple[Headline, ...]:
-    by_key: dict[tuple[Any, ...], list[CaseAnswer]] = {}
-    for answer in answers:
-        by_key.setdefault(attrgetter(*_HEADLINE_KEY)(answer), []).append(answer)
-    return tuple(_headline(key, cases) for key, cases in by_key.items())
-
-
-def _headline(key: tuple[Any, ...], cases: Sequence[CaseAnswer]) -> Headline:
-    compared = [case for case in cases if case.clarity is not Clarity.ONLY_ONE]
-    unclear = [case for case in compared if case.clarity is Clarity.INCONCLUSIVE]
-    won = Counter(case.leaders[0].name for case in compared if case.clarity is Clarity.CLEAR)
-    leads = sorted(won.items(), key=lambda lead: (-lead[1], lead[0]))
-    return Headline(
-        **dict(zip(_HEADLINE_KEY, key, strict=True)),
-        cases=len(compared),
-        leads=tuple(Lead(name, count) for name, count in leads),
-        inconclusive=len(unclear),
-        only_one=len(cases) - len(compared),
-        within_one_run=sum(case.basis == Basis.WITHIN_RUN.value for case in unclear),
     )

@@ -77,19 +77,6 @@ def with_conditions(groups: pl.DataFrame) -> pl.DataFrame:
     return groups.with_columns(pl.Series(CONDITIONS, list(conditions), pl.String))
 
 
-LOSSY_SHARE = 0.01
-"""Share of lost messages above which a report advises against a setup, as its p99 is a lost message."""
-
-
-def is_lossy(received: Interval) -> bool:
-    return exceeds_lossy_share(1.0 - (received.value or 0.0))
-
-
-def exceeds_lossy_share(lost: float) -> bool:
-    """Return whether a share is more than `LOSSY_SHARE`; 1 of 100 is not, though 1 - 0.99 is."""
-    return round(lost, 9) > LOSSY_SHARE
-
-
 def is_too_large(groups: pl.DataFrame) -> bool:
     return int(groups["published"].sum()) > MOST_COMPARED_ROWS
 

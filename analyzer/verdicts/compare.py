@@ -1,15 +1,10 @@
-"""Two sets of round trips against each other: per group and statistic the change, its interval, a verdict.
-
-With three runs a side the interval comes from the runs (`run_statistics.change`), with fewer there is no verdict. A lost message
-is an infinitely late one. `better` and `worse` require that the p value, adjusted by Benjamini and Hochberg over all groups,
-metrics and statistics (losses: over the groups), stays below 1 - confidence.
-"""
+"""Two sets of round trips against each other: for each group and statistic the change, its interval, and an adjusted verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import polars as pl
 
@@ -21,19 +16,20 @@ from ..model.metrics import TOPIC_METRICS
 from ..model.parameters import MATCH_COLUMNS, ParameterValue
 from ..model.presenter import presenter
 from ..model.runs import pass_numbers, passes_of, topics_in_blocks
-from ..run_statistics.between_runs import estimates_of_runs
+from ..run_statistics.between_runs import Estimate
 from ..run_statistics.change import (
     Change,
     DetectableChange,
-    Verdict,
+    LeastVariances,
+    Passes,
     change_of_estimates,
     detectable_changes,
+    least_variances,
     probability_of_superiority,
 )
 from ..run_statistics.received import DeliveryChange, change_of_received
 from ..run_statistics.runs import MEAN, Statistic
 from ..statistics.percentiles import PERCENTILES
-from ..statistics.power import benjamini_hochberg_adjusted
 from .comparison_rows import (
     COMPARISON_SCHEMA,
     DELIVERY_SCHEMA,
@@ -45,6 +41,7 @@ from .comparison_rows import (
     with_clock_bounds,
 )
 from .ignoring import check_match, ignored_sentences
+from .judgements import adjusted_p_values, with_adjusted_verdicts
 from .matching import (
     MatchedGroup,
     completed_key,
@@ -149,13 +146,15 @@ class Comparison:
         return f"<Comparison: {results}, {len(self.only_base)} only in the base, {len(self.only_new)} only in the new side>"
 
     def _repr_html_(self) -> str:
-        """Return the answer and a row for each result."""
         return presenter().comparison_screen(self)
 
     def sights(self) -> tuple[DetectableChange, ...]:
         """Return the smallest change that the verdicts would have detected, for each metric and statistic."""
+        match = self.options.match
+        results = {key: number for number, key in enumerate(self.delivery.select(match).rows())}
         names = self.rows.select("metric", "statistic").rows()
-        changes = ((*name, change) for name, change in zip(names, self.changes, strict=True))
+        keys = self.rows.select(match).rows()
+        changes = ((*name, results[key], change) for name, key, change in zip(names, keys, self.changes, strict=True))
         return detectable_changes(changes, self.options.confidence, self.options.same_within)
 
 
@@ -248,7 +247,6 @@ def with_topic_metrics(options: CompareOptions, *sides: ComparedSide) -> Compare
 
 
 def _groups_of(side: ComparedSide) -> pl.DataFrame:
-    """Return the match columns of all groups, topics last."""
     topics = side.topic_messages.select(MATCH_COLUMNS).unique(maintain_order=True)
     return pl.concat([side.summary.select(MATCH_COLUMNS), topics]) if len(topics) else side.summary
 
@@ -284,18 +282,19 @@ def compare_groups(
     deliveries: list[DeliveryChange] = []
     rows: list[tuple[Label, ChangeRow, Change]] = []
     distributions: list[Label] = []
+    least = _least_variances([(before[key], after[partner]) for key, partner in pairs.items()], options, passes or {})
     for key, partner in pairs.items():
         base, new = before[key], after[partner]
         row_keys[key] = row_keys[partner] = completed_key(key, partner, options.match)
         label: Label = dict(zip(options.match, row_keys[key], strict=True))
         labels.append(label)
         deliveries.append(change_of_received(base.received, new.received, options.confidence))
-        for distribution, changes in _changes(base, new, deliveries[-1], options, passes or {}):
+        for distribution, changes in _changes(base, new, deliveries[-1], options, passes or {}, least):
             distributions.append(label | asdict(distribution))
             rows += ((label, *changed) for changed in changes)
     match_schema = {name: schema[name] for name in options.match}
     change_rows = [label | asdict(row) for label, row, _ in rows]
-    losses = _adjusted_p_values([change.p_value for change in deliveries])
+    losses = adjusted_p_values([change.p_value for change in deliveries])
     delivery_rows = [
         label | asdict(_delivery_row(before[key], after[partner], change, p_adjusted))
         for label, (key, partner), change, p_adjusted in zip(labels, pairs.items(), deliveries, losses, strict=True)
@@ -321,93 +320,98 @@ def compare_groups(
 def _delivery_row(
     base: MatchedGroup, new: MatchedGroup, change: DeliveryChange, p_adjusted: float | None
 ) -> DeliveryRow:
+    sides = {"base": (base, change.base), "new": (new, change.new)}
+    of_sides: dict[str, Any] = {
+        f"{name}_{field}": value
+        for name, (side, received) in sides.items()
+        for field, value in (
+            ("published", len(side)),
+            ("received_ratio", received.value),
+            ("received_ratio_low", received.lower),
+            ("received_ratio_high", received.upper),
+            ("runs", received.runs),
+        )
+    }
     return DeliveryRow(
-        base_published=len(base),
-        base_received_ratio=change.base.value,
-        base_received_ratio_low=change.base.lower,
-        base_received_ratio_high=change.base.upper,
-        new_published=len(new),
-        new_received_ratio=change.new.value,
-        new_received_ratio_low=change.new.lower,
-        new_received_ratio_high=change.new.upper,
-        difference=change.difference,
-        difference_low=change.difference_low,
-        difference_high=change.difference_high,
+        **of_sides,
+        **_equal_fields(change, ("difference", "difference_low", "difference_high", "smallest_drop", "p_value")),
         verdict=change.verdict(p_adjusted=p_adjusted).value,
         basis=change.basis.value,
-        base_runs=change.base.runs,
-        new_runs=change.new.runs,
         is_dead=new.is_dead and not base.is_dead,
         environment=UNKNOWN,
-        smallest_drop=change.smallest_drop,
-        p_value=change.p_value,
         p_adjusted=p_adjusted,
     )
 
 
+def _equal_fields(record: object, names: Sequence[str]) -> dict[str, Any]:
+    return {name: getattr(record, name) for name in names}
+
+
+def _metrics(base: MatchedGroup, options: CompareOptions) -> list[str]:
+    return [metric for metric in options.metrics if (metric in TOPIC_METRICS) == base.is_topic]
+
+
+def _least_variances(
+    groups: Sequence[tuple[MatchedGroup, MatchedGroup]], options: CompareOptions, passes: Mapping[int, int]
+) -> dict[tuple[str, str], LeastVariances]:
+    statistics = [STATISTIC_BY_NAME[name] for name in options.statistics]
+    sides: dict[tuple[str, str], list[tuple[Estimate, Estimate, Passes | None]]] = {}
+    for base, new in groups:
+        paired = passes_of(base.runs, new.runs, passes) if options.paired else None
+        for metric in _metrics(base, options):
+            estimates = (side.estimates(metric, statistics, options.confidence) for side in (base, new))
+            for name, one, other in zip(options.statistics, *estimates, strict=True):
+                sides.setdefault((metric, name), []).append((one, other, paired))
+    return {key: least_variances(own) for key, own in sides.items()}
+
+
 def _changes(
-    base: MatchedGroup, new: MatchedGroup, received: DeliveryChange, options: CompareOptions, passes: Mapping[int, int]
+    base: MatchedGroup,
+    new: MatchedGroup,
+    received: DeliveryChange,
+    options: CompareOptions,
+    passes: Mapping[int, int],
+    least: Mapping[tuple[str, str], LeastVariances],
 ) -> Iterator[tuple[DistributionRow, list[tuple[ChangeRow, Change]]]]:
     paired = passes_of(base.runs, new.runs, passes) if options.paired else None
     p_of_losses = 1.0 if received.p_value is None else received.p_value
-    for metric in options.metrics:
-        if (metric in TOPIC_METRICS) != base.is_topic:
-            continue
+    for metric in _metrics(base, options):
         before, after = base.delivered(metric), new.delivered(metric)
         superiority = probability_of_superiority(before.ordered, after.ordered)
         statistics = [STATISTIC_BY_NAME[name] for name in options.statistics]
-        estimates = (estimates_of_runs(side, statistics, options.confidence) for side in (before, after))
+        estimates = (side.estimates(metric, statistics, options.confidence) for side in (base, new))
         changes = []
         for name, statistic, one, other in zip(options.statistics, statistics, *estimates, strict=True):
-            change = change_of_estimates(one, other, paired, p_of_losses)
+            change = change_of_estimates(one, other, paired, p_of_losses, least[metric, name])
+            sides = {"base": (base, change.base, received.base), "new": (new, change.new, received.new)}
+            of_sides: dict[str, Any] = {
+                f"{side}_{field}": value
+                for side, (group, interval, share) in sides.items()
+                for field, value in (
+                    ("messages", len(group.survivors(metric))),
+                    ("ns", interval.value),
+                    ("low_ns", interval.lower),
+                    ("high_ns", interval.upper),
+                    ("received_ratio", share.value),
+                    ("survivors_ns", group.of_survivors(metric, statistic)),
+                    ("runs", interval.runs),
+                    ("episodes", interval.episodes),
+                )
+            }
+            differences = {
+                f"{field}_ns": getattr(change, field) for field in ("difference", "difference_low", "difference_high")
+            }
             row = ChangeRow(
                 metric=metric,
                 statistic=name,
-                base_messages=len(base.survivors(metric)),
-                new_messages=len(new.survivors(metric)),
-                base_ns=change.base.value,
-                new_ns=change.new.value,
-                new_low_ns=change.new.lower,
-                new_high_ns=change.new.upper,
-                difference_ns=change.difference,
-                difference_low_ns=change.difference_low,
-                difference_high_ns=change.difference_high,
-                ratio=change.ratio,
-                ratio_low=change.ratio_low,
-                ratio_high=change.ratio_high,
+                **of_sides,
+                **differences,
+                **_equal_fields(change, ("ratio", "ratio_low", "ratio_high", "pairs", "p_value", "smallest_ratio")),
                 superiority=superiority,
                 cliffs_delta=None if superiority is None else 2 * superiority - 1,
                 verdict=change.verdict(options.same_within).value,
-                base_received_ratio=received.base.value,
-                new_received_ratio=received.new.value,
-                base_survivors_ns=base.of_survivors(metric, statistic),
-                new_survivors_ns=new.of_survivors(metric, statistic),
-                base_low_ns=change.base.lower,
-                base_high_ns=change.base.upper,
-                base_runs=change.base.runs,
-                new_runs=change.new.runs,
-                base_episodes=change.base.episodes,
-                new_episodes=change.new.episodes,
                 basis=change.basis.value,
-                pairs=change.pairs,
-                p_value=change.p_value,
                 p_adjusted=None,
-                smallest_ratio=change.smallest_ratio,
             )
             changes.append((with_clock_bounds(row, base.bound_ns, new.bound_ns), change))
         yield DistributionRow(metric, at_levels(before.ordered), at_levels(after.ordered)), changes
-
-
-def _adjusted_p_values(p_values: Sequence[float | None]) -> list[float | None]:
-    adjusted = iter(benjamini_hochberg_adjusted([p for p in p_values if p is not None]).tolist())
-    return [None if p is None else next(adjusted) for p in p_values]
-
-
-def with_adjusted_verdicts(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
-    """Fill `p_adjusted` over all rows, and withdraw verdicts that it does not support."""
-    p_adjusted = pl.Series("p_adjusted", _adjusted_p_values(rows["p_value"].to_list()), pl.Float64)
-    is_unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (
-        p_adjusted.fill_null(0.0) > 1 - confidence
-    )
-    verdict = pl.when(is_unsure).then(pl.lit(Verdict.INCONCLUSIVE.value)).otherwise("verdict")
-    return rows.with_columns(p_adjusted, verdict.alias("verdict"))

@@ -41,12 +41,7 @@ REST, BOTH = "middleware", "middleware and client library"
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """A part of a rise with its interval (None below three repeats), in ns; of a size the factor by which it shrinks.
-
-    Attributes:
-        share: of the rise; of a size on the scale of logarithms.
-        is_sure: whether the interval is wholly on the side of a rise.
-    """
+    """A part of a rise with its interval (None below three repeats), in ns; of a size the factor by which it shrinks."""
 
     name: str
     value: float
@@ -58,13 +53,6 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What is known of one rise.
-
-    Attributes:
-        removed: what each varied thing takes away, with intervals adjusted by Bonferroni.
-        cause: what surely removes most, and at least `LEAST_SHARE`; empty if nothing does.
-    """
-
     rise: Effect
     shares: tuple[Effect, ...]
     removed: tuple[Effect, ...]
@@ -90,7 +78,6 @@ def client_median(breakdown: pl.DataFrame) -> float | None:
 
 
 def refusals(side: ComparedSide) -> dict[str, str]:
-    """Return what a session does not use though it was asked to, as its process reads it back: name of what is varied -> reason."""
     reasons = {"awake": "the program that keeps processors awake used none of them"}
     for session in side.sessions:
         listed, load = session.extra.get("not_applied"), object_of(session.extra.get("load"))
@@ -152,7 +139,6 @@ class _Sums:
         return Effect(name, back(value), back(low), back(high), share, is_sure=low > 0)
 
     def shares(self, whole: Weights, layers: Mapping[str, Weights], confidence: float) -> tuple[Effect, ...]:
-        """Return the shares of the layers over the repeats that have all of them, so that they add up."""
         parts = {key: weights for key, weights in layers.items() if key != NATIVE}
         if NATIVE in layers:
             parts[CLIENT] = _minus(whole, layers[NATIVE])

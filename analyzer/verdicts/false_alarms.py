@@ -1,8 +1,4 @@
-"""How precise a statistic is, and how often a comparison of two equal sides (A/A) calls one better or worse.
-
-In an A/A sweep either run of a repeat could have been the base: the repeats are dealt to the two sides in every
-possible way, and every better or worse is false.
-"""
+"""How precise a statistic is, and how often a comparison of two equal sides (A/A), dealt in every way, calls one better or worse."""
 
 from __future__ import annotations
 
@@ -86,8 +82,6 @@ _ALARMS = ("better", "worse")
 
 @dataclass(frozen=True, slots=True)
 class FalseAlarms:
-    """Verdicts better or worse of two equal sides, as recorded (`measured`) and over all `deals` of the repeats (`dealt`)."""
-
     measured: int
     measured_verdicts: int
     dealt: int
@@ -127,7 +121,6 @@ def count_false_alarms(
 
 
 def _deals(passes: list[int]) -> Iterator[tuple[int, ...]]:
-    """Yield the repeats whose sides are exchanged, first none; never the first repeat, which would mirror another way."""
     others = passes[1:]
     if 2 ** len(others) <= MOST_DEALS:
         for size in range(len(others) + 1):

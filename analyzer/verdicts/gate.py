@@ -1,11 +1,4 @@
-"""Gates for CI: `--fail-if "latency_p99 > +10%"` against a comparison (grammar: `docs/how-to/ci.md`).
-
-A limit with a sign is a change against the base (`+10%`, `+2ms`, `-0.5 points` of a ratio), one without is the new
-side's own value (`20ms`, `99%` of a ratio). `age_p99(/camera/image)` is of a topic that a tap heard.
-
-A gate fails where the whole confidence interval is beyond the limit, passes where none of it is, and is inconclusive in
-between, where a sample does not support the percentile, and where a requested setting was not applied.
-"""
+"""Gates for CI, as `--fail-if "latency_p99 > +10%"` (grammar: `docs/how-to/ci.md`), judged by the whole confidence interval."""
 
 from __future__ import annotations
 
@@ -102,11 +95,16 @@ class Gate:
         """Judge an estimate by its interval; an end that is None may be anywhere."""
         if value is None:
             return GateOutcome.INCONCLUSIVE
-        ends = (-math.inf if low is None else low, math.inf if high is None else high)
-        fails = [OPERATORS[self.operator](end, self.limit) for end in ends]
-        if all(fails):
-            return GateOutcome.REGRESSED
-        return GateOutcome.INCONCLUSIVE if any(fails) else GateOutcome.PASSED
+        return judged_ends(self.operator, self.limit, low, high)
+
+
+def judged_ends(comparison: str, limit: float, low: float | None, high: float | None) -> GateOutcome:
+    """Judge a value from `low` to `high`, which may be anything where it is None."""
+    ends = (-math.inf if low is None else low, math.inf if high is None else high)
+    fails = [OPERATORS[comparison](end, limit) for end in ends]
+    if all(fails):
+        return GateOutcome.REGRESSED
+    return GateOutcome.INCONCLUSIVE if any(fails) else GateOutcome.PASSED
 
 
 DEFAULT_GATES = ("latency_p50 > +10%", "latency_p99 > +20%", "received_ratio < -0.5 points")
@@ -190,3 +188,51 @@ def _parse_limit(where: str, limit: str, metric: str) -> tuple[Against, float]:
             raise OptionError(f"{where}: write +{limit} for a change against the base")
         return Against.RATIO, 1 + number / 100
     return Against.DIFFERENCE if is_signed else Against.NEW, number * UNIT_NS[unit]
+
+
+VALUES_OF_TOPICS = {"missing": "%", "jitter": "time", "hole": "time", "age_p50": "time", "age_p99": "time"}
+"""Name of a value of a topic -> the kind of its limit: a share in %, or a time."""
+
+_TOPIC_GATE = re.compile(
+    r"\s*(?P<metric>\w+)\s*\(\s*(?P<topic>[^()\s]+)\s*\)\s*(?P<operator>>=|<=|>|<)\s*(?P<limit>\S.*?)\s*"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TopicGate:
+    """A condition under which `--topics` fails; `topic` may have wildcards, `limit` is a share or ns."""
+
+    text: str
+    metric: str
+    topic: str
+    operator: str
+    limit: float
+
+    def is_about(self, topic: str) -> bool:
+        """Return whether a topic is judged."""
+        return fnmatchcase(topic, self.topic)
+
+    def judge(self, low: float | None, high: float | None) -> GateOutcome:
+        """Judge a value from `low` to `high`; one that is not known may be anything."""
+        return judged_ends(self.operator, self.limit, low, high)
+
+
+def parse_topic_gate(text: str) -> TopicGate:
+    """Read a limit on a topic.
+
+    Raises:
+        OptionError: the text is not such a limit.
+    """
+    match = _TOPIC_GATE.fullmatch(text)
+    if match is None:
+        raise OptionError(f"--fail-if {text!r}: write NAME(TOPIC) > LIMIT, for example 'missing(/camera/image) > 1%'")
+    kind = VALUES_OF_TOPICS.get(match["metric"])
+    if kind is None:
+        names = ", ".join(VALUES_OF_TOPICS)
+        raise OptionError(f"--fail-if {text!r}: there is no {match['metric']!r} of a topic; choose from {names}")
+    number, unit = split_quantity(match["limit"]) or (0.0, "")
+    factor = 0.01 if unit == "%" else UNIT_NS.get(unit)
+    if factor is None or (unit == "%") != (kind == "%"):
+        example = "1%" if kind == "%" else "5ms"
+        raise OptionError(f"--fail-if {text!r}: no limit {match['limit']!r} of {match['metric']}; write {example}")
+    return TopicGate(text.strip(), match["metric"], match["topic"], match["operator"], number * factor)

@@ -1,8 +1,4 @@
-"""A comparison judged by gates: an outcome for each gate and group, with its reason.
-
-A group is regressed only where its p value, adjusted by Holm over the groups of the gate, stays below half of 1 - confidence; one
-that the new side lacks, or received no reply in, always is.
-"""
+"""A comparison judged by gates: an outcome for each gate and group, adjusted by Holm over the groups, with its reason."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Columns that a comparison does not match, so that groups of different bridges, middlewares or links pair.
-
-That is sound only as long as no two groups of one side merge.
-"""
+"""Columns that a comparison does not match, as long as no two groups of one side merge without them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""What disturbs messages: other flows, for which they may have to wait, or a load; each against itself without them.
-
-`dds-sweep` records the flows of a plan one by one and together in the same repeats; their setting names the flow and those that ran with it.
-"""
+"""What disturbs messages: other flows, for which they may have to wait, or a load; each against itself without them."""
 
 from __future__ import annotations
 
@@ -19,8 +16,9 @@ from ..model.parameters import MATCH_COLUMNS
 from ..model.setting import FLOW, FLOWS, LOAD, WITH, parse_setting, write_setting
 from ..run_statistics.received import received_interval
 from .cases import GroupRows, is_too_large, partition_groups
-from .compare import CompareOptions, compare_groups, with_adjusted_verdicts
+from .compare import CompareOptions, compare_groups
 from .comparison_rows import COMPARISON_SCHEMA
+from .judgements import with_adjusted_verdicts
 from .matching import match_groups
 
 Float64 = NDArray[np.float64]
@@ -52,8 +50,6 @@ LEAST_CAUGHT = 20
 
 
 class Overtaking(Enum):
-    """Whether caught messages return before the message ahead of them, by the interval of their share."""
-
     WAITS = "waits"
     OVERTAKES = "overtakes"
     UNDECIDED = "undecided"
@@ -216,7 +212,6 @@ def _sent_by_pass(rows: GroupRows, group: pl.DataFrame, passes: Mapping[int, int
 
 
 def _usual_ns(alone: Mapping[int, Sent]) -> tuple[float, float] | None:
-    """Return p50 and p95 of the round trips of a flow by itself; None without any."""
     times = [sent.receive_ns - sent.publish_ns for sent in alone.values()]
     received = np.concatenate([time[np.isfinite(time)] for time in times]) if times else np.empty(0)
     return (float(np.quantile(received, 0.5)), float(np.quantile(received, 0.95))) if len(received) else None

@@ -167,7 +167,6 @@ def _interpolate(logs: Mapping[SizeAndRate, float], at: SizeAndRate) -> float | 
 
 
 def _two_steps(logs: Mapping[SizeAndRate, float], first: float, second: float) -> float | None:
-    """Interpolate along the first coordinate, then along the second."""
     lines: dict[float, dict[float, float]] = {}
     for (x, y), value in logs.items():
         lines.setdefault(y, {})[x] = value

@@ -1,8 +1,4 @@
-"""Which groups of two sides are compared, and what was measured of each.
-
-Groups with equal parameters are the same experiment. With `dds-sweep --against` two plans differ on purpose: each run of the new
-side is labelled with the cell of the base that it was interleaved with.
-"""
+"""Which groups of two sides are compared (equal parameters, or `--against`), and what was measured of each."""
 
 from __future__ import annotations
 
@@ -16,6 +12,7 @@ from ..model.names import group_words, is_topic, value_word, varying_parameters
 from ..model.runs import delivered_runs, split_runs
 from ..model.setting import without_relay
 from ..model.unsent import UNSENT
+from ..run_statistics.between_runs import Estimate, estimates_of_runs
 from ..run_statistics.received import received_interval
 from ..run_statistics.runs import Run, Runs, Statistic, joined_runs
 
@@ -69,6 +66,7 @@ class MatchedGroup:
         self._published = int((rows["outcome"] != UNSENT).sum())
         self._delivered: dict[str, Runs] = {}
         self._survivors: dict[str, Run] = {}
+        self._estimates: dict[tuple[str, tuple[Statistic, ...], float], list[Estimate]] = {}
 
     def __len__(self) -> int:
         return self._published
@@ -78,6 +76,12 @@ class MatchedGroup:
         if metric not in self._delivered:
             self._delivered[metric] = Runs.of(delivered_runs(self.runs, metric))
         return self._delivered[metric]
+
+    def estimates(self, metric: str, statistics: Sequence[Statistic], confidence: float) -> list[Estimate]:
+        key = metric, tuple(statistics), confidence
+        if key not in self._estimates:
+            self._estimates[key] = estimates_of_runs(self.delivered(metric), statistics, confidence)
+        return self._estimates[key]
 
     def survivors(self, metric: str) -> Run:
         """Return a metric of the received messages, all runs as one series, ns."""
@@ -111,7 +115,6 @@ def replaced_devices(base: pl.DataFrame, new: pl.DataFrame) -> Mapping[str, str]
 
 
 def with_devices(frame: pl.DataFrame, names: Mapping[str, str]) -> pl.DataFrame:
-    """Return a frame with these devices; an unknown one stays unknown."""
     return frame.with_columns(
         pl.when(pl.col(column).is_not_null()).then(pl.lit(name)).alias(column) for column, name in names.items()
     )
@@ -167,7 +170,6 @@ def pair_keys(before: Mapping[Key, object], after: Mapping[Key, object], match: 
 
 
 def completed_key(key: Key, other: Key, match: Sequence[str]) -> Key:
-    """Return a key with the other one's values in place of nulls, and the setting of the one that has a relay."""
     is_silent = not knows_relay(key, match)
     return tuple(
         theirs if own is None or (name == SETTING and is_silent) else own

@@ -8,9 +8,9 @@ of all kinds. Both also need an estimated lead of the margin. Setups recorded on
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from ..run_statistics.between_runs import Estimate, Scale, scale_of
 from ..run_statistics.change import Verdict, change_of_estimates
 from ..run_statistics.received import change_of_received
-from ..run_statistics.setups import RunLogarithms, SetupMean, overlap_in_time, setup_means, tier_letters
-from ..statistics.intervals import MIN_RUNS
+from ..run_statistics.setups import RunLogarithms, SetupMean, overlap_in_time, passes_depend, setup_means, tier_letters
+from ..statistics.intervals import MIN_RUNS, Basis
 from ..statistics.power import hochberg_adjusted, holm_adjusted, runs_to_decide
+from .judgements import OPEN, PROVEN, Claim, Judgement, Reason
 
 TAIL_ONLY = 0.05
 """Part of the significance level for a difference at p99 where the medians do not differ: two verdicts err little more than one."""
@@ -32,26 +33,12 @@ PAIR_LEVEL = 0.9
 
 @dataclass(frozen=True, slots=True)
 class RankingOptions:
-    """What a verdict needs in addition to a test.
-
-    Attributes:
-        margin: the least lead of a winner; 0.05 means that the next takes 5 % longer.
-    """
-
     margin: float = 0.05
     trust_order: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupRuns:
-    """One setup with one kind of message.
-
-    Attributes:
-        repeats: the repeat of each run; empty if some run has none.
-        starts_ns: when each run started by one clock; empty if unknown. Below three runs there is no verdict, and no order.
-        received: for each run and message whether its reply came back.
-    """
-
     estimates: Mapping[str, Estimate]
     repeats: tuple[int, ...] = ()
     starts_ns: tuple[int, ...] = ()
@@ -78,8 +65,6 @@ class SetupRuns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """One kind of message: its setups, the percentiles that all of them support, and the family whose spreads are pooled."""
-
     family: Hashable
     setups: Mapping[str, SetupRuns]
     percentiles: tuple[str, ...]
@@ -87,8 +72,6 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class SetupPair:
-    """Two setups, the faster first."""
-
     fast: str
     slow: str
     p_value: float
@@ -105,24 +88,46 @@ class SetupPair:
         count = runs_to_decide(math.log(self.ratio), base, new, confidence)
         return None if count is None else max(count, self.runs + 1)
 
+    def judged(self, claim: Claim, statistic: str, confidence: float) -> Judgement:
+        low = high = None
+        if self.means is not None:
+            test = self.means[0].against(self.means[1])
+            reach = test.reach(confidence) * test.error
+            low, high = math.exp(test.difference - reach), math.exp(test.difference + reach)
+        basis = Basis.WITHIN_RUN if self.means is None else Basis.BETWEEN_RUNS
+        measured = self.ratio, low, high, basis.value, self.p_value
+        return Judgement(claim, self.fast, statistic, self.slow, *measured)
+
 
 @dataclass(frozen=True, slots=True)
 class Ranking:
-    """The setups of one kind of message by one percentile.
-
-    Attributes:
-        leader: the setup that is faster than every other one; empty if none is shown to be.
-        letters: setup -> letters of its tiers; two setups share one exactly if they are not shown to differ.
-        undecided: the pairs of the best setup with those that are slower by the margin and not shown to be.
-        is_interleaved: False if some setups of three runs or more were recorded one after the other.
-        drift_ratio: smallest drift that a test of these would call a difference; None if there is no such test.
-    """
-
     leader: str
     letters: Mapping[str, str]
     undecided: tuple[SetupPair, ...]
     is_interleaved: bool
     drift_ratio: float | None
+    lead: tuple[tuple[SetupPair, float], ...] = ()
+    lead_p: float = 1.0
+    reason: Reason = Reason.NONE
+
+    def judgements(self, statistic: str, confidence: float) -> Iterator[Judgement]:
+        if not self.lead:
+            yield Judgement(Claim.FASTEST, "", statistic, reason=self.reason.value)
+            return
+        needs = [need for pair in self.undecided if (need := pair.repeats_to_decide(confidence))]
+        nearest, _ = min(self.lead, key=lambda tested: tested[0].ratio)
+        row = nearest.judged(Claim.FASTEST, statistic, confidence)
+        yield replace(
+            row,
+            p_adjusted=self.lead_p,
+            verdict=PROVEN if self.leader else OPEN,
+            reason=self.reason.value,
+            needs=max(needs, default=None),
+        )
+        for pair, p_adjusted in self.lead:
+            if self.differ(pair.fast, pair.slow):
+                row = pair.judged(Claim.SLOWER, statistic, confidence)
+                yield replace(row, subject=row.base, base=row.subject, p_adjusted=p_adjusted, verdict=PROVEN)
 
     def differ(self, one: str, other: str) -> bool:
         return not set(self.letters[one]) & set(self.letters[other])
@@ -132,8 +137,12 @@ def rank_setups(
     kinds: Sequence[Kind], confidence: float = 0.95, options: RankingOptions = RankingOptions()
 ) -> list[dict[str, Ranking]]:
     rankings: list[dict[str, Ranking]] = [{} for _ in kinds]
+    dependent = _dependent_families(kinds)
     for percentile in dict.fromkeys(name for kind in kinds for name in kind.percentiles):
         pairs_of = _pairs(kinds, percentile, trust_order=options.trust_order)
+        for index, own in pairs_of.items():
+            if kinds[index].family in dependent:
+                pairs_of[index] = [replace(pair, p_value=1.0) for pair in own]
         lead_p = hochberg_adjusted(
             [max((pair.p_value for pair in _lead(own)), default=1.0) for own in pairs_of.values() if own]
         )
@@ -143,17 +152,28 @@ def rank_setups(
             median = rankings[index].get("p50")
             rankings[index][percentile] = _ranking(
                 kinds[index],
+                percentile,
                 [(pair, next(tests)) for pair in own],
                 next(leads) if own else 1.0,
                 median if percentile != "p50" else None,
                 1 - confidence,
                 1 + options.margin,
+                is_dependent=kinds[index].family in dependent,
             )
     return rankings
 
 
-def find_losers(kinds: Sequence[Kind], confidence: float = 0.95) -> list[set[str]]:
-    """Return for each kind of message the setups that receive significantly less than the one that receives most.
+def _dependent_families(kinds: Sequence[Kind]) -> set[Hashable]:
+    families: dict[Hashable, list[RunLogarithms]] = defaultdict(list)
+    for kind in kinds:
+        if "p50" in kind.percentiles:
+            families[kind.family] += filter(None, (setup.logarithms("p50") for setup in kind.setups.values()))
+    counts = Counter(kind.family for kind in kinds)
+    return {family for family, runs in families.items() if passes_depend(runs, counts[family])}
+
+
+def judge_losers(kinds: Sequence[Kind], confidence: float = 0.95) -> list[list[Judgement]]:
+    """Judge for each kind of message whether a setup receives less than the one that receives most.
 
     That one is picked by what it received, so the tests are adjusted by Holm over all pairs of all kinds.
     """
@@ -161,15 +181,19 @@ def find_losers(kinds: Sequence[Kind], confidence: float = 0.95) -> list[set[str
     for index, kind in enumerate(kinds):
         *others, most = sorted(kind.setups, key=lambda name: (kind.setups[name].received_share, name))
         base = kind.setups[most].received
-        tests += [(index, name, change_of_received(base, kind.setups[name].received, confidence)) for name in others]
+        tests += [
+            (index, name, most, change_of_received(base, kind.setups[name].received, confidence)) for name in others
+        ]
     p_values = [1.0 if change.p_value is None else change.p_value for *_, change in tests]
     pairs = sum(math.comb(len(kind.setups), 2) for kind in kinds)
     adjusted = holm_adjusted([*p_values, *[1.0] * (pairs - len(tests))])
-    losers: list[set[str]] = [set() for _ in kinds]
-    for (index, name, change), p_adjusted in zip(tests, adjusted.tolist(), strict=False):
-        if change.verdict(p_adjusted=p_adjusted) is Verdict.WORSE:
-            losers[index].add(name)
-    return losers
+    judged: list[list[Judgement]] = [[] for _ in kinds]
+    for (index, name, most, change), p_adjusted in zip(tests, adjusted.tolist(), strict=False):
+        verdict = PROVEN if change.verdict(p_adjusted=p_adjusted) is Verdict.WORSE else OPEN
+        ends = change.difference_low, change.difference_high
+        numbers = change.difference, *ends, change.basis.value, change.p_value, p_adjusted
+        judged[index].append(Judgement(Claim.LOSES_MORE, name, "received_ratio", most, *numbers, verdict))
+    return judged
 
 
 def _lead(pairs: Sequence[SetupPair]) -> list[SetupPair]:
@@ -178,11 +202,14 @@ def _lead(pairs: Sequence[SetupPair]) -> list[SetupPair]:
 
 def _ranking(
     kind: Kind,
+    percentile: str,
     tests: Sequence[tuple[SetupPair, float]],
     lead_p: float,
     median: Ranking | None,
     alpha: float,
     least_ratio: float,
+    *,
+    is_dependent: bool,
 ) -> Ranking:
     pairs = [pair for pair, _ in tests]
     lead = _lead(pairs)
@@ -196,11 +223,9 @@ def _ranking(
         for pair, p in tests
         if pair.ratio >= least_ratio and p <= level(has_median=median is None or median.differ(pair.fast, pair.slow))
     }
+    is_tested = lead_p <= level(has_median=median is None or bool(median.leader))
     is_ahead = (
-        bool(lead)
-        and kind.setups[names[0]].may_lead
-        and lead_p <= level(has_median=median is None or bool(median.leader))
-        and all(pair.ratio >= least_ratio for pair in lead)
+        bool(lead) and kind.setups[names[0]].may_lead and is_tested and all(pair.ratio >= least_ratio for pair in lead)
     )
     if is_ahead:
         different |= {(pair.fast, pair.slow) for pair in lead}
@@ -210,11 +235,32 @@ def _ranking(
         undecided=tuple(pair for pair in lead if pair.ratio >= least_ratio and (pair.fast, pair.slow) not in different),
         is_interleaved=all(pair.is_interleaved for pair in pairs),
         drift_ratio=_drift_ratio(pairs, 1 - alpha),
+        lead=tuple((pair, p) for pair, p in tests if pair.fast == names[0]),
+        lead_p=lead_p,
+        reason=Reason.NONE
+        if is_ahead
+        else _reason(kind, percentile, lead, least_ratio, is_dependent=is_dependent, is_tested=is_tested),
     )
 
 
+def _reason(
+    kind: Kind, percentile: str, lead: Sequence[SetupPair], least_ratio: float, *, is_dependent: bool, is_tested: bool
+) -> Reason:
+    if not lead:
+        return Reason.ONLY_ONE
+    if any(setup.estimates[percentile].units is None for setup in kind.setups.values()):
+        return Reason.FEW_RUNS
+    if not all(pair.is_interleaved for pair in lead):
+        return Reason.IN_SEQUENCE
+    if is_dependent:
+        return Reason.DEPENDENT
+    if not is_tested:
+        return Reason.NOT_SHOWN
+    is_near = any(pair.ratio < least_ratio for pair in lead)
+    return Reason.BELOW_MARGIN if is_near else Reason.LOSSES
+
+
 def _pairs(kinds: Sequence[Kind], percentile: str, *, trust_order: bool) -> dict[int, list[SetupPair]]:
-    """Return for the index of each kind the tests of all pairs, the fastest setup's first."""
     families: dict[Hashable, dict[tuple[Hashable, str], RunLogarithms]] = defaultdict(dict)
     compared = {index: kind for index, kind in enumerate(kinds) if percentile in kind.percentiles}
     for index, kind in compared.items():

@@ -1,10 +1,4 @@
-"""Recommendation: which middleware, bridge and settings meet the deadline of a job.
-
-A setting meets the deadline if the share of messages that are late (lost ones included) very likely is at most what the
-job allows, with runs as the unit (`run_statistics.late_share`). It misses it if that share, or the `reliability`
-quantile of a typical run, very likely is beyond. Otherwise it is inconclusive; with fewer than three runs or without a
-measurement it is `likely` at best. A run must have finished at the planned rate.
-"""
+"""Recommendation: which settings meet the deadline of a job, by the share of late messages, lost ones included, over runs."""
 
 from __future__ import annotations
 

@@ -23,8 +23,6 @@ SAME, UNKNOWN = "same", "unknown"
 
 
 class Recorder(NamedTuple):
-    """A role with its middleware on one device and link, within which environments are compared."""
-
     role: str
     vendor: str
     device: str
@@ -35,8 +33,6 @@ class Recorder(NamedTuple):
 
 
 class Unlike(NamedTuple):
-    """A field of the fingerprint in which two sides differ, with the values as JSON."""
-
     field: str
     base: frozenset[str]
     new: frozenset[str]
@@ -92,7 +88,6 @@ def difference_sentences(differences: Differences) -> tuple[str, ...]:
 
 
 def environment_of_group(group: Mapping[str, ParameterValue], differences: Differences) -> str:
-    """Return `same`, `unlike:` with the fields in which the sides differ for a group, or `unknown`."""
     ping = _alike(differences, "ping", *map(group.get, ("vendor", "ping_device", "connectivity")))
     relay = _alike(differences, "relay", *map(group.get, ("relay_vendor", "relay_device", "connectivity")))
     if not ping or not relay:
@@ -115,7 +110,6 @@ def _listed(values: frozenset[str]) -> str:
 
 
 def recorded_apart(base: Iterable[Session], new: Iterable[Session]) -> str:
-    """Return a sentence if one side was recorded wholly before the other, by their wall clocks; else an empty text."""
     before, after = ([session.wall_anchor_ns for session in side if session.role == "ping"] for side in (base, new))
     if not before or not after or (min(before) <= max(after) and min(after) <= max(before)):
         return ""
@@ -128,8 +122,6 @@ def recorded_apart(base: Iterable[Session], new: Iterable[Session]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SideError:
-    """A finding of severity error of one side, about some groups, or about all without any."""
-
     text: str
     groups: frozenset[Key]
 
@@ -143,7 +135,6 @@ WHOLE_RECORDING = frozenset({"recorder_drops", "recording_stopped", "bridge_fail
 
 
 def errors_of(side: str, findings: Iterable[Finding], groups: Sequence[Key]) -> Iterator[SideError]:
-    """Yield each finding of severity error of a side; `groups` are its match columns in the order of its summary."""
     for finding in findings:
         if finding.severity is Severity.ERROR:
             is_whole = finding.code in WHOLE_RECORDING

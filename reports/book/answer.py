@@ -15,6 +15,7 @@ from dds_trace.analyzer.analysis import Analysis, Details
 from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
 from dds_trace.analyzer.verdicts.answers import CaseAnswer
+from dds_trace.analyzer.verdicts.judgements import Claim, Judgement, Reason
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration
 
@@ -37,7 +38,9 @@ from .groups import (
 from .headline import (
     avoid_sentence,
     bridge_sentence,
+    cure_sentence,
     factor_words,
+    few_lost_sentence,
     loss_sentence,
     tail_sentence,
     where_sentence,
@@ -50,10 +53,10 @@ from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, pl
 
 
 class PointKind(str, Enum):
-    """Subject of a sentence."""
-
     LOSS = "loss"
     AVOID = "avoid"
+    CURE = "cure"
+    FEW_LOST = "few lost"
     FASTEST = "fastest"
     UNDECIDED = "undecided"
     TAIL = "tail"
@@ -100,6 +103,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
     has_latency = metric == "latency"
     answers = analysis.details.answers if has_latency else ()
     costs = analysis.details.bridge_costs if has_latency else analysis.details.bridge_costs.clear()
+    cures = {group: finding.cure for finding in analysis.findings if finding.cure for group in finding.groups}
     verdicts = verdicts_info(answers, groups.vendors)
     remarks = (
         *_deadline_remarks(analysis.details, groups),
@@ -112,7 +116,9 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
     first, *others = _who_is_fastest(verdicts, groups, values, answers)
     sentences = [
         (PointKind.LOSS, loss_sentence(groups, values)),
-        (PointKind.AVOID, avoid_sentence(answers, groups.vendors)),
+        (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures)),
+        (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),
+        (PointKind.FEW_LOST, few_lost_sentence(answers, groups.vendors)),
         first,
         (PointKind.PLACE, place_sentence(groups, values, intervals) if has_latency else ""),
         *others,
@@ -140,7 +146,7 @@ def _why_undecided(
     verdicts: tuple[DataVerdict, ...], groups: Groups, values: Values, answers: Sequence[CaseAnswer]
 ) -> str:
     if verdicts:
-        return _no_winner(verdicts, answers)
+        return _no_winner(answers, groups.vendors)
     vendors = sorted({series.vendor_label for series in groups.series})
     if len(vendors) == 1:
         return f"{_ways(vendors[0], groups, values)} No other middleware was measured."
@@ -150,19 +156,54 @@ def _why_undecided(
     return f"{joined(names)} were not measured under equal conditions, so no choice can be made from this."
 
 
-def _no_winner(verdicts: Sequence[DataVerdict], answers: Sequence[CaseAnswer]) -> str:
-    messages = sum(verdict.cells for verdict in verdicts)
-    few = sum(verdict.within_one_run for verdict in verdicts)
-    where = "for the one message compared" if messages == 1 else f"for any of the {messages} kinds of message compared"
-    compared = [answer for answer in answers if len(answer.contenders) > 1]
-    if few < messages and not any(answer.interleaved for answer in compared):
-        return f"No clear winner {where}: the setups were recorded one after the other. Interleave them, or give --trust-order."
-    if few < messages:
-        tested = f"No clear winner: no setup was faster than the others by a test of the runs, {where}."
-        return f"{tested} {few} of them had fewer than {MIN_RUNS} runs of each." if few else tested
-    fewest = min(answer.fewest_runs for answer in compared)
-    verb = "is" if fewest == 1 else "are"
-    return f"No clear winner {where}: a verdict needs {MIN_RUNS} runs of each; there {verb} {fewest}."
+def _no_winner(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
+    open_rows = [
+        (row, answer)
+        for answer in answers
+        for row in answer.of_claim(Claim.FASTEST, "latency_p50")
+        if row.reason not in (Reason.NONE.value, Reason.ONLY_ONE.value)
+    ]
+    reasons: dict[str, list[tuple[Judgement, CaseAnswer]]] = {}
+    for row, answer in open_rows:
+        reasons.setdefault(row.reason, []).append((row, answer))
+    labels = contender_labels(answers, vendors)
+    total = len(open_rows)
+    where = "for the one message compared" if total == 1 else f"for any of the {total} kinds of message compared"
+    parts = [
+        f"{'' if len(own) == total else f'in {len(own)} of them '}{_WHY[Reason(reason)](own, labels)}"
+        for reason, own in sorted(reasons.items(), key=lambda item: -len(item[1]))
+    ]
+    return f"No clear winner {where}: {'; '.join(parts)}."
+
+
+def _near(own: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, str]) -> str:
+    row, _ = max(own, key=lambda pair: pair[0].value or 0.0)
+    ends = "" if row.low is None or row.high is None else f" ({change_percent(row.low)} to {change_percent(row.high)})"
+    most = "" if len(own) == 1 else "at most "
+    lead = f"{labels[row.subject]} leads {labels[row.base]} by {most}{change_percent(row.value or 1.0)}{ends}"
+    return f"the lead is below the margin ({lead}; --margin)"
+
+
+def change_percent(ratio: float) -> str:
+    return f"{100 * (ratio - 1):.3g} %"
+
+
+def _few_runs(own: Sequence[tuple[Judgement, CaseAnswer]], _: Mapping[str, str]) -> str:
+    fewest = min(answer.fewest_runs for _, answer in own)
+    return f"a verdict needs {MIN_RUNS} runs of each, there {'is' if fewest == 1 else 'are'} {fewest}"
+
+
+_WHY: Mapping[Reason, Callable[[Sequence[tuple[Judgement, CaseAnswer]], Mapping[str, str]], str]] = {
+    Reason.NOT_SHOWN: lambda *_: "a test of the runs shows no setup to be faster than the others",
+    Reason.BELOW_MARGIN: _near,
+    Reason.IN_SEQUENCE: lambda *_: (
+        "the setups were recorded one after the other (interleave them, or give --trust-order)"
+    ),
+    Reason.DEPENDENT: lambda *_: "the passes depend on each other, so that they count for less than they are",
+    Reason.FEW_RUNS: _few_runs,
+    Reason.LOSSES: lambda *_: "the fastest one loses too much",
+}
+"""Reason without a winner -> words for rows with it."""
 
 
 _MOST_WAYS = 3
@@ -187,7 +228,6 @@ def _ways(vendor: str, groups: Groups, values: Values) -> str:
 
 
 def _median(time_ns: float) -> str:
-    """Write a median; a clock that did not advance meanwhile shows 0."""
     return format_duration(time_ns) if time_ns else "below the clock's step"
 
 

@@ -31,8 +31,6 @@ from .topics import TopicTable, topic_tables
 
 
 class Book:
-    """Parts of a report; each is computed at its first use. `shows_all` is of the terminal."""
-
     def __init__(self, analysis: Analysis, *, shows_all: bool = False) -> None:
         self.analysis = analysis
         self.shows_all = shows_all
@@ -63,7 +61,6 @@ class Book:
 
     @cached_property
     def bridge_loads(self) -> Mapping[int, float]:
-        """Group -> mean load of its bridge, percent of one processor."""
         spans = (
             RunSpan(run.group, run.session.session_id, run.origin_ns, run.last_ns)
             for run in self.run_times

@@ -39,12 +39,6 @@ LABELS = {
 
 @dataclass(frozen=True, slots=True)
 class Dimension:
-    """One dimension.
-
-    Attributes:
-        index: for each group the option of its value.
-    """
-
     label: str
     options: tuple[str, ...]
     index: tuple[int, ...]
@@ -53,8 +47,6 @@ class Dimension:
 
 @dataclass(frozen=True, slots=True)
 class Facets:
-    """All dimensions by key; `choices` are the series of `choice`, without device pair and link."""
-
     dimensions: Mapping[str, Dimension]
     choices: tuple[Series, ...]
 
@@ -132,8 +124,6 @@ SHORT_BRIDGES = {"builtin": "built-in", "builtin-zenoh": "built-in Zenoh"}
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One value of a dimension, its label, and a different one for the end of a line."""
-
     value: Any
     label: str
     short: str = ""

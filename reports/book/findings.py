@@ -29,8 +29,6 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True, slots=True)
 class OneFinding:
-    """`groups` are names, if `where` only has their number; `worst_first` their indices."""
-
     where: str
     what: str
     action: str
@@ -58,13 +56,11 @@ class FindingKind:
 
     @property
     def common_action(self) -> str:
-        """Empty if they differ."""
         actions = {one.action for one in self.listed}
         return self.listed[0].action if len(actions) == 1 else ""
 
 
 def worst_first(values: Values) -> tuple[int, ...]:
-    """Most losses first, then the slowest medians."""
     received, times = values.plain["received_ratio"], values.times_ns[values.default_metric]["p50"]
     return tuple(
         sorted(

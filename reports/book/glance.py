@@ -105,7 +105,6 @@ def _by_place(places: Sequence[PlaceRows], size: str, rate: str) -> dict[str, di
 
 
 def _ends(cell: SizeCell, intervals: Intervals) -> tuple[float, ...]:
-    """Return median and the ends of its interval; nothing where the median is lost."""
     at = cell.p50_ns
     if at is None or not math.isfinite(at) or at <= 0:
         return ()

@@ -1,8 +1,4 @@
-"""Groups of a report, which readers know as results.
-
-A group is one row of `Analysis.summary`. Its cell is the message (data type, size, rate), its series everything else. Groups
-of one cell can be compared; groups of one series form a line.
-"""
+"""Groups of a report, a row of `Analysis.summary` each: the message is its cell, everything else its series."""
 
 from __future__ import annotations
 
@@ -118,12 +114,6 @@ class VendorLabels:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Setup, device pair and link of a group.
-
-    Attributes:
-        vendor_label: names both vendors if ping and relay differ.
-    """
-
     vendor: str
     relay_vendor: str | None
     backend: str
@@ -151,8 +141,6 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Message of a group: data type, size and rate."""
-
     data_type: str
     payload_bytes: int
     rate_hz: float
@@ -167,8 +155,6 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """One row of `summary`; `series` and `cell` are indices into `Groups`."""
-
     index: int
     series: int
     cell: int
@@ -178,8 +164,6 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """All groups of an analysis; series and cells are sorted, `labels` belong to the series."""
-
     groups: tuple[Group, ...]
     series: tuple[Series, ...]
     cells: tuple[Cell, ...]
@@ -202,7 +186,6 @@ def groups_info(analysis: Analysis) -> Groups:
 
 
 def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Groups:
-    """List groups; group i is row i, which has its parameters, `published` and `received`."""
     series_rows = [_series(row, vendors) for row in rows]
     cell_rows = [Cell(**{name: row[name] for name in Cell.__dataclass_fields__}) for row in rows]
     series = tuple(sorted(set(series_rows), key=_series_order))

@@ -1,21 +1,18 @@
-"""The first sentences of a report: losses, who is fastest, what a bridge costs, where it was measured.
-
-Each rests on verdicts within one device pair and link; over several pairs it has a range of factors and never a mean.
-"""
+"""The first sentences of a report; each rests on verdicts within one device pair and link, and none on a mean over several."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import polars as pl
 
 from dds_trace.analyzer.analysis import Analysis
-from dds_trace.analyzer.model.setting import condition_of, parse_setting
+from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
-from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_number, format_size
+from dds_trace.base.units import counted, format_number, format_rate, format_size
 
 from .groups import (
     Group,
@@ -54,7 +51,6 @@ def _planned_and_lost(groups: Sequence[Group], values: Values) -> tuple[int, int
 
 
 def _scope(lossy: Sequence[Group], groups: Groups) -> str:
-    """Say by link, way and size where the losses are; empty where the lossy groups have nothing in common."""
     sides: tuple[tuple[Callable[[Group], str], str], ...] = (
         (lambda group: groups.series_of(group).vendor_label, "by {}"),
         (lambda group: domain_label(groups.series_of(group)), "{}"),
@@ -80,50 +76,50 @@ def _from_size(least: int, largest: int) -> str:
     return f"at {format_size(least)}" if least == largest else f"from {format_size(least)} on"
 
 
-def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
-    labels = contender_labels(answers, vendors)
-    # Device pair -> data type and setup -> smallest size, largest share lost.
-    lossy: dict[str, dict[tuple[str, str], tuple[int, float]]] = {}
-    largest: dict[str, int] = {}
-    for answer in answers:
-        largest[answer.data_type] = max(answer.payload_bytes, largest.get(answer.data_type, 0))
-        for setup in answer.contenders:
-            lost = setup.lost
-            is_as_requested = "lifespan_ns" in parse_setting(str(setup.setting["setting"]))
-            if exceeds_lossy_share(lost) and not is_as_requested:
-                setups = lossy.setdefault(place_of(answer), {})
-                key = answer.data_type, labels[setup.name]
-                least, worst = setups.get(key, (answer.payload_bytes, 0.0))
-                setups[key] = min(least, answer.payload_bytes), max(worst, lost)
-    alike: dict[tuple[tuple[str, ...], str], list[tuple[str, float]]] = {}
-    for pair, setups in lossy.items():
-        by_size: dict[tuple[str, int], list[tuple[str, float]]] = {}
-        for (data_type, label), (least, worst) in setups.items():
-            by_size.setdefault((data_type, least), []).append((label, worst))
-        for (data_type, least), lost_by in by_size.items():
-            size = _from_size(least, largest[data_type])
-            what = size if len(largest) == 1 else f"for {data_type_label(data_type)} {size}"
-            names = tuple(sorted(label for label, _ in lost_by))
-            alike.setdefault((names, what), []).append((pair, max(worst for _, worst in lost_by)))
-    count = len({place_of(answer) for answer in answers})
-    parts = [
-        f"{_setups(names, set(labels.values()))} {what}{_on_pairs(pairs, count)}"
-        for (names, what), pairs in sorted(alike.items(), key=lambda item: -max(worst for _, worst in item[1]))
+def avoid_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
+    """Return which setups are not to be used; not those whose losses have a cure (row of the summary -> cure)."""
+    lossy = [_lost_words(row, where) for row, where in _advised(answers, vendors) if row.group not in cures]
+    return f"Do not use, because of losses: {_some(lossy, 'more in the table')}." if lossy else ""
+
+
+def cure_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: Mapping[int, str]) -> str:
+    by_cure: dict[str, list[str]] = {}
+    for row, where in _advised(answers, vendors):
+        if row.group is not None and row.group in cures:
+            by_cure.setdefault(cures[row.group], []).append(_lost_words(row, where))
+    parts = [f"{_some(own, 'more')}: {printable(cure)}" for cure, own in by_cure.items()]
+    return f"Losses with a known cure: {_some(parts, 'more in the findings')}." if parts else ""
+
+
+def few_lost_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
+    few = [
+        f"{where} ({format_count(row.lost or 0)} of {format_count(row.messages or 0)})"
+        for row, where in _lossy(answers, vendors)
+        if row.reason == Reason.FEW_LOST.value
     ]
-    return f"Do not use, because of losses: {_some(parts, 'more in the table')}." if parts else ""
+    return f"Too few losses to judge: {_some(few, 'more in the table')}." if few else ""
 
 
-def _setups(names: Sequence[str], every: Collection[str]) -> str:
-    if len(every) > 1 and set(names) == every:
-        return "any setup"
-    more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
-    return joined([*names[:MOST_NAMED], *more])
+def _lost_words(row: Judgement, where: str) -> str:
+    return f"{where} ({format_ratio(row.value)} lost)"
 
 
-def _on_pairs(pairs: Sequence[tuple[str, float]], count: int) -> str:
-    worst = format_ratio(max(share for _, share in pairs))
-    where = f"{_pairs([pair for pair, _ in pairs], count)}: " if count > 1 else ""
-    return f" ({where}up to {worst} lost)"
+def _advised(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[Judgement, str]]:
+    return [(row, where) for row, where in _lossy(answers, vendors) if row.verdict == DO_NOT_USE]
+
+
+def _lossy(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> list[tuple[Judgement, str]]:
+    labels = contender_labels(answers, vendors)
+    has_modes = len({answer.domain_mode for answer in answers}) > 1
+    has_devices = len({(answer.ping_device, answer.relay_device) for answer in answers}) > 1
+    lossy = []
+    for answer in answers:
+        mode = f", {MODES.get(answer.domain_mode, printable(answer.domain_mode))}" if has_modes else ""
+        size, rate = format_size(answer.payload_bytes), format_rate(answer.rate_hz)
+        devices = "" if has_devices else f"{device_pair(answer.ping_device, answer.relay_device)}, "
+        where = f"{data_type_label(answer.data_type)} {size} at {rate}{mode}, {place_of(answer).removeprefix(devices)}"
+        lossy += [(row, f"{labels[row.subject]} with {where}") for row in answer.of_claim(Claim.LOSSY)]
+    return sorted(lossy, key=lambda one: -(one[0].value or 0.0))
 
 
 def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[str, ...]:
@@ -214,7 +210,6 @@ def size_span(own: Sequence[int], every: Sequence[int]) -> str:
 
 
 def _leader_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
-    """Return `Zenoh is fastest at the median (the next takes 2 times as long), Fast DDS at p99 (...)`."""
     leaders = [(getattr(outcome, percentile), percentile, label) for percentile, label in PERCENTILES]
     leads = [(name, _lead_words(stretch, percentile), label) for name, percentile, label in leaders if name]
     start = "all setups lose too much; of them, " if outcome.is_lossy else ""
@@ -251,7 +246,6 @@ def _lead_factors(stretch: Stretch, percentile: str) -> str:
 
 
 def _slower_factors(stretch: Stretch, outcome: Outcome, name: str) -> str:
-    """Return how many times as long as the best one a slower setup takes; empty if its messages were lost."""
     ratios = []
     for case in stretch.cases:
         times = {setup.name: getattr(setup, f"{outcome.percentile}_ns") for setup in case.contenders}
@@ -261,7 +255,6 @@ def _slower_factors(stretch: Stretch, outcome: Outcome, name: str) -> str:
 
 
 def _tier_words(stretch: Stretch, outcome: Outcome, labels: Mapping[str, str]) -> str:
-    """Return `Zenoh or Fast DDS, no difference proven; Cyclone DDS takes 2.2 times as long as Zenoh`."""
     first = outcome.best[0]
     label = dict(PERCENTILES)[outcome.percentile]
     best = f"{joined([labels[name] for name in outcome.best], 'or')}, no difference proven {label}"

@@ -65,7 +65,6 @@ _HASH = re.compile(r"#[0-9a-f]+")
 
 
 def recording_commands(setting: Setting, job: Job, messages: int) -> tuple[tuple[str, str], tuple[str, str]]:
-    """Return device and command of the relay and of the ping; `setting` has a value for each of `SETTING_COLUMNS`."""
     extra = parse_setting(str(setting["setting"]))
     relay_extra = {key.removeprefix("relay."): extra.pop(key) for key in list(extra) if key.startswith("relay.")}
     variables = {key: extra.pop(key) for key in list(extra) if key.isupper()}

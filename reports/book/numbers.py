@@ -27,11 +27,7 @@ PLAIN_COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """Numbers of `summary`: item i of each tuple is group i's, None without a value.
-
-    Attributes:
-        plain: `PLAIN_COLUMNS`, and `sustained`: replies per second as a share of the requested rate.
-    """
+    """Numbers of `summary`: item i of each tuple is group i's, None without a value."""
 
     times_ns: Mapping[str, Mapping[str, tuple[int | None, ...]]]
     plain: Mapping[str, tuple[float | None, ...]]
@@ -75,13 +71,7 @@ def whole_ns(value_ns: float | None) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Intervals:
-    """95 % intervals: metric -> percentile -> value per group, None without one.
-
-    Attributes:
-        episodes: bursts beyond each percentile.
-        is_between: whether each interval comes from the runs: 1 or 0.
-        runs: of each group, 0 where nothing was measured.
-    """
+    """95 % intervals: metric -> percentile -> value per group, None without one."""
 
     low_ns: Ends
     high_ns: Ends

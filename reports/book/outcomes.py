@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
-from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, exceeds_lossy_share
 
 from .verdicts import place_of
 
@@ -15,17 +15,6 @@ PERCENTILES = (("p50", "at the median"), ("p99", "at p99"))
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What is shown for a size: names of setups.
-
-    Attributes:
-        p50: the setup with the lowest median, empty if none is shown to have it; `p99` likewise.
-        best: if nobody leads: the fastest one and the setups without a proven difference from it.
-        slower: those that are shown to be slower.
-        percentile: by which `slower` are.
-        is_lossy: whether a leader, like all others, lost more than `LOSSY_SHARE`.
-        is_interleaved: False where nothing is shown and setups were recorded one after the other.
-    """
-
     p50: str = ""
     p99: str = ""
     best: tuple[str, ...] = ()
@@ -51,7 +40,7 @@ class Stretch:
 def outcome_of(case: CaseAnswer) -> Outcome:
     if case.leader_p50 or case.leader_p99:
         leaders = {case.leader_p50, case.leader_p99}
-        is_lossy = any(one.name in leaders and exceeds_lossy_share(one.lost) for one in case.contenders)
+        is_lossy = any(row.subject in leaders and row.verdict == DO_NOT_USE for row in case.of_claim(Claim.LOSSY))
         return Outcome(case.leader_p50, case.leader_p99, is_lossy=is_lossy)
     usable = [one for one in case.contenders if not (one.loses_more or exceeds_lossy_share(one.lost))]
     for percentile, _ in PERCENTILES:

@@ -29,8 +29,6 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """Name of the analyzed folder, and facts, not escaped for a format."""
-
     title: str
     facts: tuple[Fact, ...]
 
@@ -134,7 +132,6 @@ def _utc(wall_ns: int) -> datetime | None:
 
 
 def utc_words(wall_ns: int) -> str:
-    """Return a wall-clock time to the second in UTC; empty if it is not a valid date."""
     at = _utc(wall_ns)
     return "" if at is None else f"{at:%Y-%m-%d %H:%M:%S} UTC"
 

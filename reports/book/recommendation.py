@@ -28,14 +28,6 @@ UNKNOWN = "unknown"
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """A recommendation as text.
-
-    Attributes:
-        rows: one per candidate, columns of `COLUMNS`.
-        missing: what would decide the unclear ones, in words; empty where all is decided.
-        commands: device and command of the relay and of the ping that record it.
-    """
-
     job: str
     sentence: str
     rows: tuple[tuple[str, ...], ...]
@@ -142,7 +134,6 @@ def _job_words(job: Job) -> str:
 
 
 def _sentence(named: Sequence[tuple[Candidate, str]], deadline: str, *, opens: bool) -> str:
-    """Return which settings of one device pair meet the deadline; `opens` a sentence or continues it."""
     best = [name for candidate, name in named if candidate.fit is Fit.MEETS and candidate.tied]
     if best:
         verb = "meets" if len(best) == 1 else "meet"

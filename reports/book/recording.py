@@ -27,12 +27,7 @@ from .numbers import whole_ns
 
 @dataclass(frozen=True, slots=True)
 class RunTime:
-    """One run; `published` and `received` count messages times relays.
-
-    Attributes:
-        group: the first one if several relays answered.
-        p50_ns: median of the latency, or of the round trip without a relay's trace.
-    """
+    """One run; `published` and `received` count messages times relays."""
 
     run_id: int
     group: int
@@ -266,8 +261,6 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class RecordedRow:
-    """One value of all devices and roles; `unlike` if it differs where it should not."""
-
     name: str
     values: tuple[str, ...]
     unlike: bool
@@ -275,8 +268,6 @@ class RecordedRow:
 
 @dataclass(frozen=True, slots=True)
 class RecordedEnvironment:
-    """Rows by section; columns are devices and roles, `quality` all qualities of service."""
-
     columns: tuple[str, ...]
     sections: tuple[tuple[str, tuple[RecordedRow, ...]], ...]
     quality: str

@@ -35,17 +35,6 @@ HOW_TO_READ = (
 
 @dataclass(frozen=True, slots=True)
 class SizeCell:
-    """Times of one setup with one message.
-
-    Attributes:
-        p50: median as text, `lost` if more than half of the messages were lost.
-        p99: p99 likewise; a dash where the sample does not support it.
-        leads_p50: whether the median is clearly the lowest; `leads_p99` likewise.
-        lost: as in `14 % lost`.
-        group: None where several groups share the cell.
-        p50_ns: as a number, infinite if lost; `p99_ns` likewise.
-    """
-
     p50: str
     p99: str
     leads_p50: bool
@@ -62,8 +51,6 @@ class SizeCell:
 
 @dataclass(frozen=True, slots=True)
 class SizeRow:
-    """One size and rate, with a cell for each setup that was measured."""
-
     size: str
     rate: str
     cells: tuple[SizeCell | None, ...]
@@ -71,8 +58,6 @@ class SizeRow:
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """Outcome of the deadline for one setup on one device pair: `pass`, `fail` or `not known`, and why."""
-
     outcome: str
     why: str
 
@@ -83,8 +68,6 @@ class Threshold:
 
 @dataclass(frozen=True, slots=True)
 class PlaceRows:
-    """The rows of one device pair and link: at the shown rate, and `further` ones at all others; `thresholds` has one per setup."""
-
     place: str
     thresholds: tuple[Threshold | None, ...]
     rows: tuple[SizeRow, ...]
@@ -95,13 +78,6 @@ class PlaceRows:
 
 @dataclass(frozen=True, slots=True)
 class SizeTable:
-    """Sizes by setup, for each device pair and link.
-
-    Attributes:
-        modes: domain modes and how many columns each has.
-        rates: as in `at 10 Hz`.
-    """
-
     modes: tuple[tuple[str, int], ...]
     choices: tuple[str, ...]
     deadline: str
@@ -148,7 +124,6 @@ def _columns(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> list[t
 
 
 def _shown_rates(answers: Iterable[CaseAnswer]) -> dict[str, float]:
-    """Choose for each data type the rate of most answers; of several the middle one."""
     counts_of: dict[str, Counter[float]] = {}
     for answer in answers:
         counts_of.setdefault(answer.data_type, Counter())[answer.rate_hz] += 1
@@ -232,7 +207,6 @@ def _deadline_words(details: Details) -> str:
 
 
 def _late_by_key(analysis: Analysis) -> dict[Key, tuple[int, int, int]]:
-    """Count messages that missed the deadline, were judged, and cannot be judged; an unsent one has missed it."""
     details = analysis.details
     if not _deadline_words(details):
         return {}

@@ -46,8 +46,6 @@ HOP_COLUMNS = ("Chain", "Hop", "p50", "p99", "Clock error")
 
 @dataclass(frozen=True, slots=True)
 class TopicTable:
-    """A table of topics or of hops, not escaped for a format."""
-
     title: str
     how: str
     columns: tuple[str, ...]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from dds_trace.analyzer.model.names import tell_apart, where_alike
 from dds_trace.analyzer.model.parameters import ParameterValue
 from dds_trace.analyzer.model.setting import parse_setting
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
-from dds_trace.analyzer.verdicts.answers import CaseAnswer, Headline, find_headlines
+from dds_trace.analyzer.verdicts.answers import FAMILY, CaseAnswer, Clarity
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted
 
@@ -22,7 +24,8 @@ CLEARLY = (
     "for it, at p99. A setup is called fastest only where it is below each other one by a test of their runs at 95 % over all "
     "messages together, and by at least the margin (5 %, --margin); lost messages count as infinitely late, and a setup that loses "
     "more than 1 % of the messages, or significantly more than another, never leads where another does not. With fewer than three runs, "
-    "and of setups recorded one after the other, there is no clear winner. Plain sockets are not a middleware and not compared."
+    "of setups recorded one after the other, and of passes that depend on each other there is no clear winner. A setup is advised "
+    "against where surely more than 1 % is lost, by its runs and over all results. Plain sockets are not a middleware and not compared."
 )
 
 WITHIN_ONE_RUN = (
@@ -38,8 +41,6 @@ _FURTHER = ("backend", "relay_backend", "rmw", "reliability", "durability", "his
 
 @dataclass(frozen=True, slots=True)
 class WinCount:
-    """Number of messages for which a setup was clearly the fastest; `vendor` determines its colour."""
-
     contender: str
     vendor: str
     cells: int
@@ -70,23 +71,25 @@ class DataVerdict:
 def verdicts_info(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tuple[DataVerdict, ...]:
     setups = {setup.name: setup for answer in answers for setup in answer.contenders}
     labels = contender_labels(answers, vendors)
+    families: dict[object, list[CaseAnswer]] = {}
+    for answer in sorted(answers, key=_order):
+        if answer.clarity is not Clarity.ONLY_ONE:
+            families.setdefault(attrgetter(*FAMILY)(answer), []).append(answer)
     verdicts = []
-    for headline in sorted(find_headlines(answers), key=_order):
-        if not headline.cases:
-            continue
-        mode = MODES.get(headline.domain_mode, printable(headline.domain_mode))
+    for cases in families.values():
+        won = Counter(case.leaders[0].name for case in cases if case.clarity is Clarity.CLEAR)
+        leads = sorted(won.items(), key=lambda lead: (-lead[1], lead[0]))
+        unclear = [case for case in cases if case.clarity is Clarity.INCONCLUSIVE]
+        mode = MODES.get(cases[0].domain_mode, printable(cases[0].domain_mode))
         verdicts.append(
             DataVerdict(
-                data=f"{data_type_label(headline.data_type)}, {mode}",
+                data=f"{data_type_label(cases[0].data_type)}, {mode}",
                 mode=mode,
-                cells=headline.cases,
-                wins=tuple(
-                    WinCount(labels[lead.name], str(setups[lead.name].setting["vendor"]), lead.cases)
-                    for lead in headline.leads
-                ),
-                inconclusive=headline.inconclusive,
-                place=place_of(headline),
-                within_one_run=headline.within_one_run,
+                cells=len(cases),
+                wins=tuple(WinCount(labels[name], str(setups[name].setting["vendor"]), count) for name, count in leads),
+                inconclusive=len(unclear),
+                place=place_of(cases[0]),
+                within_one_run=sum(case.basis == Basis.WITHIN_RUN.value for case in unclear),
             )
         )
     return tuple(verdicts)
@@ -111,7 +114,7 @@ def place_label(ping_device: str, relay_device: str | None, connectivity: str, c
     return ", ".join(part for part in parts if part)
 
 
-def place_of(answer: CaseAnswer | Headline) -> str:
+def place_of(answer: CaseAnswer) -> str:
     return place_label(answer.ping_device, answer.relay_device, answer.connectivity, answer.conditions)
 
 
@@ -133,14 +136,13 @@ def _value(column: str, setting: Mapping[str, ParameterValue]) -> str:
     return printable(f"depth {value}" if column == "depth" else value)
 
 
-def _order(headline: Headline) -> tuple[object, ...]:
-    relay = headline.relay_device
-    where = headline.connectivity, headline.ping_device, relay is None, relay or "", headline.conditions
-    return *data_type_rank(headline.data_type), headline.domain_mode != "same", *where
+def _order(answer: CaseAnswer) -> tuple[object, ...]:
+    relay = answer.relay_device
+    where = answer.connectivity, answer.ping_device, relay is None, relay or "", answer.conditions
+    return *data_type_rank(answer.data_type), answer.domain_mode != "same", *where
 
 
 def data_type_rank(data_type: str) -> tuple[int, str]:
-    """Return the key that sorts data types: the paper's first."""
     return [*DATA_TYPES, data_type].index(data_type), data_type
 
 

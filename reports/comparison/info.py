@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from dds_trace.analyzer.model.names import group_words
 from dds_trace.analyzer.model.parameters import SERIES_COLUMNS
 from dds_trace.analyzer.statistics.intervals import MIN_RUNS, Basis
+from dds_trace.analyzer.statistics.power import POWER
 from dds_trace.analyzer.verdicts.compare import FAMILY, Comparison
 from dds_trace.analyzer.verdicts.gate import GateOutcome
 from dds_trace.analyzer.verdicts.gates import FAMILY as GATE_FAMILY
@@ -47,8 +48,6 @@ WORST_FIRST = (
 
 @dataclass(frozen=True, slots=True)
 class ComparedGroup:
-    """One matched group with its rows of the frames of `Comparison`; `verdict` is one of `WORST_FIRST`, `where` its statistics."""
-
     label: str
     verdict: str
     where: str
@@ -63,7 +62,6 @@ class ComparedGroup:
 
     @property
     def setup(self) -> str:
-        """What the label has besides the message; empty where all results share it."""
         return self.label.removeprefix(self.message).removeprefix(", ")
 
     def shown(self) -> tuple[Mapping[str, Any], ...]:
@@ -78,8 +76,6 @@ def _shown(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any], ...]:
 
 @dataclass(frozen=True, slots=True)
 class Unlike:
-    """A column in which the sides have no value in common, with the values of both."""
-
     column: str
     base: str
     new: str
@@ -132,7 +128,9 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
         said=("Both sides are the same recordings. " if comparison.same_recordings else "") + _answer(groups)
         if groups
         else "The two sides have no result in common: there is nothing to compare.",
-        seen=("" if comparison.same_recordings else _seen(sights, groups)) if groups else _unlike_words(unlike, ignore),
+        seen=("" if comparison.same_recordings else _seen(sights, groups, shared))
+        if groups
+        else _unlike_words(unlike, ignore),
         groups=groups,
         metric=metric_words(comparison.options.metrics[0]),
         only_base=only_base,
@@ -255,14 +253,14 @@ def _answer(groups: Sequence[ComparedGroup]) -> str:
     return f"{sentence[0].upper()}{sentence[1:]}."
 
 
-def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -> str:
+def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup], labels: Sequence[str]) -> str:
     shown = {(row["metric"], row["statistic"]) for row in groups[0].shown()}
     # Where each result is slower or faster, no change was missed.
     proven = ("worse", "better")
     open_ones = {row["statistic"] for group in groups for row in group.shown() if row["verdict"] not in proven}
     own = [one for one in sights if (one.metric, one.statistic) in shown and one.statistic in open_ones]
     parts = [
-        f"of {with_article(sight.statistic)} below {change_words(sight.smallest_ratio).removeprefix('+')}"
+        f"of {with_article(sight.statistic)} {_range_words(sight, labels)}"
         for sight in own
         if sight.smallest_ratio is not None and sight.smallest_ratio <= MOST_RATIO
     ]
@@ -274,11 +272,20 @@ def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup]) -
     unjudged = [
         sight.statistic for sight in own if sight.smallest_ratio is not None and sight.smallest_ratio > MOST_RATIO
     ]
-    sentences = [f"Changes {' and '.join(parts)} would not be seen"] if parts else []
+    sentences = [f"Such runs find in {100 * POWER:.0f} of 100 comparisons a change {'; '.join(parts)}"] if parts else []
     if parts and unclear:
         sentences[0] += f"; there is no verdict on {' and '.join(unclear)}"
     sentences += unjudged_words(unjudged)
     return "".join(f"{sentence[0].upper()}{sentence[1:]}. " for sentence in sentences).rstrip()
+
+
+def _range_words(sight: DetectableChange, labels: Sequence[str]) -> str:
+    """Return `from 8.12 % on at Binary 33 KB, from 24.2 % on at Binary 4 MB`; of one result `from 8.12 % on`."""
+    ends = [(sight.least_ratio, sight.least_result), (sight.smallest_ratio, sight.most_result)]
+    words = [(f"from {change_words(ratio).removeprefix('+')} on", result) for ratio, result in ends]
+    if words[0][0] == words[1][0]:
+        return words[0][0]
+    return ", ".join(words if result is None else f"{words} in {labels[result]}" for words, result in words)
 
 
 def mean_change(groups: Sequence[ComparedGroup], statistic: str) -> float | None:
@@ -338,5 +345,5 @@ def _rules(comparison: Comparison, *, gated: bool) -> tuple[str, ...]:
         "A lost message is infinitely late.",
         f"The run is the unit: a verdict needs {MIN_RUNS} runs a side.",
         f"Verdicts are adjusted for their number ({FAMILY}){gates}.",
-        "A change that would not be seen is one that these runs would have missed in more than 20 of 100 repetitions.",
+        "A smaller change than the one that a result finds in 80 of 100 comparisons may be found, too, less often.",
     )

@@ -42,7 +42,6 @@ _MARKS = {
 
 
 def render(info: ComparisonInfo, *, shows_all: bool = False) -> str:
-    """Return three lines, a picture of the worst results, and everything else folded: gates, and a row for each result."""
     most = None if shows_all else MOST_GROUPS
     mark = "" if info.outcome is None else f"{_MARKS[info.outcome]} {info.outcome.value.capitalize()}: "
     shown = info.groups[:most]

@@ -91,15 +91,12 @@ _MARGIN = 8
 
 
 class _Scale:
-    """A log axis from the shortest to the longest time of both sides."""
-
     def __init__(self, row: Row, left: float, right: float) -> None:
         values = [value for side in SIDES for value in row[f"{side}_ns"] if 0 < value < math.inf]
         self.low_ns, self.high_ns = min(values, default=1.0), max(values, default=1.0)
         self._left, self._right = left, right
 
     def __call__(self, value_ns: float) -> float:
-        """Return the position of a time; a lost one is at the right end."""
         if math.isinf(value_ns):
             return self._right
         if self.high_ns <= self.low_ns or value_ns <= 0:

@@ -147,8 +147,6 @@ def why_words(result: GateResult) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Gated:
-    """The outcome of a gate for one result, under its name in the report."""
-
     where: str
     result: GateResult
 

@@ -8,8 +8,7 @@ from typing import Any
 
 from dds_trace.analyzer.recordings.card import OTHER_CLOCK_NS, RecordingHealth
 from dds_trace.analyzer.recordings.topics import TopicReport
-from dds_trace.analyzer.verdicts.gate import GateOutcome
-from dds_trace.analyzer.verdicts.topic_gate import TopicGate
+from dds_trace.analyzer.verdicts.gate import GateOutcome, TopicGate
 from dds_trace.base.printable import printable
 from dds_trace.base.units import counted, format_duration, format_rate, format_size
 

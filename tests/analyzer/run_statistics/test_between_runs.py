@@ -1,5 +1,3 @@
-"""Intervals from runs: Student's t by hand, its scales, runs that are joined, coverage by drawing."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""What dependent messages are worth, and how many episodes they came in: by hand and against known processes."""
-
 from __future__ import annotations
 
 import numpy as np

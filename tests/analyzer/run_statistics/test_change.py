@@ -1,5 +1,3 @@
-"""Changes between two sides: Welch, pairs, lost runs, single runs; false and true verdicts by drawing."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""The benchmark of the coverage: its truths are those of what it draws, and its counting by hand."""
-
 from __future__ import annotations
 
 import importlib

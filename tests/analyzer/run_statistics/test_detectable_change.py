@@ -1,5 +1,3 @@
-"""Changes of the size that a comparison says it would have seen are seen, and smaller ones are not."""
-
 import math
 
 import numpy as np
@@ -55,9 +53,11 @@ def test_the_smallest_change_is_seen_in_80_of_100_whichever_group_it_is(groups, 
 def test_the_group_that_sees_least_counts_and_others_are_counted():
     (steady_pair,), (wild_pair,) = (drawn_pairs(3, spread, seed=1)[:1] for spread in (0.01, 0.1))
     steady, wild, short = changes_of([steady_pair, wild_pair, [side[:2] for side in steady_pair]])
-    named = [("latency", "p50", one) for one in (steady, wild, short)]
+    named = [("latency", "p50", number, one) for number, one in enumerate((steady, wild, short))]
     alone, both = (detectable_changes(some, CONFIDENCE, SAME_WITHIN)[0] for some in (named[:1], named))
     assert (both.metric, both.statistic, both.groups, both.told) == ("latency", "p50", 3, 2)
     assert both.smallest_ratio == smallest_detectable_ratio(wild, 2, CONFIDENCE, SAME_WITHIN)
+    assert both.least_ratio == smallest_detectable_ratio(steady, 2, CONFIDENCE, SAME_WITHIN)
+    assert (both.least_result, both.most_result) == (0, 1)
     assert alone.smallest_ratio < smallest_detectable_ratio(steady, 2, CONFIDENCE, SAME_WITHIN) < both.smallest_ratio
     assert detectable_changes(named[2:], CONFIDENCE, SAME_WITHIN)[0].smallest_ratio is None

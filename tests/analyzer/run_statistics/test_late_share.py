@@ -1,5 +1,3 @@
-"""The late share of a job's messages: no deadline is met by runs that were lucky."""
-
 from __future__ import annotations
 
 import math

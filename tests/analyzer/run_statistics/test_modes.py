@@ -1,5 +1,3 @@
-"""Two modes and trends: known mixtures and rises, and series that have none."""
-
 from __future__ import annotations
 
 import math

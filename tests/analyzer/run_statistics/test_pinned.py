@@ -1,5 +1,3 @@
-"""No statistic changes unseen: what each said of drawn campaigns and series when it was written (`tests/support/pinned.py`)."""
-
 from __future__ import annotations
 
 import pytest

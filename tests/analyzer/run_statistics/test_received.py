@@ -1,5 +1,3 @@
-"""Received ratios: limits by hand, episodes, runs that differ, coverage by drawing."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Runs: quantiles by the median-unbiased definition, lost messages, runs joined."""
-
 from __future__ import annotations
 
 import gc

@@ -1,5 +1,3 @@
-"""Spreads are pooled over kinds of message where they are alike; a kind that spreads more keeps its own."""
-
 from __future__ import annotations
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Variance components: known spreads come back; and how many runs decide."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Tails of groups: thresholds with ties and losses, levels of runs set aside."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Tests of two samples: by hand, and intervals of differences and ratios."""
-
 from __future__ import annotations
 
 import math

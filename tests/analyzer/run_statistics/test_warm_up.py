@@ -1,5 +1,3 @@
-"""Warm-ups: MSER by hand and against a loop, known warm-ups, false alarms."""
-
 from __future__ import annotations
 
 import math

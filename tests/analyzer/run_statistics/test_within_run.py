@@ -1,5 +1,3 @@
-"""Intervals within one run: ranks by hand, open ends, lost messages, coverage by drawing."""
-
 from __future__ import annotations
 
 import math

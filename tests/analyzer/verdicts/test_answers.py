@@ -1,5 +1,3 @@
-"""The first screen's answers on campaigns whose truth is known."""
-
 from __future__ import annotations
 
 import math
@@ -10,9 +8,13 @@ import polars as pl
 import pytest
 from roundtrip_frames import MS, S, in_runs, rows_by_group, steady
 
-from dds_trace.analyzer.verdicts.answers import Clarity, Headline, Lead, find_answers, find_headlines
-from dds_trace.analyzer.verdicts.cases import exceeds_lossy_share
+from dds_trace.analyzer.verdicts.answers import Clarity, find_answers
+from dds_trace.analyzer.verdicts.judgements import exceeds_lossy_share
 from dds_trace.analyzer.verdicts.ranking import RankingOptions
+from dds_trace.reports.book.groups import VendorLabels
+from dds_trace.reports.book.verdicts import verdicts_info
+
+VENDORS = VendorLabels({})
 
 
 def noisy(centre_ns, messages=60, seed=0):
@@ -245,20 +247,20 @@ def test_headlines_count_cases():
             )
         )
     runs.append(in_runs(noisy(MS), data_type="imu", payload_bytes=296, run_id=30))
-    headlines = find_headlines(find_answers(rows_by_group(pl.concat(runs))))
-    devices = {"ping_device": "ping-pi", "relay_device": "relay-pi"}
-    assert headlines == (
-        Headline("wired", "same", "binary", 3, (Lead("cyclonedds", 2),), inconclusive=1, only_one=0, **devices),
-        Headline("wired", "same", "imu", 0, (), inconclusive=0, only_one=1, **devices),
-    )
+    (verdict,) = verdicts_info(find_answers(rows_by_group(pl.concat(runs))), VENDORS)
+    assert (verdict.place, verdict.data, verdict.cells) == ("ping-pi → relay-pi, wired", "Binary, same domain", 3)
+    assert ([(win.vendor, win.cells) for win in verdict.wins], verdict.inconclusive) == ([("cyclonedds", 2)], 1)
 
 
 def test_leads_are_sorted_by_their_cases_and_then_by_name():
     frame = pl.concat([in_runs(noisy(10 * MS)), in_runs(noisy(5 * MS), vendor="a", relay_vendor="a", run_id=2)])
     (answer,) = find_answers(rows_by_group(frame))
     first, second = (replace(answer, leaders=(one,)) for one in answer.contenders)
-    assert find_headlines([second, first])[0].leads == (Lead("a", 1), Lead("fastdds", 1))
-    assert find_headlines([first, second, second])[0].leads == (Lead("fastdds", 2), Lead("a", 1))
+    for answers, wins in (
+        ([second, first], [("a", 1), ("fastdds", 1)]),
+        ([first, second, second], [("fastdds", 2), ("a", 1)]),
+    ):
+        assert [(win.vendor, win.cells) for win in verdicts_info(answers, VENDORS)[0].wins] == wins
 
 
 def test_contenders_have_names_that_tell_them_apart():
@@ -287,7 +289,6 @@ def test_no_relay_trace_and_nothing_at_all():
     assert answer.clarity is Clarity.ONLY_ONE
     assert answer.contenders[0].latency.value is None
     assert find_answers(rows_by_group(steady([]))) == ()
-    assert find_headlines(()) == ()
 
 
 def test_devices_of_unlike_speed_are_answered_each_for_itself():
@@ -307,11 +308,8 @@ def test_devices_of_unlike_speed_are_answered_each_for_itself():
     assert [answer.ping_device for answer in answers] == ["fast", "pi", "zero"]
     assert {answer.clarity for answer in answers} == {Clarity.CLEAR}
     assert {answer.leaders[0].setting["vendor"] for answer in answers} == {"cyclonedds"}
-    assert [(one.ping_device, one.cases, one.leads[0].cases, one.inconclusive) for one in find_headlines(answers)] == [
-        ("fast", 1, 1, 0),
-        ("pi", 1, 1, 0),
-        ("zero", 1, 1, 0),
-    ]
+    verdicts = [(one.place, one.cells, one.wins[0].cells, one.inconclusive) for one in verdicts_info(answers, VENDORS)]
+    assert verdicts == [(f"{device} → relay-pi, wired", 1, 1, 0) for device in ("fast", "pi", "zero")]
 
 
 def test_unlike_values_of_a_link_are_two_cases_and_no_contenders():
@@ -321,7 +319,6 @@ def test_unlike_values_of_a_link_are_two_cases_and_no_contenders():
     answers = find_answers(rows_by_group(frame))
     assert [answer.conditions for answer in answers] == ["link=custom(delay_ms=1)", "link=custom(delay_ms=2)"]
     assert {answer.clarity for answer in answers} == {Clarity.ONLY_ONE}
-    assert [one.conditions for one in find_headlines(answers)] == [answer.conditions for answer in answers]
 
 
 def test_who_lost_33_of_100_is_not_the_fastest():
@@ -334,9 +331,8 @@ def test_who_lost_33_of_100_is_not_the_fastest():
     assert cyclone.latency.value < answer.contenders[0].latency.value
     assert cyclone.received.value == 0.67
     assert [one.setting["vendor"] for one in answer.leaders] == ["fastdds"]
-    (headline,) = find_headlines([answer])
-    assert headline.leads == ()
-    assert headline.inconclusive == 1
+    (verdict,) = verdicts_info([answer], VENDORS)
+    assert (verdict.wins, verdict.inconclusive) == ((), 1)
 
 
 def test_losses_are_adjusted_over_kinds_of_message():
@@ -356,8 +352,8 @@ def test_losses_are_adjusted_over_kinds_of_message():
 
 def test_one_run_is_counted_as_too_few_in_the_headline():
     frame = pl.concat([steady(noisy(10 * MS)), steady(noisy(5 * MS), vendor="zenoh", run_id=2)])
-    (headline,) = find_headlines(find_answers(rows_by_group(frame)))
-    assert (headline.inconclusive, headline.within_one_run) == (1, 1)
+    (verdict,) = verdicts_info(find_answers(rows_by_group(frame)), VENDORS)
+    assert (verdict.inconclusive, verdict.within_one_run) == (1, 1)
 
 
 def test_one_of_a_hundred_messages_is_not_more_than_one_percent():

@@ -1,5 +1,3 @@
-"""Costs of bridges on campaigns whose truth is known."""
-
 from __future__ import annotations
 
 import polars as pl

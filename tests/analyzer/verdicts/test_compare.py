@@ -1,5 +1,3 @@
-"""Comparisons of groups whose truth is known: runs, losses, nulls of a relay, many groups."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Shares of a rise add up and contain the truth of made numbers; a cause is named only by an interval that excludes no change."""
-
 from __future__ import annotations
 
 import numpy as np

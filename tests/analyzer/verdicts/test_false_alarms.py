@@ -1,5 +1,3 @@
-"""How precise a statistic is, and false verdicts between equal sides, by hand."""
-
 from __future__ import annotations
 
 import math

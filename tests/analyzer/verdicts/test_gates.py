@@ -1,5 +1,3 @@
-"""Gates: the grammar and its errors, outcomes by hand, overall outcome and exit codes."""
-
 from __future__ import annotations
 
 import math

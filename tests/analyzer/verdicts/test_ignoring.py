@@ -1,5 +1,3 @@
-"""Columns that are not matched: which ones help, and when leaving them out is refused."""
-
 import polars as pl
 import pytest
 from roundtrip_frames import MS, PLAIN, in_runs

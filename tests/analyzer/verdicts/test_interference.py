@@ -1,5 +1,3 @@
-"""Flows beside each other, with known truth: an injected stall is found, flows on links apart show none."""
-
 from __future__ import annotations
 
 from types import SimpleNamespace

@@ -1,5 +1,3 @@
-"""Two plans measured in turns: cells are compared with their partners, pass by pass, whatever each was asked for."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""The grammar of a job, and what its errors advise."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""Groups of two sides that are the same experiment: relays without a trace, settings of relays, silent runs."""
-
 from __future__ import annotations
 
 import polars as pl

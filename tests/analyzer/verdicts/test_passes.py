@@ -1,5 +1,3 @@
-"""What was measured in the same passes of a sweep is compared pass by pass, from the traces on."""
-
 from __future__ import annotations
 
 import pytest

@@ -1,5 +1,3 @@
-"""Rankings of setups whose runs are made by hand: three runs of a mean and a spread, as logarithms."""
-
 from __future__ import annotations
 
 import math
@@ -10,7 +8,8 @@ import pytest
 
 from dds_trace.analyzer.run_statistics.between_runs import Estimate, Units
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
-from dds_trace.analyzer.verdicts.ranking import Kind, RankingOptions, SetupRuns, find_losers, rank_setups
+from dds_trace.analyzer.verdicts.judgements import PROVEN
+from dds_trace.analyzer.verdicts.ranking import Kind, RankingOptions, SetupRuns, judge_losers, rank_setups
 
 INTERVAL = Interval(None, None, None, 0.95, 180, 180, Basis.BETWEEN_RUNS, 3, 3, None)
 NO_MARGIN = RankingOptions(margin=0.0)
@@ -148,4 +147,4 @@ FEW, MANY = lost(0, 1, 0, 2), lost(4, 9, 5, 7)
     ],
 )
 def test_who_receives_less_is_tested_over_all_pairs(kinds, losers):
-    assert find_losers(kinds) == losers
+    assert [{row.subject for row in rows if row.verdict == PROVEN} for rows in judge_losers(kinds)] == losers

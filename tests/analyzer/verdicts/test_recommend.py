@@ -1,5 +1,3 @@
-"""Recommendations: rankings on runs whose truth is known, guesses that say they are guesses."""
-
 from __future__ import annotations
 
 import math

@@ -1,5 +1,3 @@
-"""Environments of two sides: within one device and link, for each group of a comparison, and in its tables."""
-
 from __future__ import annotations
 
 import pytest

@@ -13,12 +13,15 @@ from dds_trace.analyzer.model.parameters import CONTENDER_COLUMNS
 from dds_trace.analyzer.statistics.intervals import Basis, Interval
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.cases import Contender
+from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, OPEN, Claim, Judgement, Reason
 from dds_trace.reports.book.book import Book
 from dds_trace.reports.book.groups import VendorLabels
 from dds_trace.reports.book.headline import (
     avoid_sentence,
     bridge_sentence,
+    cure_sentence,
     fastest_words,
+    few_lost_sentence,
     tail_sentence,
     winner_sentences,
 )
@@ -132,40 +135,47 @@ def test_who_is_fastest_in_few_words(sentences):
     assert [numbers(one) for one in found] == [[2], [2, 4], [2, 3], [3], [1, 2, 1], [], [5], [4]]
 
 
-def lossy(*shares, size=1000, device="d"):
-    return case(
-        *(setup(name, lost=lost) for name, lost in zip("abcdef", shares, strict=False)), size=size, device=device
-    )
+def lost_row(name, share, verdict=DO_NOT_USE, reason="", group=0):
+    """A setup that lost a share of 128 messages."""
+    fields = {"verdict": verdict, "reason": reason, "group": group, "lost": round(128 * share), "messages": 128}
+    return Judgement(Claim.LOSSY, name, "lost", value=share, **fields)
+
+
+def lossy(*shares, size=1000, device="d", **more):
+    named = [(name, share) for name, share in zip("abcdef", shares, strict=False)]
+    rows = tuple(lost_row(name, share, **more) for name, share in named if share)
+    return case(*(setup(name, lost=lost) for name, lost in named), size=size, device=device, judgements=rows)
 
 
 @pytest.mark.parametrize(
     ("answers", "said"),
     [
-        pytest.param([lossy(0.25, 0.5)], [1, 50], id="both"),
-        pytest.param([lossy(0.25, 0.5, 0.125, 0)], [1, 50], id="three of four"),
-        pytest.param([lossy(0.25, 0.5, 0.125, 0.125, 0)], [1, 1, 50], id="four of five"),
-        pytest.param([lossy(0.125, 0), lossy(0.125, 0.5, size=2000)], [2, 50, 1, 12.5], id="the worst first"),
+        pytest.param([lossy(0.25, 0.5)], [1, 10, 50, 1, 10, 25], id="the worst first"),
         pytest.param(
-            [lossy(0.125, 0, 0), lossy(0, 0.5, 0, size=2000), lossy(0, 0, 0.25, size=3000)],
-            [2, 50, 3, 25, 1, 12.5],
-            id="three parts",
+            [lossy(0.125, 0), lossy(0.125, 0.5, size=2000)],
+            [2, 10, 50, 1, 10, 12.5, 2, 10, 12.5],
+            id="each size by itself",
         ),
+        pytest.param([lossy(0.25, 0.5, 0.125, 0.125)], [1, 10, 50, 1, 10, 25, 1, 10, 12.5, 1], id="four results"),
         pytest.param(
-            [
-                lossy(*(0.5 if place == size else 0.0 for place in range(4)), size=1000 * size + 1000)
-                for size in range(4)
-            ],
-            [1, 50, 2, 50, 3, 50, 1],
-            id="four parts",
+            [lossy(0.5, 0, device="d1"), lossy(0.25, 0, device="d2")], [1, 10, 50, 1, 10, 25], id="on two devices"
         ),
-        pytest.param([lossy(0.5, 0, device="d1"), lossy(0.25, 0, device="d2")], [1, 2, 50], id="on both pairs"),
-        pytest.param([lossy(0.0078125, 0)], [], id="hardly a loss"),
+        pytest.param([lossy(0.25, 0, verdict=OPEN)], [], id="not for sure"),
+        pytest.param([lossy(0.25, 0, group=7)], [], id="with a cure"),
     ],
 )
 def test_what_is_not_to_be_used(answers, said, sentences):
-    found = avoid_sentence(answers, VENDORS)
+    found = avoid_sentence(answers, VENDORS, {7: "give both sides --depth 126"})
     sentences(found)
     assert numbers(found) == said
+
+
+def test_a_proven_cure_replaces_the_advice_and_few_losses_are_not_judged(sentences):
+    cure = cure_sentence([lossy(0.25, 0, group=7), lossy(0.5, 0)], VENDORS, {7: "give both sides --depth 126"})
+    few = few_lost_sentence([lossy(0.015625, 0.5, verdict=OPEN, reason=Reason.FEW_LOST.value)], VENDORS)
+    sentences(cure, few)
+    assert numbers(cure) == [1, 10, 25, 126]
+    assert numbers(few) == [1, 10, 64, 128, 1, 10, 2, 128]
 
 
 COST = {
@@ -244,18 +254,26 @@ def test_one_full_recording_of_four_makes_a_busy_machine(recordings, is_said):
 WITHIN = {"basis": Basis.WITHIN_RUN.value, "interleaved": False}
 
 
+def undecided(number, reason):
+    measured = (1.023, 1.007, 1.039) if reason is Reason.BELOW_MARGIN else (1.5, 0.9, 2.0)
+    row = Judgement(Claim.FASTEST, "a", "latency_p50", "b", *measured, reason=reason.value)
+    return case(A, B, judgements=(row,), fewest_runs=2, size=number * 1000, **WITHIN)
+
+
 @pytest.mark.parametrize(
-    ("answers", "said"),
+    ("reasons", "said"),
     [
-        pytest.param([case(A, B, fewest_runs=2, **WITHIN), case(A, fewest_runs=1, size=2000)], [3, 2], id="two runs"),
-        pytest.param([case(A, B), case(A, B, size=2000)], [2], id="enough runs"),
-        pytest.param([case(A, B), case(A, B, size=2000, fewest_runs=2, **WITHIN)], [2, 1, 3], id="enough of some"),
-        pytest.param([case(A, B, interleaved=False), case(A, size=2000)], [], id="one after the other"),
+        ((Reason.FEW_RUNS, Reason.ONLY_ONE), [3, 2]),
+        ((Reason.NOT_SHOWN, Reason.NOT_SHOWN), [2]),
+        ((Reason.NOT_SHOWN, Reason.FEW_RUNS), [2, 1, 1, 3, 2]),
+        ((Reason.BELOW_MARGIN,), [2.3, 0.7, 3.9]),
+        *(((reason,), []) for reason in (Reason.IN_SEQUENCE, Reason.DEPENDENT, Reason.LOSSES)),
     ],
+    ids=lambda value: "-".join(value) if value and isinstance(value[0], Reason) else "",
 )
-def test_why_nobody_is_fastest(answers, said, sentences):
+def test_why_nobody_is_fastest(reasons, said, sentences):
     analysis = make_analysis(Measured(FAST), Measured(FAST, **ZENOH))
-    details = replace(analysis.details, answers=tuple(answers))
+    details = replace(analysis.details, answers=tuple(map(undecided, range(1, 3), reasons)))
     found = Book(replace(analysis, details=details)).answer.headline
     sentences(found)
     assert numbers(found) == said

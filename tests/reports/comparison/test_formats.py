@@ -66,7 +66,7 @@ def test_the_terminal_has_a_row_for_each_group_in_80_columns_worst_first(sentenc
     for text in (short, whole):
         assert max(map(len, text.splitlines())) <= 80
         assert " ".join(text.split()).startswith(info.said)
-        assert text.index("Changes of the median below") < text.index("1 ms → 2 ms") < text.rindex("Binary 1 KB at")
+        assert text.index("a change of the median from") < text.index("1 ms → 2 ms") < text.rindex("Binary 1 KB at")
         assert "+100 %" in text
         assert text.index("Geometric mean") > text.rindex("Binary 1 KB at")
         assert "in the base:\n  Binary 7 B" in text

@@ -1,0 +1,127 @@
+"""Judgements: what a report says of setups is a row of one frame, and no sentence is made from anything else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from ..model.metrics import frame_schema
+from ..run_statistics.change import Verdict
+from ..statistics.intervals import Basis
+from ..statistics.power import benjamini_hochberg_adjusted
+
+if TYPE_CHECKING:
+    from ..run_statistics.received import LossExcess
+
+LOSSY_SHARE = 0.01
+"""Share of lost messages above which a report advises against a setup, as its p99 is a lost message."""
+
+
+class Claim(str, Enum):
+    FASTEST = "fastest"
+    SLOWER = "slower"
+    LOSES_MORE = "loses more"
+    LOSSY = "lossy"
+
+
+class Reason(str, Enum):
+    NONE = ""
+    NOT_SHOWN = "not shown by a test"
+    BELOW_MARGIN = "the lead is below the margin"
+    IN_SEQUENCE = "recorded one after the other"
+    DEPENDENT = "the passes depend on each other"
+    FEW_RUNS = "fewer than three runs"
+    ONLY_ONE = "only one setup"
+    LOSSES = "the fastest one loses too much"
+    FEW_LOST = "too few to judge"
+    AS_REQUESTED = "too old messages are dropped as requested"
+
+
+DO_NOT_USE, PROVEN, OPEN = "do not use", "proven", "open"
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """One row: a claim, what was measured (a ratio to the base, a difference or a share, with its interval), and what follows.
+
+    Attributes:
+        base: what it is compared with: a setup or a limit.
+        verdict: `proven`, `open` or `do not use`.
+        needs: repeats that would probably decide.
+        group: first row of `summary` that it is about.
+        lost: messages that were lost, of `messages`, where a claim is about losses.
+    """
+
+    claim: Claim
+    subject: str
+    statistic: str
+    base: str = ""
+    value: float | None = None
+    low: float | None = None
+    high: float | None = None
+    basis: str = ""
+    p: float | None = None
+    p_adjusted: float | None = None
+    verdict: str = OPEN
+    reason: str = ""
+    needs: int | None = None
+    group: int | None = None
+    lost: int | None = None
+    messages: int | None = None
+
+
+JUDGEMENT_SCHEMA = frame_schema(
+    "claim:str subject:str statistic:str base:str value:f64 low:f64 high:f64 basis:str p:f64 p_adjusted:f64 verdict:str reason:str "
+    "needs:u32 group:u32 lost:u64 messages:u64"
+)
+
+
+def judgement_frame(rows: Iterable[Judgement]) -> pl.DataFrame:
+    return pl.DataFrame([{**asdict(row), "claim": row.claim.value} for row in rows], JUDGEMENT_SCHEMA)
+
+
+def judged_losses(subject: str, excess: LossExcess, group: int | None, *, is_requested: bool) -> Judgement | None:
+    """Judge whether a setup is advised against: more than `LOSSY_SHARE` is lost for sure; None without a loss."""
+    if not excess.lost:
+        return None
+    reason = Reason.NONE
+    if is_requested:
+        reason = Reason.AS_REQUESTED
+    elif not excess.is_sure() and exceeds_lossy_share(excess.share):
+        reason = Reason.FEW_LOST
+    is_advised = excess.is_sure() and not is_requested
+    return Judgement(
+        *(Claim.LOSSY, subject, "lost", f"{LOSSY_SHARE:.0%}", excess.share, excess.low, excess.high),
+        basis=(Basis.WITHIN_RUN if excess.p_value is None else Basis.BETWEEN_RUNS).value,
+        p=excess.p_value,
+        p_adjusted=excess.p_adjusted,
+        verdict=DO_NOT_USE if is_advised else OPEN,
+        reason=reason.value,
+        group=group,
+        lost=excess.lost,
+        messages=excess.messages,
+    )
+
+
+def exceeds_lossy_share(lost: float) -> bool:
+    """Return whether a share is more than `LOSSY_SHARE`; 1 of 100 is not, though 1 - 0.99 is."""
+    return round(lost, 9) > LOSSY_SHARE
+
+
+def adjusted_p_values(p_values: Sequence[float | None]) -> list[float | None]:
+    """Return p values adjusted by Benjamini and Hochberg; None stays None."""
+    adjusted = iter(benjamini_hochberg_adjusted([p for p in p_values if p is not None]).tolist())
+    return [None if p is None else next(adjusted) for p in p_values]
+
+
+def with_adjusted_verdicts(rows: pl.DataFrame, confidence: float) -> pl.DataFrame:
+    p_adjusted = pl.Series("p_adjusted", adjusted_p_values(rows["p_value"].to_list()), pl.Float64)
+    is_unsure = pl.col("verdict").is_in([Verdict.BETTER.value, Verdict.WORSE.value]) & (
+        p_adjusted.fill_null(0.0) > 1 - confidence
+    )
+    verdict = pl.when(is_unsure).then(pl.lit(Verdict.INCONCLUSIVE.value)).otherwise("verdict")
+    return rows.with_columns(p_adjusted, verdict.alias("verdict"))

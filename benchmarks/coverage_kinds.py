@@ -1,0 +1,194 @@
+"""How often verdicts err where runs come in kinds: two modes, a slow one in ten, skewed levels, passes that depend on each other."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from coverage_campaigns import SPREAD, kinds_of
+from simulated import LOSSES, Table, estimate_of, percent
+
+from dds_trace.analyzer.run_statistics.change import Verdict, change_of_estimates, least_variances
+from dds_trace.analyzer.run_statistics.late_share import late_share
+from dds_trace.analyzer.run_statistics.received import loss_excesses
+from dds_trace.analyzer.run_statistics.runs import Run, Runs
+from dds_trace.analyzer.statistics.power import benjamini_hochberg_adjusted
+from dds_trace.analyzer.verdicts.judgements import LOSSY_SHARE, Reason
+from dds_trace.analyzer.verdicts.ranking import rank_setups
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+    from simulated import DrawLosses
+
+    Float64 = NDArray[np.float64]
+    Draw = Callable[[np.random.Generator, tuple[int, int, int]], Float64]
+
+SEED = 20_261_127
+MOST_FALSE_LEADERS, MOST_FALSE_ADVICE, MOST_FALSE_MEETS, MOST_FALSE_CHANGES = 0.06, 0.05, 0.07, 0.06
+LEAST_ADVICE = 0.80
+
+
+def two_modes(generator: np.random.Generator, shape: tuple[int, int, int], noise: float) -> Float64:
+    """Draw the logarithms of runs, half of which take 1.5 times as long; shape (kinds, setups, repeats)."""
+    return noise * generator.standard_normal(shape) + math.log(1.5) * (generator.random(shape) < 0.5)
+
+
+def one_in_ten(generator: np.random.Generator, shape: tuple[int, int, int]) -> Float64:
+    """Draw runs that vary by 5 %, one in ten of which takes 3 times as long."""
+    return 0.05 * generator.standard_normal(shape) + math.log(3) * (generator.random(shape) < 0.1)
+
+
+def skewed(generator: np.random.Generator, shape: tuple[int, int, int]) -> Float64:
+    """Draw runs whose logarithms are exponential."""
+    return SPREAD * generator.exponential(size=shape)
+
+
+def correlated(generator: np.random.Generator, shape: tuple[int, int, int], correlation: float = 0.8) -> Float64:
+    """Draw runs that correlate with the run of the same setup and kind in the pass before."""
+    values = generator.standard_normal(shape)
+    for number in range(1, shape[-1]):
+        values[..., number] *= math.sqrt(1 - correlation**2)
+        values[..., number] += correlation * values[..., number - 1]
+    return SPREAD * values
+
+
+def walk(generator: np.random.Generator, shape: tuple[int, int, int]) -> Float64:
+    """Draw runs that each setup and kind moves by 5 % from pass to pass, and that vary by 1 %."""
+    return 0.05 * np.cumsum(generator.standard_normal(shape), axis=-1) + 0.01 * generator.standard_normal(shape)
+
+
+KINDS: dict[str, Draw] = {
+    "two modes, 1 and 1.5, each +-1 %": partial(two_modes, noise=0.01),
+    "two modes, 1 and 1.5, each +-5 %": partial(two_modes, noise=0.05),
+    "one run in ten 3 times": one_in_ten,
+    "levels skewed to the right": skewed,
+}
+DEPENDENT: dict[str, Draw] = {"correlation 0.8 from pass to pass": correlated, "a walk of 5 % a pass": walk}
+
+
+def kinds_table(samples: int) -> Table:
+    """Count campaigns of equal setups in which any of them is called the fastest, at the median or at p99."""
+    counts = (1, 6, 12)
+    table = Table("leaders-kinds", ("runs", "repeats", "setups", *(f"kinds: {kinds}" for kinds in counts)))
+    for name, draw in KINDS.items():
+        for repeats in (3, 5):
+            for setups in (2, 3):
+                cells = []
+                for kinds in counts:
+                    false, _ = _led(samples, draw, (kinds, setups, repeats))
+                    where = f"{name}, {repeats} repeats, {setups} setups, {kinds} kinds"
+                    cells.append(table.at_most(MOST_FALSE_LEADERS, false, samples, where))
+                table.rows.append((name, str(repeats), str(setups), *cells))
+    return table
+
+
+def dependent_table(samples: int) -> Table:
+    """Count campaigns of equal setups whose dependent passes are seen, and those in which a setup is called the fastest."""
+    table = Table("leaders-dependent", ("passes", "repeats", "setups", "kinds", "seen", "called the fastest"))
+    for name, draw in DEPENDENT.items():
+        for repeats in (3, 5):
+            for setups in (2, 3):
+                for kinds in (6, 12):
+                    false, seen = _led(samples, draw, (kinds, setups, repeats))
+                    bar = MOST_FALSE_LEADERS if repeats > 3 and kinds > 6 else 1.0
+                    said = table.at_most(
+                        bar, false, samples, f"{name}, {repeats} repeats, {setups} setups, {kinds} kinds"
+                    )
+                    table.rows.append((name, str(repeats), str(setups), str(kinds), percent(seen, samples), said))
+    return table
+
+
+def _led(samples: int, draw: Draw, shape: tuple[int, int, int]) -> tuple[int, int]:
+    generator = np.random.default_rng([SEED, *shape])
+    led = dependent = 0
+    for _ in range(samples):
+        median = draw(generator, shape)
+        tail = 0.7 * median + math.sqrt(1 - 0.7**2) * draw(generator, shape)
+        rankings = [ranking for of_kind in rank_setups(kinds_of(median, tail)) for ranking in of_kind.values()]
+        led += any(ranking.leader for ranking in rankings)
+        dependent += any(ranking.reason is Reason.DEPENDENT for ranking in rankings)
+    return led, dependent
+
+
+def changes_table(samples: int) -> Table:
+    """Count comparisons of equal sides with twelve groups, in which a median is called slower or faster."""
+    table = Table("comparisons-kinds", ("runs", "runs a side", "measured in turns", "independent"))
+    for name, draw in KINDS.items():
+        for runs in (3, 5):
+            cells = []
+            for is_paired in (True, False):
+                generator = np.random.default_rng([SEED, runs, is_paired])
+                false = sum(_is_called(np.exp(draw(generator, (12, 2, runs))), is_paired) for _ in range(samples))
+                cells.append(table.at_most(MOST_FALSE_CHANGES, false, samples, f"{name}, {runs} runs, {is_paired}"))
+            table.rows.append((name, str(runs), *cells))
+    return table
+
+
+def _is_called(values: Float64, is_paired: bool) -> bool:
+    passes = (range(values.shape[-1]),) * 2 if is_paired else None
+    sides = [(estimate_of(base), estimate_of(new), passes) for base, new in values]
+    least = least_variances(sides)
+    changes = [change_of_estimates(base, new, paired, least=least) for base, new, paired in sides]
+    adjusted = benjamini_hochberg_adjusted([change.p_value or 0.0 for change in changes]).tolist()
+    called = {Verdict.BETTER, Verdict.WORSE}
+    return any(p <= 0.05 and change.verdict(0.05) in called for p, change in zip(adjusted, changes, strict=True))
+
+
+def advice_table(samples: int) -> Table:
+    """Count campaigns in which a setup is advised against that loses 1 %, and setups that lose 3 % and are advised against."""
+    counts = (1, 6, 20)
+    columns = (*(f"1 %, results: {results}" for results in counts), "3 %, of two setups", "3 %, of twelve")
+    table = Table("advice", ("losses, 3 x 1000", *columns))
+    for name, draw in LOSSES.items():
+        generator = np.random.default_rng([SEED, 3])
+        cells = []
+        for results in counts:
+            wrong = sum(any(_advised(draw, generator, [0.01] * 2 * results)) for _ in range(samples))
+            cells.append(table.at_most(MOST_FALSE_ADVICE, wrong, samples, f"{name}, {results} results"))
+        for setups in (2, 12):
+            right = sum(_advised(draw, generator, [0.03, *[0.001] * (setups - 1)])[0] for _ in range(samples))
+            bar = LEAST_ADVICE if name == "single losses" else 0.0
+            cells.append(table.at_least(bar, right, samples, f"{name}, {setups} setups"))
+        table.rows.append((name, *cells))
+    return table
+
+
+def _advised(draw: DrawLosses, generator: np.random.Generator, shares: list[float]) -> list[bool]:
+    groups = [list(~draw(generator, 3, 1000, share)) for share in shares]
+    return [one.is_sure() for one in loss_excesses(groups, LOSSY_SHARE)]
+
+
+LEVELS: dict[str, Callable[[np.random.Generator, int], Float64]] = {
+    "levels skewed, 0.1": lambda generator, runs: 0.1 * generator.exponential(size=runs),
+    "levels skewed, 0.2": lambda generator, runs: 0.2 * generator.exponential(size=runs),
+    "levels skewed, 0.5": lambda generator, runs: 0.5 * generator.exponential(size=runs),
+    "levels with t of 3 degrees, 15 %": lambda generator, runs: 0.15 * generator.standard_t(3, runs) / math.sqrt(3),
+    "one run in ten 3 times, all campaigns": lambda generator, runs: math.log(3) * (generator.random(runs) < 0.1),
+}
+LATE, MESSAGES = 0.02, 300
+
+
+def late_table(samples: int) -> Table:
+    """Count settings of which 2 % are late in the long run that are said to meet 99 %; the last row has no bar: no run shows what it lacks."""
+    counts = (3, 5, 10, 20)
+    table = Table("deadlines-kinds", ("levels of runs", *(f"runs: {runs}" for runs in counts)))
+    for name, draw in LEVELS.items():
+        generator = np.random.default_rng([SEED, 1])
+        long_run = draw(generator, 200_000) + 0.2 * generator.standard_normal(200_000)
+        deadline = 1e6 * math.exp(float(np.quantile(long_run, 1 - LATE)))
+        cells = []
+        for runs in counts:
+            generator = np.random.default_rng([SEED, runs])
+            meets = 0
+            for _ in range(samples):
+                logs = draw(generator, runs)[:, None] + 0.2 * generator.standard_normal((runs, MESSAGES))
+                late = late_share(Runs.of([Run(values) for values in 1e6 * np.exp(logs)]), deadline)
+                meets += late is not None and late.upper is not None and late.upper <= 0.01
+            bar = 1.0 if name.endswith("all campaigns") else MOST_FALSE_MEETS
+            cells.append(table.at_most(bar, meets, samples, f"{name}, {runs} runs"))
+        table.rows.append((name, *cells))
+    return table

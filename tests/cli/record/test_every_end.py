@@ -118,7 +118,7 @@ class Bench:
             if part == "ping":
                 more = (*traffic, "--wait", 120, "--messages", 20 * (seconds if is_tested else 600))
             elif part == "tap":
-                more = (*more, "--topics", "/string_data")
+                more = (*more, "--topics", "/string_data*")
             if self._has_peers and part != "relay" and (part, is_tested) != ("beacon", False):
                 more = (*more, "--peer", listening or "127.0.0.1")
             out = self._folder / f"{part}-{'tested' if is_tested else 'peer'}-{number}.mcap"

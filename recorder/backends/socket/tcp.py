@@ -206,15 +206,15 @@ class TcpLinks:
 
     def _join(self, connection: socket.socket | TlsSocket, address: Address | None) -> None:
         peer = _TcpPeer(connection, self._has_memory, is_chosen=address is not None)
-        with self._changing:
+        peer.greet(self._own)
+        name = f"{threading.current_thread().name}-{connection.fileno()}"
+        peer.thread = threading.Thread(target=self._serve, args=(peer, address), name=name, daemon=True)
+        with self._changing:  # `interrupt` joins the threads of the peers that it sees: each has started
             if self._closing:
                 connection.close()
                 return
             self._connected += (peer,)
-        peer.greet(self._own)
-        name = f"{threading.current_thread().name}-{connection.fileno()}"
-        peer.thread = threading.Thread(target=self._serve, args=(peer, address), name=name, daemon=True)
-        peer.thread.start()
+            peer.thread.start()
 
     def _serve(self, peer: _TcpPeer, address: Address | None) -> None:
         try:

@@ -424,7 +424,7 @@ def test_a_wrong_address_is_refused(address):
         BridgeOptions(peers=(address,))
 
 
-@pytest.mark.parametrize(("ping", "relay"), [(5, 5), (-1, 10), (5, 232)])
+@pytest.mark.parametrize(("ping", "relay"), [(5, 5), (-1, 10), (5, 233)])
 def test_domains_that_cannot_be_joined_are_refused(ping, relay):
     with pytest.raises(OptionError):
         BridgeOptions(ping, relay)

@@ -37,8 +37,6 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class _Interval:
-    """The offset was between `low_ns` and `high_ns` at `at_ns` of this clock."""
-
     at_ns: int
     low_ns: int
     high_ns: int
@@ -75,7 +73,6 @@ class ClockEstimate:
             self._windows[-1] = new
 
     def at(self, now_ns: int) -> Estimate | None:
-        """Return the estimate at an instant of this clock, None before the first round trip."""
         if not self._windows:
             return None
         drift = self._drift()
@@ -167,7 +164,6 @@ class Exchanges:
             self._match(run_id, sequence, relay_id)
 
     def take_note(self, message: RawMessage, _source_ns: int = 0, _received_ns: int = 0, /) -> None:
-        """Take T3 and T4 of a message from another beacon's note."""
         note = parse_note(message)
         if note is None or note.run_id not in self.run_ids:
             return

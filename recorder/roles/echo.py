@@ -155,7 +155,6 @@ def _advice_unheard(node: Node) -> str:
 
 
 def _meeting_options(options: NodeOptions) -> str:
-    """Return the further options without which a relay never meets the ping, as in a command."""
     usual, durations = Qos(), requested_durations(options.qos)
     given = {
         "rmw": options.rmw or "",

@@ -43,7 +43,6 @@ class FloorCost:
 
 
 def measured_cost() -> dict[str, Json]:
-    """Return the session's field `recorder_cost`, ns; empty where nothing can be written."""
     try:
         cost = measure_recorder_cost(seconds=BRIEF_S)
     except TraceError:
@@ -52,7 +51,6 @@ def measured_cost() -> dict[str, Json]:
 
 
 def measured_floor(backend: str, options: NodeOptions, rate_hz: float | None = None) -> dict[str, Json]:
-    """Return the session's field `client_library_floor`, ns; empty where it cannot be measured."""
     try:
         floor = measure_floor(backend, options, BRIEF_FLOOR_MESSAGES, BRIEF_FLOOR_PATIENCE_S, rate_hz)
     except TraceError:

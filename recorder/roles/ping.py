@@ -355,7 +355,6 @@ class Ping(Generic[SentT, ReceivedT]):
             self._clock.wait_until(self._now() + POLL_NS, hopeless)
 
     def progress(self) -> PingProgress:
-        """Return the progress of the run, on any thread."""
         replies = self._replies
         p50_ns, p99_ns = replies.percentiles_ns()
         received = replies.received

@@ -62,14 +62,12 @@ class ReadBack:
         self._reported: set[tuple[Setting, str]] = set()
 
     def read_begin(self) -> None:
-        """Read before the first message, on any thread."""
         if self._applied is None:
             applied = read_applied()
             self._own = self._compare(applied)
             self._applied = applied
 
     def read_end(self, traffic: Traffic) -> None:
-        """Read after the last message; `traffic` counts from `read_begin`."""
         if self._applied is not None:
             self._applied = with_path(read_applied(self._applied), traffic)
             self._own = self._compare(self._applied, traffic)

@@ -180,7 +180,6 @@ class Relay:
         return Traffic(count, count, self._payload_bytes // max(count, 1))
 
     def progress(self) -> RelayProgress:
-        """Return the work done so far, on any thread."""
         return RelayProgress(self._relayed, self._runs, self._foreign)
 
 

@@ -43,8 +43,6 @@ def open_wire(
 
 
 class WireRecord:
-    """Writes the counts of a role's capture into the trace."""
-
     def __init__(self, capture: WireCapture | None, note: Callable[[str], None]) -> None:
         self._capture = capture
         self._note = note
@@ -56,7 +54,6 @@ class WireRecord:
         return {} if self._capture is None else {"wire": self._capture.pid}
 
     def begin(self, run_id: int | None = None) -> None:
-        """Restart counting (0.25 s), with records of one run or all."""
         if run_id is not None and (before := self._take()) is not None:
             self._discovery_bytes = before.counts.discovery_bytes
         if self._capture is None:
@@ -67,7 +64,6 @@ class WireRecord:
             self._give_up(err)
 
     def write_run(self, run: Run, sink: TraceSink) -> Run:
-        """Write the counts into a finished run; write its records."""
         result = self._take()
         if result is None:
             return run
@@ -79,7 +75,6 @@ class WireRecord:
         return described
 
     def write_relay(self, relayed: int, session_id: int, sink: TraceSink, *, go_on: bool = False) -> None:
-        """Write the counts if the relay has new messages, and `go_on` counting."""
         if relayed == self._relayed:
             return
         result = self._take()

@@ -72,7 +72,6 @@ class Listed:
 
 
 def runtime_folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Return the service's folder, else the user's, else a temporary one."""
     service = environment.get("RUNTIME_DIRECTORY", "").split(":")[0]
     if service:
         return Path(service)

@@ -59,7 +59,6 @@ class ServiceManager:
             self._socket.setblocking(False)  # a stuck manager must not block the recording
 
     def notify(self, status: str) -> None:
-        """Feed the watchdog; report readiness once, and the status sometimes."""
         if self._socket is None:
             return
         assignments = ["WATCHDOG=1"] if self._is_watched else []

@@ -127,7 +127,6 @@ class TapRecording(BaseRecording):
         return Recorded(trace, self.session, progress, error=self.upkeep.shortage)
 
     def _why_nothing(self) -> str:
-        """Return one line about a tap without a message: what it looked for, saw, and what to try."""
         tap, node = self.tap, self.node
         names, domain_id = ", ".join(self._tap_options.topics), node.options.domain_id
         if tap.refused:

@@ -16,8 +16,6 @@ _PLAIN = {"double": "float64", "float": "float32", "boolean": "bool"}
 
 
 def reader_of(type_name: str, members: Members) -> Callable[[bytes], int | None] | None:
-    """Return the function that reads a message's stamp, ns, or None; None for a type without one, or an unknown one."""
-
     def stored(name: str) -> Fields | None:
         return _fields(name, members)
 
@@ -26,7 +24,6 @@ def reader_of(type_name: str, members: Members) -> Callable[[bytes], int | None]
 
 
 def definition_of(type_name: str, members: Members) -> str:
-    """Return the text of a type and of those that it is made of, without constants; empty if one of them is unknown."""
     remaining, sections = [plain_name(type_name)], dict[str, str]()
     while remaining:
         name = remaining.pop(0)
@@ -65,7 +62,6 @@ def _field(name: str, text: str) -> Field:
 
 
 def _definition(type_name: str) -> str:
-    """Return the definition of a type that ROS 2 itself has; empty without rosbags."""
     if find_spec("rosbags") is None:
         return ""
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional

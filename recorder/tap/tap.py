@@ -32,8 +32,6 @@ NICENESS = 10
 
 
 class Worker:
-    """Calls `work` with what `hand_over` gets, in order."""
-
     def __init__(self, work: Callable[..., None]) -> None:
         self.error: BaseException | None = None
         self._work = work
@@ -198,7 +196,6 @@ class Tap:
         self._note(f"joined {name} ({type_name}), {counted(len(publications), 'publisher')}")
 
     def _payload_topic(self, name: str, type_name: str) -> PayloadTopic | None:
-        """Return the topic as it is kept; nobody writes to the trace's own topics."""
         if not self._keeps_payload or name.startswith(TOPIC_PREFIX) or len(self._topics) >= MOST_TOPICS:
             return None
         is_ros = type_name.count("/") == 2

@@ -181,7 +181,7 @@ def of_frame(name: str, frame: pl.DataFrame, text: str = "") -> Schema:
     columns = {}
     for column, dtype in frame.schema.items():
         schema = dict(HEX_ID) if column in {"run_id", "session_id"} else of_dtype(dtype)
-        is_full = column in NEVER_NULL or (name, column) == ("wire", "payload_bytes")
+        is_full = (column in NEVER_NULL and name != "judgements") or (name, column) == ("wire", "payload_bytes")
         columns[column] = schema if is_full else or_null(schema)
         if column == "basis" and name != "judgements":
             columns[column] = NARROW["answers.basis"]

@@ -15,7 +15,7 @@ from .evidence import Evidence, Observation, check
 from .rows import Rows, frame_of, named
 
 _SHORTEST_SLEEP_NS = 1_000_000_000
-"""Shortest sleep of a device."""
+"""Shortest time in which a device goes to sleep and wakes."""
 
 
 def _steps(evidence: Evidence) -> pl.DataFrame:
@@ -126,7 +126,7 @@ _SATURATED_SHARE = 0.1
 """Share of seconds above which percentiles, though no median, show saturation."""
 
 _SATURATED_SECONDS = 2
-"""One is the start of a recording."""
+"""Least saturated seconds: the first one of a recording is its start."""
 
 
 @check(

@@ -23,6 +23,7 @@ from ..statistics.intervals import MIN_RUNS
 from .evidence import Evidence, Observation, check
 
 _HALF = 2
+"""A result is reported if one in this many of its runs, or more, show the same."""
 
 
 @check("short_warm_up", Severity.WARNING, Subject.RESULT, "Record with --warmup {messages}, which leaves them out.")

@@ -72,10 +72,13 @@ def has(role: str, transport: str, fault: str) -> bool:
     return not (role == "tap" and is_socket) and not (fault == "link down" and transport == "ros2-shm")
 
 
-QUICK = {"socket-tcp": FAULTS, "socket-udp": FAULTS[:1], "zenoh": FAULTS[:1], "cyclonedds": FAULTS[3:]}
-QUICK_OF_ROS2 = (
-    ("tap", "ros2-udp", "busy machine"),
+QUICK = (
+    ("ping", "socket-tcp", "peer stopped"),
     ("ping", "ros2-large-data", "peer stopped"),
+    ("relay", "socket-tcp", "link down"),
+    ("relay", "cyclonedds", "peer gone"),
+    ("tap", "ros2-udp", "busy machine"),
+    ("beacon", "zenoh", "peer stopped"),
     ("server", "ros2-shm", "peer gone"),
 )
 
@@ -88,7 +91,7 @@ def cases() -> Iterator[object]:
             for fault in FAULTS:
                 if not has(role, transport, fault):
                     continue
-                is_quick = fault in QUICK.get(transport, ()) or (role, transport, fault) in QUICK_OF_ROS2
+                is_quick = (role, transport, fault) in QUICK
                 network = [needs_namespaces("ip", "iproute2")] if fault == "link down" else []
                 slow = [] if is_quick else [pytest.mark.ends, pytest.mark.slow]
                 name = f"{role}-{transport}-{fault}".replace(" ", "-")

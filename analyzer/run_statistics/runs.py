@@ -23,9 +23,10 @@ Indices = NDArray[np.intp]
 class Run:
     """The values of one run in the order of time, infinity for a lost message; int64 `sent_ns`, None where evenly spaced."""
 
-    def __init__(self, values: Values, sent_ns: Int64 | None = None) -> None:
+    def __init__(self, values: Values, sent_ns: Int64 | None = None, parts: Sequence[Run] = ()) -> None:
         self.values = values
         self.sent_ns = sent_ns
+        self.parts = parts
 
     def __len__(self) -> int:
         return len(self.values)
@@ -33,7 +34,11 @@ class Run:
     @cached_property
     def ordered(self) -> Values:
         """The values, ascending."""
-        return np.sort(self.values)
+        return merged([part.ordered for part in self.parts]) if self.parts else np.sort(self.values)
+
+
+def merged(ascending: Sequence[Values]) -> Values:
+    return np.sort(np.concatenate(ascending), kind="stable")  # timsort merges what is in order
 
 
 class SendTimes:
@@ -78,7 +83,7 @@ class Levels:
 class Runs:
     """The runs of one group; shared arrays have the messages run after run, each in the order of time.
 
-    Sorting is most of the cost of a statistic, so each sorted array is computed once.
+    Sorting is most of the cost of a statistic, so each run is sorted once, and what is of several runs is merged.
     """
 
     runs: tuple[Run, ...]
@@ -121,7 +126,7 @@ class Runs:
 
     @cached_property
     def ordered(self) -> Values:
-        return self.runs[0].ordered if len(self) == 1 else np.sort(self.values)
+        return self.runs[0].ordered if len(self) == 1 else merged([self.ordered_by_run])
 
     @cached_property
     def ordered_by_run(self) -> Values:
@@ -145,13 +150,14 @@ class Runs:
 
     @cached_property
     def relative(self) -> Values:
-        if len(self) == 1:
-            return self.values
-        return self.levels.relative(self.values, np.repeat(self.levels.values, self.lengths))
+        return self._relative(self.values)
 
     @cached_property
     def ordered_relative(self) -> Values:
-        return self.runs[0].ordered if len(self) == 1 else np.sort(self.relative)
+        return self.runs[0].ordered if len(self) == 1 else merged([self._relative(self.ordered_by_run)])
+
+    def _relative(self, values: Values) -> Values:
+        return values if len(self) == 1 else self.levels.relative(values, np.repeat(self.levels.values, self.lengths))
 
     @cached_property
     def cells(self) -> Cells:
@@ -182,7 +188,7 @@ def joined_runs(runs: Sequence[Run]) -> Run:
         return runs[0]
     group = Runs.of(runs)
     is_timed = all(run.sent_ns is not None for run in runs)
-    return Run(group.values, group.times.joined_ns if is_timed else None)
+    return Run(group.values, group.times.joined_ns if is_timed else None, group.runs)
 
 
 def _steps_ns(times: Int64) -> Int64:

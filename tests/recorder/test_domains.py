@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from wording import numbers
 
 from dds_trace.base.errors import OptionError
 from dds_trace.recorder.domains import (
@@ -81,7 +82,8 @@ def test_ports_among_the_ephemeral_ones_give_a_warning(proc):
     assert "(32650 to 32899)" in warning
     assert "(32768 to 60999)" in warning
     (first_ports,) = check_domain(214, proc())  # 60900 to 61149
-    assert "up to 100 and from 215 to 232" in first_ports
+    assert numbers(first_ports)[-3:] == [100, 215, 232]
+    assert "up to 100 and from" in first_ports
 
 
 def test_no_domain_is_proposed_where_the_kernel_gives_all_ports(proc):

@@ -1,4 +1,4 @@
-"""Checks before a recording: of its options, or by a start that ends before the first message."""
+"""Checks before a recording."""
 
 from __future__ import annotations
 

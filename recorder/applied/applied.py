@@ -1,4 +1,4 @@
-"""`Applied`: what a process really uses at the start and the end of a run."""
+"""What a process really uses at the start and the end of a run."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class Applied:
         return to_json(self)
 
     def socket_drops(self) -> int | None:
-        """Return the datagrams that the kernel dropped at the process's own UDP sockets during the run.
+        """Return the datagrams dropped at the process's own UDP sockets during the run; None before the end, and if unknown.
 
-        None before the end, and if the sockets are unknown. A socket that was closed before the end counts nothing.
+        A socket that was closed before the end counts nothing.
         """
         if self.end is None or self.end.sockets is None or self.begin.sockets is None:
             return None

@@ -70,9 +70,9 @@ def asked_settings(
     buffer_bytes: int | None = None,
     segment_bytes: int | None = None,
 ) -> Asked:
-    """Return what the options of a recording and the user's configuration request.
+    """Return what options and the user's configuration request.
 
-    `environment` is as the user set it; `settings` are the node's (`Middleware.settings`), with the recorder's part.
+    `settings` are the node's (`Middleware.settings`), with the recorder's part; `environment` is as the user set it.
     """
     shared_memory = vendor_facts(vendor).shared_memory.get(transport)
     requested = Asked(vendor, domain_id, transport, tuned, discovery, shared_memory=shared_memory)

@@ -1,7 +1,7 @@
 """Which path carried the payload: shared memory or an interface, by counters against payload x messages.
 
-Counters of an interface include other programs' traffic: too small a count refutes a path, a large one proves nothing.
-If both paths could explain the counts, the path is `unknown`. Only the bytes of own open TCP connections prove.
+Other programs' traffic counts too: too small a count refutes a path, a large one proves nothing. If both paths could explain
+the counts, the path is `unknown`. Only the bytes of own open TCP connections prove.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Differences between what a run requested and what its process really uses.
 
-A rule reports a difference only if the read-back has no other explanation: it bars a run from answers, so a false one
-would be worse than a missed one.
+Only those without another explanation: a false one bars a run from answers.
 """
 
 from __future__ import annotations

@@ -170,10 +170,7 @@ class _Lock(Enum):
 
 
 def _lock_state(path: Path, lock: int) -> _Lock:
-    """Try to get a lock, as Fast DDS itself does.
-
-    A free lock is ours for some microseconds; a Fast DDS that is just starting then chooses the next port.
-    """
+    """Try to get a lock, as Fast DDS does; a Fast DDS that starts in these microseconds chooses the next port."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:

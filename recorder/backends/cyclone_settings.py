@@ -1,4 +1,4 @@
-"""Settings of Cyclone DDS, for our `cyclonedds` backend and zenoh's bridges, which contain it, and its DDS Security."""
+"""Settings of Cyclone DDS for the `cyclonedds` backend and zenoh's bridges, which contain it, and its DDS Security."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def cyclone_settings(
     environment: Mapping[str, str] = os.environ,
     sizes: Sizes = VENDORS_SIZES,
 ) -> str:
-    """Return a value of CYCLONEDDS_URI: the user's settings, then ours, which win."""
+    """Return a value of CYCLONEDDS_URI; our settings win over the user's."""
     parts = [
         environment.get("CYCLONEDDS_URI", ""),
         "" if multicast else CYCLONE_UNICAST,
@@ -125,7 +125,7 @@ def security_settings(options: NodeOptions) -> str:
 
 
 def _plugin_folder() -> Path | None:
-    """Return the folder of the plugins that belong to the library in this process: next to it, or where Debian has them."""
+    """Return the folder of this process's plugins: next to the library, or where Debian has them."""
     library = re.search(r"/\S*libddsc\S*\.so\S*", Path("/proc/self/maps").read_text())
     folder = Path(library[0]).parent if library else Path()
     folders = (folder, folder / "libddsc0debian")

@@ -326,7 +326,7 @@ def _tapped_topic(topic: str) -> str:
 
 
 def _opaque_type(type_name: str) -> Any:
-    """Return a type of this name of one octet: Cyclone DDS accepts what follows in a message."""
+    """Return a type of one octet: Cyclone DDS accepts what follows in a message."""
     from cyclonedds.idl import make_idl_struct
     from cyclonedds.idl.types import uint8
 

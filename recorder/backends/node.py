@@ -165,7 +165,6 @@ class NodeOptions:
 
     @property
     def sizes(self) -> Sizes:
-        """The requested sizes."""
         return Sizes(self.buffer_bytes, self.segment_bytes, self.fragment_bytes)
 
 
@@ -261,7 +260,6 @@ class TopicPatterns:
     texts: tuple[str, ...]
 
     def __call__(self, topic: str) -> bool:
-        """Return whether a topic is meant."""
         return any(fnmatchcase(topic, text) for text in self.texts)
 
 

@@ -29,7 +29,7 @@ with open_node(sys.argv[1], NodeOptions(int(sys.argv[2]), "dds_trace_look", Disc
 
 
 def name_of_participant(name: str, security: Security) -> str:
-    """Return a node's name; a secured one ends with its level, as only the names of participants are open to all."""
+    """Return a node's name; a secured one ends with its level, as only names are open to all."""
     return name if security is Security.OFF else f"{name}_{security.value.replace('-', '_')}"
 
 

@@ -1,4 +1,4 @@
-"""Quality of service: durations, endpoints that can never match, and too small a depth."""
+"""Quality of service: durations, endpoints that never match, too small a depth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sizes that a recording can choose (buffer, segment, fragment, response), and the kind of call."""
+"""Sizes that a recording can choose, and the kind of call."""
 
 from __future__ import annotations
 

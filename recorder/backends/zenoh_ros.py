@@ -1,4 +1,4 @@
-"""Keys, graph entries and attachments of ROS 2 nodes on zenoh (`rmw_zenoh_cpp`), as a tap finds them."""
+"""Keys, graph entries and attachments of ROS 2 nodes on zenoh (`rmw_zenoh_cpp`)."""
 
 from __future__ import annotations
 

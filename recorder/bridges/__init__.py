@@ -1,1 +1,1 @@
-"""Bridges between two DDS domains: one file for each, their record in `base`, running programs in `process`."""
+"""Bridges between two DDS domains: a file for each."""

@@ -1,6 +1,6 @@
 """`builtin`: our own bridge, two ROS 2 nodes in one process that forward serialized messages both ways.
 
-`python -m dds_trace.recorder.bridges.builtin CONFIGURATION` serves until SIGINT or SIGTERM.
+`python -m dds_trace.recorder.bridges.builtin CONFIGURATION` serves until a signal.
 """
 
 from __future__ import annotations

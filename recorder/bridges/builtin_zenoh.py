@@ -1,6 +1,6 @@
 """`builtin-zenoh`: our own bridge over zenoh, one half on each device.
 
-`python -m dds_trace.recorder.bridges.builtin_zenoh CONFIGURATION` serves one half until SIGINT or SIGTERM.
+`python -m dds_trace.recorder.bridges.builtin_zenoh CONFIGURATION` serves one half until a signal.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What zenoh's bridges share: the link between two programs, and zenoh's router with a plugin."""
+"""What zenoh's bridges share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A middleware's configuration outside the command line: environment variables, and files by name and hash."""
+"""A middleware's configuration in environment variables and files, by name and hash."""
 
 from __future__ import annotations
 

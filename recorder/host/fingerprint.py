@@ -1,7 +1,4 @@
-"""The fingerprint of a device, without host name, address or serial number.
-
-A field that this system does not report is null or empty, never an error.
-"""
+"""The fingerprint of a device, without host name, address or serial number; what the system does not report is empty."""
 
 from __future__ import annotations
 

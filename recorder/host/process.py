@@ -1,7 +1,6 @@
-"""How this process runs: CPUs, real-time priority, garbage collection, signals that stop it.
+"""How this process runs: CPUs, priority, garbage collection, signals.
 
-A privilege that the system refuses is an error: numbers recorded under other conditions than requested would look
-right.
+A refused privilege is an error: numbers of other conditions than requested would look right.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The cost of recording on this machine: the time that `TraceSink.record` takes from the node."""
+"""The time that `TraceSink.record` takes on this machine."""
 
 from __future__ import annotations
 

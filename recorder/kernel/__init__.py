@@ -1,1 +1,1 @@
-"""What the kernel reports: counters, limits and groups of a network namespace, its sockets, and the state of TCP."""
+"""What the kernel reports of a network namespace, its sockets and TCP."""

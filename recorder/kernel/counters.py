@@ -1,7 +1,4 @@
-"""Counters, limits, multicast groups and bound ports of a network namespace, read from /proc.
-
-Other programs' traffic is counted as well.
-"""
+"""Counters, limits, multicast groups and bound ports of a network namespace (/proc), other programs' traffic included."""
 
 from __future__ import annotations
 

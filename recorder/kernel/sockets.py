@@ -135,10 +135,7 @@ class Socket:
 
 @dataclass(frozen=True, slots=True)
 class TcpConnection:
-    """One end of a connection, without addresses, which may identify a device; counters since it opened, or of a run.
-
-    `rtt_us` and its kin are the kernel's smoothed round-trip time, now.
-    """
+    """One end of a connection, without addresses, which may identify a device; counters since it opened, or of a run."""
 
     local_port: int
     remote_port: int

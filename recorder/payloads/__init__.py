@@ -1,4 +1,4 @@
-"""The data that a ping can send: made up, or read from files, bags and running topics."""
+"""The data that a ping can send."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Data that a ping sends: a `DataType` makes it up, a `Source` reads it; both return a `Payload`."""
+"""Data that a ping sends: a `DataType` makes it up, a `Source` reads it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,6 @@ class Payload:
     notes: tuple[str, ...] = ()
 
     def in_flow(self, name: str) -> Payload:
-        """Return the payload on the topics of a flow."""
         return replace(self, data_type=self.data_type.in_flow(name))
 
 
@@ -113,7 +112,6 @@ class DataType:
         return self.topic + RELAY_SUFFIX
 
     def in_flow(self, name: str) -> DataType:
-        """Return the data type on the topics of a flow."""
         return replace(self, topic=f"{self.topic}_{name}")
 
     def object_form(self) -> Form[RosMessage, RosMessage]:

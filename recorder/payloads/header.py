@@ -1,4 +1,4 @@
-"""Messages of other programs, of a type that starts with a `std_msgs/msg/Header`: our stamp is in `header.frame_id`."""
+"""Messages of other programs that start with a `std_msgs/msg/Header`: our stamp is in `header.frame_id`."""
 
 from __future__ import annotations
 

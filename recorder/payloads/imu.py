@@ -1,4 +1,4 @@
-"""Inertial data: a `sensor_msgs/msg/Imu` with 37 random numbers, or with the recorded values of a file (`imu:FILE`)."""
+"""Inertial data: a `sensor_msgs/msg/Imu` with 37 random numbers, or the values of a file (`imu:FILE`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`topic:/NAME`: each message of a running topic, such as a camera's, becomes a ping when it arrives."""
+"""`topic:/NAME`: each message of a running topic becomes a ping when it arrives."""
 
 from __future__ import annotations
 

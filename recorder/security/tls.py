@@ -1,4 +1,4 @@
-"""TLS with the keys of a measurement: each side shows its certificate, and checks the other's against the authority."""
+"""TLS with the keys of a measurement: each side checks the other's certificate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings of a vendor that may serve a plan's link and load better than its defaults: a file for each bundle of them."""
+"""Settings of a vendor that may serve a plan's link and load better than its defaults."""
 
 from __future__ import annotations
 

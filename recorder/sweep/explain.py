@@ -1,4 +1,4 @@
-"""Plans that explain a rise of the latency: from a fast rate to a slow one, or around a size, with one thing varied at a time."""
+"""Plans that explain a rise of the latency at slow rates or around a size, with one thing varied at a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of a sweep: its lock, the folder `.parts/` for unfinished traces, names of files."""
+"""The folder of a sweep."""
 
 from __future__ import annotations
 
@@ -96,7 +96,6 @@ def clear_parts(parts: Path) -> list[str]:
 
 
 def remove_files(folder: Path, name: str, endings: Collection[str]) -> None:
-    """Remove the files NAME + ENDING; a folder of that name stays."""
     for ending in endings:
         path = folder / f"{name}{ending}"
         if path.is_symlink() or path.is_file():

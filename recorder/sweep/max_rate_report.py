@@ -1,4 +1,4 @@
-"""The report of a search for the highest rates: JSON, a table and a figure."""
+"""The report of a search for the highest rates."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ _TOO_OLD = "No such option: --check"
 
 
 def check_plan(plan: Plan, folder: Path, check_arguments: CheckArguments) -> dict[str, str]:
-    """Return the cells, of all repeats, with refused options, and the reason; nothing is run."""
+    """Return the refused cells of all repeats, and why; nothing is run."""
     _check_folder(plan, folder)
     refused: dict[Cell, str] = {}
     for group in group_by_relay(plan, plan.cells):

@@ -121,7 +121,7 @@ class Bisection:
         return Knee(RateAnswer.AT_LEAST, low, None, "") if is_open else Knee(RateAnswer.FOUND, low, high, reason)
 
     def _confirmed(self, rate_hz: float) -> str:
-        """Return why a majority did not sustain the rate; failures count for all rates above theirs."""
+        """Return why a majority did not sustain the rate; a failure also rules out higher rates."""
         return self.trial(rate_hz, 1) and self._majority(rate_hz)
 
     def _majority(self, rate_hz: float) -> str:

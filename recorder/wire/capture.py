@@ -131,9 +131,9 @@ class WireCapture:
         self._answer()
 
     def take(self) -> WireResult:
-        """Return what was counted since `begin`, after a quarter of a second in which late packets still count.
+        """Return what was counted since `begin`, a quarter of a second of late packets included; once for each `begin`.
 
-        Call it once for each `begin`: rows and drops are handed over. A waiting row needs 61 bytes of memory.
+        A waiting row needs 61 bytes of memory.
         """
         self._ask({"ask": "take"})
         answer = self._answer()

@@ -1,4 +1,4 @@
-"""Counts of one run on the wire: while it lasts, the kernel's own, and as written to the trace."""
+"""Counts of one run on the wire."""
 
 from __future__ import annotations
 

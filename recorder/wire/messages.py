@@ -152,10 +152,7 @@ STAMP_OFFSETS = (16, 8)
 
 
 def stamp_at(memory: memoryview, payload_at: int, seen_end: int) -> Stamp | None:
-    """Return the stamp of the serialized sample that begins at `payload_at`, None if it is not a message of ours.
-
-    Of other messages four bytes are compared and none is stored.
-    """
+    """Return the stamp of the serialized sample that begins at `payload_at`, None if it is not a message of ours."""
     for offset in STAMP_OFFSETS:
         begin = payload_at + offset
         if begin + STAMP_BYTES <= seen_end and memory[begin : begin + len(STAMP_PREFIX)] == STAMP_PREFIX:

@@ -1,4 +1,4 @@
-"""Counts captured frames by class and follows the run's messages: headers in, counts and rows out."""
+"""Captured frames counted by class and by message."""
 
 from __future__ import annotations
 

@@ -268,7 +268,6 @@ def _read(path: Path) -> tuple[bytes, bool]:
 def _pending(
     slots: Slots, slot_count: int, events_in_trace: int, session: Session, dropped: int, *, recording: bool
 ) -> RingContents:
-    """Return the events among a ring's first slots that the trace has not."""
     tickets = slots["mark"] & TICKET_MASK
     is_event = (slots["stage"] >= 1) & (slots["stage"] <= len(Stage))
     is_event &= (tickets < _TICKETS) & (slots["run_id"] != 0)

@@ -1,4 +1,4 @@
-"""The topic of each MCAP channel id, and whether its messages can be events."""
+"""The topics of MCAP channels that can have events."""
 
 from __future__ import annotations
 
@@ -85,7 +85,6 @@ class ChannelTable:
 
 
 def _parsed(opcode: int, content: Buffer) -> Schema | Channel:
-    """Parse once: data and summary, and all files of a recorder, have the same records."""
     if len(content) > _MOST_CACHED_BYTES:
         return _parse(opcode, content)
     return _parsed_once(opcode, bytes(content))

@@ -1,4 +1,4 @@
-"""Chunks of a MCAP file: their position, and their records unpacked and checked, with bounded memory."""
+"""Chunks of a MCAP file, unpacked and checked with bounded memory."""
 
 from __future__ import annotations
 

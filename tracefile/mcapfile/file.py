@@ -1,4 +1,4 @@
-"""A MCAP file as bytes: reads at any offset from any thread, headers of records, its summary; no length is trusted."""
+"""A MCAP file as bytes, read from any thread; no length is trusted."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Events in a buffer of MCAP records, copied as arrays without a Python step per event.
+"""Events in a buffer of MCAP records, copied as arrays.
 
-Every event is a record of the same length (`docs/trace-format.md`), so a stretch of events is an array of records. At
-the first mismatch of opcode, length or CDR header that record is stepped over by its own length.
+Events are records of one length (`docs/trace-format.md`); at the first mismatch of opcode, length or CDR header a record
+is stepped over by its own length.
 """
 
 from __future__ import annotations

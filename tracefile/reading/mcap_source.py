@@ -1,4 +1,4 @@
-"""Messages of one MCAP file as batches: blocks are made on all cores and put in order."""
+"""Messages of one MCAP file as batches, made on all cores."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class McapSource:
         yield Batch(notes=self._closing_notes(), truncated=self._jobs.truncated)
 
     def _blocks(self) -> Iterator[Block]:
-        """Yield the blocks in order; of a small file without other threads, which start more slowly."""
+        """Yield the blocks in order; a small file without threads, which start more slowly."""
         if self._file.size <= _SMALL_FILE_BYTES:
             return (job() for _, job in self._jobs)
         return in_order(self._jobs, self._pool, _blocks_ahead(), _BYTES_AHEAD)
@@ -178,7 +178,7 @@ class McapSource:
         return notes
 
     def _is_of_others(self) -> bool:
-        """Return whether the summary lists only foreign topics: a bag of camera images need not be unpacked."""
+        """Return whether the summary lists only foreign topics, which need not be unpacked."""
         if self._claimed is None or not all(map(self._channels.get, self._claimed)):
             return False
         return bool(self.topics) and not any(topic.startswith(TOPIC_PREFIX) for topic in self.topics)
@@ -203,7 +203,7 @@ class McapSource:
 
 
 def _blocks_ahead() -> int:
-    """Return the number of blocks made in advance: one per core and one more; others only fill caches."""
+    """Return the number of blocks made in advance, one per core and one more."""
     return min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)
 
 

@@ -214,6 +214,5 @@ def iter_event_batches(path: str | os.PathLike[str]) -> Iterator[tuple[Stage, Ev
 
 
 def _workers() -> ThreadPoolExecutor:
-    """Return the threads that unpack and check chunks besides the caller's."""
     others = len(os.sched_getaffinity(0)) - 1
     return ThreadPoolExecutor(max(1, min(_MOST_WORKERS, others)), thread_name_prefix="read_trace")

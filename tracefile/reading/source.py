@@ -1,4 +1,4 @@
-"""Sources of messages in any storage: batches of events as arrays, and the few other messages."""
+"""Sources of messages in any storage: batches of events, and the few other messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How each file of a trace is opened: a `.mcap` file, or the files of a rosbag2 folder."""
+"""How each file of a trace is opened."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _opener_suffix(file: Path) -> str | None:
 
 
 def unpack_file(packed: Path, copy: IO[bytes], ratio: int = LARGEST_RATIO, unsuspected_bytes: int = 0) -> None:
-    """Unpack a file as far as possible: the copy of a cut off file is cut off, and its reader reports it."""
+    """Unpack a file as far as possible; the reader reports a cut off copy."""
     limit = max(packed.stat().st_size * ratio, unsuspected_bytes)
     with packed.open("rb") as stream, zstandard.ZstdDecompressor().stream_reader(stream) as reader:
         written = 0

@@ -1,4 +1,4 @@
-"""A trace in memory, which passes from `tracefile` to `analyzer`, and how it is collected from batches."""
+"""A trace in memory, and how it is collected from batches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages of a rosbag1 file (format 2.0), from front to back: no index is needed, so a bag that was not closed is read, too."""
+"""Messages of a rosbag1 file (format 2.0), without an index, so that a bag that was not closed is read, too."""
 
 from __future__ import annotations
 

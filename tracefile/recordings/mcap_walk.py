@@ -185,7 +185,7 @@ class McapWalk:
         return header
 
     def _chunk_at(self, at: int) -> RecordHeader | None:
-        """Return a chunk with the length that its own fields give, or the length of its record where the fields cannot be right."""
+        """Return a chunk, its length from its fields, or from its record where they cannot be right."""
         if self._file.size - at < RECORD_HEADER.size or self._file.peek(at, 1)[0] != Opcode.CHUNK:
             return None
         remainder = RecordHeader(Opcode.CHUNK, at, self._file.size - at - RECORD_HEADER.size)

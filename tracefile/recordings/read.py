@@ -1,4 +1,4 @@
-"""The messages of one recording: a file of any kind, or a rosbag2 folder with the files that it lists."""
+"""The messages of one recording, a file or a rosbag2 folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every kind of recording is read as: topics, messages, and what was found to be broken."""
+"""What every kind of recording is read as."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""Files of a recording that is not ours, each readable by itself, and the messages that its metadata claims.
+"""Files of a foreign recording, each readable by itself, and the messages that its metadata claims.
 
-Libraries match topics by the texts of `metadata.yaml`, do not read the log (`-wal`) of a SQLite database, and take any
-file of a folder.
+Libraries match topics by the texts of `metadata.yaml`, ignore the log (`-wal`) of a SQLite database, and take any file.
 """
 
 from __future__ import annotations

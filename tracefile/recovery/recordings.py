@@ -1,4 +1,4 @@
-"""Recovery of recordings of other programs: every whole message in new files; the originals stay as they are."""
+"""Recovery of recordings of other programs in new files; the originals stay."""
 
 from __future__ import annotations
 

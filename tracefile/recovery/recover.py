@@ -209,7 +209,6 @@ def _salvaged(trace: Path) -> Iterator[Slots | SalvagedText | Payload]:
 
 
 def _write(unfinished: Path, killed: _KilledTrace, report: RecoveryReport) -> TraceWriter:
-    """Write the content of file and ring, and the session with the report's counts."""
     counts = {
         "file_events": report.file_events,
         "ring_events": report.ring_events,

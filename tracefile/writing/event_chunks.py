@@ -1,4 +1,4 @@
-"""Content of MCAP chunks: schemas, channels and events by numpy; slots of the ring in, records and their index out."""
+"""Content of MCAP chunks: slots of the ring in, records and their index out."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class EventPacker:
         self._use(files)
 
     def _use(self, files: TraceFiles) -> None:
-        """Send the next event to the ring of these files, with ticket 0; the caller has the lock, if any."""
+        """Send the next event to the ring of these files, with ticket 0; under the lock, if any."""
         self._files = files
         self._memory = files.ring.memory
         self._words = files.ring.words
@@ -290,7 +290,7 @@ class EventPacker:
                 self._packing.wake()
 
     def _has_room(self, head: int) -> bool:
-        """Wake the draining thread; return whether there is a free slot. The caller has the lock."""
+        """Wake the draining thread; return whether a slot is free. The caller has the lock."""
         if head >= self._limit:
             self._drop()
             return False

@@ -1,4 +1,4 @@
-"""Messages of other programs on their way into a trace: topics, a bounded queue, and their chunks."""
+"""Messages of other programs on their way into a trace."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """`TraceSink`, which stores the events of a recording node.
 
-The hot path (`EventPacker`) packs events into a ring file (`format.ring`); departures (T1, T4) are stamped in it, so that
-no message leaves without its event. A thread moves them to the trace, a chunk every `chunk_seconds` or whenever a quarter
-of the ring is used. A slot is reused only after its chunk is in the file: a killed process loses no event (`recovery`).
+Events are packed into a ring file (`EventPacker`), departures (T1, T4) stamped in it. A thread moves them to the trace, a
+chunk every `chunk_seconds` or a quarter of the ring. A slot is reused only after its chunk is in the file: a killed
+process loses no event (`recovery`).
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class TraceSink(EventPacker):
             return self._end(self._files, head, session_extra)
 
     def _end(self, files: TraceFiles, head: int, session_extra: Mapping[str, Json]) -> ClosedTrace:
-        """Write the rest up to ticket `head` and the closed session; the caller has the write lock."""
+        """Write the rest up to ticket `head` and the closed session; under the write lock."""
         self._flush_to(files, head)
         if self._measures_unsaved:
             session_extra = {**session_extra, "longest_unsaved_ns": self._longest_unsaved_ns}
@@ -177,7 +177,7 @@ class TraceSink(EventPacker):
         return not self._is_paused and self._flush_to(self._files, self._head)
 
     def _flush_to(self, files: TraceFiles, head: int) -> bool:
-        """Move the events up to ticket `head`, then the texts; the caller has the write lock."""
+        """Move the events up to ticket `head`, then the texts; under the write lock."""
         start_ns, before = time.monotonic_ns(), files.drained
         try:
             with _quick_switches(only_if=head - before >= self._quarter):
@@ -203,10 +203,7 @@ class TraceSink(EventPacker):
 
 @contextmanager
 def _quick_switches(*, only_if: bool) -> Iterator[None]:
-    """Shorten the interpreter's switch interval, so that this thread soon gets the GIL from one that fills the ring.
-
-    A busy thread releases the GIL every 5 ms, and a chunk needs it some twenty times: 65536 slots would fill meanwhile.
-    """
+    """Shorten the switch interval: a busy thread releases the GIL every 5 ms, and a chunk needs it some twenty times."""
     if not only_if:
         yield
         return

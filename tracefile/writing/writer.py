@@ -1,4 +1,4 @@
-"""The MCAP file of a trace, readable after each of its chunks, and the ring next to it."""
+"""The MCAP file of a trace, readable after each of its chunks, and its ring."""
 
 from __future__ import annotations
 

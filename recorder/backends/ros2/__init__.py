@@ -41,7 +41,7 @@ _ROS_VARIABLES = ("RMW_IMPLEMENTATION", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_R
 
 
 def _make_node(options: NodeOptions) -> Node:
-    """Open a node with its own context, so that several domains fit in one process."""
+    """Open a node with its own context: several domains fit in one process."""
     if options.rmw is not None:
         os.environ["RMW_IMPLEMENTATION"] = options.rmw
     check_installed()

@@ -1,6 +1,6 @@
 """The router of rmw_zenoh, without which its nodes do not find each other.
 
-Under localhost discovery a node starts a router if none runs; on a network the user does.
+Under localhost discovery a node starts one; on a network the user does.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ class TcpLinks:
             key.data()
 
     def _accept(self) -> None:
-        """Accept a connection; of too many the oldest one without a greeting ends, else this one."""
+        """Accept a connection; of too many the oldest without a greeting ends, else this one."""
         assert self._listener is not None
         try:
             connection, _ = self._listener.accept()

@@ -1,7 +1,7 @@
 """The guard of one bridge program: bounds its log and ends it with all its children.
 
-`supervise.py` starts it as a file, so that it imports no module of ours. It ends the program when its standard input
-closes, also by a kill of the recorder.
+It imports no module of ours, as `supervise.py` starts it as a file. It ends the program when its standard input closes,
+also by a kill of the recorder.
 
     guard.py FOLDER UP_PATTERN PATIENCE_S PROGRAM ARGUMENTS...
 

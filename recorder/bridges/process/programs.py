@@ -50,7 +50,7 @@ def discovery_environment(options: BridgeOptions) -> Mapping[str, str]:
 
 
 def program_environment(extra: Mapping[str, str], *, foreign: bool) -> dict[str, str]:
-    """Return a program's environment; a `foreign` one does not get the library path of the ROS 2 wheels."""
+    """Return a program's environment; a `foreign` one lacks the library path of the ROS 2 wheels."""
     variables = {**os.environ, **extra}
     if foreign and variables.pop(_WHEELS_GUARD, ""):
         paths = variables.pop("LD_LIBRARY_PATH", "").split(os.pathsep)

@@ -1,4 +1,4 @@
-"""The settings that a bridge's program uses, read from outside, and the requested ones."""
+"""The settings that a bridge's program uses, and the requested ones."""
 
 from __future__ import annotations
 

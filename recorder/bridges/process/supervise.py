@@ -1,7 +1,4 @@
-"""A bridge's program as a supervised child process, never orphaned.
-
-This process starts `guard.py`, which starts the program and ends it when the pipe to this process closes.
-"""
+"""A bridge's program as a child of `guard.py`, never orphaned."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One cell of a sweep: the parameters of one ping run, its name, and its relay."""
+"""One cell of a sweep: the parameters of one ping run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A drive: what a link did over time, from a CSV file, so that it repeats in every run."""
+"""A drive: what a link did over time, from a CSV file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several pings and relays at once: `[[flows]]`, each by itself, with each other one and with all, and fan-out."""
+"""Several pings and relays at once: `[[flows]]`, and fan-out."""
 
 from __future__ import annotations
 

@@ -191,14 +191,14 @@ def _count_cells(axes: AxisValues, installed: FindInstalled) -> int:
 
 
 def _folder_name(root: TomlTable, stem: str) -> str:
-    """Return the folder's name, which cannot leave `--out`."""
+    """Return the folder's name within `--out`."""
     name = root.take("name", str, stem)
     limits.check(limits.FILE_NAME, name, f"{root.where}: the name of the file")
     return name
 
 
 def _cells(axes: AxisValues, installed: FindInstalled) -> Iterator[Cell]:
-    """Yield a cell for every combination; the last axis changes fastest."""
+    """Yield every combination; the last axis changes fastest."""
     if axes.get("backend") == [INSTALLED]:
         others = {axis: values for axis, values in axes.items() if axis not in ("backend", "rmw")}
         for backend, rmw in installed():

@@ -1,6 +1,6 @@
-"""The tables and keys of a plan, and their JSON schema for editors.
+"""The JSON schema of plans for editors.
 
-The schema accepts more than the parser: NaN, huge integers, missing data, faults of several keys.
+It accepts more than the parser: NaN, huge integers, missing data, faults of several keys.
 """
 
 from __future__ import annotations

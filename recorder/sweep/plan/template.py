@@ -1,4 +1,4 @@
-"""A plan from the answers to three questions: what is sent, what is compared, where the relay is."""
+"""A plan from the answers to three questions."""
 
 from __future__ import annotations
 

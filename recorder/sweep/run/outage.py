@@ -1,4 +1,4 @@
-"""Outages that a sweep makes in the middle of a run: when they begin and end, and what they cut off."""
+"""Outages that a sweep makes in the middle of a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One cell's result for progress, state file and search; publish the analyzer's figures instead."""
+"""One cell's result for progress, state file and search; not for publication."""
 
 from __future__ import annotations
 

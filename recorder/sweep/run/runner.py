@@ -291,7 +291,7 @@ class Runner:
         return results, link
 
     def _store(self, drafts: Mapping[Cell, Path], results: Sequence[CellResult]) -> LinkReport | None:
-        """Move complete traces to their final names; refuse those that did not cross the link."""
+        """Move complete traces to their final names; refuse traces that did not cross the link."""
         link = self._report_link()
         # Only what came back must have crossed: a middleware may drop messages before the link.
         returned_bytes = sum(result.returned_bytes for result in results)

@@ -1,4 +1,4 @@
-"""Split a relay's trace of many runs into one trace for each cell.
+"""A relay's trace of many runs, split into one for each cell.
 
 The parts keep `session_id` and clock anchor: a reader sees one recording over several files.
 """

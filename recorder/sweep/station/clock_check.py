@@ -1,4 +1,4 @@
-"""A check before a sweep of several devices: by how much the clocks of all pairs differ, from a beacon on each."""
+"""By how much the clocks of all pairs of devices differ before a sweep, from a beacon on each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The relay's device: this machine, or one that a person operates; `ssh.py` has the third."""
+"""The relay's device: this machine, or one that a person operates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The parts of an emulated link: `ip` and `tc`, queue disciplines, TAP devices, the forwarder of frames."""
+"""The parts of an emulated link."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ class Program:
         return None
 
     def stop(self, patience_s: float = STOP_PATIENCE_S) -> int:
-        """End the program, without its wait for late replies after most of `patience_s`, then by force; return its exit code."""
+        """End the program, after most of `patience_s` by force; return its exit code."""
         if self._process.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()

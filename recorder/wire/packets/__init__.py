@@ -1,1 +1,1 @@
-"""Packets by their headers only, and the program that the kernel runs over each."""
+"""Packets by their headers, and the program that the kernel runs over each."""

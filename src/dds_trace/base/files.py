@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all or read safely, and what a failed write means."""
+"""Files written whole or not at all, and read safely."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Text from traces made safe: a terminal, a page or a file shows `printable(text)`.
-
-A label, a device or a topic may contain anything: terminal escapes, changes of reading direction, lone surrogates.
-"""
+"""Text from traces made safe for a terminal, a page or a file: a label, a device or a topic may contain anything."""
 
 from __future__ import annotations
 

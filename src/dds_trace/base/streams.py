@@ -1,9 +1,8 @@
-"""The door of all text to a terminal or a log: nothing that a device, peer, file or trace contains commands its reader.
+"""The door of all text to a terminal or a log: no device, peer, file or trace commands its reader.
 
-`plain_streams` replaces stdout and stderr for a command. Text through them has no control or invisible characters, and
-no line that GitHub's runner takes for a command (`::name::` at its start, `##[name]` anywhere). Rich writes its own
-escapes past that, so `plain_console` cleans each segment before it is drawn. What comes from outside is made one line
-by `printable` where it enters a sentence.
+`plain_streams` strips control and invisible characters from stdout and stderr, and lines that GitHub's runner takes for
+commands (`::name::` at the start, `##[name]` anywhere). Rich writes its escapes past that, so `plain_console` cleans each
+segment. `printable` makes one line of what comes from outside.
 """
 
 from __future__ import annotations
@@ -91,7 +90,7 @@ class PlainStream:
         return shown
 
     def _give_up(self, err: OSError) -> None:
-        """Drop what follows and what is buffered: Python would fail again at its end."""
+        """Drop what follows and what is buffered: Python would fail again at exit."""
         self.failure = self.failure or err
         with suppress(OSError, ValueError):
             nowhere = os.open(os.devnull, os.O_WRONLY)

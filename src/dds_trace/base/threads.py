@@ -1,4 +1,4 @@
-"""Jobs on all cores with results in order; a lock and a scheduler change for threads that time stamps wait for."""
+"""Ordered jobs on all cores; a lock and a scheduler change for threads that time stamps wait for."""
 
 from __future__ import annotations
 
@@ -48,10 +48,7 @@ def in_turn(jobs: Iterable[tuple[int, Callable[[], PendingResult[T]]]], most_job
 def in_order(
     jobs: Iterable[tuple[int, Callable[[], T]]], pool: Executor, most_jobs: int, most_size: int
 ) -> Iterator[T]:
-    """Yield the results of (size, job) pairs in order as `in_turn` does.
-
-    The thread that waits for a result does jobs meanwhile, so that a pool needs one thread less than there are cores.
-    """
+    """Yield the results of (size, job) pairs in order; the waiting thread does jobs meanwhile, so that a pool needs one less."""
     waiting: deque[_SharedJob[T]] = deque()
 
     def start(job: Callable[[], T]) -> _SharedJob[T]:
@@ -153,6 +150,6 @@ class FastLock:
 
 
 def run_in_background() -> None:
-    """Put this thread back under the ordinary scheduler, if it may; it inherits SCHED_FIFO of `--realtime`."""
+    """Put this thread back under the ordinary scheduler, if allowed; it inherits SCHED_FIFO of `--realtime`."""
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

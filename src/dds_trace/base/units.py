@@ -1,4 +1,4 @@
-"""Numbers with units, read as people write them (`20ms`, `33KB`, `1kHz`) and written for people."""
+"""Numbers with units, as people write them (`20ms`, `33KB`, `1kHz`)."""
 
 from __future__ import annotations
 

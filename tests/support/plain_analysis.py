@@ -132,3 +132,8 @@ def _one_run(held: Any, run: Any, session: Any, arrivals: Any, departures: Any) 
         "outcomes": outcomes,
         **{name: metric_summary(values[name]) for name in METRICS},
     }
+
+
+def write_expected(folder: Path, target: Path) -> None:
+    """Compute `folder` and keep the result as `target` (JSON)."""
+    target.write_text(json.dumps(analyze_plain(folder), indent=1) + "\n")

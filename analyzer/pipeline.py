@@ -163,6 +163,7 @@ def _analyze(
         in_parts=tuple(in_parts),
         options=options,
         stale_rows=stale_rows if stale_rows and stale_rows.exists() else None,
+        topics=topics,
         sending=merged.frames["sending"],
         shapes=merged.frames.get("shapes", pl.DataFrame(schema=SHAPE_SCHEMA)),
     )

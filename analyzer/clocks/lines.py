@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dds_trace.base.units import DRIFT_LIMIT_PPB
+
 CANDIDATES = 32
 """Messages that constrain the lines of a window, per direction. Fewer can only widen the bound."""
 
@@ -86,11 +88,8 @@ Float64 = NDArray[np.float64]
 Intp = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
-DRIFT_LIMIT_PPB = 1_100_000
-"""Largest drift: Linux slews each of the two clocks by at most 500 ppm (adjtimex(2)); their crystals part by under 100 ppm more."""
-
 DRIFT = DRIFT_LIMIT_PPB / 1e9
-"""The same in ns per ns."""
+"""Largest drift, ns per ns."""
 
 ROUNDING_NS = 1e-3
 """Tolerance of lines against points, far below the reported nanosecond."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import polars as pl
 
 from dds_trace.base.units import counted, format_duration
 
+from ..clocks.boots import share_boot
 from ..clocks.slews import CRYSTAL_PPB, slewed_ppm
 from ..model.finding import Severity, Subject
 from ..model.foreign import number_of, object_of
@@ -51,6 +53,49 @@ def _steps(evidence: Evidence) -> pl.DataFrame:
 
 
 STEPS = Rows(Subject.DEVICE, _steps, named)
+
+_SET_NS = 1_000_000_000
+"""Largest change of the wall clock against the monotonic one between two recordings that NTP makes by slewing."""
+
+
+def _set_clocks(evidence: Evidence) -> pl.DataFrame:
+    sessions = sorted(evidence.campaign.sessions.values(), key=lambda one: (one.device, one.monotonic_anchor_ns))
+    steps = []
+    for before, after in pairwise(sessions):
+        wall_ns = after.wall_anchor_ns - before.wall_anchor_ns
+        set_ns = wall_ns - (after.monotonic_anchor_ns - before.monotonic_anchor_ns)
+        is_one_machine = after.device == before.device and share_boot(before, after)
+        # In another time namespace it is the monotonic clock that jumped.
+        if is_one_machine and abs(set_ns) > _SET_NS and (set_ns > 0 or wall_ns < 0):
+            steps.append((after, set_ns, "before"))
+    for one in evidence.topics.wall_readings:
+        at = int(abs(one.steps_ns).argmax())
+        after_s = (one.first_ns[at] - one.session.monotonic_anchor_ns) / 1e9
+        steps.append((one.session, int(one.steps_ns[at]), f"{after_s:.0f} s after the start of"))
+    rows = [
+        {
+            "where": session.device,
+            "when": f"{when} {evidence.session_name(session)}",
+            "way": "forward" if set_ns > 0 else "back",
+            "size_ns": abs(set_ns),
+        }
+        for session, set_ns, when in steps
+        if set_ns
+    ]
+    return frame_of(rows)
+
+
+SET_CLOCKS = Rows(Subject.DEVICE, _set_clocks, named)
+
+
+def _times_of_topics(evidence: Evidence) -> pl.DataFrame:
+    topics = evidence.topics.topic_messages.group_by("data_type", "ping_device", "relay_device", maintain_order=True)
+    return topics.agg(
+        early=(pl.col("one_way_ns") < -pl.col("bound_ns")).sum(), messages=pl.len(), least_ns=pl.col("one_way_ns").min()
+    ).with_columns(where=pl.format("{}, {} to {}", "data_type", "ping_device", "relay_device"))
+
+
+TIMES_OF_TOPICS = Rows(Subject.DEVICE, _times_of_topics, named)
 
 
 @check(

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..loading.campaign import Campaign
     from ..pairing.exchanges import Exchange, Exchanges
     from ..pairing.rows import RowStore
+    from ..topics.frames import Topics
 
 
 SMALLER_DATAGRAMS = "smaller datagrams (Cyclone DDS MaxMessageSize, Fast DDS maxMessageSize) or a larger net.ipv4.ipfrag_high_thresh may help"
@@ -58,6 +59,7 @@ class Evidence:
     in_parts: tuple[int, ...]
     options: AnalysisOptions
     stale_rows: Path | None
+    topics: Topics
     sending: pl.DataFrame
     shapes: pl.DataFrame
 

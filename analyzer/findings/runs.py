@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import polars as pl
 
@@ -44,6 +44,8 @@ EXCHANGES = Rows(Subject.RUN, _exchanges, lambda _, row: (row["where"], (row["gr
 
 
 def _runs(evidence: Evidence) -> pl.DataFrame:
+    if not evidence.grouping.exchanges:  # a folder of taps
+        return pl.DataFrame()
     by_run = evidence.frame(_exchanges).group_by("run_id", maintain_order=True)
     runs = by_run.agg(pl.exclude("group").last(), pl.col("group").unique().sort().alias("groups"))
     return runs.with_columns((pl.col("handed_over") - pl.col("with_warmup")).alias("missing"))
@@ -71,6 +73,8 @@ SEE_WHAT_STOPPED = "See what stopped the ping before its first message, and repe
 
 
 def _relays(evidence: Evidence) -> pl.DataFrame:
+    if not evidence.grouping.exchanges:
+        return pl.DataFrame()
     took_part = evidence.frame(_exchanges).filter("took_part")
     return took_part.group_by("relay_id", "relay_recorded", "is_described", maintain_order=True).len("runs")
 
@@ -137,7 +141,8 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
             continue
         # A relay stores T3 and T4 before a reply leaves: a whole trace has both.
         foreign = counts["relay_gaps"] if _is_whole(evidence, relay) else 0
-        early = counts["early"] if share_boot(exchange.ping, relay) else counts["negative_latency"]
+        one_clock = share_boot(exchange.ping, relay) and not _has_other_clock(evidence, exchange, counts)
+        early = counts["early" if one_clock else "negative_latency"]
         if foreign or early:
             doubts = [f"{foreign} not in the relay's trace"] * bool(foreign)
             doubts += [f"{early} sooner than the relay can have answered"] * bool(early)
@@ -147,6 +152,14 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
                 (group,),
                 (foreign + early) / max(counts["received"], 1),
             )
+
+
+def _has_other_clock(evidence: Evidence, exchange: Exchange, counts: Mapping[str, int]) -> bool:
+    """Return whether a constant offset explains all replies and most need one: a relay in another time namespace."""
+    if 2 * counts["early"] <= counts["received"]:
+        return False
+    pairs = [pair for pair in evidence.device_pairs if exchange.relay_id in pair.knots["relay_id"]]
+    return bool(pairs) and all(len(pair.segments) <= pair.knots["relay_id"].n_unique() for pair in pairs)
 
 
 def _is_whole(evidence: Evidence, session: Session) -> bool:

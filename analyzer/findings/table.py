@@ -108,6 +108,14 @@ CHECKS: tuple[Check, ...] = (
     ),
     losses.nothing_received,
     groups.impossible_times,
+    clocks.TIMES_OF_TOPICS.error(
+        "impossible_times",
+        "Messages of a topic arrive before they are sent",
+        pl.col("early") > 0,
+        "{early} of {messages:# message} arrive before they are sent, beyond the bound of the clocks, by up to {least_ns:duration}.",
+        "This is an error of ours, or a stamp of another clock: do not use these times, and report them with the traces.",
+        pl.col("early") / pl.col("messages"),
+    ),
     surroundings.LOADS.warning(
         "load_missing",
         "A load that was requested did nothing",
@@ -306,6 +314,14 @@ CHECKS: tuple[Check, ...] = (
         "The clock jumped by {size_ns:duration} (within {bound_ns:duration}) before {before_s:.1f} s of the ping's clock.",
         "One-way times are fitted separately before and after; a message under way at the jump has a wrong round trip. Do not restart "
         "devices while recording.",
+    ),
+    clocks.SET_CLOCKS.warning(
+        "clock_set",
+        "A wall clock was set",
+        pl.lit(value=True),
+        "The wall clock was set {way} by {size_ns:duration} {when}.",
+        "Times of day before and after do not fit together; one-way times of topics are corrected, and near the step their bound includes "
+        "it. Letting NTP settle before recording may help.",
     ),
     clocks.slews,
     clocks.clock_drifts,

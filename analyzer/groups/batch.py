@@ -99,11 +99,6 @@ class Batch:
     def events(self) -> int:
         return sum(sum(exchange.counts) for exchange in self.exchanges)
 
-    @property
-    def first_group(self) -> int:
-        """Number of its first group; 0 without one, as of taps."""
-        return int(self.group_of_exchange[0]) if len(self.group_of_exchange) else 0
-
     def event_keys(self) -> list[EventKey]:
         return list(dict.fromkeys(key for exchange in self.exchanges for key in exchange.event_keys()))
 

@@ -119,7 +119,7 @@ def published_messages(t1: EventColumns, warmup_messages: int, ping_every: int =
     if len(t1) > 1 and not scheduled_ns.any():
         scheduled_ns = np.full(len(t1), MISSING)
     repeated = 0
-    if not _is_strictly_ascending(sequence):
+    if not bool((sequence[1:] > sequence[:-1]).all()):
         order = np.lexsort((scheduled_ns, publish_ns, sequence))
         sequence, publish_ns, scheduled_ns = sequence[order], publish_ns[order], scheduled_ns[order]
         first = _is_new(sequence)
@@ -243,10 +243,6 @@ def _reordered(receive_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def chosen_of(mask: NDArray[np.bool_], values: NDArray[Scalar]) -> NDArray[Scalar]:
     return values if mask.all() else values[mask]
-
-
-def _is_strictly_ascending(values: NDArray[np.uint64]) -> bool:
-    return bool((values[1:] > values[:-1]).all())
 
 
 def _is_new(values: NDArray[np.generic]) -> NDArray[np.bool_]:

@@ -269,10 +269,6 @@ def describe(exchanges: Sequence[Exchange]) -> pl.DataFrame:
     )
 
 
-def bounds_of(counts: pl.DataFrame) -> NDArray[np.int64]:
-    return np.concatenate([[0], np.cumsum(counts["published"].to_numpy())]).astype(np.int64)
-
-
 def outcome_names(codes: NDArray[np.uint8]) -> pl.Series:
     names = [outcome.value for outcome in OUTCOMES]
     return pl.Series("outcome", names, pl.Enum(names)).gather(codes.astype(np.uint32))

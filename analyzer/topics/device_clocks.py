@@ -22,9 +22,7 @@ from ..clocks.boots import boot_id_of, session_of_run
 from ..clocks.fit import Int64, RelayedMessages
 from ..clocks.track import UNKNOWN_NS, ClockTrack, track_clock
 from ..pairing.rows import RowStore
-
-ANCHOR_NS = 5_000
-"""Error of reading wall and monotonic clock one after the other."""
+from .wall_clocks import ANCHOR_NS, WallReadings
 
 _SAME_ZERO_NS = 2_000_000_000
 _THINNED_NS = 100_000_000
@@ -60,10 +58,26 @@ class _Link:
 
 
 class DeviceClocks:
-    def __init__(self, sessions: Collection[Session], runs: Collection[Run], rows: RowStore) -> None:
-        self._anchors: dict[Machine, list[tuple[int, int]]] = defaultdict(list)
+    def __init__(
+        self,
+        sessions: Collection[Session],
+        runs: Collection[Run],
+        rows: RowStore,
+        readings: Collection[WallReadings] = (),
+    ) -> None:
+        zeros: dict[Machine, list[tuple[int, int, int]]] = defaultdict(list)
         for session in sessions:
-            self._anchors[machine_of_session(session)].append((session.wall_anchor_ns, session.monotonic_anchor_ns))
+            zero_ns = session.wall_anchor_ns - session.monotonic_anchor_ns
+            zeros[machine_of_session(session)].append((session.wall_anchor_ns, zero_ns, ANCHOR_NS))
+        moved = {machine_of_session(one.session) for one in readings if (one.bound_ns > ANCHOR_NS).any()}
+        for one in readings:
+            for at_ns in (one.first_ns, one.last_ns) if machine_of_session(one.session) in moved else ():
+                rows_of_zero = zip(
+                    (at_ns + one.zero_ns).tolist(), one.zero_ns.tolist(), one.bound_ns.tolist(), strict=True
+                )
+                zeros[machine_of_session(one.session)] += rows_of_zero
+        self._zeros = {machine: np.array(sorted(known), np.int64) for machine, known in zeros.items()}
+        """By machine, in order of wall time: wall time, wall clock at monotonic zero, error."""
         self._links: dict[Machine, dict[Machine, list[_Link]]] = defaultdict(lambda: defaultdict(list))
         for (ping, relay), messages in _messages_by_pair(sessions, runs, rows).items():
             track = track_clock(messages)
@@ -72,11 +86,11 @@ class DeviceClocks:
 
     @property
     def machines(self) -> tuple[Machine, ...]:
-        return tuple(sorted(self._anchors))
+        return tuple(sorted(self._zeros))
 
     def machine_named(self, device: str) -> Machine | None:
-        matching = [machine for machine in self._anchors if machine.device == device]
-        return max(matching, key=lambda machine: max(self._anchors[machine]), default=None)
+        matching = [machine for machine in self._zeros if machine.device == device]
+        return max(matching, key=lambda machine: int(self._zeros[machine][-1, 0]), default=None)
 
     def convert(self, at_ns: Int64, start: Machine, end: Machine) -> Instants:
         path = self._path(start, end)
@@ -96,22 +110,19 @@ class DeviceClocks:
     def of_wall(self, wall_ns: Int64, machine: Machine) -> Instants:
         """Return instants of the wall clock on the monotonic one, by the nearest readings of both.
 
-        The bound includes by how much the wall clock was set between two readings.
+        The bound includes by how much the wall clock was set around them: where it was set back, two instants show one time.
         """
-        anchors = np.array(sorted(self._anchors[machine]), np.int64).reshape(-1, 2)
-        zero_ns = anchors[:, 0] - anchors[:, 1]
-        after = np.clip(np.searchsorted(anchors[:, 0], wall_ns), 0, len(anchors) - 1)
+        known_ns, zero_ns, error_ns = self._zeros[machine].T
+        after = np.clip(np.searchsorted(known_ns, wall_ns), 0, len(known_ns) - 1)
         before = np.clip(after - 1, 0, None)
-        is_first = np.abs(wall_ns - anchors[before, 0]) <= np.abs(anchors[after, 0] - wall_ns)
-        return Instants(
-            wall_ns - np.where(is_first, zero_ns[before], zero_ns[after]),
-            ANCHOR_NS + np.abs(zero_ns[after] - zero_ns[before]),
-        )
+        nearest = np.where(np.abs(wall_ns - known_ns[before]) <= np.abs(known_ns[after] - wall_ns), before, after)
+        beyond = np.stack([before, after, np.clip(before - 2, 0, None), np.clip(after + 2, None, len(known_ns) - 1)])
+        around_ns = zero_ns[beyond if len(known_ns) > 2 else beyond[:2]]
+        return Instants(wall_ns - zero_ns[nearest], error_ns[nearest] + np.ptp(around_ns, axis=0))
 
     def to_wall(self, at_ns: Int64, machine: Machine) -> Instants:
         """The inverse of `of_wall`."""
-        anchors = sorted(self._anchors[machine])
-        zero_ns = anchors[0][0] - anchors[0][1]
+        zero_ns = int(self._zeros[machine][0, 1])
         back = self.of_wall(at_ns + zero_ns, machine)
         return Instants(at_ns + zero_ns + (at_ns - back.at_ns), back.bound_ns)
 
@@ -124,8 +135,8 @@ class DeviceClocks:
         links = self._links[one][other] if one in self._links else []
         if links:
             return all(link.track.same_clock for link in links)
-        first, second = (max(self._anchors[machine]) for machine in (one, other))
-        return abs((first[0] - first[1]) - (second[0] - second[1])) < _SAME_ZERO_NS
+        first_ns, second_ns = (int(self._zeros[machine][-1, 1]) for machine in (one, other))
+        return abs(first_ns - second_ns) < _SAME_ZERO_NS
 
     def _path(self, start: Machine, end: Machine) -> list[list[_Link]] | None:
         """Return the links of the shortest way between machines; those of one clock are a step without links."""
@@ -135,7 +146,7 @@ class DeviceClocks:
             machine = remaining.popleft()
             if machine == end or self.share_clock(machine, end):
                 return paths[machine]
-            for other in self._anchors:
+            for other in self._zeros:
                 if other in paths:
                     continue
                 links = self._links[machine][other] if machine in self._links and other in self._links[machine] else []

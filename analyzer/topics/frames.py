@@ -23,6 +23,7 @@ from .device_clocks import DeviceClocks
 from .hops import HOP_SCHEMA, find_sources, hop_rows, origin_name, quantile, stamper
 from .join import MESSAGE_COLUMNS, Delivery, deliver, find_streams, with_ages
 from .taps import has_taps, heard_by_taps
+from .wall_clocks import WallReadings, follow_wall_clocks
 
 TOPIC_MESSAGE_SCHEMA = {**schema_of(ROUNDTRIP_COLUMNS), **MESSAGE_COLUMNS}
 
@@ -44,16 +45,20 @@ class Topics:
     topics: pl.DataFrame
     topic_messages: pl.DataFrame
     topic_hops: pl.DataFrame
+    wall_readings: tuple[WallReadings, ...] = ()
 
     @classmethod
     def none(cls) -> Topics:
-        return cls(*(pl.DataFrame(schema=schema) for schema in (TOPIC_SCHEMA, TOPIC_MESSAGE_SCHEMA, HOP_SCHEMA)))
+        schemas = (TOPIC_SCHEMA, TOPIC_MESSAGE_SCHEMA, HOP_SCHEMA)
+        topics, messages, hops = (pl.DataFrame(schema=schema) for schema in schemas)
+        return cls(topics, messages, hops)
 
 
 def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
     if not has_taps(campaign):
         return Topics.none()
-    clocks = DeviceClocks(campaign.sessions.values(), campaign.runs.values(), rows)
+    readings = tuple(follow_wall_clocks(campaign))
+    clocks = DeviceClocks(campaign.sessions.values(), campaign.runs.values(), rows, readings)
     deliveries = [delivery for stream in find_streams(heard_by_taps(campaign)) for delivery in deliver(stream, clocks)]
     deliveries = [delivery for delivery in deliveries if len(delivery.messages)]
     sources = find_sources(deliveries)
@@ -69,6 +74,7 @@ def find_topics(campaign: Campaign, rows: RowStore) -> Topics:
         pl.DataFrame([_topic_row(parts) for parts in ordered], TOPIC_SCHEMA),
         pl.concat(messages) if messages else pl.DataFrame(schema=TOPIC_MESSAGE_SCHEMA),
         pl.DataFrame(list(hop_rows(deliveries, sources)), HOP_SCHEMA),
+        readings,
     )
 
 

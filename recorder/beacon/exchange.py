@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from dds_trace.base.limits import STORED_RELAY_ID, STORED_TIME_NS, Whole
 from dds_trace.base.printable import printable
-from dds_trace.base.units import SECOND_NS
+from dds_trace.base.units import DRIFT_LIMIT_PPB, SECOND_NS
 from dds_trace.tracefile.format.descriptions import Run
 from dds_trace.tracefile.format.encoding import decode_string, encode_string
 from dds_trace.tracefile.writing.sink import TraceSink
@@ -20,10 +20,8 @@ WINDOW_NS = 5 * SECOND_NS
 """Of the round trips of this time only the quickest counts: the others waited somewhere."""
 KEPT_WINDOWS = 120
 DRIFT_WINDOWS = 6
-UNKNOWN_DRIFT_PPM, WANDER_PPM = 200.0, 2.0
-"""How much a drift may be wrong before it is estimated (two crystals), and at least afterwards."""
-STEP_PPM = 1000.0
-"""A clock that moves faster than this was set: what was seen before does not count."""
+WANDER_PPM = 2.0
+"""How much an estimated drift may be wrong at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +48,14 @@ class _Interval:
         return (self.low_ns + self.high_ns) / 2
 
     def is_contradicted(self, later: _Interval) -> bool:
-        most_ns = abs(later.at_ns - self.at_ns) * STEP_PPM / 1e6
+        most_ns = abs(later.at_ns - self.at_ns) * DRIFT_LIMIT_PPB / 1e9
         return later.low_ns - self.high_ns > most_ns or self.low_ns - later.high_ns > most_ns
 
 
 class ClockEstimate:
     def __init__(self) -> None:
         self._windows: deque[_Interval] = deque(maxlen=KEPT_WINDOWS)
+        self._latest: tuple[_Interval, ...] = ()
 
     def add(self, publish_ns: int, relay_in_ns: int, relay_out_ns: int, receive_ns: int) -> None:
         """Add T1 and T2 of this clock, T3 and T4 of the other one; stamps of no possible round trip are ignored."""
@@ -67,6 +66,7 @@ class ClockEstimate:
         if latest is not None and latest.is_contradicted(new):
             self._windows.clear()
             latest = None
+        self._latest = (new,)
         if latest is None or new.at_ns // WINDOW_NS != latest.at_ns // WINDOW_NS:
             self._windows.append(new)
         elif new.width_ns < latest.width_ns:
@@ -76,9 +76,9 @@ class ClockEstimate:
         if not self._windows:
             return None
         drift = self._drift()
-        unsure_ppm = UNKNOWN_DRIFT_PPM if drift is None else self._unsure_ppm()
+        unsure_ppm = DRIFT_LIMIT_PPB / 1e3 if drift is None else self._unsure_ppm()
         low_ns, high_ns = -float("inf"), float("inf")
-        for window in reversed(self._windows):
+        for window in (*self._latest, *reversed(self._windows)):
             elapsed_ns = now_ns - window.at_ns
             moved_ns, unsure_ns = elapsed_ns * (drift or 0.0), abs(elapsed_ns) * unsure_ppm / 1e6
             low = max(low_ns, window.low_ns + moved_ns - unsure_ns)
@@ -92,7 +92,7 @@ class ClockEstimate:
         """Return how much the drift may be wrong: the windows' usual width over their time."""
         widths = sorted(window.width_ns for window in self._windows)
         span_ns = max(self._windows[-1].at_ns - self._windows[0].at_ns, 1)
-        return min(max(WANDER_PPM, 1e6 * widths[len(widths) // 2] / span_ns), UNKNOWN_DRIFT_PPM)
+        return min(max(WANDER_PPM, 1e6 * widths[len(widths) // 2] / span_ns), DRIFT_LIMIT_PPB / 1e3)
 
     def _drift(self) -> float | None:
         windows = self._windows

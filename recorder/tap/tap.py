@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import queue
 import threading
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 from dds_trace.base.errors import BackendUnavailableError, OptionError
@@ -15,15 +16,16 @@ from dds_trace.base.threads import run_in_background
 from dds_trace.base.units import SECOND_NS, counted, format_duration
 from dds_trace.tracefile.format.descriptions import Qos
 from dds_trace.tracefile.format.events import PUBLISHER_TOPIC, hash_content
+from dds_trace.tracefile.format.header_stamps import Field, Fields, plain_name, stamp_reader
 from dds_trace.tracefile.reading.source import TOPIC_PREFIX
 from dds_trace.tracefile.writing.payloads import MOST_TOPICS, PayloadTopic
 from dds_trace.tracefile.writing.sink import TraceSink
 
+from ..backends.dds_types import DDS_TYPES
 from ..backends.node import ROUND_S, Publication, RawMessage, Subscription, TapNode, TopicPatterns
 from ..choices import Durability, History, Reliability
 from ..host.clock import Clock, SystemClock
 from ..roles.live import LiveTable, LiveTopic
-from .stamps import definition_of, reader_of
 from .streams import State, Stream
 
 MOST_WAITING = 64
@@ -307,3 +309,64 @@ def summarize(streams: Iterable[Stream]) -> list[str]:
         ended = ", stopped before the end" if stream.stopped_at is not None else ""
         lines.append(f"{stream.publication.topic}: {counted(stream.messages, 'message')}{rate}{lost}{ended}")
     return lines
+
+
+Members = Callable[[str], Mapping[str, str] | None]
+
+
+_PLAIN = {"double": "float64", "float": "float32", "boolean": "bool"}
+
+
+def reader_of(type_name: str, members: Members) -> Callable[[bytes], int | None] | None:
+    def stored(name: str) -> Fields | None:
+        return _fields(name, members)
+
+    is_stored = stored(plain_name(type_name)) is not None
+    return stamp_reader(type_name, "" if is_stored else _definition(type_name), "cdr", stored)
+
+
+def definition_of(type_name: str, members: Members) -> str:
+    remaining, sections = [plain_name(type_name)], dict[str, str]()
+    while remaining:
+        name = remaining.pop(0)
+        if name in sections or "/" not in name:
+            continue
+        fields = _fields(name, members)
+        if fields is None:
+            return _definition(type_name)
+        sections[name] = "".join(
+            f"{field.type.replace('octet', 'byte')}{_brackets(field.length)} {field.name}\n" for field in fields
+        )
+        remaining += [field.type for field in fields]
+    first, *others = sections.items()
+    return first[1] + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in others)
+
+
+def _brackets(length: int | None) -> str:
+    return "" if length is None else "[]" if length < 0 else f"[{length}]"
+
+
+def _fields(name: str, members: Members) -> Fields | None:
+    package, slash, short_name = name.partition("/")
+    if not slash:
+        return None
+    full_name = f"{package}/msg/{short_name}"
+    definition = members(full_name) or DDS_TYPES.get(full_name)
+    return None if definition is None else tuple(_field(member, text) for member, text in definition.items())
+
+
+def _field(name: str, text: str) -> Field:
+    is_sequence = text.startswith("sequence<") or text.endswith("[]")
+    element = text.removeprefix("sequence<").partition(",")[0].removesuffix("[]").removesuffix(">").partition("<")[0]
+    element, bracket, length = element.partition("[")
+    several = -1 if is_sequence else int(length.removesuffix("]")) if bracket else None
+    return Field(name, plain_name(_PLAIN.get(element, element)), several)
+
+
+def _definition(type_name: str) -> str:
+    if find_spec("rosbags") is None:
+        return ""
+    from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional
+
+    store = get_typestore(Stores.LATEST)
+    return store.generate_msgdef(type_name)[0] if type_name in store.fielddefs else ""

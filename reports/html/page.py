@@ -114,7 +114,7 @@ def _render(book: Book, scripts: Iterable[str], version: str = "") -> str:
         sizes=book.sizes,
         unit=unit.replace("us", "µs"),
         aligned=partial(_aligned, unit),
-        decimals=_decimals(unit, book.sizes),
+        decimals=max((len(_aligned(unit, median, "")[1]) for median in _medians_ns(book.sizes)), default=0),
         tint=_tint,
         glance=book.glance,
         styles=line_styles(book.facets)["choice"],
@@ -156,10 +156,6 @@ def _common_unit(table: SizeTable | None) -> str:
 def _medians_ns(table: SizeTable | None) -> list[float]:
     rows = [row for site in (table.places if table else ()) for row in (*site.rows, *site.further)]
     return [cell.p50_ns for row in rows for cell in row.cells if cell and _is_time(cell.p50_ns)]
-
-
-def _decimals(unit: str, table: SizeTable | None) -> int:
-    return max((len(_aligned(unit, median, "")[1]) for median in _medians_ns(table)), default=0)
 
 
 def _is_time(value_ns: float | None) -> TypeGuard[float]:

@@ -40,19 +40,24 @@ TAP = ("dds_trace_msgs/msg/TapEvent", TAP_DEFINITION)
 
 @dataclass(frozen=True)
 class Clock:
-    """A device's clocks as functions of the true time in ns: both run `ppm` too fast, the wall clock is off by `wall_off_ns`."""
+    """A device's clocks as functions of the true time in ns: both run `ppm` too fast, the wall clock is off by `wall_off_ns`,
+    gains `slew_ppm` on the monotonic one, and is set by `set_ns` at `set_at_ns`."""
 
     device: str
     boot_id: str
     since_boot_ns: int = 50 * SECOND
     wall_off_ns: int = 0
     ppm: int = 0
+    slew_ppm: int = 0
+    set_ns: int = 0
+    set_at_ns: int = 20 * SECOND
 
     def monotonic(self, true_ns: Any) -> Any:
         return true_ns + self.since_boot_ns + true_ns * self.ppm // 1_000_000
 
     def wall(self, true_ns: Any) -> Any:
-        return self.monotonic(true_ns) - self.since_boot_ns + EPOCH_NS + self.wall_off_ns
+        set_ns = (true_ns >= self.set_at_ns) * self.set_ns + true_ns * self.slew_ppm // 1_000_000
+        return self.monotonic(true_ns) - self.since_boot_ns + EPOCH_NS + self.wall_off_ns + set_ns
 
     def session(self, make: Any, session_id: int, **changes: Any) -> Session:
         return make(

@@ -16,6 +16,9 @@ SECOND_NS = 1_000_000_000
 UNIT_NS = {"s": SECOND_NS, "ms": 1_000_000, "us": 1_000, "ns": 1}
 """Units of the command line."""
 
+DRIFT_LIMIT_PPB = 1_100_000
+"""Largest drift of two clocks: Linux slews each by at most 500 ppm (adjtimex(2)); their crystals part by under 100 ppm more."""
+
 INFINITE_NS = (2**31 - 1) * SECOND_NS
 """Shortest duration that DDS takes as infinite: its seconds are a signed 32-bit integer (RTPS 2.5, section 9.3.2)."""
 

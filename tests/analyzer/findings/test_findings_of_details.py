@@ -381,6 +381,25 @@ def test_replies_before_the_relay_sent_them_are_forged_on_one_clock(tmp_path):
     assert "1 sooner" in findings(tmp_path)["forged_or_foreign"].what
 
 
+@pytest.mark.parametrize("offset_ns", [1_000_000 * MS, 5 * MS])
+def test_a_relay_in_another_time_namespace_is_nobody_else(tmp_path, offset_ns):
+    boot = {"boot_id": "one"}
+    messages = [replace(one, t3=one.t3 + offset_ns, t4=one.t4 + offset_ns) for one in drawn(count=100)]
+    write_pair(tmp_path, messages, ping=ping_session(extra=boot), relay=relay_session(extra=boot))
+    assert "forged_or_foreign" not in findings(tmp_path)
+
+
+def test_a_clock_set_between_two_recordings_is_found(tmp_path):
+    first = ping_session(extra={"boot_id": "one"})
+    write_pair(tmp_path, drawn(count=10), ping=first)
+    times = {
+        "monotonic_anchor_ns": first.monotonic_anchor_ns + 1,
+        "wall_anchor_ns": first.wall_anchor_ns + 3_600_000 * MS,
+    }
+    write_trace(tmp_path / "later.mcap", [replace(first, session_id=5, **times)])
+    assert "forward by 1 h" in findings(tmp_path)["clock_set"].what
+
+
 def test_restarted_relay(tmp_path):
     write_restarted_relay(tmp_path, drawn(count=100), drawn(count=100, first=100))
     assert "relay_restarted" in findings(tmp_path)

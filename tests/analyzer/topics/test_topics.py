@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -29,7 +31,7 @@ LOST = (100, 101, 500, 1700)
 def both_taps(folder, published, *, lost=LOST, far_ns=FAR_NS, **hearing):
     """The taps of both devices hear what the robot publishes; return the true receptions on the laptop."""
     near, far = arrivals(published, NEAR_NS), arrivals(published, far_ns, lost=lost)
-    write_tap(folder / "robot.mcap", ROBOT, [Hearing(published, near, **hearing)], session_id=0x51)
+    write_tap(folder / "robot.mcap", published.clock, [Hearing(published, near, **hearing)], session_id=0x51)
     write_tap(folder / "laptop.mcap", LAPTOP, [Hearing(published, far, **hearing)], session_id=0x52)
     return far
 
@@ -60,6 +62,23 @@ def test_every_time_is_inside_its_bound_and_none_is_negative(tmp_path, sides, he
     assert arrived["bound_ns"].max() < MS
     at_publish = arrived["stamp_to_publish_ns"].to_numpy()
     assert np.abs(at_publish - 5 * MS).max() <= 20_000
+
+
+MOVED = [{}, {"slew_ppm": 500}, *({"set_ns": milliseconds * MS} for milliseconds in (40, -40, 2, -2))]
+
+
+@pytest.mark.parametrize("moved", MOVED, ids=str)
+def test_a_wall_clock_that_is_set_is_followed_and_found(tmp_path, moved):
+    robot = replace(ROBOT, **moved)
+    published = replace(camera(), clock=robot)
+    far = both_taps(tmp_path, published, lost=())
+    write_beacon(tmp_path, LAPTOP, robot, seconds=63)
+    analysis = analyze(tmp_path)
+    messages = messages_of(analysis)
+    is_off = (messages["one_way_ns"] - pl.Series(far - published.sent_ns)).abs() > messages["bound_ns"]
+    assert is_off.sum() == 0
+    assert messages["bound_ns"].median() < 2 * MS
+    assert ("clock_set" in {finding.code for finding in analysis.findings}) == bool(moved)
 
 
 def test_a_topic_is_one_row_for_each_pair_of_devices(tmp_path):

@@ -22,7 +22,7 @@ def round_trips(rng, *, seconds, rate_hz=2.0, offset_ns=2 * SECOND, drift_ppm=0.
     return np.stack([column.astype(np.int64) for column in columns], axis=1), other
 
 
-@pytest.mark.parametrize("drift_ppm", [0.0, 3.1, -40.0])
+@pytest.mark.parametrize("drift_ppm", [0.0, 3.1, -300.0, 1000.0])
 @pytest.mark.parametrize("seconds", [3, 20, 120, 900])
 def test_the_difference_is_inside_its_bound(seconds, drift_ppm):
     rng = np.random.default_rng(seconds)
@@ -31,7 +31,7 @@ def test_the_difference_is_inside_its_bound(seconds, drift_ppm):
         estimate = ClockEstimate()
         for row in stamps.tolist():
             estimate.add(*row)
-        now_ns = int(stamps[-1, 3])
+        now_ns = int(stamps[-1, 3]) + SECOND // 2
         result = estimate.at(now_ns)
         assert abs(other(now_ns) - now_ns - result.offset_ns) <= result.bound_ns
         assert result.bound_ns < 2_000_000

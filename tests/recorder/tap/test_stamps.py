@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from dds_trace.recorder.tap.stamps import definition_of, reader_of
+from dds_trace.recorder.tap.tap import definition_of, reader_of
 
 STORE = get_typestore(Stores.LATEST)
 T = STORE.types

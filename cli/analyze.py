@@ -14,12 +14,11 @@ from dds_trace.analyzer.engines.gc_tuning import tune_gc
 from dds_trace.analyzer.exports.kinds import EXPORT_KINDS
 from dds_trace.base import limits
 from dds_trace.base.errors import MissingEventsError, OptionError
-from dds_trace.base.streams import say
+from dds_trace.base.streams import plain_console, say
 from dds_trace.base.units import parse_duration
 from dds_trace.reports.reporters import REPORT_MODULES
 
 from . import compare, watch
-from .analysis_bar import AnalysisBar
 from .program import ask_about_folder, run_program
 from .quick_help import Version, argument, command_app, declare_command, option, starting
 from .vector_sorts import avoid_slow_sorts
@@ -374,6 +373,50 @@ def _write_derived(analysis: Analysis, target: Path) -> list[Path]:
     wall = ping_wall_offsets(analysis.sessions, analysis.runs)
     derived = write_derived(analysis.load_roundtrips(), target / "latency.derived.mcap", wall, force=True)
     return [derived.path, derived.layout]
+
+
+SHARES = {"reading": 0.3, "pairing": 0.35, "judging": 0.2, "writing": 0.15}
+"""Share of the time that each step takes, of campaigns from 300 to 1,500 runs without a cache."""
+
+
+class AnalysisBar:
+    """Draws which step works, and how much of all is done; it never goes back and shows no guessed time."""
+
+    def __init__(self) -> None:
+        self.share = 0.0
+        self._progress: Any = None
+
+    def __enter__(self) -> AnalysisBar:  # noqa: PYI034 - `Self` is Python 3.11's
+        if sys.stderr.isatty():
+            from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+            columns = (
+                TextColumn("{task.description}", markup=False),
+                BarColumn(),
+                TaskProgressColumn(),
+                TimeElapsedColumn(),
+            )
+            console = plain_console(stderr=True)
+            self._progress = Progress(*columns, console=console, transient=True, redirect_stdout=False)
+            self._progress.add_task("reading", total=1.0)
+            self._progress.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+
+    def reading(self, done: int, total: int, path: Path) -> None:
+        self._draw("reading", done / total, f"reading {path.name[:30]}")
+
+    def step(self, name: str, share: float) -> None:
+        self._draw(name, share, name)
+
+    def _draw(self, name: str, share: float, words: str) -> None:
+        names = list(SHARES)
+        self.share = max(self.share, sum(SHARES[step] for step in names[: names.index(name)]) + SHARES[name] * share)
+        if self._progress is not None:
+            self._progress.update(self._progress.tasks[0].id, completed=self.share, description=words)
 
 
 COMMANDS: Mapping[str, typer.Typer] = {"compare": compare.app, "watch": watch.app}

@@ -178,7 +178,9 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
             sessions[session.session_id] = max(earlier, session, key=_session_age)
             session_traces[session.session_id] = (*session_traces.get(session.session_id, ()), position)
         for run in trace.trace.runs:
-            runs[run.run_id] = max(runs.setdefault(run.run_id, run), run, key=_run_age)
+            runs[run.run_id] = max(
+                runs.setdefault(run.run_id, run), run, key=lambda one: (one.state == "finished", one.published)
+            )
             run_traces[run.run_id] = (*run_traces.get(run.run_id, ()), position)
     campaign = Campaign(
         folder=path,
@@ -202,10 +204,6 @@ def _session_age(session: Session) -> tuple[int, bool, int]:
 def part_of(session: Session) -> int:
     part = session.extra.get("part")
     return part if isinstance(part, int) else 1
-
-
-def _run_age(run: Run) -> tuple[bool, int]:
-    return run.state == "finished", run.published
 
 
 def _read_sources(

@@ -139,7 +139,7 @@ class CycloneNode(ThreadedNode):
 
         data_type = self._builtin.definition_of(topic, type_name, self._participant) or _opaque_type(type_name)
         with _MAKING_TOPIC:
-            tapped = Topic(self._participant, _tapped_topic(topic), data_type)
+            tapped = Topic(self._participant, f"rt{topic}" if topic.startswith("/") else topic, data_type)
         return self._open_reader(tapped, qos, None, on_sample)
 
     def publisher_of(self, source: Hashable) -> str | None:
@@ -319,10 +319,6 @@ class _BuiltinReaders:
 
 def _shown_topic(name: str) -> str:
     return name.removeprefix("rt") if name.startswith("rt/") else name
-
-
-def _tapped_topic(topic: str) -> str:
-    return f"rt{topic}" if topic.startswith("/") else topic
 
 
 def _opaque_type(type_name: str) -> Any:

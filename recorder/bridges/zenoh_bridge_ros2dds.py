@@ -29,11 +29,6 @@ def _configuration(options: BridgeOptions) -> str:
     return plugin_configuration(PLUGIN, ros2dds, options)
 
 
-def _is_before_iron() -> bool:
-    """Return whether the bridge names the loopback interface, as ROS 2 has no discovery ranges."""
-    return "" < os.environ.get("ROS_DISTRO", "") < "iron"
-
-
 BRIDGE = Bridge(
     name=PROGRAM,
     install="build it with `just install-zenoh-bridge` in a clone (needs cargo), or get it from https://download.eclipse.org/zenoh/zenoh-plugin-ros2dds/latest/ and put it on the PATH",
@@ -43,7 +38,10 @@ BRIDGE = Bridge(
     find=lambda: program_on_path(PROGRAM) or find_program(PACKAGE, PACKAGE) or router_with(PLUGIN),
     version=lambda program: reported_version(program, "--version"),
     arguments=lambda program: plugin_arguments(program, PLUGIN),
-    environment=lambda options: zenoh_environment(options, names_loopback=_is_before_iron()),
+    # ROS 2 before Iron has no discovery ranges.
+    environment=lambda options: zenoh_environment(
+        options, names_loopback="" < os.environ.get("ROS_DISTRO", "") < "iron"
+    ),
     halves=Halves.ALWAYS,
     secures_link=True,
     compiled_in="cyclonedds",

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dds_trace.base import limits
-from dds_trace.base.errors import OptionError
+from dds_trace.base.errors import OptionError, TraceError
 from dds_trace.base.units import counted
 
-from .folder import locked_folder
+from ..backends import load_backend
+from ..backends.base import Meeting
+from .folder import TRACE_ENDINGS, locked_folder, log_path, make_parts, remove_files, segment_of
 from .plan.cells import Cell
 from .plan.plan import Plan, depth_warnings
 from .plan.schedule import number_groups, schedule, schedule_pass
@@ -19,8 +22,8 @@ from .run.progress import SweepProgress
 from .run.runner import Runner
 from .run.state import Status
 from .search import MaxRate, find_max_rates, search_plan
-from .station.clock_check import compare_clocks
-from .station.station import open_station
+from .station.devices import StartedProgram
+from .station.station import Station, open_station
 
 RunIds = Mapping[str, tuple[int, ...]]
 MeasureWidths = Callable[[Path, RunIds], Mapping[str, float]]
@@ -155,3 +158,58 @@ def run_search(
             return folder, list(find_max_rates(plan, runner))
         finally:
             progress.end()
+
+
+SECONDS = 6
+TIMEOUT_S = 60.0
+SEGMENT, OWN = "0-0-0.mcap", "clocks.ping.mcap"
+MARK = "your clocks differ"
+
+
+def compare_clocks(plan: Plan, station: Station, folder: Path, note: Callable[[str], None]) -> None:
+    """Note how the clocks of all pairs of devices differ, on the plan's first backend with discovery; a failure stops no sweep."""
+    backends = (cell.backend for cell in plan.cells if not cell.environment)
+    backend = next((name for name in backends if load_backend(name).meeting is Meeting.DISCOVERY), None)
+    if backend is None:
+        return
+    words = ["--role", "beacon", "--rate", "5", "--backend", backend, "--domain", str(plan.run.domain)]
+    words += ["--discovery", plan.discovery, "--no-own-cost", "--force"]
+    out = make_parts(folder) / OWN
+    names = [host.name or host.ssh or "" for host in plan.hosts] or [""]
+    others: dict[str, StartedProgram] = {}
+    seen: list[str] = []
+    try:
+        station.device.prepare()
+        try:
+            for number, name in enumerate(names):
+                device_option = ["--device", name] if name else []
+                segment = segment_of(SEGMENT, number + 1, number)
+                long = [*words, *device_option, "--duration", str(int(TIMEOUT_S))]
+                others[segment] = station.device.start(long, segment)
+            command = [*station.ping_command, *words, "--duration", str(SECONDS), "--out", str(out)]
+            ended = subprocess.run(
+                command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False, errors="replace"
+            )
+        finally:
+            for other in others.values():
+                other.stop()
+            for number, segment in enumerate(others, 1):
+                log = log_path(out.parent, segment)
+                latest = _latest(log.read_text(errors="replace")) if len(names) > 1 else {}
+                seen += [f"seen from {names[number - 1]}: {latest[name]}" for name in names[number:] if name in latest]
+                station.device.discard(segment)
+            remove_files(out.parent, OWN, TRACE_ENDINGS)
+    except (TraceError, OSError, subprocess.TimeoutExpired) as error:
+        note(f"the clocks of both devices were not compared: {error}")
+        return
+    lines = _latest(ended.stderr)
+    last = (ended.stderr.splitlines() or ["no answer"])[-1]
+    for line in [*lines.values(), *seen] or [f"the clocks of both devices were not compared: {last}"]:
+        note(line)
+    for name in names:
+        if name and lines and name not in lines:
+            note(f"{name}: its clock was not compared; its beacon did not answer")
+
+
+def _latest(text: str) -> dict[str, str]:
+    return {line.partition(":")[0].split()[-1]: line for line in text.splitlines() if MARK in line}

@@ -8,7 +8,7 @@ from trace_files import Message, write_pair
 
 from dds_trace import analyze
 from dds_trace.analyzer.pipeline import STEPS
-from dds_trace.cli.analysis_bar import SHARES, AnalysisBar
+from dds_trace.cli.analyze import SHARES, AnalysisBar
 
 TIMELINE = [Message(s, t0=1000 * s, t1=1000 * s + 5, t3=900, t4=930, t2=1000 * s + 205) for s in range(12)]
 

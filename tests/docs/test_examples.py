@@ -20,7 +20,9 @@ from doc_examples import DOCS, PAGES, command_lines, examples, lines_in_text
 from processes import RunningCommand
 from trace_files import SAMPLES, copy_sample
 
+from dds_trace.analyzer.recordings.topics import analyze_topics
 from dds_trace.recorder.sweep.plan.plan_file import parse_plan
+from dds_trace.reports.topics.renderers import print_topics
 
 SMALL_PLAN = """
 [run]
@@ -202,3 +204,17 @@ def test_options_within_a_sentence_are_those_of_the_program(line):
         taken = []
         command.main([*words, "--out", "new.mcap"], standalone_mode=False, obj=taken.append)
         taken[0].check()
+
+
+def test_the_tutorial_quotes_the_card_of_the_kept_bag(tmp_path, monkeypatch, capsys):
+    archive = DOCS / "results" / "drive" / "traces.tar.xz"
+    assert archive.stat().st_size <= 1_000_000
+    with tarfile.open(archive) as bag:
+        bag.extractall(tmp_path, filter="data")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    print_topics(analyze_topics([Path("drive")]))
+    shown = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    text = (DOCS / "tutorials" / "bag.md").read_text(encoding="utf-8")
+    quoted = re.findall(r"```text\n(.*?)```", text, re.DOTALL)[0]
+    assert [line.rstrip() for line in quoted.splitlines() if line.rstrip() not in shown] == []

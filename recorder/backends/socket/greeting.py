@@ -66,13 +66,11 @@ class Greeting:
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return None
         texts = (name, cookie, *subscriptions, *publishers, *subscriptions.values(), *publishers.values())
-        if max(len(subscriptions), len(publishers)) > MAX_TOPICS or not all(map(_is_name, texts)):
+        if max(len(subscriptions), len(publishers)) > MAX_TOPICS or not all(
+            isinstance(text, str) and text.isascii() and text.isprintable() for text in texts
+        ):
             return None
         return cls(name, subscriptions, publishers, cookie)
-
-
-def _is_name(text: object) -> bool:
-    return isinstance(text, str) and text.isascii() and text.isprintable()
 
 
 def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:

@@ -163,7 +163,10 @@ def schema_text() -> str:
 
 def _object(name: str, table: Table) -> Schema:
     inner = {f"{name}.{word}".lstrip("."): word for word in table.subtables}
-    properties: dict[str, object] = {word: _reference(name, word, key) for word, key in table.keys.items()}
+    properties: dict[str, object] = {
+        word: {"$ref": f"#/$defs/{word}"} if word in TABLES["axes"].keys and key.takes_list else _key(name, word, key)
+        for word, key in table.keys.items()
+    }
     properties |= {word: _table(path) for path, word in inner.items()}
     return {"type": "object", "additionalProperties": False, "properties": properties, **_RULES.get(name, {})}
 
@@ -175,10 +178,6 @@ def _table(name: str) -> Schema:
         return schema | _object(name, table)
     entry = _object(name, table)
     return schema | {**entry, "type": ["object", "array"], "items": {"$ref": f"#/properties/{name}", "type": "object"}}
-
-
-def _reference(table: str, name: str, key: Key) -> Schema:
-    return {"$ref": f"#/$defs/{name}"} if name in TABLES["axes"].keys and key.takes_list else _key(table, name, key)
 
 
 def _key(table: str, name: str, key: Key) -> Schema:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from dds_trace.base.errors import BackendUnavailableError
-from dds_trace.recorder.sweep.station.clock_check import MARK, OWN, SEGMENT, compare_clocks
+from dds_trace.recorder.sweep.sweep import MARK, OWN, SEGMENT, compare_clocks
 
 LINE = "jetson: your clocks differ by 1.234 ms +- 0.021 (that one shows the later time; chrony: follows ntp1)"
 BEACON = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import shlex
 import shutil
@@ -218,3 +219,34 @@ def test_the_tutorial_quotes_the_card_of_the_kept_bag(tmp_path, monkeypatch, cap
     text = (DOCS / "tutorials" / "bag.md").read_text(encoding="utf-8")
     quoted = re.findall(r"```text\n(.*?)```", text, re.DOTALL)[0]
     assert [line.rstrip() for line in quoted.splitlines() if line.rstrip() not in shown] == []
+
+
+def test_each_median_and_count_is_that_of_the_rows():
+    recorded = list(csv.DictReader((DOCS / "results/replayed-link.csv").read_text().splitlines()))
+    lines = (DOCS / "results/replayed-link.md").read_text().splitlines()
+    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if "0 Hz |" in line]
+    assert len(table) == 4
+    for setup, data, *medians, received in table:
+        for load, shown in zip(("none", "cpu"), medians, strict=True):
+            own = [
+                row
+                for row in recorded
+                if (row["backend"], row["load"]) == (setup.lower().replace(" ", ""), load)
+                and (row["data"] == "imu") is ("IMU" in data)
+            ]
+            ordered = sorted(own, key=lambda row: row["repeat"])
+            assert [float(text) for text in shown.split(",")] == [float(row["rtt_p50_ms"]) for row in ordered]
+            assert f"{sum(int(row['replies']) for row in own):,}" in received
+            assert f"{sum(int(row['sent']) for row in own):,}" in received
+
+
+def test_frames_are_late_by_less_than_a_hundredth_of_the_least_delay():
+    late_us = [float(row["late_p50_us"]) for row in recorded]
+    page = (DOCS / "results/replayed-link.md").read_text()
+    assert len(late_us) == 24
+    assert f"{max(late_us):g} us in the worst run" in page
+    assert max(late_us) < 0.01 * 18_100
+    assert (
+        f"{sum(int(row['frames']) for row in recorded):,}, and {sum(int(row['frames_lost']) for row in recorded):,}"
+        in page
+    )

@@ -113,7 +113,7 @@ def analyze(
         with engine:
             campaign = engine.load(location, location.own_folders | ({target} if target else set()), progress)
             drafts = stack.enter_context(replacing_results(target)) if target else None
-            analysis = _analyze(engine, campaign, location, target, drafts, options, step or _no_step)
+            analysis = _analyze(engine, campaign, location, target, drafts, options, step or (lambda *_: None))
         if drafts is not None and write_more is not None:
             write_more(analysis, drafts)
     if "roundtrips" in analysis.outputs:
@@ -189,10 +189,6 @@ def _analyze(
         topic_messages=topics.topic_messages,
         topic_hops=topics.topic_hops,
     )
-
-
-def _no_step(name: str, share: float) -> None:
-    pass
 
 
 def _write_rows(

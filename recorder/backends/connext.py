@@ -6,7 +6,7 @@ It needs a licence. Messages pass in serialized form, in a DynamicData of CDR. O
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -271,15 +271,12 @@ def _policy(kind: Any) -> str:
     return str(kind).rpartition(".")[2].lower()
 
 
-def _find_installed() -> Sequence[str | None]:
-    return [None] if has_package("rti") and os.environ.get("RTI_LICENSE_FILE") else []  # no licence, no participant
-
-
 BACKEND = Backend(
     name="connext",
     label="RTI Connext",
     make_node=ConnextNode,
-    find_installed=_find_installed,
+    # no licence, no participant
+    find_installed=lambda: [None] if has_package("rti") and os.environ.get("RTI_LICENSE_FILE") else [],
     install="pip install 'dds-trace[connext]' (in a clone '.[connext]')",
     meeting=Meeting.DISCOVERY_OR_PEERS,
     meeting_needs=DDS_MEETING + " (else name the other device with --peer)",

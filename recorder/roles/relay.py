@@ -67,7 +67,7 @@ class Relay:
         self._foreign = 0
         self._strangers = node.strangers
         self._on_probe = on_probe or _ignore
-        self._is_own = is_own or _never
+        self._is_own = is_own or (lambda *_: False)
         self._on_relayed = on_relayed or _ignore
         self._forecasts = on_relayed is None
         self._closers: list[Callable[[], None]] = []
@@ -184,7 +184,3 @@ class Relay:
 
 
 def _ignore(*_: int) -> None: ...
-
-
-def _never(*_: int) -> bool:
-    return False

@@ -202,9 +202,7 @@ def test_options_within_a_sentence_are_those_of_the_program(line):
     known = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
     assert {word for word in words if word.startswith("--")} <= known
     if program == "dds-record" and "--role" in words and not re.search(r"\b[A-Z]{3,}\b", line):
-        taken = []
-        command.main([*words, "--out", "new.mcap"], standalone_mode=False, obj=taken.append)
-        taken[0].check()
+        command.main([*words, "--out", "new.mcap"], standalone_mode=False, obj=lambda options: options.check())
 
 
 def test_the_tutorial_quotes_the_card_of_the_kept_bag(tmp_path, monkeypatch, capsys):
@@ -221,8 +219,10 @@ def test_the_tutorial_quotes_the_card_of_the_kept_bag(tmp_path, monkeypatch, cap
     assert [line.rstrip() for line in quoted.splitlines() if line.rstrip() not in shown] == []
 
 
+RECORDED = list(csv.DictReader((DOCS / "results/replayed-link.csv").read_text().splitlines()))
+
+
 def test_each_median_and_count_is_that_of_the_rows():
-    recorded = list(csv.DictReader((DOCS / "results/replayed-link.csv").read_text().splitlines()))
     lines = (DOCS / "results/replayed-link.md").read_text().splitlines()
     table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if "0 Hz |" in line]
     assert len(table) == 4
@@ -230,7 +230,7 @@ def test_each_median_and_count_is_that_of_the_rows():
         for load, shown in zip(("none", "cpu"), medians, strict=True):
             own = [
                 row
-                for row in recorded
+                for row in RECORDED
                 if (row["backend"], row["load"]) == (setup.lower().replace(" ", ""), load)
                 and (row["data"] == "imu") is ("IMU" in data)
             ]
@@ -241,12 +241,12 @@ def test_each_median_and_count_is_that_of_the_rows():
 
 
 def test_frames_are_late_by_less_than_a_hundredth_of_the_least_delay():
-    late_us = [float(row["late_p50_us"]) for row in recorded]
+    late_us = [float(row["late_p50_us"]) for row in RECORDED]
     page = (DOCS / "results/replayed-link.md").read_text()
     assert len(late_us) == 24
     assert f"{max(late_us):g} us in the worst run" in page
     assert max(late_us) < 0.01 * 18_100
     assert (
-        f"{sum(int(row['frames']) for row in recorded):,}, and {sum(int(row['frames_lost']) for row in recorded):,}"
+        f"{sum(int(row['frames']) for row in RECORDED):,}, and {sum(int(row['frames_lost']) for row in RECORDED):,}"
         in page
     )

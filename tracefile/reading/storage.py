@@ -28,11 +28,10 @@ ZSTD_SUFFIX = ".zstd"
 _COPY_BYTES = 1 << 20
 
 
-def _open_sqlite(path: Path, _pool: Executor, shown_as: Path) -> Source:
-    return SqliteSource(path, shown_as)
-
-
-_OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {".mcap": McapSource, ".db3": _open_sqlite}
+_OPENERS: dict[str, Callable[[Path, Executor, Path], Source]] = {
+    ".mcap": McapSource,
+    ".db3": lambda path, _pool, shown_as: SqliteSource(path, shown_as),
+}
 
 
 def find_traces(folder: str | os.PathLike[str], *, skip: Collection[str | os.PathLike[str]] = ()) -> list[Path]:

@@ -31,6 +31,7 @@ from dds_trace.tracefile.format.events import Stage
 
 MS = 1_000_000
 PERIOD = 100 * MS
+BOOT = {"boot_id": "one"}
 
 
 def drawn(way=MS, count=200, ahead=0, drift=0.0, first=0):
@@ -376,21 +377,19 @@ def test_replies_that_the_relays_whole_trace_does_not_know_are_forged_or_foreign
 def test_replies_before_the_relay_sent_them_are_forged_on_one_clock(tmp_path):
     messages = drawn(count=100)
     messages[7] = replace(messages[7], t2=messages[7].t4 - 1)
-    boot = {"boot_id": "one"}
-    write_pair(tmp_path, messages, ping=ping_session(extra=boot), relay=relay_session(extra=boot))
+    write_pair(tmp_path, messages, ping=ping_session(extra=BOOT), relay=relay_session(extra=BOOT))
     assert "1 sooner" in findings(tmp_path)["forged_or_foreign"].what
 
 
 @pytest.mark.parametrize("offset_ns", [1_000_000 * MS, 5 * MS])
 def test_a_relay_in_another_time_namespace_is_nobody_else(tmp_path, offset_ns):
-    boot = {"boot_id": "one"}
     messages = [replace(one, t3=one.t3 + offset_ns, t4=one.t4 + offset_ns) for one in drawn(count=100)]
-    write_pair(tmp_path, messages, ping=ping_session(extra=boot), relay=relay_session(extra=boot))
+    write_pair(tmp_path, messages, ping=ping_session(extra=BOOT), relay=relay_session(extra=BOOT))
     assert "forged_or_foreign" not in findings(tmp_path)
 
 
 def test_a_clock_set_between_two_recordings_is_found(tmp_path):
-    first = ping_session(extra={"boot_id": "one"})
+    first = ping_session(extra=BOOT)
     write_pair(tmp_path, drawn(count=10), ping=first)
     times = {
         "monotonic_anchor_ns": first.monotonic_anchor_ns + 1,

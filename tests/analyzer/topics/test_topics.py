@@ -69,10 +69,9 @@ MOVED = [{}, {"slew_ppm": 500}, *({"set_ns": milliseconds * MS} for milliseconds
 
 @pytest.mark.parametrize("moved", MOVED, ids=str)
 def test_a_wall_clock_that_is_set_is_followed_and_found(tmp_path, moved):
-    robot = replace(ROBOT, **moved)
-    published = replace(camera(), clock=robot)
+    published = replace(camera(), clock=replace(ROBOT, **moved))
     far = both_taps(tmp_path, published, lost=())
-    write_beacon(tmp_path, LAPTOP, robot, seconds=63)
+    write_beacon(tmp_path, LAPTOP, published.clock, seconds=63)
     analysis = analyze(tmp_path)
     messages = messages_of(analysis)
     is_off = (messages["one_way_ns"] - pl.Series(far - published.sent_ns)).abs() > messages["bound_ns"]

@@ -35,7 +35,6 @@ from dds_trace.recorder.wire.tally import WireTally
 from dds_trace.tracefile.format.wire import NEVER_NS, Direction
 
 RUN = 0xABC
-ETHERNET_TO_RTPS = 14 + 20 + 8 + 20
 DOMAIN = PortRange(7400, 7649)
 
 

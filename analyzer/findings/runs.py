@@ -156,10 +156,9 @@ def forged_or_foreign(evidence: Evidence) -> Iterator[Observation]:
 
 def _has_other_clock(evidence: Evidence, exchange: Exchange, counts: Mapping[str, int]) -> bool:
     """Return whether a constant offset explains all replies and most need one: a relay in another time namespace."""
-    if 2 * counts["early"] <= counts["received"]:
-        return False
     pairs = [pair for pair in evidence.device_pairs if exchange.relay_id in pair.knots["relay_id"]]
-    return bool(pairs) and all(len(pair.segments) <= pair.knots["relay_id"].n_unique() for pair in pairs)
+    is_one_offset = all(len(pair.segments) <= pair.knots["relay_id"].n_unique() for pair in pairs)
+    return bool(pairs) and is_one_offset and 2 * counts["early"] > counts["received"]
 
 
 def _is_whole(evidence: Evidence, session: Session) -> bool:

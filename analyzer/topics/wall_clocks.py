@@ -24,10 +24,9 @@ from ..loading.event_index import EventPart
 ANCHOR_NS = 5_000
 """Error of reading wall and monotonic clock one after the other."""
 
-_WAIT_NS = 200_000
-"""By so much the shortest waits of two seconds differ without load."""
+_WAIT_NS, _NOISES = 200_000, 6
+"""By so much the shortest waits of two seconds differ without load, and by so many times their usual difference under it."""
 
-_NOISES = 6
 _LASTING_SECONDS = 5
 """Seconds of equally late events that a clock set back explains, and waiting for a processor does not."""
 

@@ -83,10 +83,6 @@ _NOT_OF_TOPICS = (
 )
 
 
-def _overridden(values: Mapping[str, Any]) -> dict[str, str]:
-    return dict.fromkeys(_NOT_OF_TOPICS, "default: not of --topics") if values.get("topics") else {}
-
-
 def _refuse_with_topics(values: Mapping[str, Any]) -> None:
     refused = [name for name in _NOT_OF_TOPICS if values[name]]
     if refused:
@@ -95,7 +91,11 @@ def _refuse_with_topics(values: Mapping[str, Any]) -> None:
         raise OptionError(f"--topics reads recordings, not traces of ours; leave out {options}")
 
 
-@declare_command(app, "analyze", _overridden)
+@declare_command(
+    app,
+    "analyze",
+    lambda values: dict.fromkeys(_NOT_OF_TOPICS if values.get("topics") else (), "default: not of --topics"),
+)
 def main_command(
     paths: Annotated[
         list[str],

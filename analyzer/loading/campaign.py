@@ -175,7 +175,9 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
     for position, trace in enumerate(loaded):
         for session in trace.trace.sessions:
             earlier = sessions.setdefault(session.session_id, session)
-            sessions[session.session_id] = max(earlier, session, key=_session_age)
+            sessions[session.session_id] = max(
+                earlier, session, key=lambda s: (part_of(s), s.state == "closed", s.dropped_events)
+            )
             session_traces[session.session_id] = (*session_traces.get(session.session_id, ()), position)
         for run in trace.trace.runs:
             runs[run.run_id] = max(
@@ -194,11 +196,6 @@ def campaign_of(path: Path, loaded: Sequence[LoadedTrace], skipped: Sequence[Sou
         event_counts=tuple(trace.events for trace in loaded),
     )
     return campaign.with_copies(())
-
-
-def _session_age(session: Session) -> tuple[int, bool, int]:
-    """Order descriptions: the later file, then the closed session."""
-    return part_of(session), session.state == "closed", session.dropped_events
 
 
 def part_of(session: Session) -> int:

@@ -91,7 +91,7 @@ def split_events(columns: EventColumns, *, by_run: bool = True, by_relay: bool) 
         keys = [keys[code] for code in stretch_code]
     ends = np.cumsum(lengths)
     return {
-        key: _view(columns, slice(end - length, end))
+        key: EventColumns(**{f.name: getattr(columns, f.name)[end - length : end] for f in fields(columns)})
         for key, length, end in zip(keys, lengths.tolist(), ends.tolist(), strict=True)
     }
 
@@ -130,7 +130,3 @@ def total_copies(copies: Iterable[Copies]) -> tuple[Copies, ...]:
         events[copied.trace] += copied.events
         others[copied.trace] |= set(copied.others)
     return tuple(Copies(trace, events[trace], tuple(sorted(others[trace]))) for trace in sorted(events))
-
-
-def _view(columns: EventColumns, part: slice) -> EventColumns:
-    return EventColumns(**{f.name: getattr(columns, f.name)[part] for f in fields(columns)})

@@ -75,10 +75,11 @@ def max_rate_csv(answers: list[MaxRate]) -> str:
 
 def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
     height = _TOP_PX + _ROW_PX * len(answers) + 20
+    powers = range(math.ceil(math.log10(search.min_rate)), math.floor(math.log10(search.max_rate)) + 1)
     lines = [_HEAD.format(width=_LABEL_PX + _BAR_PX + 200, height=height, search=search)]
     lines += [
         _TICK.format(x=_LABEL_PX + _x(rate_hz, search), top=_TOP_PX, bottom=height - 16, rate_hz=rate_hz)
-        for rate_hz in _ticks(search)
+        for rate_hz in (10.0**power for power in powers)
     ]
     for row, (highest, cells) in enumerate(zip(answers, max_rate_rows(answers), strict=True)):
         rate = f"{cells[4]} Hz" if highest.answer is RateAnswer.FOUND else f"{cells[5]} {cells[4] and cells[4] + ' Hz'}"
@@ -102,11 +103,6 @@ def max_rate_svg(answers: list[MaxRate], search: Search) -> str:
 def _x(rate_hz: float, search: Search) -> float:
     share = math.log(max(rate_hz, search.min_rate) / search.min_rate) / math.log(search.max_rate / search.min_rate)
     return max(2.0, min(1.0, share) * _BAR_PX)
-
-
-def _ticks(search: Search) -> list[float]:
-    powers = range(math.ceil(math.log10(search.min_rate)), math.floor(math.log10(search.max_rate)) + 1)
-    return [10.0**power for power in powers]
 
 
 _HEAD = """\

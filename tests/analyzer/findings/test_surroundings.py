@@ -1,4 +1,4 @@
-"""Findings about a load on purpose and a link that replays a file."""
+"""Findings about a load on purpose, a link that replays a file, and calls."""
 
 from __future__ import annotations
 
@@ -75,3 +75,34 @@ def test_what_a_link_did_is_among_the_host_samples(tmp_path):
     samples = analyze(tmp_path).details.host_samples
     assert samples["link_delay_ms"].drop_nulls().to_list() == [35.8, 62.4, 68]
     assert samples["link_rate_mbit_s"].drop_nulls().to_list() == [27.1, 0, 12]
+
+
+TIMES = {"first_ns": 12_000_000, "typed_ns": 40_000, "accepted_p50_ns": 900_000, "feedback_p50_ns": 1_100_000}
+
+
+def findings_of(folder, call):
+    messages = [
+        Message(s, t0=s * PERIOD, t1=s * PERIOD + 50, t3=s * PERIOD, t4=s * PERIOD + 20, t2=s * PERIOD + 1000 + s % 7)
+        for s in range(COUNT)
+    ]
+    described = run(planned_messages=COUNT, published=COUNT, extra={"call": call})
+    write_trace(folder / "ping.mcap", ping_session(), [described], ping_events(messages))
+    write_trace(folder / "relay.mcap", relay_session(), (), relay_events(messages))
+    return {finding.code: finding.what for finding in analyze(folder).findings}
+
+
+def test_a_call_is_reported_with_its_first_one_and_its_conversion(tmp_path, sentences):
+    found = findings_of(tmp_path, {"timeout_s": 10.0, "timed_out": 0, **TIMES})
+    assert "calls_timed_out" not in found
+    sentences(found["calls"])
+
+
+def test_calls_beyond_their_timeout_are_counted(tmp_path, sentences):
+    sentences(findings_of(tmp_path, {"timeout_s": 0.5, "timed_out": 3, **TIMES})["calls_timed_out"])
+
+
+@pytest.mark.parametrize(
+    "call", [{}, [], {"first_ns": "x", "timed_out": -1, "typed_ns": True}, "x", {"timed_out": None}]
+)
+def test_a_description_of_others_is_no_error(tmp_path, call):
+    assert not {"calls", "calls_timed_out"} & findings_of(tmp_path, call).keys()

@@ -43,8 +43,6 @@ class CallNode(Protocol):
 
 @runtime_checkable
 class Caller(Protocol):
-    """A publisher that is the client of a call."""
-
     def is_matched(self) -> bool:
         """Return whether a server is discovered."""
 

@@ -1,4 +1,4 @@
-"""`ddsrouter`: eProsima's DDS Router, one program, or a half on each device."""
+"""`ddsrouter`: eProsima's DDS Router, successor of its Integration Service; one program, or a half on each device."""
 
 from __future__ import annotations
 

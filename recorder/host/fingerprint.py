@@ -1,4 +1,4 @@
-"""The fingerprint of a device, without host name, address or serial number; what the system does not report is empty."""
+"""The fingerprint of a device, without host name, address or serial number; what the system does not report is null or empty."""
 
 from __future__ import annotations
 

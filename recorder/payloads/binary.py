@@ -1,4 +1,4 @@
-"""Binary data: a `sensor_msgs/msg/Image` of one row of random bytes."""
+"""Binary data: a `sensor_msgs/msg/Image` of one row of random bytes, which no layer can compress."""
 
 from __future__ import annotations
 

@@ -68,7 +68,6 @@ class WireOptions:
 
     Attributes:
         rtps_ports: UDP ports of the run's DDS domains (`domain_ports`); other RTPS is left out. Empty: all RTPS counts.
-        udp_ports: of UDP that is not RTPS.
         ring_bytes: kernel memory for packets on each interface; 100 Mbit/s may need 12.5 MB a second.
         block_timeout_ms: how long the kernel collects packets before it delivers them, and how often they are counted.
         cpus: that the capturing process may run on; empty for its parent's.
@@ -131,9 +130,9 @@ class WireCapture:
         self._answer()
 
     def take(self) -> WireResult:
-        """Return what was counted since `begin`, a quarter of a second of late packets included; once for each `begin`.
+        """Return what was counted since `begin`, a quarter of a second of late packets included.
 
-        A waiting row needs 61 bytes of memory.
+        Call it once for each `begin`: rows and drops are handed over. A waiting row needs 61 bytes of memory.
         """
         self._ask({"ask": "take"})
         answer = self._answer()

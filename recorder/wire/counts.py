@@ -44,7 +44,7 @@ class Beginnings:
 
 @dataclass(slots=True)
 class RunTally:
-    """Counters that restart with each run; frames of other domains are only in `foreign_packets`."""
+    """Counters of a run; frames of other domains are only in `foreign_packets`."""
 
     classes: defaultdict[tuple[WireClass, Direction], ClassTally] = field(
         default_factory=lambda: defaultdict(ClassTally)

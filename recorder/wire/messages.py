@@ -152,7 +152,10 @@ STAMP_OFFSETS = (16, 8)
 
 
 def stamp_at(memory: memoryview, payload_at: int, seen_end: int) -> Stamp | None:
-    """Return the stamp of the serialized sample that begins at `payload_at`, None if it is not a message of ours."""
+    """Return the stamp of the serialized sample that begins at `payload_at`, None if it is not a message of ours.
+
+    Of other messages four bytes are compared and none is stored.
+    """
     for offset in STAMP_OFFSETS:
         begin = payload_at + offset
         if begin + STAMP_BYTES <= seen_end and memory[begin : begin + len(STAMP_PREFIX)] == STAMP_PREFIX:
@@ -188,7 +191,7 @@ def message_rows(packed: Sequence[MessageRows]) -> MessageRows:
 
 @dataclass(frozen=True, slots=True)
 class RepeatCount:
-    """Messages that were sent again `repeats` times; the other fields are None for those that were sent once."""
+    """Messages sent again `repeats` times; the other fields are None for those that were sent once."""
 
     repeats: int
     messages: int

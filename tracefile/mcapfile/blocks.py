@@ -146,7 +146,7 @@ class BlockJobs:
                 f"the {name} record of {counted(header.length, 'byte')} at byte {header.offset} is left out"
             )
             return
-        # Twice the previous stretch: little is read in vain if each record outside is single.
+        # Double the read size: few bytes are wasted when records are sparse.
         size = max(header.end - header.offset, min(self._stretch_bytes, self.file.size - header.offset))
         data = self.file.read(header.offset, size)
         scan = scan_records(data, 0, len(data), only=True)

@@ -85,6 +85,7 @@ class ChannelTable:
 
 
 def _parsed(opcode: int, content: Buffer) -> Schema | Channel:
+    """Parse once: data and summary, and all files of a recorder, have the same records."""
     if len(content) > _MOST_CACHED_BYTES:
         return _parse(opcode, content)
     return _parsed_once(opcode, bytes(content))

@@ -28,7 +28,7 @@ _thread_local = threading.local()
 
 
 class DamagedChunkError(Exception):
-    """A chunk with records that cannot be unpacked, or are not those that were written."""
+    """A chunk that cannot be unpacked, or has other records than were written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,7 @@ def _check_claims(compression: str, packed_bytes: int, unpacked_bytes: int, *, i
 
 
 class UnpackMemory:
-    """Memory that chunk after chunk is unpacked into, because fresh memory is slow at its first touch."""
+    """Memory for one chunk after the other: fresh memory is slow at its first touch."""
 
     def __init__(self) -> None:
         self._packed = bytearray()

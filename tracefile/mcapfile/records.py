@@ -1,6 +1,6 @@
 """Records of MCAP parsed into the classes of the `mcap` library, with bounds that it does not have.
 
-A file may be cut off, damaged or hostile.
+A file may be cut off, damaged or hostile: no field reaches beyond its record, and no map keeps a reader busy.
 """
 
 from __future__ import annotations

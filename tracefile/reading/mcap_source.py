@@ -203,7 +203,7 @@ class McapSource:
 
 
 def _blocks_ahead() -> int:
-    """Return the number of blocks made in advance, one per core and one more."""
+    """Return the number of blocks made in advance, one per core and one more; others only fill caches."""
     return min(_MOST_BLOCKS_AHEAD, len(os.sched_getaffinity(0)) + 1)
 
 

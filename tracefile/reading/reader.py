@@ -81,13 +81,9 @@ class ColumnsBuilder:
 
 
 class _StageColumns:
-    """Events of one stage, all columns in one piece of memory.
+    """Events of one stage, all columns in one piece of memory, unfilled parts of which are never allocated.
 
-    numpy requests large pages for it, which halves the cost of touching fresh memory; unfilled memory is never
-    allocated.
-
-    Attributes:
-        filled: number of events.
+    numpy requests large pages for it, which halves the cost of touching fresh memory.
     """
 
     def __init__(self, expected: int, memory: ColumnsMemory | None) -> None:

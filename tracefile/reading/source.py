@@ -54,8 +54,6 @@ class Batch:
 
 
 class Source(Protocol):
-    """File of messages."""
-
     @property
     def topics(self) -> frozenset[str]:
         """Topics seen so far, ours or not."""

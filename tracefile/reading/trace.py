@@ -179,7 +179,7 @@ def ring_beside(file: Path) -> RingBeside | None:
 
 @dataclass(slots=True)
 class TraceBuilder:
-    """Everything in a trace except its events, collected batch by batch."""
+    """A trace except its events, collected batch by batch."""
 
     path: Path
     texts: TextCollector = field(default_factory=TextCollector)

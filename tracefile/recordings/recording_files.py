@@ -1,6 +1,7 @@
 """Files of a foreign recording, each readable by itself, and the messages that its metadata claims.
 
-Libraries match topics by the texts of `metadata.yaml`, ignore the log (`-wal`) of a SQLite database, and take any file.
+Libraries match topics by the texts of `metadata.yaml`, ignore the log (`-wal`) of a SQLite database, and take any
+file of a folder.
 """
 
 from __future__ import annotations

@@ -37,7 +37,6 @@ class RecordingRecovery:
 
     Attributes:
         unchecked: messages without a checksum: their damage cannot be seen.
-        damages: what was broken, one line each.
     """
 
     path: Path

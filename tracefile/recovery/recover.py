@@ -128,7 +128,7 @@ def recover(path: str | os.PathLike[str], destination: str | os.PathLike[str] | 
 
 @dataclass(frozen=True, slots=True)
 class _FileCounts:
-    """Counts of a `Salvage`; all 0 of a file that is gone."""
+    """Counts of a `Salvage`; 0 of a file that is gone."""
 
     closed: bool = False
     events: int = 0
@@ -139,7 +139,7 @@ class _FileCounts:
 
 @dataclass(frozen=True, slots=True)
 class _KilledTrace:
-    """A trace read once, its ring, and the damage of that."""
+    """A trace and its ring, and their damage."""
 
     trace: Path
     file: _FileCounts

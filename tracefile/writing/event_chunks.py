@@ -102,7 +102,7 @@ def slots_in_time(events: Mapping[Stage, EventColumns]) -> Slots:
 
 
 class EventChunkBuilder:
-    """Builds in one reused buffer, because fresh memory is slow at its first touch."""
+    """Builds in one reused buffer: fresh memory is slow at its first touch."""
 
     def __init__(self, wall_offset_ns: int, max_events: int) -> None:
         self._wall_offset_ns = wall_offset_ns

@@ -1,8 +1,8 @@
 """`TraceSink`, which stores the events of a recording node.
 
-Events are packed into a ring file (`EventPacker`), departures (T1, T4) stamped in it. A thread moves them to the trace, a
-chunk every `chunk_seconds` or a quarter of the ring. A slot is reused only after its chunk is in the file: a killed
-process loses no event (`recovery`).
+Events are packed into a ring file (`EventPacker`), departures (T1, T4) stamped in it, so that no message leaves
+without its event. A thread moves them to the trace, a chunk every `chunk_seconds` or a quarter of the ring. A slot is
+reused only after its chunk is in the file: a killed process loses no event (`recovery`).
 """
 
 from __future__ import annotations
@@ -203,7 +203,9 @@ class TraceSink(EventPacker):
 
 @contextmanager
 def _quick_switches(*, only_if: bool) -> Iterator[None]:
-    """Shorten the switch interval: a busy thread releases the GIL every 5 ms, and a chunk needs it some twenty times."""
+    """Shorten the switch interval: a busy thread releases the GIL every 5 ms, and a chunk needs it some twenty times:
+    65536 slots would fill meanwhile.
+    """
     if not only_if:
         yield
         return

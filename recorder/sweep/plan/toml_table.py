@@ -1,4 +1,4 @@
-"""Tables of a TOML file with checked values."""
+"""Tables of a TOML file with checked values; errors name file, table and key."""
 
 from __future__ import annotations
 

@@ -20,8 +20,6 @@ _COMPARED_CHARACTERS = 100
 
 
 class Limit(Protocol):
-    """A validator of one kind of value."""
-
     def fault(self, value: object) -> str | None:
         """Return what to write instead of `value`, None if it is allowed."""
 

@@ -17,8 +17,6 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class PendingResult(Protocol[T_co]):
-    """A started job, such as a future of a pool."""
-
     def result(self) -> T_co:
         """Wait until the job is done; raise its exception."""
 
@@ -60,7 +58,7 @@ def in_order(
 
 @dataclass(slots=True)
 class _SharedJob(Generic[T]):
-    """A job for the pool, or for the thread that waits for it or an earlier one."""
+    """A job for the pool, or for a thread that waits for it or an earlier one."""
 
     job: Callable[[], T]
     future: Future[T]
@@ -94,8 +92,8 @@ class InlineExecutor(Executor):
 class FastLock:
     """A lock that is fast when caches are cold and no other thread has it, as is usual when a message arrives.
 
-    A `threading.Lock` then takes 6 to 9 us, this takes 2 (`docs/explanation/performance.md`): it is a token in a list. Where
-    each microsecond counts, write
+    A `threading.Lock` then takes 6 to 9 us, this 2 (`docs/explanation/performance.md`): a token in a list. Where each
+    microsecond counts, write
 
         try:
             take()  # lock.take
@@ -108,7 +106,7 @@ class FastLock:
             if lock.is_awaited:
                 lock.wake()
 
-    and everywhere else `with lock:`. A signal handler must not raise in a thread that uses it: between `take` and `try` the
+    and elsewhere `with lock:`. A signal handler must not raise in a thread that uses it: between `take` and `try` the
     token would be lost.
     """
 

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dds_trace.base.units import SECOND_NS, counted, spell_duration
+from dds_trace.base.units import SECOND_NS, counted, format_size, spell_duration
 from dds_trace.tracefile.format.descriptions import Qos
 
 from ..applied.differences import Setting
@@ -123,7 +123,7 @@ def _advice(view: RelayView, node: Node, plan: RunPlan, not_applied: tuple[Diffe
             "--transport udp"
         )
     if view.subscriptions:
-        return _advice_unheard(node)
+        return _advice_unheard(node, plan.payload.payload_bytes)
     options, backend = node.options, node.middleware.backend
     domain_id = options.domain_id if plan.relay_domain_id is None else plan.relay_domain_id
     further = "" if data_type.name in data_types() else f"--type {data_type.type_name} "
@@ -140,7 +140,11 @@ def _advice(view: RelayView, node: Node, plan: RunPlan, not_applied: tuple[Diffe
     )
 
 
-def _advice_unheard(node: Node) -> str:
+_MANY_FRAGMENTS_BYTES = 1_000_000
+"""About 700 frames of Ethernet: the loss of one loses the message."""
+
+
+def _advice_unheard(node: Node, size_bytes: int) -> str:
     others = ports_of_others(domain_port_range(node.options.domain_id))
     if others and node.middleware.vendor == "fastdds" and node.options.transport is not Transport.UDP:
         name, uid = next(iter(others.items()))
@@ -148,9 +152,16 @@ def _advice_unheard(node: Node) -> str:
             f"{SHM / name} belongs to user {uid} and this process to user {os.geteuid()}, and Fast DDS's shared memory is only "
             "open to its owner: run both as one user, or give both --transport udp"
         )
+    is_too_much = size_bytes >= _MANY_FRAGMENTS_BYTES and node.options.qos.reliability == "best_effort"
+    first = (
+        f"{format_size(size_bytes)} with best_effort is lost with any of its fragments, and a sender drops what the link does not "
+        "take in time: try --reliability reliable or a smaller --size; "
+        if is_too_much
+        else ""
+    )
     return (
-        "a relay is there but messages do not get through: check firewalls between the devices, try a "
-        "smaller --size or a longer --wait"
+        f"a relay is there but messages do not get through: {first}look at errors of the middleware above; try a smaller --size "
+        "or a longer --wait; check firewalls between the devices"
     )
 
 

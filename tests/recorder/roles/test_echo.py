@@ -80,6 +80,13 @@ def test_a_relay_in_sight_that_stays_silent(node, plan):
     assert "firewalls" in text
 
 
+def test_a_large_best_effort_message_comes_before_a_firewall(node):
+    see(node, listening=[Endpoint("relay_1", IMAGE)])
+    node.options = replace(node.options, qos=Qos("best_effort"))
+    advice = explain_silence(node, RunPlan(BINARY.make(5_000_000, 1), 10.0, 5), 20).splitlines()[-1]
+    assert 0 < advice.index("5 MB with best_effort") < advice.index("--size") < advice.index("firewalls")
+
+
 def test_no_socket_is_missed_where_no_relay_is_seen(node, plan):
     missing = Difference(Setting.TRANSPORT, "tcp", "no TCP socket is open", "asked for TCP, no TCP socket is open")
     see(node)

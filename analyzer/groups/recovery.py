@@ -89,7 +89,7 @@ def recovery_of(rows: pl.DataFrame, outage: OutageTimes) -> Mapping[str, object]
     messages = rows.group_by("sequence").agg(
         pl.col("publish_ns", "relay_in_ns", "receive_ns").min(), pl.col("reordered").any(), pl.col("duplicates").sum()
     )
-    back_ns = _first_after(rows["receive_ns"], ended_ns)
+    back_ns = _first_after(rows["receive_ns"], outage)
     is_lost = pl.col("receive_ns").is_null()
     within = messages.filter(pl.col("publish_ns").is_between(began_ns, ended_ns, closed="left"))
     later = messages.filter(pl.col("publish_ns") >= ended_ns)
@@ -97,7 +97,7 @@ def recovery_of(rows: pl.DataFrame, outage: OutageTimes) -> Mapping[str, object]
     return {
         "outage_ns": ended_ns - began_ns,
         "never": back_ns is None or back_ns > outage["limit_ns"],
-        "out_ns": _first_after(rows["relay_in_ns"], ended_ns),
+        "out_ns": _first_after(rows["relay_in_ns"], outage),
         "back_ns": back_ns,
         "lost_within": within.filter(is_lost).height,
         "replayed": within.filter(pl.col("receive_ns") > ended_ns).height,
@@ -107,6 +107,13 @@ def recovery_of(rows: pl.DataFrame, outage: OutageTimes) -> Mapping[str, object]
     }
 
 
-def _first_after(times_ns: pl.Series, ended_ns: int) -> int | None:
-    first_ns = times_ns.filter(times_ns > ended_ns).min()
-    return int(first_ns) - ended_ns if isinstance(first_ns, int) else None
+_COMMAND_NS = 100_000_000
+"""How long the command that ends an outage may take after the link is up."""
+
+
+def _first_after(times_ns: pl.Series, outage: OutageTimes) -> int | None:
+    """Return when the first message came, from the stated end on; 0 where the link was up a little before it."""
+    ended_ns = outage["ended_ns"]
+    up_ns = max(ended_ns - _COMMAND_NS, (outage["began_ns"] + ended_ns) // 2)
+    first_ns = times_ns.filter(times_ns > up_ns).min()
+    return max(int(first_ns) - ended_ns, 0) if isinstance(first_ns, int) else None

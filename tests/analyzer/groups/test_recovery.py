@@ -100,3 +100,11 @@ def test_freshness_has_the_periods_of_a_control_loop_at_the_relay(tmp_path):
     messages[20] = replace(messages[20], t3=messages[20].t3 + 40 * MS, t4=messages[20].t4 + 40 * MS)
     (row,) = campaign(tmp_path, messages).details.freshness.to_dicts()
     assert (row["period_ns"], row["late_by_max_ns"], row["empty_periods"]) == (100 * MS, 40 * MS, 0)
+
+
+def test_a_reply_before_the_stated_end_is_the_first_one(tmp_path):
+    messages = [cut(sequence) for sequence in range(80)]
+    early = ENDED_NS - 60 * MS
+    messages[49] = replace(messages[49], t3=early, t4=early, t2=early + MS)
+    (row,) = campaign(tmp_path, messages).details.recoveries.iter_rows(named=True)
+    assert (row["out_ns"], row["back_ns"], row["never"]) == (0, 0, False)

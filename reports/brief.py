@@ -28,6 +28,7 @@ INLINE_BAR, BAR = 5, 30
 """Cells of the longest bar in a line of all setups, and in a line of its own."""
 
 LOSSES = (PointKind.LOSS, PointKind.AVOID)
+FIRST = (PointKind.RECOVERY, *LOSSES)
 
 PASS, FAIL, OPEN = ("✓", "green"), ("✗", "red"), ("·", "dim")
 
@@ -41,7 +42,9 @@ def brief_lines(book: Book) -> list[Text]:
     title = book.overview.title + (f": {measured.replace(' in ', f' {noun} in ', 1)}" if measured else "")
     parts = [_wrapped(title, "", "bold")]
     vendors = book.groups.vendors
-    parts += [_marked(FAIL, sentence) for kind, sentence in answer.sentences if kind in LOSSES]
+    parts += [
+        _marked(FAIL if kind in LOSSES else OPEN, sentence) for kind, sentence in answer.sentences if kind in FIRST
+    ]
     thresholds = _thresholds(book)
     parts += [thresholds] if thresholds else []
     if PointKind.FASTEST in answer.kinds:
@@ -52,7 +55,7 @@ def brief_lines(book: Book) -> list[Text]:
                 words.replace(" as long", "") for words in bridge_facts(book.analysis.details.bridge_costs, vendors)
             ]
             parts.append([*_wrapped(COMPARED, "", "bold"), *(line for fact in facts for line in _marked(PASS, fact))])
-        elif kind not in (*LOSSES, PointKind.FASTEST):
+        elif kind not in (*FIRST, PointKind.FASTEST):
             parts.append(_marked(OPEN, sentence))
     return _fitted(parts, "" if book.shows_all else _more(book))
 

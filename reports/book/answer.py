@@ -42,6 +42,7 @@ from .headline import (
     factor_words,
     few_lost_sentence,
     loss_sentence,
+    recovery_sentence,
     tail_sentence,
     where_sentence,
     winner_sentences,
@@ -53,6 +54,7 @@ from .verdicts import CLEARLY, WITHIN_ONE_RUN, DataVerdict, contender_labels, pl
 
 
 class PointKind(str, Enum):
+    RECOVERY = "recovery"
     LOSS = "loss"
     AVOID = "avoid"
     CURE = "cure"
@@ -115,6 +117,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
     rule = CLEARLY if any(one.within_one_run < one.cells for one in verdicts) else WITHIN_ONE_RUN
     first, *others = _who_is_fastest(verdicts, groups, values, answers)
     sentences = [
+        (PointKind.RECOVERY, recovery_sentence(analysis, groups)),
         (PointKind.LOSS, loss_sentence(groups, values)),
         (PointKind.AVOID, avoid_sentence(answers, groups.vendors, cures)),
         (PointKind.CURE, cure_sentence(answers, groups.vendors, cures)),

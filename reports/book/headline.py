@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from statistics import median
 
 import polars as pl
 
@@ -12,7 +13,7 @@ from dds_trace.analyzer.model.setting import condition_of
 from dds_trace.analyzer.verdicts.answers import CaseAnswer, Clarity
 from dds_trace.analyzer.verdicts.judgements import DO_NOT_USE, Claim, Judgement, Reason
 from dds_trace.base.printable import printable
-from dds_trace.base.units import counted, format_number, format_rate, format_size
+from dds_trace.base.units import counted, format_duration, format_number, format_rate, format_size
 
 from .groups import (
     Group,
@@ -34,6 +35,35 @@ BUSY_SHARE = 0.25
 """Share of recordings with a full processor from which on a report warns."""
 
 MOST_NAMED = 3
+
+
+def recovery_sentence(analysis: Analysis, groups: Groups) -> str:
+    """Return how long each setup took to come back from outages that the sweep made: median and range of its runs."""
+    times_ns: dict[str, list[float | None]] = {}
+    own = {group.index: groups.series_of(group) for group in groups.groups}
+    rows = analysis.details.recoveries.select("group", "by", "outage_ns", "never", "back_ns")
+    for group, by, outage_ns, never, back_ns in rows.iter_rows():
+        if group in own:
+            setup = f"{own[group].vendor_label}, {domain_label(own[group])}, {printable(by)} {outage_ns / 1e9:.1f} s"
+            times_ns.setdefault(setup, []).append(None if never else back_ns)
+    return (
+        f"After an outage, replies came back: {_some([*map(_came_back, times_ns.items())], 'more')}."
+        if times_ns
+        else ""
+    )
+
+
+def _came_back(setup: tuple[str, Sequence[float | None]]) -> str:
+    name, times_ns = setup
+    back_ns = sorted(time_ns for time_ns in times_ns if time_ns is not None)
+    never = len(times_ns) - len(back_ns)
+    words = [f"never in {never} of {counted(len(times_ns), 'run')}"] * bool(never)
+    if back_ns:
+        least, most = format_duration(back_ns[0]), format_duration(back_ns[-1])
+        words.insert(
+            0, f"after {format_duration(median(back_ns))} ({least} to {most} in {counted(len(back_ns), 'run')})"
+        )
+    return f"{name}: {', '.join(words)}"
 
 
 def loss_sentence(groups: Groups, values: Values) -> str:

@@ -10,6 +10,8 @@ from trace_files import RUN_ID, Message, ping_events, ping_session, relay_events
 
 from dds_trace.analyzer.groups.freshness import late_by
 from dds_trace.analyzer.pipeline import analyze
+from dds_trace.reports.book.answer import PointKind
+from dds_trace.reports.book.book import Book
 
 MS, S = 1_000_000, 1_000_000_000
 BEGAN_NS, ENDED_NS = 2 * S, 5 * S
@@ -108,3 +110,9 @@ def test_a_reply_before_the_stated_end_is_the_first_one(tmp_path):
     messages[49] = replace(messages[49], t3=early, t4=early, t2=early + MS)
     (row,) = campaign(tmp_path, messages).details.recoveries.iter_rows(named=True)
     assert (row["out_ns"], row["back_ns"], row["never"]) == (0, 0, False)
+
+
+def test_the_answer_begins_with_how_long_each_setup_took_to_come_back(tmp_path):
+    kind, text = Book(campaign(tmp_path, [cut(sequence) for sequence in range(80)])).answer.sentences[0]
+    assert kind is PointKind.RECOVERY
+    assert "link 3.0 s: after 2 ms (2 ms to 2 ms in 1 run)" in text

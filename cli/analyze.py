@@ -317,9 +317,9 @@ def _parse_deadline(text: str | None) -> tuple[int | None, str]:
 
     if text is None:
         return None, DEADLINE_METRIC
-    time, *named = text.split() or [""]
-    metrics = [word.removeprefix("metric=") for word in named if word.startswith("metric=")]
-    if len(named) > 1 or len(metrics) != len(named):
+    time, *metric_name = text.split() or [""]
+    metrics = [word.removeprefix("metric=") for word in metric_name if word.startswith("metric=")]
+    if len(metric_name) > 1 or len(metrics) != len(metric_name):
         raise OptionError(f"--deadline {text!r}: write a time, then metric=NAME: '20ms metric=outbound'")
     metric = metrics[0] if metrics else DEADLINE_METRIC
     if metric not in DEADLINE_METRICS:

@@ -77,14 +77,14 @@ def main_command(
         return
     if name is None:
         raise OptionError("name a bridge, as in `dds-bridge builtin`; `dds-bridge --list` shows all of them")
-    given = given_values(values)
+    chosen = given_values(values)
     options = BridgeOptions(
         from_domain,
         to_domain,
         topics=(*BRIDGED_TOPICS, *map(bridged_topic, topics or ())),
-        qos=read_record(CommandOptions, given).qos,
-        discovery=given.get("discovery") or default_discovery(),
-        tuned=given.get("tuned", False),
+        qos=read_record(CommandOptions, chosen).qos,
+        discovery=chosen.get("discovery") or default_discovery(),
+        tuned=chosen.get("tuned", False),
         half=Half.BOTH if half is None else Half(half.value),
         listen=listen,
         peers=tuple(peer or ()),

@@ -148,15 +148,15 @@ def _is_own_only(key: str, value: object) -> bool:
 
 
 def _folders() -> Iterator[Path]:
-    here = Path.cwd()
+    working = Path.cwd()
     home = Path(_home())
     above = []
-    for folder in (here, *here.parents):
+    for folder in (working, *working.parents):
         above.append(folder)
         if folder == home or (folder / ".git").exists():
             yield from above
             return
-    yield here
+    yield working
 
 
 def _check_owner(path: Path, owner: int) -> None:

@@ -39,26 +39,26 @@ def run_program(
     adapt: Adapt | None = None,
     needs_stdout: bool = True,
 ) -> None:
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     completed = take_completed_command(name, app, commands)
 
     def run() -> None:
-        chosen = completed or (given[0] if given and given[0] in commands else None)
+        chosen = completed or (words[0] if words and words[0] in commands else None)
         if chosen is None:
-            refuse_misspelt(name, commands, given)
+            refuse_misspelt(name, commands, words)
         command = typer.main.get_command(app if chosen is None else commands[chosen])
         if adapt is not None:
             adapt(command)
         if completed is not None or chosen is None:
-            command(given, prog_name=name)
+            command(words, prog_name=name)
         else:
-            command(given[1:], prog_name=f"{name} {chosen}")
+            command(words[1:], prog_name=f"{name} {chosen}")
 
     run_command(run, needs_stdout=needs_stdout)
 
 
-def refuse_misspelt(name: str, commands: Collection[str], given: Sequence[str], *, takes_paths: bool = True) -> None:
-    word = given[0] if given else "-"
+def refuse_misspelt(name: str, commands: Collection[str], words: Sequence[str], *, takes_paths: bool = True) -> None:
+    word = words[0] if words else "-"
     meant = get_close_matches(word, commands, n=1, cutoff=CLOSE_ENOUGH)
     if word.startswith("-") or (takes_paths and (not meant or Path(word).exists())):
         return

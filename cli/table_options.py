@@ -39,9 +39,9 @@ def with_options(names: Iterable[str], *, in_panels: bool) -> Callable[[Callable
     options = [_parameter(name, in_panels) for name in sorted(names, key=rank)]
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        own = list(inspect.signature(function, eval_str=True).parameters.values())[:-1]
-        version = own[-1].replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        parameters = [*own[:-1], *options, version]
+        own_parameters = list(inspect.signature(function, eval_str=True).parameters.values())[:-1]
+        version = own_parameters[-1].replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        parameters = [*own_parameters[:-1], *options, version]
         function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         function.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         return function
@@ -78,9 +78,9 @@ def given_values(values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def read_record(record: type[_Record], given: Mapping[str, Any], **more: object) -> _Record:
-    names = [column.name for column in fields(record) if column.name in given]  # type: ignore[arg-type]
-    return record(**{name: OPTIONS[name].read(given[name]) for name in names}, **more)
+def read_record(record: type[_Record], chosen: Mapping[str, Any], **more: object) -> _Record:
+    names = [column.name for column in fields(record) if column.name in chosen]  # type: ignore[arg-type]
+    return record(**{name: OPTIONS[name].read(chosen[name]) for name in names}, **more)
 
 
 DEFAULT_DOMAIN = 10

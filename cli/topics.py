@@ -64,7 +64,7 @@ def _exit_code(report: TopicReport, judged: Sequence[JudgedTopic], gates: Sequen
     if report.verdict == DAMAGED:
         return DAMAGED_EXIT_CODE
     if gates:  # they say which holes are too many
-        outcomes = {one.outcome for one in judged}
+        outcomes = {judgement.outcome for judgement in judged}
         worst = (GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE, GateOutcome.PASSED)
         return next(outcome for outcome in worst if outcome in outcomes).exit_code
     return HOLES_EXIT_CODE if report.verdict == HOLES else 0

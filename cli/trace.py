@@ -70,24 +70,24 @@ def _record_command(role: Annotated[str, argument("ROLE", "", autocompletion=sta
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     completed = take_completed_command(PROGRAM, app, (*_MODULES, *_OF_ANALYZE))
-    word = completed or (given[0] if given else "--help")
+    word = completed or (words[0] if words else "--help")
     if completed in _OF_ANALYZE:
         _complete("analyze", completed)
     elif word in _OF_ANALYZE:
-        _main_of("analyze")(given, name=PROGRAM, adapt=_adapt)
+        _main_of("analyze")(words, name=PROGRAM, adapt=_adapt)
     elif word not in _MODULES:
 
         def show_help() -> None:
-            refuse_misspelt(PROGRAM, (*_MODULES, *_OF_ANALYZE), given or [word], takes_paths=False)
-            app(given or [word], prog_name=PROGRAM)
+            refuse_misspelt(PROGRAM, (*_MODULES, *_OF_ANALYZE), words or [word], takes_paths=False)
+            app(words or [word], prog_name=PROGRAM)
 
         run_command(show_help)
     elif word == "record":
-        _record(given[1:], is_completed=completed is not None)
+        _record(words[1:], is_completed=completed is not None)
     else:
-        _main_of(word)(given[1:], name=PROGRAM if completed else f"{PROGRAM} {word}", adapt=_adapt)
+        _main_of(word)(words[1:], name=PROGRAM if completed else f"{PROGRAM} {word}", adapt=_adapt)
 
 
 def _record(given: list[str], *, is_completed: bool) -> None:

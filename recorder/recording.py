@@ -104,7 +104,9 @@ class RelayRecording(BaseRecording):
 
     def prepare(self, stack: ExitStack) -> None:
         served = served_data_types(self.options.types)
-        self._data_types = tuple(one.in_flow(flow) for flow in self.options.flows for one in served) or served
+        self._data_types = (
+            tuple(data_type.in_flow(flow) for flow in self.options.flows for data_type in served) or served
+        )
         check_serialization(self._data_types, self.options.serialization)
         super().prepare(stack)
 
@@ -163,18 +165,20 @@ class PingRecording(BaseRecording):
         self._ping_options: PingOptions = options.ping
 
     def prepare(self, stack: ExitStack) -> None:
-        given, options = self._ping_options, self.options
-        seed = secrets.randbits(32) if given.seed is None else given.seed
-        size_bytes = ACTION_GOAL_BYTES if options.node.call is Call.ACTION else given.size_bytes
+        ping_options, options = self._ping_options, self.options
+        seed = secrets.randbits(32) if ping_options.seed is None else ping_options.seed
+        size_bytes = ACTION_GOAL_BYTES if options.node.call is Call.ACTION else ping_options.size_bytes
         open_source = partial(self.open_node, "source")
         payload = stack.enter_context(
-            open_payload(given.data, size_bytes, seed, open_node=open_source, wait_s=given.wait_s, stop=self.stop)
+            open_payload(
+                ping_options.data, size_bytes, seed, open_node=open_source, wait_s=ping_options.wait_s, stop=self.stop
+            )
         )
         for note in payload.notes:
             self.watch.note(note)
         for flow in options.flows:
             payload = payload.in_flow(flow)
-        self._plan = plan = plan_run(options, given, payload, session_id=self.session_id, seed=seed)
+        self._plan = plan = plan_run(options, ping_options, payload, session_id=self.session_id, seed=seed)
         if load_backend(options.backend).speaks_dds:
             warning = warn_of_depth(plan.qos.history, plan.qos.depth, plan.rate_hz)
             if warning is not None:
@@ -195,14 +199,14 @@ class PingRecording(BaseRecording):
         return not self.stop.is_set()  # a file without a message would block the next try
 
     def _wait_for_echo(self) -> None:
-        ping, node, given, bridge = self.ping, self.node, self._ping_options, self.bridge
+        ping, node, ping_options, bridge = self.ping, self.node, self._ping_options, self.bridge
         data_type = self._plan.payload.data_type
         self.watch.note(f"waiting for an echo of {data_type.topic} in domain {node.options.domain_id}")
         has_echo, waited_s = False, 0.0
         not_applied: tuple[Difference, ...] = ()
-        while not has_echo and waited_s < given.wait_s and not self.stop.is_set() and node.error is None:
-            slice_s = min(HOPELESS_S, given.wait_s - waited_s)
-            has_echo = self._probe(slice_s, given.wait_s - waited_s, given.relays)
+        while not has_echo and waited_s < ping_options.wait_s and not self.stop.is_set() and node.error is None:
+            slice_s = min(HOPELESS_S, ping_options.wait_s - waited_s)
+            has_echo = self._probe(slice_s, ping_options.wait_s - waited_s, ping_options.relays)
             waited_s += slice_s
             self.raise_error_of_node()
             if bridge is not None:
@@ -212,7 +216,7 @@ class PingRecording(BaseRecording):
             if look_for_relays(node, data_type).is_hopeless:
                 break
         if not has_echo and not self.stop.is_set():
-            answers = f"{ping.echoing_relays} of {given.relays} relays answer; " if ping.echoing_relays else ""
+            answers = f"{ping.echoing_relays} of {ping_options.relays} relays answer; " if ping.echoing_relays else ""
             raise NoEchoError(answers + explain_silence(node, ping.plan, waited_s, not_applied))
         if has_echo and bridge is not None:
             bridge.mark_ready()

@@ -92,14 +92,14 @@ def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterat
     """Yield for each kind of data a heading, its facts and its bars; of several places those with the commonest outcome."""
     several, is_drawn = len({answer.data_type for answer in answers}) > 1, False
     compared = (answer for answer in answers if answer.clarity is not Clarity.ONLY_ONE)
-    for (mode, data_type), places in answers_by_kind(compared):
-        shown = places_alike(places)[0]
+    for (mode, data_type), sites in answers_by_kind(compared):
+        shown = places_alike(sites)[0]
         heading = ["Fastest", "in the same domain" if mode == "same" else f"across {printable(mode)} domains"]
         heading += [f"({data_type_label(data_type)})"] if several else []
-        if len(places) > 1:
-            of = f"{len(shown)} of {len(places)}" if len(shown) < len(places) else f"each of {len(places)}"
+        if len(sites) > 1:
+            of = f"{len(shown)} of {len(sites)}" if len(shown) < len(sites) else f"each of {len(sites)}"
             heading.append(f"on {of} pairs of devices and links")
-        cut = stretches(case for setup in shown for case in places[setup])
+        cut = stretches(case for setup in shown for case in sites[setup])
         sizes = [size for stretch in cut for size in stretch.sizes]
         lines = _wrapped(" ".join(heading), "", "bold")
         for stretch in by_outcome(cut) if len(cut) > MOST_NAMED else cut:
@@ -107,7 +107,7 @@ def _winners(answers: Sequence[CaseAnswer], labels: Mapping[str, str]) -> Iterat
             words = f"{span}: {fastest_words(stretch, labels)}"
             is_decided = stretch.outcome is not None and stretch.outcome.is_decided
             lines += _marked(PASS if is_decided else OPEN, words)
-        if not is_drawn and (bars := _bars(places[shown[0]], labels, place=shown[0] if len(places) > 1 else "")):
+        if not is_drawn and (bars := _bars(sites[shown[0]], labels, place=shown[0] if len(sites) > 1 else "")):
             is_drawn, lines = True, [*lines, *bars]
         yield lines
 

@@ -148,7 +148,7 @@ def _verdict(book: Book) -> tuple[PointKind, str, Sequence[CaseAnswer]]:
     for by_place in ordered:
         cases = by_place[places_alike(by_place)[0][0]]
         if any(outcome_of(case).is_decided for case in cases):
-            all_cases = [case for own in by_place.values() for case in own]
+            all_cases = [case for site_cases in by_place.values() for case in site_cases]
             return PointKind.FASTEST, winner_sentences(all_cases, book.groups.vendors)[0], cases
     sentences = book.answer.sentences
     kind, sentence = next(

@@ -231,14 +231,14 @@ def fit_clocks(fits: Sequence[RelayedMessages]) -> list[tuple[ClockFit, ClockOff
     windows = fit_windows(points, [stretch for fit_points in stretches for stretch in fit_points])
     offset_ns, bound_ns = np.empty((2, edges[-1]), np.int64)
     fitted = []
-    for messages, fit_points, own, (first, after) in zip(fits, all_points, stretches, pairwise(edges), strict=True):
+    for messages, fit_points, parts, (first, after) in zip(fits, all_points, stretches, pairwise(edges), strict=True):
         names = messages.ping_device, messages.relay_device, messages.boot
         if fit_points is None:
             nothing = np.empty(0, np.int64)
             no_fit = ClockFit(*names, False, (), (), messages.relay_boot)
             fitted.append((no_fit, ClockOffsets(nothing, nothing)))
             continue
-        segments, steps = _segments(points.time, windows, own, fit_points)
+        segments, steps = _segments(points.time, windows, parts, fit_points)
         fit = ClockFit(*names, fit_points.same_clock, segments, steps, messages.relay_boot)
         fitted.append((fit, fit_points.offsets(offset_ns[first:after], bound_ns[first:after])))
     return fitted

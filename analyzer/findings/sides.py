@@ -87,7 +87,7 @@ def recorded_in_sequence(evidence: Evidence) -> Iterator[Observation]:
 )
 def dependent_passes(evidence: Evidence) -> Iterator[Observation]:
     """Passes depend on each other."""
-    rows = [row for one in evidence.details.answers for row in one.of_claim(Claim.FASTEST, "latency_p50")]
+    rows = [row for answer in evidence.details.answers for row in answer.of_claim(Claim.FASTEST, "latency_p50")]
     groups = sorted({row.group for row in rows if row.reason == Reason.DEPENDENT.value and row.group is not None})
     if groups:
         yield Observation(

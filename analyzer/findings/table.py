@@ -404,11 +404,11 @@ def _worst(findings: list[Finding]) -> list[Finding]:
     if len(others) <= 1:
         return findings
     first = others[0]
-    rest = replace(
+    without_worst = replace(
         first,
         where=f"{first.where}; and {len(others) - 1} more",
         what=f"{len(others)} more of this kind. {first.what}",
         groups=tuple(dict.fromkeys(group for finding in others for group in finding.groups)),
         count=len(others),
     )
-    return [*findings[:_MOST_LISTED], rest]
+    return [*findings[:_MOST_LISTED], without_worst]

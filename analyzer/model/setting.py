@@ -84,12 +84,12 @@ def _side(session: Session) -> dict[str, str]:
 
 def _configuration(host: JsonObject) -> dict[str, str]:
     configuration = host.get("configuration")
-    named: dict[str, str] = {}
+    hash_of: dict[str, str] = {}
     for variable, entries in configuration.items() if isinstance(configuration, dict) else ():
         files = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
         if files:
-            named[variable] = "+".join(f"{entry.get('name')}#{str(entry.get('sha256'))[:8]}" for entry in files)
-    return named
+            hash_of[variable] = "+".join(f"{entry.get('name')}#{str(entry.get('sha256'))[:8]}" for entry in files)
+    return hash_of
 
 
 def _run_settings(run: Run) -> dict[str, str]:

@@ -262,8 +262,10 @@ def find_relay_session(
 
 def _sessions_in(campaign: Campaign, traces: set[int], role: str) -> list[Session]:
     described = {session.session_id for trace in traces for session in campaign.traces[trace].sessions}
-    named = [session for session in (campaign.sessions[session_id] for session_id in described) if session.role == role]
-    return sorted(named, key=lambda session: (session.wall_anchor_ns, session.session_id))
+    sessions = [
+        session for session in (campaign.sessions[session_id] for session_id in described) if session.role == role
+    ]
+    return sorted(sessions, key=lambda session: (session.wall_anchor_ns, session.session_id))
 
 
 def _last_started_before(candidates: list[Session], first_ns: int) -> Session | None:

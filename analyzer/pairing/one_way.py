@@ -101,15 +101,15 @@ def fit_exchanges(
     for number, (exchange, first, after) in enumerate(
         zip(exchanges, bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)
     ):
-        here = slice(first, after)
-        usable = _usable(stamps, here, damaged)
+        span = slice(first, after)
+        usable = _usable(stamps, span, damaged)
         if usable.all():
-            at: slice | NDArray[np.intp] = here
+            at: slice | NDArray[np.intp] = span
         elif usable.any():
             at = first + np.flatnonzero(usable)
         else:
             continue
-        is_fitted[here] = usable
+        is_fitted[span] = usable
         messages = RelayedMessages(
             publish_ns=stamps["publish_ns"][at],
             relay_in_ns=stamps["relay_in_ns"][at],
@@ -122,7 +122,7 @@ def fit_exchanges(
         )
         fitted.append(_FitInput(number, at, messages))
     fits: list[ClockFit | None] = [None] * len(exchanges)
-    for source, (fit, offsets) in zip(fitted, fit_clocks([one.messages for one in fitted]), strict=True):
+    for source, (fit, offsets) in zip(fitted, fit_clocks([stamped.messages for stamped in fitted]), strict=True):
         t1, t3, t4, t2 = (getattr(source.messages, name) for name in _FOUR_STAMPS)
         under_way = t2 - t1
         under_way -= t4

@@ -191,22 +191,22 @@ def pair_exchanges(
         else {}
         for exchange in exchanges
     ]
-    for exchange, every, is_there, mask, first in zip(
+    for exchange, all_messages, is_there, mask, first in zip(
         exchanges, messages_of_exchanges, in_service, masks, bounds[:-1].tolist(), strict=True
     ):
         events_of_stage = {key[0]: events[key] for key in exchange.event_keys()}
-        paired = pair(exchange, every)
-        unsent, messages = count_unsent(exchange.run, every, events_of_stage[Stage.T2]), every
+        paired = pair(exchange, all_messages)
+        unsent, messages = count_unsent(exchange.run, all_messages, events_of_stage[Stage.T2]), all_messages
         if not mask.all():
-            messages, paired = every.take(mask), paired.take(mask)
-        absent = len(every) - int(np.count_nonzero(is_there))
+            messages, paired = all_messages.take(mask), paired.take(mask)
+        absent = len(all_messages) - int(np.count_nonzero(is_there))
         counts.append(
             pool.submit(
                 count_messages,
                 messages,
                 paired,
                 unsent=unsent,
-                in_flight=len(every) - absent - len(messages),
+                in_flight=len(all_messages) - absent - len(messages),
                 absent=absent,
                 history_ns=exchange.run.history_ns,
             )

@@ -311,8 +311,8 @@ def detectable_changes(
             if (ratio := smallest_detectable_ratio(change, tests, confidence, same_within)) is not None
         )
         least, most = (ratios[0], ratios[-1]) if ratios else ((None, None), (None, None))
-        found = most[0], least[0], least[1], most[1]
-        detectable.append(DetectableChange(metric, statistic, len(family), len(ratios), *found))
+        limits = most[0], least[0], least[1], most[1]
+        detectable.append(DetectableChange(metric, statistic, len(family), len(ratios), *limits))
     return tuple(detectable)
 
 

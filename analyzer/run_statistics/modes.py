@@ -206,9 +206,9 @@ def _kernel(deviation: float) -> Float64:
 
 
 def _deepest(density: Float64, counts: Float64, centres: Float64, kernel_bins: float) -> Modes | None:
-    left = np.maximum.accumulate(density)
+    peak_before = np.maximum.accumulate(density)
     right = np.maximum.accumulate(density[::-1])[::-1]
-    lower_peak = np.minimum(left, right)
+    lower_peak = np.minimum(peak_before, right)
     below = np.cumsum(counts)
     share = np.minimum(below, below[-1] - below) / below[-1]
     # A smoothed count under a normal kernel of s bins has a variance of itself / (2 sqrt(pi) s).

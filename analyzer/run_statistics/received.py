@@ -226,22 +226,22 @@ def loss_excesses(groups: Sequence[Sequence[Bools]], limit: float, confidence: f
     much they differ: the test that is adjusted by Holm takes the ratio of both variances from all groups.
     """
     measured = [_Losses([run for run in runs if len(run)]) for runs in groups]
-    tested = [one for one in measured if one.runs >= MIN_RUNS]
-    lossy = [one for one in tested if one.lost > 1]
-    degrees = sum(one.runs - 1 for one in lossy)
-    ratio = sum((one.runs - 1) * one.variance / one.least for one in lossy) / max(1, degrees)
+    tested = [sample for sample in measured if sample.runs >= MIN_RUNS]
+    lossy = [sample for sample in tested if sample.lost > 1]
+    degrees = sum(sample.runs - 1 for sample in lossy)
+    ratio = sum((sample.runs - 1) * sample.variance / sample.least for sample in lossy) / max(1, degrees)
     adjusted = iter(
-        holm_adjusted([one.p_value(limit, max(1.0, ratio) * one.least, degrees) for one in tested]).tolist()
+        holm_adjusted([sample.p_value(limit, max(1.0, ratio) * sample.least, degrees) for sample in tested]).tolist()
     )
     return [
         LossExcess(
-            *(one.lost, one.messages, *one.ends(confidence)),
-            p_value=one.p_value(limit, one.least, one.runs - 1),
+            *(sample.lost, sample.messages, *sample.ends(confidence)),
+            p_value=sample.p_value(limit, sample.least, sample.runs - 1),
             p_adjusted=next(adjusted),
         )
-        if one.runs >= MIN_RUNS
-        else LossExcess(one.lost, one.messages)
-        for one in measured
+        if sample.runs >= MIN_RUNS
+        else LossExcess(sample.lost, sample.messages)
+        for sample in measured
     ]
 
 

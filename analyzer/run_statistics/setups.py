@@ -70,8 +70,8 @@ class SetupMean:
 
 def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
     pools: dict[Hashable, list[Key]] = defaultdict(list)
-    for (kind, setup), own in runs.items():
-        pools[setup, own.repeats].append((kind, setup))
+    for (kind, setup), values in runs.items():
+        pools[setup, values.repeats].append((kind, setup))
     residuals = {
         pool: np.array([runs[key].values - runs[key].values.mean() for key in keys]) for pool, keys in pools.items()
     }
@@ -92,7 +92,7 @@ def setup_means(runs: Mapping[Key, RunLogarithms]) -> dict[Key, SetupMean]:
 
 def campaign_variance(residuals: Iterable[Float64]) -> float:
     """Return the mean variance of a run over all kinds and setups; `residuals` have shape (kinds, repeats)."""
-    variances = [np.square(own).sum(axis=1) / (own.shape[1] - 1) for own in residuals]
+    variances = [np.square(rows).sum(axis=1) / (rows.shape[1] - 1) for rows in residuals]
     return float(np.concatenate(variances).mean())
 
 
@@ -132,11 +132,11 @@ def pooled_variance(residuals: Float64) -> tuple[float, float]:
 
 def spreads_are_alike(residuals: Iterable[Float64]) -> bool:
     statistic, freedom = 0.0, 0
-    for own in residuals:
-        kinds, repeats = own.shape
+    for residual in residuals:
+        kinds, repeats = residual.shape
         if kinds < 2:
             continue
-        variances = np.square(own).sum(axis=1) / (repeats - 1)
+        variances = np.square(residual).sum(axis=1) / (repeats - 1)
         if not variances.all():  # runs that are equal to the digit are not of the others' spread
             return not variances.any()
         correction = 1 + (kinds + 1) / (3 * kinds * (repeats - 1))
@@ -149,10 +149,10 @@ def spreads_are_alike(residuals: Iterable[Float64]) -> bool:
 def spreads_more(residuals: Float64, index: int) -> bool:
     if len(residuals) < 2:
         return False
-    (own, degrees), (others, others_degrees) = (
+    (variance, degrees), (others, others_degrees) = (
         pooled_variance(part) for part in (residuals[index : index + 1], np.delete(residuals, index, axis=0))
     )
-    share = others * others_degrees / (others * others_degrees + own * degrees) if own else 1.0
+    share = others * others_degrees / (others * others_degrees + variance * degrees) if variance else 1.0
     return incomplete_beta(share, others_degrees / 2, degrees / 2) <= MORE_UP_TO
 
 
@@ -162,11 +162,11 @@ def tier_letters(names: Sequence[str], different: Collection[tuple[str, str]]) -
     Insert and absorb (H.-P. Piepho, Journal of Computational and Graphical Statistics 13, 2004). `a` has the first name.
     """
     tiers = [frozenset(names)]
-    for one, other in combinations(names, 2):
-        if (one, other) not in different and (other, one) not in different:
+    for first, other in combinations(names, 2):
+        if (first, other) not in different and (other, first) not in different:
             continue
         split = [
-            part for tier in tiers for part in ((tier - {one}, tier - {other}) if {one, other} <= tier else (tier,))
+            part for tier in tiers for part in ((tier - {first}, tier - {other}) if {first, other} <= tier else (tier,))
         ]
         unique = list(dict.fromkeys(split))
         tiers = [tier for tier in unique if not any(tier < larger for larger in unique)]
@@ -179,14 +179,14 @@ def _letter(number: int) -> str:
     return ascii_letters[number] if number < len(ascii_letters) else chr(0x100 + number)
 
 
-def overlap_in_time(one: Sequence[int], other: Sequence[int]) -> bool:
+def overlap_in_time(first: Sequence[int], other: Sequence[int]) -> bool:
     """Return whether runs of two setups were mixed in time, by their starts: else a drift looks like a difference.
 
     Mixed: a run of one started before a run of the other in 10 to 90 % of all pairs of runs; at once is half before.
     """
-    if not (len(one) and len(other)):
+    if not (len(first) and len(other)):
         return True
-    later = np.subtract.outer(np.array(other), np.array(one))
+    later = np.subtract.outer(np.array(other), np.array(first))
     before = float((1 + np.sign(later)).mean()) / 2
     return LEAST_MIXED <= before <= 1 - LEAST_MIXED
 

@@ -126,16 +126,16 @@ class DeviceClocks:
         back = self.of_wall(at_ns + zero_ns, machine)
         return Instants(at_ns + zero_ns + (at_ns - back.at_ns), back.bound_ns)
 
-    def share_clock(self, one: Machine, other: Machine) -> bool:
+    def share_clock(self, first: Machine, other: Machine) -> bool:
         """Return whether two machines are one by boot, and no messages between them say otherwise."""
-        if one == other:
+        if first == other:
             return True
-        if not one.boot_id or one.boot_id != other.boot_id:
+        if not first.boot_id or first.boot_id != other.boot_id:
             return False
-        links = self._links[one][other] if one in self._links else []
+        links = self._links[first][other] if first in self._links else []
         if links:
             return all(link.track.same_clock for link in links)
-        first_ns, second_ns = (int(self._zeros[machine][-1, 1]) for machine in (one, other))
+        first_ns, second_ns = (int(self._zeros[machine][-1, 1]) for machine in (first, other))
         return abs(first_ns - second_ns) < _SAME_ZERO_NS
 
     def _path(self, start: Machine, end: Machine) -> list[list[_Link]] | None:

@@ -45,7 +45,7 @@ class Stream:
 
     @property
     def machines(self) -> tuple[Machine, ...]:
-        return tuple(sorted({one.machine for one in self.heard}))
+        return tuple(sorted({tap.machine for tap in self.heard}))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,11 +106,11 @@ def find_streams(heard: Sequence[Heard]) -> Iterator[Stream]:
             yield stream
 
 
-def _shared_key(one: Stream, other: Stream) -> Key | None:
-    if {tap.session.session_id for tap in one.heard} & {tap.session.session_id for tap in other.heard}:
+def _shared_key(first: Stream, other: Stream) -> Key | None:
+    if {tap.session.session_id for tap in first.heard} & {tap.session.session_id for tap in other.heard}:
         return None
     for key in (SOURCE, CONTENT):
-        sides = [pl.concat([tap.messages.select(key) for tap in stream.heard]).unique() for stream in (one, other)]
+        sides = [pl.concat([tap.messages.select(key) for tap in stream.heard]).unique() for stream in (first, other)]
         if key is SOURCE and any((side["source_ns"] == 0).any() for side in sides):
             continue
         alike = len(sides[0].join(sides[1], on=key, how="semi"))
@@ -182,27 +182,27 @@ def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceCloc
     The tap next to it may know. Else it is the only machine whose clock can have made the stamps, else the one that hears
     messages first.
     """
-    local = {one.machine for one in stream.heard if one.is_local}
+    local = {tap.machine for tap in stream.heard if tap.is_local}
     if len(local) == 1:
         return local.pop(), False
     if len(clocks.machines) == 1:
         return clocks.machines[0], True
-    remote = {one.machine for one in stream.heard if one.is_local is False}
-    candidates = [one for one in clocks.machines if one not in remote]
-    possible = [one for one in candidates if _can_be_origin(stream, arrivals, one, clocks)]
+    remote = {tap.machine for tap in stream.heard if tap.is_local is False}
+    candidates = [tap for tap in clocks.machines if tap not in remote]
+    possible = [tap for tap in candidates if _can_be_origin(stream, arrivals, tap, clocks)]
     if len(possible) == 1:
         return possible[0], False
     if len(stream.machines) == 1:
         return None, False
     machine = stream.machines[0]
     reached = [
-        clocks.convert(part["received_ns"].to_numpy(), one.machine, machine) for one, part in _zip(stream, arrivals)
+        clocks.convert(part["received_ns"].to_numpy(), tap.machine, machine) for tap, part in _zip(stream, arrivals)
     ]
-    if any((one.bound_ns >= NOT_BOUNDED_NS).all() for one in reached):
+    if any((tap.bound_ns >= NOT_BOUNDED_NS).all() for tap in reached):
         return None, False
     heard_by = [
-        part.select(*stream.key, at_ns=one.at_ns, tap=pl.lit(number))
-        for number, (part, one) in enumerate(zip(arrivals, reached, strict=True))
+        part.select(*stream.key, at_ns=tap.at_ns, tap=pl.lit(number))
+        for number, (part, tap) in enumerate(zip(arrivals, reached, strict=True))
     ]
     all_taps = pl.concat(heard_by).with_columns(late_ns=pl.col("at_ns") - pl.col("at_ns").min().over(stream.key))
     at_both = all_taps.filter(pl.len().over(stream.key) > 1)
@@ -215,10 +215,10 @@ def _origin(stream: Stream, arrivals: Sequence[pl.DataFrame], clocks: DeviceCloc
 
 
 def _can_be_origin(stream: Stream, arrivals: Sequence[pl.DataFrame], origin: Machine, clocks: DeviceClocks) -> bool:
-    for one, part in _zip(stream, arrivals):
+    for tap, part in _zip(stream, arrivals):
         stamped = part.filter(pl.col("source_ns") != 0)
         publish = clocks.of_wall(stamped["source_ns"].to_numpy(), origin)
-        reached = clocks.convert(stamped["received_ns"].to_numpy(), one.machine, origin)
+        reached = clocks.convert(stamped["received_ns"].to_numpy(), tap.machine, origin)
         slack_ns = publish.bound_ns + np.minimum(reached.bound_ns, NOT_BOUNDED_NS)
         is_bounded = slack_ns < NOT_BOUNDED_NS
         if not is_bounded.any() or (reached.at_ns - publish.at_ns + slack_ns < 0).any():
@@ -234,14 +234,14 @@ def _with_publish(
     stamped = clocks.of_wall(source_ns, machine)
     at_ns = np.where(source_ns == 0, 0, stamped.at_ns)
     bound_ns = np.where(source_ns == 0, NOT_BOUNDED_NS, stamped.bound_ns)
-    for one, part in _zip(stream, arrivals):
+    for tap, part in _zip(stream, arrivals):
         received = sent.select(stream.key).join(
             part.select(*stream.key, "received_ns"), on=stream.key, how="left", maintain_order="left"
         )["received_ns"]
-        reached = clocks.convert(received.fill_null(0).to_numpy(), one.machine, machine)
+        reached = clocks.convert(received.fill_null(0).to_numpy(), tap.machine, machine)
         fills = (at_ns == 0) & received.is_not_null().to_numpy()
         at_ns[fills] = reached.at_ns[fills]
-        if clocks.share_clock(machine, one.machine):
+        if clocks.share_clock(machine, tap.machine):
             bound_ns[fills] = reached.bound_ns[fills]
     heard_at = np.flatnonzero(at_ns)  # what nobody heard was sent between its neighbours
     if len(heard_at) < len(at_ns):

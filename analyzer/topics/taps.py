@@ -73,7 +73,7 @@ def heard_by_taps(campaign: Campaign) -> list[Heard]:
         for key, parts_of_publisher in parts.items()
         if key in records and key[0] in campaign.sessions
     ]
-    return sorted(heard, key=lambda one: (one.topic, one.session.session_id, one.publisher))
+    return sorted(heard, key=lambda stream: (stream.topic, stream.session.session_id, stream.publisher))
 
 
 def _tap_session(campaign: Campaign, trace: int) -> int:

@@ -228,7 +228,7 @@ def _measure_case(
         first_groups[name] = int(part["group"][0])
         groups[name] = setting, MatchedGroup(rows.frame(part, _ROW_COLUMNS))
     received = {name: group.received_ratio(confidence) for name, (_, group) in groups.items()}
-    usable = {name for name, one in received.items() if not exceeds_lossy_share(1.0 - (one.value or 0.0))} or set(
+    usable = {name for name, share in received.items() if not exceeds_lossy_share(1.0 - (share.value or 0.0))} or set(
         groups
     )
     setups = {}
@@ -285,11 +285,12 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
         clarity = Clarity.ONLY_ONE
     letters = rankings[percentile].letters
     undecided = [
-        one
-        for one in ranked
-        if one is ranked[0] or (set(letters[one.name]) & set(letters[ranked[0].name]) and not one.loses_more)
+        ranked_setup
+        for ranked_setup in ranked
+        if ranked_setup is ranked[0]
+        or (set(letters[ranked_setup.name]) & set(letters[ranked[0].name]) and not ranked_setup.loses_more)
     ]
-    is_between = all(one.latency.basis is Basis.BETWEEN_RUNS for one in ranked)
+    is_between = all(ranked_setup.latency.basis is Basis.BETWEEN_RUNS for ranked_setup in ranked)
     return CaseAnswer(
         **case.columns,
         percentile=percentile,
@@ -297,7 +298,7 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
         contenders=tuple(ranked),
         leaders=tuple(by_name[name] for name in leaders) or tuple(undecided),
         basis=(Basis.BETWEEN_RUNS if is_between else Basis.WITHIN_RUN).value,
-        fewest_runs=min(one.latency.runs for one in ranked),
+        fewest_runs=min(ranked_setup.latency.runs for ranked_setup in ranked),
         leader_p50=median.leader,
         leader_p99=tail.leader if tail else "",
         repeats_p50=_repeats_to_decide(median, confidence),
@@ -307,8 +308,8 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
         judgements=(
             *(
                 replace(row, group=case.group_of(row.subject))
-                for name, one in rankings.items()
-                for row in one.judgements(f"latency_{name}", confidence)
+                for name, ranked_setup in rankings.items()
+                for row in ranked_setup.judgements(f"latency_{name}", confidence)
             ),
             *losses,
         ),
@@ -317,8 +318,8 @@ def _answer(case: _Case, rankings: Mapping[str, Ranking], confidence: float, los
 
 def _repeats_to_decide(ranking: Ranking, confidence: float) -> int | None:
     counts = [pair.repeats_to_decide(confidence) for pair in ranking.undecided]
-    known = [count for count in counts if count is not None]
-    return max(known) if known and len(known) == len(counts) else None
+    decidable = [count for count in counts if count is not None]
+    return max(decidable) if decidable and len(decidable) == len(counts) else None
 
 
 def _contender(name: str, setup: _Setup, percentile: str, rankings: Mapping[str, Ranking]) -> Contender:

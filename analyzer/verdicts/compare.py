@@ -217,7 +217,7 @@ def compare(base: ComparedSide, new: ComparedSide, options: CompareOptions | Non
 
     def keys_of(side: pl.DataFrame, side_names: Mapping[str, str]) -> list[Key]:
         renamed = with_devices(side, side_names).select(match).rows()
-        keys = [partners.get(own, key) for own, key in zip(side.select(match).rows(), renamed, strict=True)]
+        keys = [partners.get(group_key, key) for group_key, key in zip(side.select(match).rows(), renamed, strict=True)]
         return [comparison.row_keys.get(key, key) for key in keys]
 
     differences = environment_differences(base.sessions, new.sessions, names)
@@ -360,8 +360,8 @@ def _least_variances(
         paired = passes_of(base.runs, new.runs, passes) if options.paired else None
         for metric in _metrics(base, options):
             estimates = (side.estimates(metric, statistics, options.confidence) for side in (base, new))
-            for name, one, other in zip(options.statistics, *estimates, strict=True):
-                sides.setdefault((metric, name), []).append((one, other, paired))
+            for name, base_estimate, other in zip(options.statistics, *estimates, strict=True):
+                sides.setdefault((metric, name), []).append((base_estimate, other, paired))
     return {key: least_variances(own) for key, own in sides.items()}
 
 
@@ -381,8 +381,8 @@ def _changes(
         statistics = [STATISTIC_BY_NAME[name] for name in options.statistics]
         estimates = (side.estimates(metric, statistics, options.confidence) for side in (base, new))
         changes = []
-        for name, statistic, one, other in zip(options.statistics, statistics, *estimates, strict=True):
-            change = change_of_estimates(one, other, paired, p_of_losses, least[metric, name])
+        for name, statistic, base_estimate, other in zip(options.statistics, statistics, *estimates, strict=True):
+            change = change_of_estimates(base_estimate, other, paired, p_of_losses, least[metric, name])
             sides = {"base": (base, change.base, received.base), "new": (new, change.new, received.new)}
             of_sides: dict[str, Any] = {
                 f"{side}_{field}": value

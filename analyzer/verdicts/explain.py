@@ -106,12 +106,12 @@ def explain(pairs: Pairs, medians: Medians, *, is_ratio: bool, confidence: float
     removed = [sums.effect(name, _minus(whole, varied), whole, adjusted) for name, varied in rises.items()]
     effects = tuple(removal for removal in removed if removal is not None)
     causes = [effect for effect in effects if rise.is_sure and effect.is_sure and effect.share >= LEAST_SHARE]
-    cause = max(causes, key=lambda one: one.share).name if causes else ""
+    cause = max(causes, key=lambda cause_share: cause_share.share).name if causes else ""
     return Answer(rise, () if is_ratio else sums.shares(whole, layers, confidence), effects, cause)
 
 
-def _minus(one: Weights, other: Weights) -> dict[str, float]:
-    return {cell: one.get(cell, 0.0) - other.get(cell, 0.0) for cell in {**one, **other}}
+def _minus(whole: Weights, other: Weights) -> dict[str, float]:
+    return {cell: whole.get(cell, 0.0) - other.get(cell, 0.0) for cell in {**whole, **other}}
 
 
 @dataclass(frozen=True, slots=True)

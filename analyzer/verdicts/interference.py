@@ -147,15 +147,15 @@ class Caught:
     rtt_ns: Float64
 
 
-def caught_after(own: Sent, ahead: Sent, usual_ns: float) -> Caught:
+def caught_after(flow: Sent, ahead: Sent, usual_ns: float) -> Caught:
     """Return what became of the messages that left while the latest message ahead stayed under way for `USUAL_TIMES` of `usual_ns`.
 
     A lost message ahead has no end, and catches none.
     """
-    index = np.searchsorted(ahead.publish_ns, own.publish_ns, side="right") - 1
+    index = np.searchsorted(ahead.publish_ns, flow.publish_ns, side="right") - 1
     end_ns = np.where(index >= 0, ahead.receive_ns[np.maximum(index, 0)], -np.inf)
-    caught = np.isfinite(end_ns) & (end_ns - own.publish_ns > USUAL_TIMES * usual_ns)
-    return Caught(own.receive_ns[caught] < end_ns[caught], (own.receive_ns - own.publish_ns)[caught])
+    caught = np.isfinite(end_ns) & (end_ns - flow.publish_ns > USUAL_TIMES * usual_ns)
+    return Caught(flow.receive_ns[caught] < end_ns[caught], (flow.receive_ns - flow.publish_ns)[caught])
 
 
 def find_head_of_line(rows: GroupRows, passes: Mapping[int, int] | None = None) -> pl.DataFrame:
@@ -187,8 +187,10 @@ def _waits(rows: GroupRows, case: pl.DataFrame, passes: Mapping[int, int]) -> It
             other_group = groups.get((other, others - {other} | {flow}))
             if usual is None or other_group is None:
                 continue
-            both = sent[group].keys() & sent[other_group].keys()
-            caught = [caught_after(sent[group][number], sent[other_group][number], usual[1]) for number in sorted(both)]
+            common = sent[group].keys() & sent[other_group].keys()
+            caught = [
+                caught_after(sent[group][number], sent[other_group][number], usual[1]) for number in sorted(common)
+            ]
             names = {
                 "group": group,
                 "other_group": other_group,
@@ -218,8 +220,8 @@ def _usual_ns(alone: Mapping[int, Sent]) -> tuple[float, float] | None:
 
 
 def _judged(caught: Sequence[Caught], usual_ns: float) -> dict[str, object]:
-    share = received_interval([one.overtook for one in caught])
-    count = sum(len(one.overtook) for one in caught)
+    share = received_interval([caught_run.overtook for caught_run in caught])
+    count = sum(len(caught_run.overtook) for caught_run in caught)
     verdict = Overtaking.UNDECIDED
     if count < LEAST_CAUGHT or share.lower is None or share.upper is None:
         verdict = Overtaking.FEW
@@ -227,12 +229,12 @@ def _judged(caught: Sequence[Caught], usual_ns: float) -> dict[str, object]:
         verdict = Overtaking.WAITS
     elif share.lower > 1 / 2:
         verdict = Overtaking.OVERTAKES
-    waits_ns = np.concatenate([one.rtt_ns for one in caught]) - usual_ns if count else np.empty(0)
+    waits_ns = np.concatenate([caught_run.rtt_ns for caught_run in caught]) - usual_ns if count else np.empty(0)
     waits_ns = waits_ns[np.isfinite(waits_ns)]
     return {
         "runs": len(caught),
         "caught": count,
-        "overtook": sum(int(one.overtook.sum()) for one in caught),
+        "overtook": sum(int(caught_run.overtook.sum()) for caught_run in caught),
         "overtook_ratio": share.value,
         "overtook_ratio_low": share.lower,
         "overtook_ratio_high": share.upper,

@@ -172,8 +172,8 @@ def pair_keys(before: Mapping[Key, object], after: Mapping[Key, object], match: 
 def completed_key(key: Key, other: Key, match: Sequence[str]) -> Key:
     is_silent = not knows_relay(key, match)
     return tuple(
-        theirs if own is None or (name == SETTING and is_silent) else own
-        for name, own, theirs in zip(match, key, other, strict=True)
+        theirs if value is None or (name == SETTING and is_silent) else value
+        for name, value, theirs in zip(match, key, other, strict=True)
     )
 
 
@@ -183,13 +183,13 @@ def knows_relay(key: Key, match: Sequence[str]) -> bool:
 
 def _agree(key: Key, other: Key, match: Sequence[str]) -> bool:
     is_silent = not (knows_relay(key, match) and knows_relay(other, match))
-    return all(_equal(name, one, two, is_silent) for name, one, two in zip(match, key, other, strict=True))
+    return all(_equal(name, first, two, is_silent) for name, first, two in zip(match, key, other, strict=True))
 
 
-def _equal(name: str, one: ParameterValue, two: ParameterValue, is_silent: bool) -> bool:
+def _equal(name: str, first: ParameterValue, two: ParameterValue, is_silent: bool) -> bool:
     if name == SETTING and is_silent:
-        return without_relay(str(one)) == without_relay(str(two))
-    return one == two or (name in RELAY_COLUMNS and (one is None or two is None))
+        return without_relay(str(first)) == without_relay(str(two))
+    return first == two or (name in RELAY_COLUMNS and (first is None or two is None))
 
 
 def unmatched(keys: Mapping[Key, object], matched: Iterable[Key]) -> Iterator[Key]:
@@ -227,9 +227,9 @@ def with_partners(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequenc
     schema = {name: new.schema[name] for name in ("run_id", *match)}
     rows = [(run_id, *key) for run_id, key in partners.items()]
     theirs = pl.DataFrame(rows, schema=schema, orient="row")
-    own = new.join(theirs, on="run_id", how="anti", maintain_order="left")
+    unpaired = new.join(theirs, on="run_id", how="anti", maintain_order="left")
     renamed = new.drop(match).join(theirs, on="run_id", how="inner", maintain_order="left")
-    return pl.concat([own, renamed.select(new.columns)])
+    return pl.concat([unpaired, renamed.select(new.columns)])
 
 
 def partner_groups(new: pl.DataFrame, partners: Mapping[int, Key], match: Sequence[str]) -> dict[Key, Key]:
@@ -243,14 +243,14 @@ def partner_differences(groups: Mapping[Key, Key], match: Sequence[str]) -> tupl
     partners = pl.DataFrame(list(groups.values()), schema=list(match), orient="row")
     names = varying_parameters(partners, match)
     sentences = []
-    for own, partner in groups.items():
-        values = {name: both for name, *both in zip(match, own, partner, strict=True)}
+    for group_key, partner in groups.items():
+        values = {name: sides for name, *sides in zip(match, group_key, partner, strict=True)}
         listed = [
             f"{name} {value_word(new)} instead of {value_word(base)}"
             for name, (new, base) in values.items()
             if new != base
         ]
-        if listed and knows_relay(own, match):
+        if listed and knows_relay(group_key, match):
             words = group_words(dict(zip(match, partner, strict=True)), names)
             sentences.append(f"{words}: the new side has {', '.join(listed)}.")
     return tuple(sentences)

@@ -129,8 +129,8 @@ class Ranking:
                 row = pair.judged(Claim.SLOWER, statistic, confidence)
                 yield replace(row, subject=row.base, base=row.subject, p_adjusted=p_adjusted, verdict=PROVEN)
 
-    def differ(self, one: str, other: str) -> bool:
-        return not set(self.letters[one]) & set(self.letters[other])
+    def differ(self, first: str, other: str) -> bool:
+        return not set(self.letters[first]) & set(self.letters[other])
 
 
 def rank_setups(
@@ -140,21 +140,21 @@ def rank_setups(
     dependent = _dependent_families(kinds)
     for percentile in dict.fromkeys(name for kind in kinds for name in kind.percentiles):
         pairs_of = _pairs(kinds, percentile, trust_order=options.trust_order)
-        for index, own in pairs_of.items():
+        for index, pairs in pairs_of.items():
             if kinds[index].family in dependent:
-                pairs_of[index] = [replace(pair, p_value=1.0) for pair in own]
+                pairs_of[index] = [replace(pair, p_value=1.0) for pair in pairs]
         lead_p = hochberg_adjusted(
-            [max((pair.p_value for pair in _lead(own)), default=1.0) for own in pairs_of.values() if own]
+            [max((pair.p_value for pair in _lead(pairs)), default=1.0) for pairs in pairs_of.values() if pairs]
         )
-        pair_p = holm_adjusted([pair.p_value for own in pairs_of.values() for pair in own])
+        pair_p = holm_adjusted([pair.p_value for pairs in pairs_of.values() for pair in pairs])
         leads, tests = iter(lead_p.tolist()), iter(pair_p.tolist())
-        for index, own in pairs_of.items():
+        for index, pairs in pairs_of.items():
             median = rankings[index].get("p50")
             rankings[index][percentile] = _ranking(
                 kinds[index],
                 percentile,
-                [(pair, next(tests)) for pair in own],
-                next(leads) if own else 1.0,
+                [(pair, next(tests)) for pair in pairs],
+                next(leads) if pairs else 1.0,
                 median if percentile != "p50" else None,
                 1 - confidence,
                 1 + options.margin,

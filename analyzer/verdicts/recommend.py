@@ -168,12 +168,12 @@ def _alternatives(candidates: Iterable[Candidate]) -> list[list[Candidate]]:
 
 
 def _without_sockets(candidates: list[Candidate]) -> list[Candidate]:
-    return [one for one in candidates if one.setting["backend"] != "socket"] or candidates
+    return [candidate for candidate in candidates if candidate.setting["backend"] != "socket"] or candidates
 
 
-def _is_tied(one: Candidate, best: Candidate) -> bool:
-    is_between = all(c.basis == Basis.BETWEEN_RUNS.value for c in (one, best))
-    return not is_between or ranges_overlap(one.range, best.range)
+def _is_tied(candidate: Candidate, best: Candidate) -> bool:
+    is_between = all(c.basis == Basis.BETWEEN_RUNS.value for c in (candidate, best))
+    return not is_between or ranges_overlap(candidate.range, best.range)
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,29 +62,29 @@ def main_command(
     from .run import record_until_stopped
     from .tools import check_start, recover_trace, report_own_cost
 
-    given = given_values(values)
-    if recover_path := given.get("recover_path"):
+    chosen = given_values(values)
+    if recover_path := chosen.get("recover_path"):
         limits.check(limits.INPUT, str(recover_path), "--recover")
-        out = given.get("out")
+        out = chosen.get("out")
         limits.check(limits.PATH, None if out is None else str(out), "--out")
         recover_trace(recover_path, out)
         return
-    command = read_record(CommandOptions, given)
-    backend = load_backend(given.get("backend", OPTIONS["backend"].field_default))
+    command = read_record(CommandOptions, chosen)
+    backend = load_backend(chosen.get("backend", OPTIONS["backend"].field_default))
     # Where a relay listens at an address, other devices reach it only on request.
-    is_open = backend.meeting is not Meeting.PEERS or bool(given.get("peers"))
-    given.setdefault("discovery", default_discovery(is_open=is_open))
+    is_open = backend.meeting is not Meeting.PEERS or bool(chosen.get("peers"))
+    chosen.setdefault("discovery", default_discovery(is_open=is_open))
     if command.self_test:
-        given.setdefault("domain_id", default_domain())
-        node = read_record(NodeOptions, given)
+        chosen.setdefault("domain_id", default_domain())
+        node = read_record(NodeOptions, chosen)
         limits.check(limits.PATH, None if command.out is None else str(command.out), "--out")
         check_fields(node)
         report_own_cost(command.out, backend.name, node)
         return
     if command.role is None or command.out is None:
         raise OptionError("give --role ping, relay, tap or beacon, and --out PATH for its trace (see --help)")
-    _refuse_other_role(command.role, given)
-    options = _record_options(command, given)
+    _refuse_other_role(command.role, chosen)
+    options = _record_options(command, chosen)
     take: Callable[[RecordOptions], None] | None = context.obj
     if take is not None:  # a sweep checks all recordings before the first
         take(options)
@@ -96,10 +96,10 @@ def main_command(
         record_until_stopped(options, as_json=command.as_json, fail_if_lost=command.fail_if_lost)
 
 
-def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
+def _refuse_other_role(role: Role, chosen: Mapping[str, Any]) -> None:
     from dds_trace.base.errors import OptionError
 
-    rows = [OPTIONS[name] for name in given if OPTIONS[name].roles and role not in OPTIONS[name].roles]
+    rows = [OPTIONS[name] for name in chosen if OPTIONS[name].roles and role not in OPTIONS[name].roles]
     if rows:
         others = dict.fromkeys(other.value for row in rows for other in row.roles)
         raise OptionError(
@@ -108,7 +108,7 @@ def _refuse_other_role(role: Role, given: Mapping[str, Any]) -> None:
         )
 
 
-def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOptions:
+def _record_options(command: CommandOptions, chosen: dict[str, Any]) -> RecordOptions:
     from dds_trace.base.errors import OptionError
     from dds_trace.recorder.backends.node import NodeOptions
     from dds_trace.recorder.options import BEACON_RATE_HZ, PingOptions, RecordOptions, TapOptions
@@ -117,24 +117,24 @@ def _record_options(command: CommandOptions, given: dict[str, Any]) -> RecordOpt
 
     assert command.out is not None
     if command.for_s is not None:
-        if "duration_s" in given:
+        if "duration_s" in chosen:
             raise OptionError("--for is another name of --duration: give one of them")
-        given["duration_s"] = command.for_s
-    is_bridged = given.get("bridge", "none") != "none"
-    given.setdefault("domain_id", BRIDGED_PING_DOMAIN if is_bridged else default_domain())
+        chosen["duration_s"] = command.for_s
+    is_bridged = chosen.get("bridge", "none") != "none"
+    chosen.setdefault("domain_id", BRIDGED_PING_DOMAIN if is_bridged else default_domain())
     if is_bridged:
-        given.setdefault("relay_domain_id", default_domain())
+        chosen.setdefault("relay_domain_id", default_domain())
     options = read_record(
         RecordOptions,
-        given,
+        chosen,
         destination=TraceDestination(
             command.out, force=command.force, fsync=command.fsync, mode=command.file_mode.bits
         ),
-        node=read_record(NodeOptions, given, qos=command.qos),
-        ping=read_record(PingOptions, given) if command.role is Role.PING else None,
-        tap=read_record(TapOptions, given) if command.role is Role.TAP else None,
-        tap_qos=chosen_qos(given.get("reliability"), given.get("durability"), given.get("depth")),
-        beacon_rate_hz=OPTIONS["rate_hz"].read(given.get("rate_hz", BEACON_RATE_HZ))
+        node=read_record(NodeOptions, chosen, qos=command.qos),
+        ping=read_record(PingOptions, chosen) if command.role is Role.PING else None,
+        tap=read_record(TapOptions, chosen) if command.role is Role.TAP else None,
+        tap_qos=chosen_qos(chosen.get("reliability"), chosen.get("durability"), chosen.get("depth")),
+        beacon_rate_hz=OPTIONS["rate_hz"].read(chosen.get("rate_hz", BEACON_RATE_HZ))
         if command.role is Role.BEACON
         else None,
     )

@@ -28,8 +28,8 @@ def status_command(as_json: Annotated[bool, option("--json", "Print the list as 
     recordings = list_recordings()
     if as_json:
         listed = [
-            {"state": one.state.value, "ring_is_left": one.waiting is not None, **asdict(one.entry)}
-            for one in recordings
+            {"state": entry.state.value, "ring_is_left": entry.waiting is not None, **asdict(entry.entry)}
+            for entry in recordings
         ]
         print(json.dumps(listed))
         return

@@ -88,20 +88,20 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
     from dds_trace.recorder.sweep.run.progress import make_progress
     from dds_trace.recorder.sweep.sweep import INCOMPLETE_EXIT_CODE
 
-    done = run_against(
+    sides_outcome = run_against(
         replace(base, name=f"{_name(base, other)}-base"),
         replace(other.plan, name=f"{_name(base, other)}-new"),
         out / _name(base, other),
         make_progress(plain_console(stderr=True)),
         commands=(None, other.command),
     )
-    sides = {"base": done.base, "new": done.new}
+    sides = {"base": sides_outcome.base, "new": sides_outcome.new}
     missing = {side: outcome.missing for side, outcome in sides.items()}
     is_recorded = all(len(outcome.missing) < outcome.cells for outcome in sides.values())
-    alarms = _false_alarms(done) if other.is_same and is_recorded else None
+    alarms = _false_alarms(sides_outcome) if other.is_same and is_recorded else None
     if as_json:
         result: dict[str, object] = {side: str(outcome.folder) for side, outcome in sides.items()}
-        result |= {"cells": done.base.cells + done.new.cells, "missing": missing}
+        result |= {"cells": sides_outcome.base.cells + sides_outcome.new.cells, "missing": missing}
         if alarms is not None:
             result["false_alarms"] = {
                 "measured": alarms.measured,
@@ -116,7 +116,7 @@ def run_sides(base: Plan, other: NewSide, out: Path, *, as_json: bool) -> int:
             complete = outcome.cells - len(outcome.missing)
             print(f"Wrote {outcome.folder}")
             print(f"{side}: {complete} of {counted(outcome.cells, 'recording is', 'recordings are')} complete")
-        folders = shlex.join([str(done.base.folder), str(done.new.folder)])
+        folders = shlex.join([str(sides_outcome.base.folder), str(sides_outcome.new.folder)])
         print(f"Compare: dds-analyze compare {folders} --paired")
         if alarms is not None:
             print(_in_words(alarms))
@@ -135,12 +135,12 @@ def _name(base: Plan, other: NewSide) -> str:
     return f"{base.name}-against-{other.name}"
 
 
-def _false_alarms(done: AgainstOutcome) -> FalseAlarms:
+def _false_alarms(sides_outcome: AgainstOutcome) -> FalseAlarms:
     from dds_trace.analyzer.model.runs import pass_numbers
     from dds_trace.analyzer.pipeline import analyze
     from dds_trace.analyzer.verdicts.false_alarms import count_false_alarms
 
-    base, new = (analyze(outcome.folder, details=False) for outcome in (done.base, done.new))
+    base, new = (analyze(outcome.folder, details=False) for outcome in (sides_outcome.base, sides_outcome.new))
     return count_false_alarms(base.load_messages(), new.load_messages(), pass_numbers([*base.runs, *new.runs]))
 
 

@@ -68,9 +68,14 @@ def differences(requested: Asked, applied: Applied, traffic: Traffic | None = No
 
 def publisher_differences(requested: Mapping[str, str], used: Mapping[str, str]) -> tuple[Difference, ...]:
     return tuple(
-        Difference(Setting(name), asked, used[name], f"asked for {name} {asked}, the publisher has {used[name]}")
-        for name, asked in requested.items()
-        if name in used and used[name] != asked
+        Difference(
+            Setting(name),
+            requested_value,
+            used[name],
+            f"asked for {name} {requested_value}, the publisher has {used[name]}",
+        )
+        for name, requested_value in requested.items()
+        if name in used and used[name] != requested_value
     )
 
 

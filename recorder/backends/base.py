@@ -143,8 +143,8 @@ class Backend:
 
     def _check_sending(self, options: NodeOptions) -> None:
         if options.priority is not None and options.priority not in (self.priorities or ()):
-            known = "none" if self.priorities is None else f"{self.priorities[0]} to {self.priorities[-1]}"
-            raise OptionError(f"--priority {options.priority}: the priorities of the backend {self.name}: {known}")
+            allowed = "none" if self.priorities is None else f"{self.priorities[0]} to {self.priorities[-1]}"
+            raise OptionError(f"--priority {options.priority}: the priorities of the backend {self.name}: {allowed}")
         if options.when_full is not WhenFull.DEFAULT and not self.can_drop:
             raise OptionError(
                 f"--when-full {options.when_full.value}: the backend {self.name} has no such choice; leave it out"
@@ -181,8 +181,8 @@ class Backend:
             return
         call = f"--call {options.call.value}"
         if options.call not in self.calls:
-            known = ", ".join(kind.value for kind in self.calls) or "none; use ros2 or zenoh"
-            raise OptionError(f"{call}: the calls of the backend {self.name}: {known}")
+            allowed = ", ".join(kind.value for kind in self.calls) or "none; use ros2 or zenoh"
+            raise OptionError(f"{call}: the calls of the backend {self.name}: {allowed}")
         if options.priority is not None or options.when_full is not WhenFull.DEFAULT:
             raise OptionError(f"{call}: --priority and --when-full are of publishers; remove them")
 

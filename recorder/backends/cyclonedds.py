@@ -68,13 +68,15 @@ class CycloneNode(ThreadedNode):
 
         super().__init__(options)
         _check_version()
-        own = cyclone_settings(options.discovery, tuned=options.tuned, multicast=options.multicast, sizes=options.sizes)
-        settings = ",".join(filter(None, (cyclone_loopback(options.discovery), own)))
+        document = cyclone_settings(
+            options.discovery, tuned=options.tuned, multicast=options.multicast, sizes=options.sizes
+        )
+        settings = ",".join(filter(None, (cyclone_loopback(options.discovery), document)))
         parts = (settings, security_settings(options))
         try:
             self._domain = _configured_domain(options.domain_id, ",".join(filter(None, parts)))
-            named = CycloneQos(Policy.EntityName(name_of_participant(options.name, options.security)))
-            self._participant = DomainParticipant(options.domain_id, qos=named)
+            qos = CycloneQos(Policy.EntityName(name_of_participant(options.name, options.security)))
+            self._participant = DomainParticipant(options.domain_id, qos=qos)
         except DDSException as err:
             raise BackendUnavailableError(
                 f"Cyclone DDS cannot join domain {options.domain_id} ({err}); see its messages on stderr "

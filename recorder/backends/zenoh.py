@@ -379,14 +379,14 @@ def _added_to_own(configuration: Mapping[str, Any]) -> Any:
 
     path = os.environ.get("ZENOH_CONFIG")
     try:
-        own = zenoh.Config.from_file(path) if path else zenoh.Config()
+        configured = zenoh.Config.from_file(path) if path else zenoh.Config()
     except zenoh.ZError as err:
         words = re.search(r'msg: "(.+)", location.* line: (\d+)', str(err))
         reason = f"{words[1]} (line {words[2]})" if words else str(err).partition(" at /")[0]
         raise OptionError(f"zenoh does not accept {path}: {reason}; correct it there") from err
     for name, value in configuration.items():
-        own.insert_json5(name, json.dumps(_joined(json.loads(own.get_json(name)), value)))
-    return own
+        configured.insert_json5(name, json.dumps(_joined(json.loads(configured.get_json(name)), value)))
+    return configured
 
 
 def _joined(old: Any, new: Any) -> Any:

@@ -59,12 +59,12 @@ def _output(*command: str) -> str:
     if program is None:
         return ""
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [program, *command[1:]], capture_output=True, text=True, timeout=TIMEOUT_S, check=False, errors="replace"
         )
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return done.stdout if done.returncode == 0 else ""
+    return process.stdout if process.returncode == 0 else ""
 
 
 def chrony_words(tracking: str) -> str:

@@ -99,7 +99,7 @@ def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Ite
         yield
         return
     with tempfile.TemporaryFile() as printed:
-        kept = [os.dup(output) for output in _OUTPUTS]
+        copies = [os.dup(output) for output in _OUTPUTS]
         for output in _OUTPUTS:
             os.dup2(printed.fileno(), output)
         failure: BackendUnavailableError | None = None
@@ -109,7 +109,7 @@ def watched_configuration(label: str, environment: MiddlewareEnvironment) -> Ite
         except BackendUnavailableError as err:
             failure = err
         finally:
-            for output, copy in zip(_OUTPUTS, kept, strict=True):
+            for output, copy in zip(_OUTPUTS, copies, strict=True):
                 os.dup2(copy, output)
                 os.close(copy)
             printed.seek(0)

@@ -67,8 +67,8 @@ def loaded(kind: str, host: str | None = None) -> Iterator[Callable[[], JsonObje
 def _cpu_seconds(pid: int) -> float:
     total_s = 0.0
     try:
-        own = psutil.Process(pid)
-        for process in (own, *own.children(recursive=True)):
+        program = psutil.Process(pid)
+        for process in (program, *program.children(recursive=True)):
             times = process.cpu_times()
             total_s += times.user + times.system
     except psutil.Error:

@@ -124,8 +124,8 @@ def _host_load() -> dict[str, Json]:
 def _pressure_us() -> dict[str, Json]:
     totals: dict[str, Json] = {}
     for resource in ("cpu", "io", "memory"):
-        some = (read_text(f"/proc/pressure/{resource}") or "").partition("\n")[0]
-        total = some.rpartition("total=")[2]
+        line = (read_text(f"/proc/pressure/{resource}") or "").partition("\n")[0]
+        total = line.rpartition("total=")[2]
         if total.isdigit():
             totals[resource] = int(total)
     return totals

@@ -47,10 +47,10 @@ class RelayView:
 
 def look_for_relays(node: Node, data_type: DataType) -> RelayView:
     there, back = node.look_at(data_type.topic), node.look_at(data_type.relay_topic)
-    own = node.options.name
+    own_name = node.options.name
     return RelayView(
-        tuple(endpoint for endpoint in there.subscriptions if endpoint.node_name != own),
-        tuple(endpoint for endpoint in back.publishers if endpoint.node_name != own),
+        tuple(endpoint for endpoint in there.subscriptions if endpoint.node_name != own_name),
+        tuple(endpoint for endpoint in back.publishers if endpoint.node_name != own_name),
         there.incompatible + back.incompatible,
         there.unassignable + back.unassignable,
     )

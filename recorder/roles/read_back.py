@@ -73,13 +73,13 @@ class ReadBack:
             self._own = self._compare(self._applied, traffic)
 
     def _compare(self, applied: Applied, traffic: Traffic | None = None) -> tuple[Difference, ...]:
-        found = differences(self.requested, applied, traffic)
-        found += publisher_differences(self._publisher_settings, self._node.publisher_settings)
+        different = differences(self.requested, applied, traffic)
+        different += publisher_differences(self._publisher_settings, self._node.publisher_settings)
         level = self._node.options.security
         if level is not Security.OFF and not self._node.read_security():
             words = f"asked for --security {level.value}, and nothing in this process secures its messages"
-            found += (Difference(Setting.SECURITY, level.value, "nothing", words),)
-        return found
+            different += (Difference(Setting.SECURITY, level.value, "nothing", words),)
+        return different
 
     def note_bridge(self, not_applied: tuple[Difference, ...]) -> None:
         self._bridge = not_applied

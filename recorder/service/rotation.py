@@ -44,9 +44,9 @@ class RotatedFiles:
         """Delete all but the newest `keep` files, except files with a ring; return the deleted paths."""
         folder = self._destination.path.parent
         matches = sorted((m for m in self._matches() if not m["ring"]), key=lambda m: int(m["number"]))
-        own = [path for m in matches if _is_of_session(path := folder / m.string, self._session_id)]
+        ours = [path for m in matches if _is_of_session(path := folder / m.string, self._session_id)]
         dropped = []
-        for path in own[: max(len(own) - keep, 0)]:
+        for path in ours[: max(len(ours) - keep, 0)]:
             if not os.path.lexists(ring_path(path)):
                 with suppress(OSError):  # the next rotation tries again
                     path.unlink()

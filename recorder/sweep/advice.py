@@ -35,11 +35,11 @@ def bundles(vendor: str, plan: Plan) -> dict[str, str]:
     if vendor == "fastdds":
         return _fastdds(largest_bytes, rate_byte_s)
     if vendor == "cyclonedds":
-        made = _cyclonedds(rate_byte_s * plan.link.queue_ms / 1000 if plan.link else 0.0)
-        return {name: xml_text(name, {"CycloneDDS": {"Domain": domain}}) for name, domain in made.items()}
+        by_name = _cyclonedds(rate_byte_s * plan.link.queue_ms / 1000 if plan.link else 0.0)
+        return {name: xml_text(name, {"CycloneDDS": {"Domain": domain}}) for name, domain in by_name.items()}
     if vendor == "zenoh":
-        made = _zenoh(largest_bytes, rate_byte_s * (0.005 + 0.002 * plan.link.delay_ms) if plan.link else 0.0)
-        texts = {name: json.dumps({"transport": settings}, indent=2) for name, settings in made.items()}
+        by_name = _zenoh(largest_bytes, rate_byte_s * (0.005 + 0.002 * plan.link.delay_ms) if plan.link else 0.0)
+        texts = {name: json.dumps({"transport": settings}, indent=2) for name, settings in by_name.items()}
         return {name: f"// Written by dds-trace: {name}.\n{text}\n" for name, text in texts.items()}
     return {}
 

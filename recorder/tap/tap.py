@@ -262,7 +262,11 @@ class Tap:
 
     def _meet(self, topic: _Topic, source: Hashable) -> Stream:
         publisher, publication = self._identify(topic, source)
-        heard = (one for one in self.streams if one.publisher == publisher and one.publication.topic == topic.name)
+        heard = (
+            other_stream
+            for other_stream in self.streams
+            if other_stream.publisher == publisher and other_stream.publication.topic == topic.name
+        )
         stream = next(heard, None)
         if stream is None:
             if len(self.streams) >= MOST_STREAMS:
@@ -299,7 +303,7 @@ class Tap:
 
 def summarize(streams: Iterable[Stream]) -> list[str]:
     lines = []
-    for stream in sorted(streams, key=lambda one: (one.publication.topic, one.publisher_id)):
+    for stream in sorted(streams, key=lambda by_topic: (by_topic.publication.topic, by_topic.publisher_id)):
         rate = (
             f", {1e9 * (stream.messages - 1) / (stream.last_ns - stream.first_ns):.3g} Hz"
             if stream.messages > 1

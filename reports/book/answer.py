@@ -114,7 +114,7 @@ def answer_info(analysis: Analysis, groups: Groups, values: Values, intervals: I
         *_bridge_remarks(costs, groups.vendors),
         _losses(values),
     )
-    rule = CLEARLY if any(one.within_one_run < one.cells for one in verdicts) else WITHIN_ONE_RUN
+    rule = CLEARLY if any(verdict.within_one_run < verdict.cells for verdict in verdicts) else WITHIN_ONE_RUN
     first, *others = _who_is_fastest(verdicts, groups, values, answers)
     sentences = [
         (PointKind.RECOVERY, recovery_sentence(analysis, groups)),
@@ -173,16 +173,16 @@ def _no_winner(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> str:
     total = len(open_rows)
     where = "for the one message compared" if total == 1 else f"for any of the {total} kinds of message compared"
     parts = [
-        f"{'' if len(own) == total else f'in {len(own)} of them '}{_WHY[Reason(reason)](own, labels)}"
-        for reason, own in sorted(reasons.items(), key=lambda item: -len(item[1]))
+        f"{'' if len(judged) == total else f'in {len(judged)} of them '}{_WHY[Reason(reason)](judged, labels)}"
+        for reason, judged in sorted(reasons.items(), key=lambda item: -len(item[1]))
     ]
     return f"No clear winner {where}: {'; '.join(parts)}."
 
 
-def _near(own: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, str]) -> str:
-    row, _ = max(own, key=lambda pair: pair[0].value or 0.0)
+def _near(judged: Sequence[tuple[Judgement, CaseAnswer]], labels: Mapping[str, str]) -> str:
+    row, _ = max(judged, key=lambda pair: pair[0].value or 0.0)
     ends = "" if row.low is None or row.high is None else f" ({change_percent(row.low)} to {change_percent(row.high)})"
-    most = "" if len(own) == 1 else "at most "
+    most = "" if len(judged) == 1 else "at most "
     lead = f"{labels[row.subject]} leads {labels[row.base]} by {most}{change_percent(row.value or 1.0)}{ends}"
     return f"the lead is below the margin ({lead}; --margin)"
 
@@ -191,8 +191,8 @@ def change_percent(ratio: float) -> str:
     return f"{100 * (ratio - 1):.3g} %"
 
 
-def _few_runs(own: Sequence[tuple[Judgement, CaseAnswer]], _: Mapping[str, str]) -> str:
-    fewest = min(answer.fewest_runs for _, answer in own)
+def _few_runs(judged: Sequence[tuple[Judgement, CaseAnswer]], _: Mapping[str, str]) -> str:
+    fewest = min(answer.fewest_runs for _, answer in judged)
     return f"a verdict needs {MIN_RUNS} runs of each, there {'is' if fewest == 1 else 'are'} {fewest}"
 
 
@@ -285,15 +285,15 @@ def _bridge_remark(rows: list[dict[str, Any]]) -> str:
     # Where messages were lost, the received ones are the quick ones.
     complete = [row for row in rows if row["new_received_ratio"] >= row["base_received_ratio"]]
     whole = [row for row in complete if finite(row["difference_ns"]) is not None]
-    lossy, left = len(rows) - len(complete), len(complete) - len(whole)
+    lossy, partial = len(rows) - len(complete), len(complete) - len(whole)
     sentences = [_added_words(whole)] if whole else []
     if lossy:
         verb = "is" if lossy == 1 else "are"
         sentences.append(
             f"{counted(lossy, 'result')} lost messages that the same domain did not, and {verb} not compared."
         )
-    if left:
-        sentences.append(f"{counted(left, 'result')} lost most of the messages in the same domain too.")
+    if partial:
+        sentences.append(f"{counted(partial, 'result')} lost most of the messages in the same domain too.")
     return " ".join(sentences)
 
 
@@ -366,8 +366,8 @@ def _losses(values: Values) -> str:
     return f"{format_count(lost)} of {messages} ({share}) were lost, in {where}.{unsent}"
 
 
-def _of_results(some: int, count: int) -> str:
-    return f"{format_count(some)} of {counted(count, 'result', text=format_count(count))}"
+def _of_results(part: int, count: int) -> str:
+    return f"{format_count(part)} of {counted(count, 'result', text=format_count(count))}"
 
 
 def _unsent(values: Values) -> str:
@@ -394,8 +394,12 @@ def place_sentence(groups: Groups, values: Values, intervals: Intervals) -> str:
 
     compared = partial(_against_fastest, groups, values, intervals)
     parts = (
-        *compared("over", lambda one: printable(one.connectivity), lambda one: replace(one, connectivity="")),
-        *compared("from" if same_relay else "on", device, lambda one: replace(one, ping_device="", relay_device=None)),
+        *compared(
+            "over", lambda answer: printable(answer.connectivity), lambda answer: replace(answer, connectivity="")
+        ),
+        *compared(
+            "from" if same_relay else "on", device, lambda answer: replace(answer, ping_device="", relay_device=None)
+        ),
     )
     return f"At the median a message takes {'; '.join(parts)}." if parts else ""
 
@@ -418,18 +422,18 @@ def _against_fastest(
         is_whole = group.published == group.received and not values.plain["unsent"][index]
         if is_whole and intervals.is_between_runs("latency", "p50", index):
             alike.setdefault((group.cell, without(series)), {})[name_of(series)] = index
-    compared = [named for named in alike.values() if len(named) > 1]
+    compared = [setups for setups in alike.values() if len(setups) > 1]
     if not compared:
         return ()
-    won = Counter(min(named, key=lambda name: medians[named[name]] or 0) for named in compared)
+    won = Counter(min(setups, key=lambda name: medians[setups[name]] or 0) for setups in compared)
     (fastest, _), *_ = won.most_common(1)
     parts = []
-    for name in dict.fromkeys(name for named in compared for name in sorted(named) if name != fastest):
-        pairs = [(named[name], named[fastest]) for named in compared if {name, fastest} <= named.keys()]
+    for name in dict.fromkeys(name for setups in compared for name in sorted(setups) if name != fastest):
+        pairs = [(setups[name], setups[fastest]) for setups in compared if {name, fastest} <= setups.keys()]
         factors = [
-            own / base
+            slow_ns / base
             for slow, fast in pairs
-            if (own := medians[slow]) and (base := medians[fast]) and _are_apart(intervals, own, slow, fast)
+            if (slow_ns := medians[slow]) and (base := medians[fast]) and _are_apart(intervals, slow_ns, slow, fast)
         ]
         unclear = f" (no clear difference in {len(pairs) - len(factors)} of {len(pairs)} comparisons)"
         if factors:

@@ -56,7 +56,7 @@ class FindingKind:
 
     @property
     def common_action(self) -> str:
-        actions = {one.action for one in self.listed}
+        actions = {observation.action for observation in self.listed}
         return self.listed[0].action if len(actions) == 1 else ""
 
 
@@ -113,5 +113,5 @@ def _one(finding: Finding, labels: Sequence[str], rank: Mapping[int, int]) -> On
 def _title(code: str) -> str:
     if code in _TITLES:
         return _TITLES[code]
-    first, *rest = (_SPELLED.get(word, word) for word in printable(code).split("_"))
-    return " ".join([first[:1].upper() + first[1:], *rest])
+    first, *words = (_SPELLED.get(word, word) for word in printable(code).split("_"))
+    return " ".join([first[:1].upper() + first[1:], *words])

@@ -48,13 +48,13 @@ def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -
         return None
     blocks: dict[str, dict[str, SizeRow]]
     if len(table.places) > 1:
-        counts = Counter((row.size, row.rate) for place in table.places for row in place.rows)
+        counts = Counter((row.size, row.rate) for site in table.places for row in site.rows)
         alike = [message for message, count in counts.items() if count == max(counts.values())]
         size, rate = alike[(len(alike) - 1) // 2]
         blocks = _by_place(table.places, size, rate)
         message = f"{size} at {rate}"
     else:
-        blocks = {row.size: {"": row} for place in table.places for row in place.rows}
+        blocks = {row.size: {"": row} for site in table.places for row in site.rows}
         message = table.rates
     most = max(1, min(MOST_BLOCKS, MOST_ROWS // len(table.choices)))
     last = len(blocks) - 1
@@ -82,25 +82,25 @@ def glance_info(table: SizeTable | None, intervals: Intervals, facets: Facets) -
         ends = _ends(cell, intervals)
         return Dot(cell, *map(percent, ends)) if ends else Dot(cell, None, 0.0, 0.0)
 
-    made = []
+    blocks_drawn = []
     for name, rows in shown.items():
-        own = []
+        dots = []
         for column, setup in enumerate(table.choices):
             cells = [rows[link].cells[column] if link in rows else None for link in columns]
             groups = [cell.group for cell in cells if cell and cell.group is not None]
             if any(cells):
                 choice = facets.option("choice", groups[0]) if groups else None
-                own.append(DotRow(setup, choice, tuple(map(dot, cells))))
-        made.append((name, tuple(own)))
-    return Glance(message, columns, tuple(made), len(blocks) - len(shown))
+                dots.append(DotRow(setup, choice, tuple(map(dot, cells))))
+        blocks_drawn.append((name, tuple(dots)))
+    return Glance(message, columns, tuple(blocks_drawn), len(blocks) - len(shown))
 
 
 def _by_place(places: Sequence[PlaceRows], size: str, rate: str) -> dict[str, dict[str, SizeRow]]:
     blocks: dict[str, dict[str, SizeRow]] = {}
-    for place in places:
-        for row in place.rows:
+    for site in places:
+        for row in site.rows:
             if (row.size, row.rate) == (size, rate):
-                blocks.setdefault(place.devices, {})[place.link] = row
+                blocks.setdefault(site.devices, {})[site.link] = row
     return blocks
 
 

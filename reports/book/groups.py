@@ -201,7 +201,7 @@ def groups_of(rows: Sequence[Mapping[str, Any]], vendors: VendorLabels) -> Group
 
 def series_labels(series: Sequence[Series]) -> list[str]:
     parts = (*_LABEL_PARTS, (where_it_helps, _setting_label_of(series)))
-    return tell_apart(series, lambda one: one.vendor_label, parts)
+    return tell_apart(series, lambda member: member.vendor_label, parts)
 
 
 def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
@@ -209,9 +209,9 @@ def _setting_label_of(series: Iterable[Series]) -> Callable[[Series], str]:
     keys = sorted({key for setting in settings.values() for key in setting})
     varying = [key for key in keys if len({setting.get(key) for setting in settings.values()}) > 1]
 
-    def label(one: Series) -> str:
-        own = settings[one.setting]
-        words = [_word(key, own[key]) for key in varying if key in own]
+    def label(member: Series) -> str:
+        setting = settings[member.setting]
+        words = [_word(key, setting[key]) for key in varying if key in setting]
         return printable(", ".join(words)) or "nothing else set"
 
     return label
@@ -225,13 +225,13 @@ def setting_labels(settings: Sequence[Mapping[str, Any]], vendors: VendorLabels)
     series = [_series({**dict.fromkeys(SERIES_COLUMNS), **setting}, vendors) for setting in settings]
     parts = (*_LABEL_PARTS, (where_it_varies, _setting_label_of(series)))
     rules = [(where_it_varies if word not in _FOLLOWING else rule, word) for rule, word in parts]
-    return tell_apart(series, lambda one: one.vendor_label, rules)
+    return tell_apart(series, lambda member: member.vendor_label, rules)
 
 
 def vendor_labels(analysis: Analysis) -> VendorLabels:
     labels = {session.vendor: session.extra.get("vendor_label") for session in analysis.sessions}
-    own = {vendor: printable(label) for vendor, label in labels.items() if isinstance(label, str) and label}
-    return VendorLabels({**own, **VENDORS})
+    labelled = {vendor: printable(label) for vendor, label in labels.items() if isinstance(label, str) and label}
+    return VendorLabels({**labelled, **VENDORS})
 
 
 def _series(row: Mapping[str, Any], vendors: VendorLabels) -> Series:
@@ -320,8 +320,8 @@ def joined(names: Iterable[str], word: str = "and", comma: str = ", ") -> str:
 
 def _series_order(series: Series) -> tuple[object, ...]:
     vendors = [*VENDORS, series.vendor]
-    rest = tuple(by_number(str(getattr(series, name))) for name in Series.__dataclass_fields__)
-    return (vendors.index(series.vendor), series.vendor, series.domain_mode != "same", series.bridge, rest)
+    fields = tuple(by_number(str(getattr(series, name))) for name in Series.__dataclass_fields__)
+    return (vendors.index(series.vendor), series.vendor, series.domain_mode != "same", series.bridge, fields)
 
 
 def _cell_order(cell: Cell) -> tuple[object, ...]:

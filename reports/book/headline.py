@@ -90,9 +90,9 @@ def _scope(lossy: Sequence[Group], groups: Groups) -> str:
     vendors = {series.vendor_label for series in groups.series if domain_label(series) in ways}
     parts = []
     for value_of, words in sides if len(vendors) > 1 else sides[1:]:
-        own, every = ({value_of(group) for group in side} for side in (lossy, groups.groups))
-        if own != every and len(own) <= MOST_NAMED:
-            parts.append(words.format(joined(sorted(own), "or").replace(" or through ", " or ")))
+        values, all_values = ({value_of(group) for group in side} for side in (lossy, groups.groups))
+        if values != all_values and len(values) <= MOST_NAMED:
+            parts.append(words.format(joined(sorted(values), "or").replace(" or through ", " or ")))
     cells = [groups.cell_of(group) for group in lossy]
     if len({cell.data_type for cell in cells}) == 1:
         least = min(cell.payload_bytes for cell in cells)
@@ -117,7 +117,7 @@ def cure_sentence(answers: Sequence[CaseAnswer], vendors: VendorLabels, cures: M
     for row, where in _advised(answers, vendors):
         if row.group is not None and row.group in cures:
             by_cure.setdefault(cures[row.group], []).append(_lost_words(row, where))
-    parts = [f"{_some(own, 'more')}: {printable(cure)}" for cure, own in by_cure.items()]
+    parts = [f"{_some(setups, 'more')}: {printable(cure)}" for cure, setups in by_cure.items()]
     return f"Losses with a known cure: {_some(parts, 'more in the findings')}." if parts else ""
 
 
@@ -168,9 +168,9 @@ def winner_sentences(answers: Sequence[CaseAnswer], vendors: VendorLabels) -> tu
             cut = stretches(case for pair in pairs for case in by_pair[pair])
             on = "" if len(by_pair) == 1 else f", on {_pairs(pairs, len(by_pair))}"
             sentences.append(f"{what}{on}: {_outcomes(cut, labels)}.")
-        left = len(by_pair) - sum(map(len, shown))
-        if left:
-            sentences[-1] += f" For the others see the table ({counted(left, 'pair')} of devices and links)."
+        more = len(by_pair) - sum(map(len, shown))
+        if more:
+            sentences[-1] += f" For the others see the table ({counted(more, 'pair')} of devices and links)."
     return tuple(sentences)
 
 
@@ -216,8 +216,8 @@ def _wins(cases: Sequence[CaseAnswer], labels: Mapping[str, str]) -> str:
 def by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
     joined_of: dict[Outcome | None, Stretch] = {}
     for stretch in cut:
-        own = joined_of.get(stretch.outcome, Stretch(stretch.outcome, (), ()))
-        sizes, cases = (*own.sizes, *stretch.sizes), (*own.cases, *stretch.cases)
+        joined = joined_of.get(stretch.outcome, Stretch(stretch.outcome, (), ()))
+        sizes, cases = (*joined.sizes, *stretch.sizes), (*joined.cases, *stretch.cases)
         joined_of[stretch.outcome] = Stretch(stretch.outcome, sizes, cases)
 
     def order(stretch: Stretch) -> tuple[bool, int]:
@@ -226,14 +226,14 @@ def by_outcome(cut: Sequence[Stretch]) -> list[Stretch]:
     return sorted(joined_of.values(), key=order)
 
 
-def size_span(own: Sequence[int], every: Sequence[int]) -> str:
+def size_span(sizes: Sequence[int], all_sizes: Sequence[int]) -> str:
     """Name sizes among all: `up to 33 KB`, `from 1 MB on`, `at every size`, `at 33 KB and 1 MB`."""
-    if len(own) < sum(own[0] <= size <= own[-1] for size in every):
-        return f"at {joined(map(format_size, own))}"
-    low, high = format_size(own[0]), format_size(own[-1])
+    if len(sizes) < sum(sizes[0] <= size <= sizes[-1] for size in all_sizes):
+        return f"at {joined(map(format_size, sizes))}"
+    low, high = format_size(sizes[0]), format_size(sizes[-1])
     if low == high:
         return f"at {low}"
-    first, last = own[0] == min(every), own[-1] == max(every)
+    first, last = sizes[0] == min(all_sizes), sizes[-1] == max(all_sizes)
     if first and last:
         return f"at every size ({low} to {high})"
     return f"from {low} on" if last else f"up to {high}" if first else f"from {low} to {high}"
@@ -306,9 +306,9 @@ def _repeats_words(cases: Sequence[CaseAnswer], what: str) -> str:
 
 def _factor(case: CaseAnswer, percentile: str) -> float | None:
     times = {setup.name: getattr(setup, f"{percentile}_ns") for setup in case.contenders}
-    own = times.pop(getattr(case, f"leader_{percentile}"))
-    others = [value for value in times.values() if value is not None and own <= value != float("inf")]
-    return min(others) / own if others and own else None
+    fastest_ns = times.pop(getattr(case, f"leader_{percentile}"))
+    others = [value for value in times.values() if value is not None and fastest_ns <= value != float("inf")]
+    return min(others) / fastest_ns if others and fastest_ns else None
 
 
 def factor_words(factors: Sequence[float]) -> str:
@@ -343,13 +343,13 @@ def _cost_words(rows: pl.DataFrame) -> str:
     is_finite = pl.col("ratio").is_finite().fill_null(value=False)
     parts, lost, others, compared = [], 0, 0, 0
     for name, label in (("p50", "at the median"), ("p99", "at p99")):
-        own = rows.filter(statistic=name)
-        slower = own.filter((pl.col("verdict") == "worse") & is_finite)
+        costs = rows.filter(statistic=name)
+        slower = costs.filter((pl.col("verdict") == "worse") & is_finite)
         if not slower.is_empty():
             parts.append(f"{factor_words(slower['ratio'].to_list())} as long {label}")
-            lost = max(lost, own.filter(~is_finite).height)
-            others = max(others, own.filter((pl.col("verdict") != "worse") & is_finite).height)
-            compared = max(compared, own.height)
+            lost = max(lost, costs.filter(~is_finite).height)
+            others = max(others, costs.filter((pl.col("verdict") != "worse") & is_finite).height)
+            compared = max(compared, costs.height)
     counts = ((lost, "lost"), (others, "not clearly slower"))
     noted = [f"{words} in {count}" for count, words in counts if count]
     return ", ".join(parts) + (f" ({', '.join(noted)} of {counted(compared, 'comparison')})" if noted else "")
@@ -365,8 +365,8 @@ def where_sentence(analysis: Analysis, groups: Groups, values: Values) -> str:
         link = printable(series.connectivity) + (f" with {conditions}" if conditions else "")
         links.setdefault(pair, {})[link] = None
     pairs_of: dict[tuple[str, ...], list[str]] = {}
-    for pair, own in links.items():
-        pairs_of.setdefault(tuple(own), []).append(pair)
+    for pair, link_names in links.items():
+        pairs_of.setdefault(tuple(link_names), []).append(pair)
     parts = [
         f"{joined(pairs)}, {'each ' if len(pairs) > 1 and len(own_links) > 1 else ''}{joined(own_links)}"
         for own_links, pairs in pairs_of.items()
@@ -385,9 +385,9 @@ def _busy(analysis: Analysis) -> str:
     return f" The machine was busy in {full} of {counted(recordings, 'recording')}: these times include waiting for a processor."
 
 
-def _some(parts: Sequence[str], rest: str) -> str:
-    left = len(parts) - MOST_NAMED
-    return "; ".join([*parts[:MOST_NAMED], *([f"and {left} {rest}"] if left > 0 else [])])
+def _some(parts: Sequence[str], noun: str) -> str:
+    more = len(parts) - MOST_NAMED
+    return "; ".join([*parts[:MOST_NAMED], *([f"and {more} {noun}"] if more > 0 else [])])
 
 
 def fastest_words(stretch: Stretch, labels: Mapping[str, str]) -> str:

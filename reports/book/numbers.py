@@ -141,6 +141,6 @@ def any_curve(analysis: Analysis) -> bool:
 
 
 def curves_info(analysis: Analysis) -> Curves:
-    made, groups = curves(analysis.distributions), range(analysis.summary.height)
-    values_ns = {metric: tuple(made.get((group, metric), ()) for group in groups) for metric in METRIC_LABELS}
+    drawn, groups = curves(analysis.distributions), range(analysis.summary.height)
+    values_ns = {metric: tuple(drawn.get((group, metric), ()) for group in groups) for metric in METRIC_LABELS}
     return Curves(LEVELS, values_ns, planned_shares(analysis.summary))

@@ -42,7 +42,9 @@ def outcome_of(case: CaseAnswer) -> Outcome:
         leaders = {case.leader_p50, case.leader_p99}
         is_lossy = any(row.subject in leaders and row.verdict == DO_NOT_USE for row in case.of_claim(Claim.LOSSY))
         return Outcome(case.leader_p50, case.leader_p99, is_lossy=is_lossy)
-    usable = [one for one in case.contenders if not (one.loses_more or exceeds_lossy_share(one.lost))]
+    usable = [
+        contender for contender in case.contenders if not (contender.loses_more or exceeds_lossy_share(contender.lost))
+    ]
     for percentile, _ in PERCENTILES:
         ranked = sorted(
             (value, setup.name, set(getattr(setup, f"letters_{percentile}")))
@@ -51,8 +53,8 @@ def outcome_of(case: CaseAnswer) -> Outcome:
         )
         slower = [name for _, name, letters in ranked if not letters & ranked[0][2]]
         if slower and ranked[0][2]:
-            first, *rest = (name for _, name, _ in ranked if name not in slower)
-            return Outcome(best=(first, *sorted(rest)), slower=tuple(sorted(slower)), percentile=percentile)
+            first, *slower_ones = (name for _, name, _ in ranked if name not in slower)
+            return Outcome(best=(first, *sorted(slower_ones)), slower=tuple(sorted(slower)), percentile=percentile)
     return Outcome(is_interleaved=case.interleaved)
 
 
@@ -62,10 +64,10 @@ def stretches(cases: Iterable[CaseAnswer]) -> tuple[Stretch, ...]:
         if case.clarity is not Clarity.ONLY_ONE:
             by_size.setdefault(case.payload_bytes, []).append(case)
     cut: list[Stretch] = []
-    for size, own in sorted(by_size.items()):
-        outcome = _common_outcome(own)
+    for size, cases_of_size in sorted(by_size.items()):
+        outcome = _common_outcome(cases_of_size)
         before = cut.pop() if cut and cut[-1].outcome == outcome else Stretch(outcome, (), ())
-        cut.append(Stretch(outcome, (*before.sizes, size), (*before.cases, *own)))
+        cut.append(Stretch(outcome, (*before.sizes, size), (*before.cases, *cases_of_size)))
     return tuple(cut)
 
 
@@ -78,9 +80,9 @@ def answers_by_kind(answers: Iterable[CaseAnswer]) -> list[tuple[tuple[str, str]
 
 def places_alike(by_place: Mapping[str, Sequence[CaseAnswer]]) -> list[list[str]]:
     alike: dict[object, list[str]] = {}
-    for place, cases in by_place.items():
-        alike.setdefault(tuple((one.outcome, one.sizes) for one in stretches(cases)), []).append(place)
-    return sorted(alike.values(), key=lambda places: -len(places))
+    for site, cases in by_place.items():
+        alike.setdefault(tuple((stretch.outcome, stretch.sizes) for stretch in stretches(cases)), []).append(site)
+    return sorted(alike.values(), key=lambda sites: -len(sites))
 
 
 def shown_case(cases: Sequence[CaseAnswer]) -> CaseAnswer:

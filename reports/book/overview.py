@@ -41,19 +41,19 @@ class Overview:
 
 
 def overview_info(analysis: Analysis, groups: Groups, costs: Sequence[OwnCost], times: Sequence[RunTime]) -> Overview:
-    conditions = {conditions_label(condition_of(one.setting)) for one in groups.series}
+    conditions = {conditions_label(condition_of(member.setting)) for member in groups.series}
     facts = (
         Fact("Devices", _devices(analysis, groups)),
-        Fact("Link", _listed(sorted({printable(one.connectivity) for one in groups.series}))),
+        Fact("Link", _listed(sorted({printable(member.connectivity) for member in groups.series}))),
         Fact("Conditions", "; ".join(sorted(conditions - {""}))),
         Fact("Middleware", _listed(_vendors(analysis, groups))),
-        Fact("Domains", _listed(list(dict.fromkeys(domain_label(one) for one in groups.series)))),
+        Fact("Domains", _listed(list(dict.fromkeys(domain_label(member) for member in groups.series)))),
         Fact("Messages", _messages(analysis)),
         Fact("Sent", _sent(groups)),
         Fact("Rates", _rates(groups)),
         Fact("When", _when(analysis, times)),
         Fact("Traces", _traces(analysis)),
-        Fact("Quality of service", _listed(dict.fromkeys(qos_label(one) for one in groups.series))),
+        Fact("Quality of service", _listed(dict.fromkeys(qos_label(member) for member in groups.series))),
         Fact("Settings", setting_words(analysis)),
         Fact("Versions", version_words(analysis)),
         Fact("Cost of measuring", cost_words(costs)),
@@ -70,14 +70,16 @@ def _listed(values: Iterable[str]) -> str:
 
 def _devices(analysis: Analysis, groups: Groups) -> str:
     if groups.series:
-        return _listed(dict.fromkeys(device_label(one) for one in groups.series))
-    return _listed(sorted({f"{printable(one.device)} ({printable(one.role)})" for one in analysis.sessions}))
+        return _listed(dict.fromkeys(device_label(member) for member in groups.series))
+    return _listed(sorted({f"{printable(member.device)} ({printable(member.role)})" for member in analysis.sessions}))
 
 
 def _vendors(analysis: Analysis, groups: Groups) -> list[str]:
     if groups.series:
-        return list(dict.fromkeys(one.vendor_label for one in groups.series))
-    return [groups.vendors.of(one) for one in in_order_of({one.vendor for one in analysis.sessions}, VENDORS)]
+        return list(dict.fromkeys(member.vendor_label for member in groups.series))
+    return [
+        groups.vendors.of(member) for member in in_order_of({member.vendor for member in analysis.sessions}, VENDORS)
+    ]
 
 
 def _messages(analysis: Analysis) -> str:
@@ -96,8 +98,8 @@ def _sent(groups: Groups) -> str:
     for cell in groups.cells:
         sizes.setdefault(cell.data_type, {})[cell.payload_bytes] = None
     return "; ".join(
-        f"{data_type_label(data_type)} {_listed(map(format_size, own))}"
-        for data_type, own in list(sizes.items())[:MOST_LISTED]
+        f"{data_type_label(data_type)} {_listed(map(format_size, values))}"
+        for data_type, values in list(sizes.items())[:MOST_LISTED]
     )
 
 

@@ -63,8 +63,8 @@ def recommendation_info(recommendation: Recommendation | None, vendors: VendorLa
         by_pair.setdefault(pair, []).append((candidate, name))
     deadline = f"the deadline of {format_duration(recommendation.job.deadline_ns)}"
     sentences = [
-        f"{f'On {pair}: ' if several else ''}{_sentence(named, deadline, opens=not several)}"
-        for pair, named in by_pair.items()
+        f"{f'On {pair}: ' if several else ''}{_sentence(candidates_there, deadline, opens=not several)}"
+        for pair, candidates_there in by_pair.items()
     ]
     return Advice(
         job=_job_words(recommendation.job),
@@ -87,7 +87,7 @@ def _messages_of_run(recommendation: Recommendation) -> tuple[int, int]:
 
 def _unclear(recommendation: Recommendation) -> list[int]:
     decided = (Fit.MEETS, Fit.MISSES)
-    return [place for place, one in enumerate(recommendation.candidates) if one.fit not in decided]
+    return [index for index, candidate in enumerate(recommendation.candidates) if candidate.fit not in decided]
 
 
 def _missing_words(recommendation: Recommendation, names: Sequence[str]) -> str:
@@ -133,16 +133,16 @@ def _job_words(job: Job) -> str:
     return f"{words}."
 
 
-def _sentence(named: Sequence[tuple[Candidate, str]], deadline: str, *, opens: bool) -> str:
-    best = [name for candidate, name in named if candidate.fit is Fit.MEETS and candidate.tied]
+def _sentence(candidates: Sequence[tuple[Candidate, str]], deadline: str, *, opens: bool) -> str:
+    best = [name for candidate, name in candidates if candidate.fit is Fit.MEETS and candidate.tied]
     if best:
         verb = "meets" if len(best) == 1 else "meet"
         tied = "" if len(best) == 1 else ", with no difference between them in these traces"
         return f"{joined(best, comma='; ')} {verb} {deadline}{tied}."
-    likely = [name for candidate, name in named if candidate.fit is Fit.LIKELY]
+    likely = [name for candidate, name in candidates if candidate.fit is Fit.LIKELY]
     if likely:
         words = f"nothing is shown to meet {deadline}; likely to meet it: {joined(likely, comma='; ')}."
-    elif all(candidate.fit is Fit.MISSES and candidate.measured for candidate, _ in named):
+    elif all(candidate.fit is Fit.MISSES and candidate.measured for candidate, _ in candidates):
         words = f"every setting that was measured misses {deadline}."
     else:
         words = f"nothing is shown to meet {deadline}, and nothing to miss it for sure."

@@ -87,23 +87,28 @@ def record_tables(analysis: Analysis) -> tuple[RecordTable, ...]:
 def _sessions(analysis: Analysis) -> RecordTable:
     alike: dict[tuple[str, ...], list[Session]] = {}
     vendors = vendor_labels(analysis)
-    for one in analysis.sessions:
-        host = [f"{printable(name)} {printable(value)}" for name, value in one.host.items() if name != FLEETING]
+    for session in analysis.sessions:
+        host = [f"{printable(name)} {printable(value)}" for name, value in session.host.items() if name != FLEETING]
         key = (
-            printable(one.device),
-            printable(one.role),
-            vendors.of(one.vendor),
-            printable(one.backend),
-            printable(one.rmw or "-"),
-            str(one.domain_id),
-            printable(one.connectivity),
-            "clean" if one.state == "closed" else "cut off",
-            ", ".join([*host, *applied_words(one)]),
+            printable(session.device),
+            printable(session.role),
+            vendors.of(session.vendor),
+            printable(session.backend),
+            printable(session.rmw or "-"),
+            str(session.domain_id),
+            printable(session.connectivity),
+            "clean" if session.state == "closed" else "cut off",
+            ", ".join([*host, *applied_words(session)]),
         )
-        alike.setdefault(key, []).append(one)
+        alike.setdefault(key, []).append(session)
     rows = [
-        (*key[:-2], format_count(len(own)), format_count(sum(one.dropped_events for one in own)), *key[-2:])
-        for key, own in alike.items()
+        (
+            *key[:-2],
+            format_count(len(sessions)),
+            format_count(sum(session.dropped_events for session in sessions)),
+            *key[-2:],
+        )
+        for key, sessions in alike.items()
     ]
     columns = (
         *("Device", "Role", "Vendor", "Backend", "RMW", "Domain", "Link"),
@@ -128,9 +133,10 @@ _WAYS = {SHARED_MEMORY: "shared memory", UNKNOWN: "an unknown way"}
 
 
 def _sources(analysis: Analysis) -> RecordTable:
-    ordered = sorted(analysis.sources, key=lambda one: one.status == "read")
+    ordered = sorted(analysis.sources, key=lambda source: source.status == "read")
     rows: list[tuple[str, ...]] = [
-        (printable(one.path), printable(one.status), format_count(one.events), printable(one.detail)) for one in ordered
+        (printable(source.path), printable(source.status), format_count(source.events), printable(source.detail))
+        for source in ordered
     ]
     return _table("Files", ("File", "Status", "Events", "Detail"), rows, len(rows))
 
@@ -215,7 +221,7 @@ def setting_words(analysis: Analysis) -> str:
         path = payload_path(session)
         if path is not None:
             values.setdefault("payload carried by", {})[_WAYS.get(path, printable(path))] = None
-    return "; ".join(f"{name} {' or '.join(own)}" for name, own in values.items())
+    return "; ".join(f"{name} {' or '.join(texts)}" for name, texts in values.items())
 
 
 def version_words(analysis: Analysis) -> str:
@@ -277,7 +283,7 @@ def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironm
     vendors = vendor_labels(analysis)
     described: dict[tuple[str, str], dict[str, dict[str, None]]] = {}
     columns: dict[str, None] = {}
-    for session in sorted(analysis.sessions, key=lambda one: (one.device, one.role)):
+    for session in sorted(analysis.sessions, key=lambda member: (member.device, member.role)):
         column = f"{printable(session.device)} ({printable(session.role)})"
         columns.setdefault(column)
         for section, name, value in _described(session, vendors):
@@ -296,7 +302,7 @@ def recorded_environment(analysis: Analysis, groups: Groups) -> RecordedEnvironm
     return RecordedEnvironment(
         shown,
         tuple((section, tuple(sections[section])) for section in ordered if section in sections),
-        "; ".join(dict.fromkeys(qos_label(one) for one in groups.series)),
+        "; ".join(dict.fromkeys(qos_label(member) for member in groups.series)),
     )
 
 
@@ -314,8 +320,8 @@ def _described(session: Session, vendors: VendorLabels) -> Iterator[tuple[str, s
         if name == FLEETING or value is None or value in ({}, []):
             continue
         if isinstance(value, dict):
-            for inner, one in value.items():
-                yield _SECTIONS.get(name, "Machine"), printable(inner), _text(one)
+            for inner, item in value.items():
+                yield _SECTIONS.get(name, "Machine"), printable(inner), _text(item)
         else:
             yield "Machine", _NAMES.get(name, printable(name).replace("_", " ")), _text(value)
 

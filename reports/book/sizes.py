@@ -153,9 +153,11 @@ def _place_rows(
         by_message.setdefault((case.data_type, case.payload_bytes, case.rate_hz), []).append(case)
     rows: list[SizeRow] = []
     further: list[SizeRow] = []
-    for (data_type, payload_bytes, rate_hz), own in by_message.items():
+    for (data_type, payload_bytes, rate_hz), answers_of in by_message.items():
         cells = {
-            (case.domain_mode, setup.name): _cell(case, setup, groups) for case in own for setup in case.contenders
+            (case.domain_mode, setup.name): _cell(case, setup, groups)
+            for case in answers_of
+            for setup in case.contenders
         }
         row = SizeRow(
             f"{data_type_label(data_type)} {format_size(payload_bytes)}",
@@ -218,8 +220,8 @@ def _late_by_key(analysis: Analysis) -> dict[Key, tuple[int, int, int]]:
     )
     keys = _keys(analysis)
     late: dict[Key, tuple[int, int, int]] = {}
-    for group, *own in counts.select("group", "missed", "judged", "unsure").iter_rows():
-        missed, judged, unsure = (a + b for a, b in zip(late.get(keys[group], (0, 0, 0)), own, strict=True))
+    for group, *numbers in counts.select("group", "missed", "judged", "unsure").iter_rows():
+        missed, judged, unsure = (a + b for a, b in zip(late.get(keys[group], (0, 0, 0)), numbers, strict=True))
         late[keys[group]] = missed, judged, unsure
     return late
 

@@ -55,8 +55,8 @@ class TopicTable:
 def topic_sentences(topics: pl.DataFrame) -> list[str]:
     rows = sorted(topics.to_dicts(), key=lambda row: row["ping_device"] == row["relay_device"])
     sentences = [_sentence(row) for row in rows[:MOST_SENTENCES]]
-    left = len(rows) - len(sentences)
-    return [*sentences, f"{counted(left, 'more topic is', 'more topics are')} in the table."] if left else sentences
+    more = len(rows) - len(sentences)
+    return [*sentences, f"{counted(more, 'more topic is', 'more topics are')} in the table."] if more else sentences
 
 
 def _sentence(row: Mapping[str, Any]) -> str:

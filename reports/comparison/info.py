@@ -70,8 +70,8 @@ class ComparedGroup:
 
 
 def _shown(rows: Sequence[Mapping[str, Any]]) -> tuple[Mapping[str, Any], ...]:
-    own = [row for row in rows if row["metric"] == rows[0]["metric"]]
-    return tuple(row for row in own if row["statistic"] in SHOWN_STATISTICS) or tuple(own[:1])
+    of_first = [row for row in rows if row["metric"] == rows[0]["metric"]]
+    return tuple(row for row in of_first if row["statistic"] in SHOWN_STATISTICS) or tuple(of_first[:1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ def comparison_info(comparison: Comparison, results: Sequence[GateResult] = ()) 
     groups = _groups(comparison, shared)
     sights = comparison.sights()
     apart = (comparison.only_base, comparison.only_new)
-    unlike = () if groups else tuple(Unlike(name, *both) for name, both in unlike_columns(*apart).items())
+    unlike = () if groups else tuple(Unlike(name, *values) for name, values in unlike_columns(*apart).items())
     ignore = () if groups else columns_to_ignore(*apart)
     return ComparisonInfo(
         said=("Both sides are the same recordings. " if comparison.same_recordings else "") + _answer(groups)
@@ -258,19 +258,19 @@ def _seen(sights: Sequence[DetectableChange], groups: Sequence[ComparedGroup], l
     # Where each result is slower or faster, no change was missed.
     proven = ("worse", "better")
     open_ones = {row["statistic"] for group in groups for row in group.shown() if row["verdict"] not in proven}
-    own = [one for one in sights if (one.metric, one.statistic) in shown and one.statistic in open_ones]
+    visible = [one for one in sights if (one.metric, one.statistic) in shown and one.statistic in open_ones]
     parts = [
         f"of {with_article(sight.statistic)} {_range_words(sight, labels)}"
-        for sight in own
+        for sight in visible
         if sight.smallest_ratio is not None and sight.smallest_ratio <= MOST_RATIO
     ]
     unclear = [
         f"{with_article(sight.statistic)} in {sight.groups - sight.told} of {counted(sight.groups, 'result')}"
-        for sight in own
+        for sight in visible
         if sight.told < sight.groups
     ]
     unjudged = [
-        sight.statistic for sight in own if sight.smallest_ratio is not None and sight.smallest_ratio > MOST_RATIO
+        sight.statistic for sight in visible if sight.smallest_ratio is not None and sight.smallest_ratio > MOST_RATIO
     ]
     sentences = [f"Such runs find in {100 * POWER:.0f} of 100 comparisons a change {'; '.join(parts)}"] if parts else []
     if parts and unclear:
@@ -295,7 +295,7 @@ def mean_change(groups: Sequence[ComparedGroup], statistic: str) -> float | None
 
 
 def _unlike_words(unlike: Sequence[Unlike], ignore: Sequence[str]) -> str:
-    differ = ", ".join(f"{one.column} ({one.base} against {one.new})" for one in unlike)
+    differ = ", ".join(f"{column.column} ({column.base} against {column.new})" for column in unlike)
     sentences = [f"They differ in {differ}."] if differ else []
     sentences += [f"--ignore {','.join(ignore)} compares them without that."] if ignore else []
     return " ".join(sentences)
@@ -307,11 +307,11 @@ def _gates(
     match = comparison.options.match
     labels = {
         group_words(row, names): label
-        for frame, names, own in (
+        for frame, names, columns in (
             (comparison.delivery, varying_columns(comparison), shared),
             (comparison.only_base, match, missing),
         )
-        for row, label in zip(frame.to_dicts(), own, strict=True)
+        for row, label in zip(frame.to_dicts(), columns, strict=True)
     }
     order = [GateOutcome.REGRESSED, GateOutcome.INCONCLUSIVE]
 
@@ -320,7 +320,9 @@ def _gates(
         return f"{labels[words]}{where.removeprefix(words)}" if words else where
 
     gated = [Gated(printable(named(result.where), MAX_FINDING_CHARACTERS), result) for result in results]
-    return tuple(sorted(gated, key=lambda one: order.index(one.result.outcome) if one.result.outcome in order else 9))
+    return tuple(
+        sorted(gated, key=lambda gate: order.index(gate.result.outcome) if gate.result.outcome in order else 9)
+    )
 
 
 def comparison_notes(comparison: Comparison) -> tuple[str, ...]:

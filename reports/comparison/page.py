@@ -66,7 +66,7 @@ def render(info: ComparisonInfo, title: str) -> str:
 
 
 def _group(group: ComparedGroup) -> dict[str, object]:
-    own = next((row for row in group.distributions if row["metric"] == group.changes[0]["metric"]), None)
+    distribution = next((row for row in group.distributions if row["metric"] == group.changes[0]["metric"]), None)
     return {
         "label": group.label,
         "unlike": printable(group.unlike),
@@ -74,7 +74,7 @@ def _group(group: ComparedGroup) -> dict[str, object]:
         "where": group.where,
         "tone": _TONES.get(group.verdict, ""),
         "received": received_words(group.delivery),
-        "strip": "" if own is None else strip(own),
+        "strip": "" if distribution is None else strip(distribution),
         "curves": [curve(row) for row in group.distributions],
         "shown": [(both_words(row), change_words(row["ratio"]), interval_words(row)) for row in group.shown()],
         "rows": [(*statistic_cells(row), runs_words(row), VERDICTS[row["verdict"]]) for row in group.changes],

@@ -274,11 +274,11 @@ class _Ros2Subscription:
         subscription = self.subscription
         handle = subscription.handle
         with suppress(_rclpy().exceptions.InvalidHandle), handle:  # the subscription was closed
-            while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
-                if taken[1] == self.last_left:
+            while (message := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+                if message[1] == self.last_left:
                     return
-                self.on_message(*taken)
-                self.last_left = taken[1]
+                self.on_message(*message)
+                self.last_left = message[1]
 
     def close(self) -> None:
         self.node.destroy_subscription(self)

@@ -297,8 +297,8 @@ class _TcpPeer:
             socket.SOL_SOCKET, socket.SO_SNDTIMEO, _TIME.pack(int(wait_s), round(wait_s % 1 * 1e6))
         )
 
-    def greet(self, own: Greeting) -> None:
-        text = own.to_bytes()
+    def greet(self, greeting: Greeting) -> None:
+        text = greeting.to_bytes()
         self.send(_head(b"", len(text)), text)
 
     def send(self, head: bytes, message: RawMessage) -> None:

@@ -46,11 +46,11 @@ def parse_messages(text: str) -> list[Message]:
 
 
 def _message(text: str) -> Message:
-    named, at, rate = text.rpartition("@")
+    described, at, rate = text.rpartition("@")
     quantity = split_quantity(rate.lower().removesuffix("hz"))
     if not at or quantity is None or quantity[1]:
         raise OptionError(f"{limits.shown(text)}: write a kind, a size and a rate, for example {DATA_EXAMPLE}")
-    data, size = named.strip(), None
+    data, size = described.strip(), None
     kind, colon, _ = data.partition(":")
     if not (colon and kind in sources()):
         data, *sizes = data.split() or [""]

@@ -62,9 +62,11 @@ class GroupRelay:
         if not self._running:
             segment = next(self._new_segments)
             for number, (host, arguments) in enumerate(self._arguments, 1):
-                own = segment_of(segment, number, host)
-                self._segments.append(own)
-                self._running["relay" if number == 1 else f"relay {number}"] = self._device.start(arguments, own)
+                segment_here = segment_of(segment, number, host)
+                self._segments.append(segment_here)
+                self._running["relay" if number == 1 else f"relay {number}"] = self._device.start(
+                    arguments, segment_here
+                )
             if self._half is not None:
                 self._running["bridge's half"] = self._device.start_half(self._half, segment)
             until_s = time.monotonic() + DEFAULT_WAIT_S * self._waits

@@ -37,11 +37,11 @@ def missing_middlewares(plan: Plan, device: RelayDevice) -> dict[Middlewares, st
 
     missing = {}
     for needed in dict.fromkeys(map(middlewares_of, plan.cells)):
-        environment, backend, rmw, relay_backend, relay_rmw, own = needed
+        environment, backend, rmw, relay_backend, relay_rmw, environment_name = needed
         if environment:
             continue
-        relay = reason_of(relay_backend, relay_rmw, own, is_remote=plan.has_two_devices)
-        if reason := reason_of(backend, rmw, own, is_remote=False) or relay:
+        relay = reason_of(relay_backend, relay_rmw, environment_name, is_remote=plan.has_two_devices)
+        if reason := reason_of(backend, rmw, environment_name, is_remote=False) or relay:
             missing[needed] = reason
     return missing
 

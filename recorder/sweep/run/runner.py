@@ -147,8 +147,8 @@ class Runner:
             return
         with self.relay(group) as relay:
             for cells in waiting:
-                left = [other for other in all_cells if not self.state[other.name].done]
-                remaining = self._estimate.remaining(left)
+                unrecorded = [other for other in all_cells if not self.state[other.name].done]
+                remaining = self._estimate.remaining(unrecorded)
                 self.state.left_s = remaining.seconds
                 for cell in cells:
                     self._progress.cell(cell.name, remaining)
@@ -298,15 +298,15 @@ class Runner:
         has_bypassed = link is not None and link["ping"]["sent_bytes"] < returned_bytes
         for cell, draft in drafts.items():
             final = self.ping_path(cell.name)
-            kept = final.with_name(f"{final.name}.bypassed") if has_bypassed else final
+            target = final.with_name(f"{final.name}.bypassed") if has_bypassed else final
             try:
-                draft.replace(kept)
+                draft.replace(target)
             except OSError as err:
-                raise output_error(kept, err) from err
+                raise output_error(target, err) from err
         if link is not None and has_bypassed:
             raise CellFailedError(
                 f"its messages did not cross the link: {counted(link['ping']['sent_bytes'], 'byte')} of the "
-                f"{returned_bytes} that came back did; the trace is {kept.name}",
+                f"{returned_bytes} that came back did; the trace is {target.name}",
                 hopeless=True,
             )
         return link

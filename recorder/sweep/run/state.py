@@ -53,13 +53,13 @@ class CellState:
     further: tuple[str, ...] = ()
 
     def collected(self, segment: str) -> CellState:
-        left = replace(
+        unsplit = replace(
             self,
             segment="" if self.segment == segment else self.segment,
             further=tuple(name for name in self.further if name != segment),
         )
-        is_complete = not (left.segment or left.further) and left.status is Status.RECORDED
-        return replace(left, status=Status.COMPLETE) if is_complete else left
+        is_complete = not (unsplit.segment or unsplit.further) and unsplit.status is Status.RECORDED
+        return replace(unsplit, status=Status.COMPLETE) if is_complete else unsplit
 
     @property
     def done(self) -> bool:

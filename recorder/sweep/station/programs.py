@@ -130,8 +130,8 @@ class Program:
         lines = [line.strip() for line in text.splitlines() if line.strip()]
         starts = [number for number, line in enumerate(lines) if _REASON.match(line)]
         reason = lines[starts[-1] :] if starts else lines[-1:]
-        said = _REASON.sub("", "; ".join(reason)) or "it said nothing"
-        return said if self.exit_code is None else describe_end(self.exit_code, said)
+        printed = _REASON.sub("", "; ".join(reason)) or "it said nothing"
+        return printed if self.exit_code is None else describe_end(self.exit_code, printed)
 
 
 def rehearse_program(command: Sequence[str], folder: Path) -> str | None:

@@ -66,7 +66,7 @@ def open_station(
 
     `lock` is the folder's, None for a rehearsal; `show` prints a line for a person; `command` is `dds-record`.
     """
-    own = list(command or local_program("dds-record"))
+    recorder = list(command or local_program("dds-record"))
     parts = make_parts(folder)
     others = {
         environment: environment_program(expand_home(environment).absolute(), "dds-record")
@@ -74,14 +74,14 @@ def open_station(
         if environment
     }
     if plan.by_hand:
-        yield Station(own, PrintedDevice(show), lock, PERSON_WAIT_S, plan.relay.reached_at)
+        yield Station(recorder, PrintedDevice(show), lock, PERSON_WAIT_S, plan.relay.reached_at)
         return
     if plan.relay.ssh is not None:
         devices = plan.hosts or (plan.relay,)
-        ssh = [SshDevice(one, parts, folder_there(plan.name, folder)) for one in devices]
-        further = tuple(one.reached_at or "" for one in devices[1:])
+        ssh = [SshDevice(ssh_host, parts, folder_there(plan.name, folder)) for ssh_host in devices]
+        further = tuple(ssh_host.reached_at or "" for ssh_host in devices[1:])
         device = SpreadDevice(ssh) if further else ssh[0]
-        yield Station(own, device, lock, relay_address=plan.relay.reached_at, further=further)
+        yield Station(recorder, device, lock, relay_address=plan.relay.reached_at, further=further)
         return
     with ExitStack() as stack:
         hosts = max((cell.hosts for cell in plan.cells), default=1)
@@ -96,7 +96,7 @@ def open_station(
             return [*ping_prefix, *keys, *program], SpreadDevice(relays) if len(relays) > 1 else relays[0]
 
         yield Station(
-            *both(own),
+            *both(recorder),
             lock,
             relay_address=pair.relay.address if pair else None,
             report_link=pair.report if pair else None,
